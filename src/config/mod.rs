@@ -1,0 +1,5 @@
+//! YAML to typed configuration.
+
+mod model;
+
+pub use model::*;

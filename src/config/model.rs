@@ -1,0 +1,276 @@
+//! The typed form of every configuration file. `configs/README.md` documents the same for users.
+
+use crate::diag::Span;
+use std::path::PathBuf;
+
+/// A value and where it stands in its file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Located<T> {
+    /// The value.
+    pub value: T,
+    /// Where it stands.
+    pub span: Span,
+}
+
+/// What an agent is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum AgentKind {
+    /// Drives on traffic streets.
+    Car,
+    /// Walks on walking streets and crossings.
+    Pedestrian,
+}
+
+impl AgentKind {
+    /// Its name in configurations, scenes and traces: `Car` or `Pedestrian`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            AgentKind::Car => "Car",
+            AgentKind::Pedestrian => "Pedestrian",
+        }
+    }
+}
+
+/// A kind of building.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Building {
+    /// H
+    House,
+    /// O
+    Office,
+    /// A
+    Garage,
+    /// S
+    Store,
+    /// G
+    GasStation,
+}
+
+/// A map file (`configs/maps/*.yaml`).
+#[derive(Clone, Debug)]
+pub struct MapConfig {
+    /// The name of the file without its extension.
+    pub name: String,
+    /// Rows and columns of blocks, each 1 to 1000.
+    pub blocks: Located<[u32; 2]>,
+    /// Widths in cells.
+    pub widths: Located<Widths>,
+    /// What stands where.
+    pub buildings: Located<Buildings>,
+}
+
+/// Widths of the parts of a map, in cells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Widths {
+    /// A traffic street with both its lanes; odd, since the mid line is a cell wide.
+    pub street: u32,
+    /// The sidewalk between street and building.
+    pub sidewalk: u32,
+    /// A building (square).
+    pub building: u32,
+    /// The sidewalk between the buildings of a block.
+    pub inner_sidewalk: u32,
+}
+
+/// What stands where on a map.
+#[derive(Clone, Debug)]
+pub enum Buildings {
+    /// One row of buildings after another (two rows and two columns a block).
+    Fixed(Vec<Vec<Building>>),
+    /// Drawn independently with these weights.
+    Random {
+        /// Seed of the draw, apart from the seed of a run.
+        seed: u64,
+        /// Weight of each building type, not negative, not all zero; they need not sum to one.
+        weights: Vec<(Building, f64)>,
+    },
+}
+
+/// The train, validation and test sets of a task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Split {
+    /// `train`
+    Train,
+    /// `val`
+    Val,
+    /// `test`
+    Test,
+}
+
+impl Split {
+    /// All three.
+    pub const ALL: [Split; 3] = [Split::Train, Split::Val, Split::Test];
+
+    /// Its name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Split::Train => "train",
+            Split::Val => "val",
+            Split::Test => "test",
+        }
+    }
+}
+
+/// One agent of an agent set.
+#[derive(Clone, Debug)]
+pub struct AgentConfig {
+    /// `Car_1`, `Pedestrian_3`, ...: kind and number within the kind, from 1.
+    pub name: String,
+    /// What it is.
+    pub kind: AgentKind,
+    /// Its concepts, for example `ambulance`; each is defined by a predicate of the scenario.
+    pub concepts: Vec<Located<String>>,
+    /// Right of way; a smaller number goes first.
+    pub priority: i32,
+}
+
+/// The agents of one split, in list order: first car, all pedestrians, the other cars.
+#[derive(Clone, Debug)]
+pub struct AgentSet {
+    /// The agents.
+    pub agents: Vec<AgentConfig>,
+    /// Starts and goals lie in rows and columns below this; `None` for the whole map.
+    pub region: Option<Located<u32>>,
+    /// Where the set is defined.
+    pub span: Span,
+}
+
+/// How a base predicate is computed from the state of the city.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Definition {
+    /// Unary: the agent is of this kind.
+    Kind(AgentKind),
+    /// Unary: the agent is of this kind and carries this concept.
+    Concept {
+        /// Which agents can carry it.
+        of: AgentKind,
+        /// Its name in agent sets and scenes.
+        concept: String,
+    },
+    /// Unary: a car is on an entrance line or a pedestrian on an outline of an intersection.
+    AtIntersection,
+    /// Unary: the agent is inside an intersection.
+    InIntersection,
+    /// Binary: Euclidean distance d in cells within the bounds that are given.
+    Distance {
+        /// d > above.
+        above: Option<f64>,
+        /// d >= at_least.
+        at_least: Option<f64>,
+        /// d < below.
+        below: Option<f64>,
+        /// d <= at_most.
+        at_most: Option<f64>,
+    },
+    /// Binary: the first has the smaller priority number.
+    HigherPriority,
+    /// Binary: the first lies left of the second, seen along the second's heading.
+    LeftOf,
+    /// Binary: the first lies right of the second, seen along the second's heading.
+    RightOf,
+    /// Binary: the first is about to run into the second.
+    Colliding {
+        /// Greatest distance in cells if the first is a car.
+        car_range: f64,
+        /// Greatest distance in cells if the first is a pedestrian.
+        pedestrian_range: f64,
+        /// The angle between the first's heading and the way to the second is smaller than this, in radians.
+        angle: f64,
+        /// Probability that a pedestrian notices.
+        pedestrian_chance: f64,
+        /// Probability if both are in one cell.
+        same_cell_chance: f64,
+    },
+    /// Binary, and the only reflexive one: the second is in the field of view of the first.
+    Sees,
+}
+
+/// A base predicate of a scenario.
+#[derive(Clone, Debug)]
+pub struct PredicateConfig {
+    /// Its name in the rules.
+    pub name: Located<String>,
+    /// How it is computed.
+    pub definition: Definition,
+}
+
+/// A speed a decision asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Speed {
+    /// Cars: 1 cell a tick.
+    Slow,
+    /// Cars: 2 cells a tick; pedestrians: 1.
+    Normal,
+    /// Cars: 3 cells a tick.
+    Fast,
+    /// No move.
+    Stop,
+}
+
+impl Speed {
+    /// All four, in the order of their published indices.
+    pub const ALL: [Speed; 4] = [Speed::Slow, Speed::Normal, Speed::Fast, Speed::Stop];
+
+    /// Its name, which is also the name of its predicate.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Speed::Slow => "Slow",
+            Speed::Normal => "Normal",
+            Speed::Fast => "Fast",
+            Speed::Stop => "Stop",
+        }
+    }
+}
+
+/// How derived action predicates become one action.
+#[derive(Clone, Debug)]
+pub struct ActionsConfig {
+    /// If several actions are derived, the first of this list is taken. Each of the four exactly once.
+    pub priority: Vec<Speed>,
+    /// The action if none is derived.
+    pub default: Speed,
+}
+
+/// How cars choose a route.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Routing {
+    /// Least length, where each turn and U-turn costs 30 cells more (the paper).
+    Weighted,
+    /// Fewest nodes of the road graph (the published program).
+    Hops,
+}
+
+impl Routing {
+    /// Its name: `weighted` or `hops`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Routing::Weighted => "weighted",
+            Routing::Hops => "hops",
+        }
+    }
+}
+
+/// A run configuration (`configs/*.yaml`) with every file it is composed of.
+#[derive(Clone, Debug)]
+pub struct Scenario {
+    /// The name of the file without its extension.
+    pub name: String,
+    /// The map.
+    pub map: MapConfig,
+    /// The rule file.
+    pub rules: Located<PathBuf>,
+    /// The agent sets, at least one.
+    pub splits: Vec<(Split, AgentSet)>,
+    /// The base predicates, in the order of the observation.
+    pub predicates: Vec<PredicateConfig>,
+    /// How derived actions become one.
+    pub actions: ActionsConfig,
+    /// How cars choose a route.
+    pub routing: Routing,
+    /// Half-width of the field of view in cells.
+    pub view: u32,
+    /// Length of a run in ticks unless the command line says otherwise.
+    pub ticks: u32,
+    /// SHA-256 of the configuration with all its parts, in hexadecimal: equal for equal content, whatever the file names.
+    pub hash: String,
+}

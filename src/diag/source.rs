@@ -1,0 +1,183 @@
+//! Source texts and places in them.
+
+use std::ops::Range;
+
+/// Names one text of a [`Sources`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct SourceId(u32);
+
+/// A range of bytes in one source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Span {
+    /// The text.
+    pub source: SourceId,
+    /// First byte.
+    pub start: u32,
+    /// One past the last byte.
+    pub end: u32,
+}
+
+impl Span {
+    /// A span over `range` of `source`.
+    pub fn new(source: SourceId, range: Range<usize>) -> Self {
+        let clamp = |byte: usize| u32::try_from(byte).unwrap_or(u32::MAX);
+        Span {
+            source,
+            start: clamp(range.start),
+            end: clamp(range.end),
+        }
+    }
+
+    /// The smallest span that covers both. Both must lie in one source; if not, `self` is returned.
+    pub fn to(self, other: Span) -> Span {
+        if self.source != other.source {
+            return self;
+        }
+        Span {
+            source: self.source,
+            start: self.start.min(other.start),
+            end: self.end.max(other.end),
+        }
+    }
+
+    /// The bytes.
+    pub fn range(self) -> Range<usize> {
+        self.start as usize..self.end as usize
+    }
+}
+
+/// A line and a column, both counted from 1; columns count characters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Position {
+    /// Line, from 1.
+    pub line: usize,
+    /// Column in characters, from 1.
+    pub column: usize,
+}
+
+#[derive(Clone, Debug)]
+struct Source {
+    name: String,
+    text: String,
+    line_starts: Vec<u32>,
+}
+
+/// Every text that was read, under the name the user knows it by.
+#[derive(Clone, Debug, Default)]
+pub struct Sources {
+    list: Vec<Source>,
+}
+
+impl Sources {
+    /// No texts yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a text. The name is shown in messages; for a file, the path as the user gave it.
+    pub fn add(&mut self, name: impl Into<String>, text: impl Into<String>) -> SourceId {
+        let text = text.into();
+        let mut line_starts = vec![0];
+        line_starts.extend(
+            text.bytes()
+                .enumerate()
+                .filter(|&(_, byte)| byte == b'\n')
+                .map(|(index, _)| u32::try_from(index + 1).unwrap_or(u32::MAX)),
+        );
+        self.list.push(Source {
+            name: name.into(),
+            text,
+            line_starts,
+        });
+        SourceId(u32::try_from(self.list.len() - 1).expect("fewer than 2^32 sources"))
+    }
+
+    /// The ids of all texts, in the order they were added.
+    pub fn ids(&self) -> impl Iterator<Item = SourceId> + use<> {
+        (0..u32::try_from(self.list.len()).expect("fewer than 2^32 sources")).map(SourceId)
+    }
+
+    /// The name of a text.
+    pub fn name(&self, id: SourceId) -> &str {
+        &self.list[id.0 as usize].name
+    }
+
+    /// The whole text.
+    pub fn text(&self, id: SourceId) -> &str {
+        &self.list[id.0 as usize].text
+    }
+
+    /// The text a span covers; a span that leaves the text or cuts a character is cut to what there is.
+    pub fn slice(&self, span: Span) -> &str {
+        let text = self.text(span.source);
+        let start = floor_char(text, span.start as usize);
+        let end = floor_char(text, span.end as usize).max(start);
+        &text[start..end]
+    }
+
+    /// Where a span begins.
+    pub fn position(&self, span: Span) -> Position {
+        self.position_of(span.source, span.start as usize)
+    }
+
+    /// The position of a byte.
+    pub fn position_of(&self, id: SourceId, byte: usize) -> Position {
+        let source = &self.list[id.0 as usize];
+        let byte = floor_char(&source.text, byte);
+        let line = source.line_starts.partition_point(|&start| start as usize <= byte) - 1;
+        let column = source.text[source.line_starts[line] as usize..byte].chars().count();
+        Position {
+            line: line + 1,
+            column: column + 1,
+        }
+    }
+
+    /// `name:line:column` of where a span begins.
+    pub fn locate(&self, span: Span) -> String {
+        let Position { line, column } = self.position(span);
+        format!("{}:{line}:{column}", self.name(span.source))
+    }
+
+    /// The byte at a line and column, both counted from 1; past the end of a line, the end of that line.
+    pub fn byte_at(&self, id: SourceId, line: usize, column: usize) -> usize {
+        let source = &self.list[id.0 as usize];
+        let Some(&start) = source.line_starts.get(line.saturating_sub(1)) else {
+            return source.text.len();
+        };
+        let rest = &source.text[start as usize..];
+        let rest = rest.split('\n').next().unwrap_or("");
+        start as usize
+            + rest
+                .char_indices()
+                .nth(column.saturating_sub(1))
+                .map_or(rest.len(), |(index, _)| index)
+    }
+}
+
+/// The largest character boundary of `text` at or before `byte`.
+fn floor_char(text: &str, byte: usize) -> usize {
+    let mut byte = byte.min(text.len());
+    while !text.is_char_boundary(byte) {
+        byte -= 1;
+    }
+    byte
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn positions_count_characters_from_one() {
+        let mut sources = Sources::new();
+        let id = sources.add("a.dl", "αβ\nγδ\n");
+        assert_eq!(sources.position_of(id, 0), Position { line: 1, column: 1 });
+        assert_eq!(sources.position_of(id, 2), Position { line: 1, column: 2 });
+        assert_eq!(sources.position_of(id, 5), Position { line: 2, column: 1 });
+        assert_eq!(sources.position_of(id, 99), Position { line: 3, column: 1 });
+        assert_eq!(sources.byte_at(id, 2, 2), 7);
+        assert_eq!(sources.byte_at(id, 2, 99), 9);
+        assert_eq!(sources.locate(Span::new(id, 7..9)), "a.dl:2:2");
+        assert_eq!(sources.slice(Span::new(id, 7..9)), "δ");
+    }
+}

@@ -1,0 +1,9 @@
+//! A city of cars and pedestrians governed by Datalog rules.
+
+pub mod city;
+pub mod config;
+pub mod diag;
+pub mod files;
+pub mod lang;
+pub mod rng;
+pub mod symbol;

@@ -1,0 +1,2 @@
+//! The `logicity` command.
+fn main() {}
