@@ -3,6 +3,7 @@
 pub mod city;
 pub mod config;
 pub mod diag;
+pub mod engine;
 pub mod files;
 pub mod lang;
 pub mod rng;
