@@ -6,6 +6,42 @@
 use std::io::{self, Read, Write};
 use std::path::Path;
 
+/// Declares the built-in files by their path in the repository. A list and not a search at compile time, so that the program
+/// is built from what the text of the source says; a test compares the list with the folders.
+macro_rules! builtin_files {
+    ($($path:literal)*) => {
+        /// The files of `rules/` and `configs/` that are part of the program, so that it works without the repository.
+        pub const BUILTIN: &[(&str, &str)] = &[$(($path, include_str!(concat!("../", $path))),)*];
+    };
+}
+
+builtin_files! {
+    "configs/agents/easy.yaml"
+    "configs/agents/expert.yaml"
+    "configs/agents/hard.yaml"
+    "configs/agents/medium.yaml"
+    "configs/agents/vap.yaml"
+    "configs/common.yaml"
+    "configs/easy.yaml"
+    "configs/expert.yaml"
+    "configs/hard.yaml"
+    "configs/maps/random-8x8.yaml"
+    "configs/maps/square-5x5.yaml"
+    "configs/medium.yaml"
+    "configs/predicates/standard.yaml"
+    "configs/predicates/vap.yaml"
+    "configs/transfer-easy.yaml"
+    "configs/transfer-hard.yaml"
+    "configs/transfer-medium.yaml"
+    "configs/vap-easy.yaml"
+    "configs/vap-hard.yaml"
+}
+
+/// A built-in file by its path in the repository, for example `rules/vocabulary.dl` or `configs/maps/square-5x5.yaml`.
+pub fn builtin(path: &str) -> Option<&'static str> {
+    BUILTIN.iter().find(|(known, _)| *known == path).map(|(_, text)| *text)
+}
+
 /// The largest text file that is read: 1 GiB.
 pub const MAX_BYTES: u64 = 1 << 30;
 
