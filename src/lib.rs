@@ -5,5 +5,6 @@ pub mod config;
 pub mod diag;
 pub mod files;
 pub mod lang;
+pub mod render;
 pub mod rng;
 pub mod symbol;
