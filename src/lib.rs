@@ -6,5 +6,6 @@ pub mod diag;
 pub mod engine;
 pub mod files;
 pub mod lang;
+pub mod render;
 pub mod rng;
 pub mod symbol;
