@@ -37,6 +37,9 @@ builtin_files! {
     "configs/vap-hard.yaml"
 }
 
+/// The folder, as paths name it, that holds the built-in files and nothing else.
+pub const BUILTIN_FOLDER: &str = "<builtin>";
+
 /// A built-in file by its path in the repository, for example `rules/vocabulary.dl` or `configs/maps/square-5x5.yaml`.
 pub fn builtin(path: &str) -> Option<&'static str> {
     BUILTIN.iter().find(|(known, _)| *known == path).map(|(_, text)| *text)
@@ -95,6 +98,26 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
             .filter(|&&byte| byte == b'\n')
             .count(),
     })
+}
+
+/// Reads a text file, or, if there is none, the built-in file of that path; the path may begin with [`BUILTIN_FOLDER`], where
+/// nothing is on disk.
+///
+/// # Errors
+/// Why the file cannot be read.
+pub fn read_or_builtin(path: &Path) -> Result<String, ReadError> {
+    let text = match path.strip_prefix(BUILTIN_FOLDER) {
+        Ok(_) => Err(ReadError::NotFound),
+        Err(_) => read_text(path),
+    };
+    match text {
+        Err(ReadError::NotFound) => {
+            let inside = path.strip_prefix(BUILTIN_FOLDER).unwrap_or(path);
+            let text = inside.to_str().and_then(builtin);
+            text.map(str::to_owned).ok_or(ReadError::NotFound)
+        }
+        text => text,
+    }
 }
 
 /// A file being written under a temporary name; [`Output::finish`] gives it its own. Dropped unfinished, it leaves nothing.

@@ -1,6 +1,7 @@
 //! A city of cars and pedestrians governed by Datalog rules.
 
 pub mod city;
+pub mod cli;
 pub mod config;
 pub mod diag;
 pub mod engine;
@@ -8,4 +9,5 @@ pub mod files;
 pub mod lang;
 pub mod render;
 pub mod rng;
+pub mod sim;
 pub mod symbol;
