@@ -337,7 +337,25 @@ fn agents_move_as_recorded() {
                     "{place}"
                 );
 
-                let next = cell(&step.ego["next"]);
+                let allowed: Option<BTreeSet<u64>> = (step.ego["global"].as_array())
+                    .map(|allowed| allowed.iter().map(|action| action.as_u64().unwrap() / 4 + 1).collect());
+                let possible = |agent: &Agent| -> BTreeSet<u64> {
+                    (1..=possible_cells(agent.route(), agent.kind, agent.position()) as u64).collect()
+                };
+                // Where a route comes through a cell twice, the published program takes the second time for the first and
+                // drives around again, for ever. Ours keeps its place on the route; here it is put back to go on comparing.
+                let passed = agent.route().cells()[..agent.position()]
+                    .iter()
+                    .position(|&cell| cell == agent.cell);
+                if let (Some(first), Some(allowed)) = (passed, &allowed)
+                    && agent.rest == Rest::UnderWay
+                    && possible(agent) != *allowed
+                {
+                    let heading = agent.heading;
+                    agent.set_out(router.follow(agent.kind, &agent.route().cells()[first..]).unwrap());
+                    agent.heading = heading;
+                    lost.push(place.clone());
+                }
                 let mut moved_agent = agent.clone();
                 let surroundings = Surroundings {
                     router: &router,
@@ -364,16 +382,8 @@ fn agents_move_as_recorded() {
                         "{place}: should have replanned"
                     );
                 }
-                if let Some(allowed) = step.ego["global"].as_array() {
-                    let recorded: BTreeSet<u64> =
-                        allowed.iter().map(|action| action.as_u64().unwrap() / 4 + 1).collect();
-                    let ours: BTreeSet<u64> =
-                        (1..=possible_cells(agent.route(), agent.kind, agent.position()) as u64).collect();
-                    if recorded != ours {
-                        lost.push((place, agent.cell, next, agent.clone()));
-                        agents.remove(&(seed, id));
-                        continue;
-                    }
+                if let Some(allowed) = allowed {
+                    assert_eq!(possible(agent), allowed, "{place}");
                 }
                 assert_ne!(moved.reason, Reason::Drawn, "{place}: nothing is drawn in these modes");
                 let recorded_heading = step.ego["next_dir"]
@@ -381,7 +391,7 @@ fn agents_move_as_recorded() {
                     .map(|name| Heading::from_name(name).unwrap());
                 assert_eq!(
                     (moved_agent.cell, moved_agent.heading),
-                    (next, recorded_heading),
+                    (cell(&step.ego["next"]), recorded_heading),
                     "{place}"
                 );
                 *agent = moved_agent;
@@ -389,5 +399,6 @@ fn agents_move_as_recorded() {
             }
         }
     }
-    println!("{moves} moves, {replans} new goals, {} places lost", lost.len());
+    assert!(moves > 0 && replans > 0);
+    println!("{moves} moves, {replans} new goals; published program lost its place on a route: {lost:?}");
 }
