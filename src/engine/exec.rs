@@ -5,10 +5,10 @@
 //! datafrog's want their number and the types of their rows at compile time.
 
 use crate::engine::join::{self, Output, Overflow, View};
-use crate::engine::plan::{IndexId, Plan, Plans, Source, Step, Version};
+use crate::engine::plan::{IndexId, Plan, Plans, Source, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Index, Row, difference, gallop, merge, normalise, project};
 use crate::engine::{Compiled, Delta, EvalError, Rows, StratumWork, WorkLog};
-use crate::lang::{ClauseId, RelId, Stratum, Term, Value};
+use crate::lang::{ClauseId, RelId, Term, Value};
 use crate::symbol::Symbols;
 use datafrog::{Iteration, Relation, Variable};
 use std::cell::Ref;
@@ -110,7 +110,7 @@ impl<const W: usize> State<W> {
             if noted.is_empty() {
                 continue;
             }
-            settle(noted, &self.given[relation.index()]);
+            settle(noted);
             let old = &self.relations[relation.index()];
             let [added, removed] = net(old, noted);
             if !added.is_empty() || !removed.is_empty() {
@@ -120,8 +120,8 @@ impl<const W: usize> State<W> {
         }
 
         let mut log = WorkLog::default();
-        for (stratum, inputs) in rules.strata.iter().zip(&plans.inputs) {
-            if self.committed && !inputs.iter().any(|input| undo.changed[input.index()]) {
+        for stratum in &plans.strata {
+            if self.committed && !stratum.inputs.iter().any(|input| undo.changed[input.index()]) {
                 log.strata.push(StratumWork::Skipped);
                 continue;
             }
@@ -166,15 +166,18 @@ impl<const W: usize> State<W> {
         &self,
         compiled: &Compiled,
         symbols: &Symbols,
-        stratum: &Stratum,
+        stratum: &StratumPlan,
         limit: usize,
     ) -> Result<(Vec<(RelId, Vec<Row<W>>)>, StratumWork), EvalError> {
         let Compiled { rules, plans } = compiled;
-        let derived = |relation: &RelId| rules.relations[relation.index()].derived;
-        let members: Vec<RelId> = stratum.relations.iter().copied().filter(derived).collect();
-        let elsewhere = (0..rules.relations.len() as u32).map(RelId);
-        let elsewhere = elsewhere.filter(|relation| derived(relation) && !members.contains(relation));
-        let elsewhere: usize = elsewhere.map(|relation| self.relations[relation.index()].len()).sum();
+        let members = &stratum.members;
+        let elsewhere = rules
+            .relations
+            .iter()
+            .zip((0..).map(RelId))
+            .filter(|(relation, _)| relation.derived);
+        let elsewhere = elsewhere.filter(|(_, rel)| !members.contains(rel));
+        let elsewhere: usize = elsewhere.map(|(_, rel)| self.relations[rel.index()].len()).sum();
         let room = limit.saturating_sub(elsewhere);
         let too_many = |clause: ClauseId| EvalError::TooManyRows { limit, clause };
 
@@ -193,7 +196,11 @@ impl<const W: usize> State<W> {
             }
         }
 
-        if !stratum.recursive {
+        if stratum
+            .clauses
+            .iter()
+            .all(|clause| plans.clauses[clause.index()].deltas.is_empty())
+        {
             let rows: Vec<_> = members
                 .iter()
                 .copied()
@@ -207,7 +214,7 @@ impl<const W: usize> State<W> {
             return Ok((rows, StratumWork::Evaluated { rounds: 1, considered }));
         }
 
-        let mut recursion = Recursion::new(compiled, &members, stratum);
+        let mut recursion = Recursion::new(compiled, stratum);
         let mut rounds = 0;
         loop {
             for (variable, output) in recursion.variables.iter().zip(&mut outputs) {
@@ -271,7 +278,10 @@ impl<const W: usize> State<W> {
 
 impl<const W: usize> Store for State<W> {
     fn change(&mut self, relation: RelId, row: &[Value], present: bool) {
-        self.noted[relation.index()].push((Row::new(row), present));
+        let row = Row::new(row);
+        if present || self.given[relation.index()].binary_search(&row).is_err() {
+            self.noted[relation.index()].push((row, present));
+        }
     }
 
     fn rollback(&mut self) {
@@ -336,8 +346,8 @@ fn constants<const W: usize>(terms: &[Term]) -> Row<W> {
     row
 }
 
-/// Keeps of several changes of a row the last one, in the order of rows, and drops retractions of given facts.
-fn settle<const W: usize>(noted: &mut Vec<(Row<W>, bool)>, given: &[Row<W>]) {
+/// Keeps of several changes of a row the last one, in the order of rows.
+fn settle<const W: usize>(noted: &mut Vec<(Row<W>, bool)>) {
     noted.sort_by(|a, b| a.0.cmp(&b.0));
     // `dedup_by` keeps the first of equal elements and is given the later one first.
     noted.dedup_by(|later, kept| {
@@ -347,9 +357,6 @@ fn settle<const W: usize>(noted: &mut Vec<(Row<W>, bool)>, given: &[Row<W>]) {
         }
         same
     });
-    if !given.is_empty() {
-        noted.retain(|(row, present)| *present || given.binary_search(row).is_err());
-    }
 }
 
 /// The rows that settled changes add to and remove from a relation.
@@ -415,8 +422,9 @@ impl<const W: usize> Held<'_, W> {
 }
 
 impl<const W: usize> Recursion<W> {
-    fn new(compiled: &Compiled, members: &[RelId], stratum: &Stratum) -> Self {
+    fn new(compiled: &Compiled, stratum: &StratumPlan) -> Self {
         let Compiled { rules, plans } = compiled;
+        let members = &stratum.members;
         let mut iteration = Iteration::new();
         let name = |member: &RelId| &rules.relations[member.index()].name;
         let variables = members.iter().map(|member| iteration.variable(name(member))).collect();
@@ -439,7 +447,7 @@ impl<const W: usize> Recursion<W> {
         }
         Recursion {
             iteration,
-            members: members.to_vec(),
+            members: members.clone(),
             variables,
             grown,
         }

@@ -9,7 +9,7 @@
 
 use crate::diag::{Code, Diagnostic};
 use crate::engine::row::WIDTHS;
-use crate::lang::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Rules, Term, Value, VarId};
+use crate::lang::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Rules, Stratum, Term, Value, VarId};
 
 /// A place for a value while a clause is evaluated: a variable, or after them a constant.
 pub(super) type Slot = u16;
@@ -95,7 +95,6 @@ impl Step {
 /// How to evaluate a clause.
 #[derive(Clone, Debug)]
 pub(super) struct Plan {
-    pub(super) clause: ClauseId,
     pub(super) head: RelId,
     /// Where the head's columns come from.
     pub(super) output: Vec<Slot>,
@@ -115,6 +114,17 @@ pub(super) struct ClausePlans {
     pub(super) deltas: Vec<(RelId, Plan)>,
 }
 
+/// What a stratum computes and from what.
+#[derive(Clone, Debug)]
+pub(super) struct StratumPlan {
+    /// The derived relations; those with nothing but facts are not evaluated.
+    pub(super) members: Vec<RelId>,
+    /// The other relations that occur in bodies, in order.
+    pub(super) inputs: Vec<RelId>,
+    /// The clauses of the members.
+    pub(super) clauses: Vec<ClauseId>,
+}
+
 /// Everything about a program that does not change while it runs.
 #[derive(Clone, Debug)]
 pub(super) struct Plans {
@@ -123,8 +133,8 @@ pub(super) struct Plans {
     pub(super) indexes: Vec<IndexSpec>,
     /// By [`RelId`]: the indexes of a relation, its own rows first.
     pub(super) indexes_of: Vec<Vec<IndexId>>,
-    /// By position in [`Rules::strata`]: the relations of lower strata that the stratum reads, in order.
-    pub(super) inputs: Vec<Vec<RelId>>,
+    /// By position in [`Rules::strata`].
+    pub(super) strata: Vec<StratumPlan>,
     /// One of [`WIDTHS`].
     pub(super) width: usize,
 }
@@ -160,33 +170,24 @@ impl Plans {
             specs: indexes,
         };
 
-        let mut recursive_with: Vec<&[RelId]> = vec![&[]; rules.clauses.len()];
-        for stratum in rules.strata.iter().filter(|stratum| stratum.recursive) {
+        let strata: Vec<StratumPlan> = rules
+            .strata
+            .iter()
+            .map(|stratum| plan_stratum(rules, stratum))
+            .collect();
+        let mut computed_with: Vec<&[RelId]> = vec![&[]; rules.clauses.len()];
+        for stratum in &strata {
             for &clause in &stratum.clauses {
-                recursive_with[clause.index()] = &stratum.relations;
+                computed_with[clause.index()] = &stratum.members;
             }
         }
         let mut clauses = Vec::with_capacity(rules.clauses.len());
-        for (position, (clause, stratum)) in rules.clauses.iter().zip(recursive_with).enumerate() {
-            clauses.push(plan_clause(ClauseId(position as u32), clause, stratum, &mut indexer)?);
+        for (clause, stratum) in rules.clauses.iter().zip(computed_with) {
+            clauses.push(plan_clause(clause, stratum, &mut indexer)?);
         }
-
-        let inputs = rules.strata.iter().map(|stratum| {
-            let bodies = stratum
-                .clauses
-                .iter()
-                .flat_map(|&clause| &rules.clauses[clause.index()].body);
-            let mut inputs: Vec<RelId> = bodies
-                .filter_map(|literal| Some(atom_of(literal)?.relation))
-                .filter(|relation| !stratum.relations.contains(relation))
-                .collect();
-            inputs.sort_unstable();
-            inputs.dedup();
-            inputs
-        });
         Ok(Plans {
             clauses,
-            inputs: inputs.collect(),
+            strata,
             indexes: indexer.specs,
             indexes_of: indexer.of,
             width,
@@ -196,6 +197,28 @@ impl Plans {
     /// Whether the index is the relation's own rows.
     pub(super) fn is_own(&self, index: IndexId) -> bool {
         index.index() < self.indexes_of.len()
+    }
+}
+
+fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
+    let derived = |relation: &RelId| rules.relations[relation.index()].derived;
+    let head = |clause: &ClauseId| rules.clauses[clause.index()].head.relation;
+    let members: Vec<RelId> = stratum.relations.iter().copied().filter(derived).collect();
+    let clauses: Vec<ClauseId> = stratum
+        .clauses
+        .iter()
+        .copied()
+        .filter(|clause| derived(&head(clause)))
+        .collect();
+    let bodies = clauses.iter().flat_map(|clause| &rules.clauses[clause.index()].body);
+    let mut inputs: Vec<RelId> = bodies.filter_map(|literal| Some(atom_of(literal)?.relation)).collect();
+    inputs.retain(|relation| !members.contains(relation));
+    inputs.sort_unstable();
+    inputs.dedup();
+    StratumPlan {
+        members,
+        inputs,
+        clauses,
     }
 }
 
@@ -238,13 +261,8 @@ impl Indexer {
     }
 }
 
-/// All plans of a clause. `stratum` holds the relations it is recursive with.
-fn plan_clause(
-    id: ClauseId,
-    clause: &Clause,
-    stratum: &[RelId],
-    indexer: &mut Indexer,
-) -> Result<ClausePlans, Diagnostic> {
+/// All plans of a clause. `stratum` holds the relations computed together with its head.
+fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Result<ClausePlans, Diagnostic> {
     for (what, count) in [("literals", clause.body.len()), ("variables", clause.variables.len())] {
         if count > CLAUSE_MAX {
             let message = format!("the clause has {count} {what}; at most {CLAUSE_MAX} are possible");
@@ -257,7 +275,7 @@ fn plan_clause(
             _ => false,
         })
         .collect();
-    let complete = Planner::new(id, clause, indexer).plan(None, &|_| Version::Complete)?;
+    let complete = Planner::new(clause, indexer).plan(None, &|_| Version::Complete)?;
     let mut deltas = Vec::new();
     for &delta in &recursive {
         // Each derivation is found once: by the plan of its first atom that holds by a new row.
@@ -267,7 +285,7 @@ fn plan_clause(
             std::cmp::Ordering::Equal => Version::New,
             std::cmp::Ordering::Greater => Version::All,
         };
-        let plan = Planner::new(id, clause, indexer).plan(Some(delta), &version)?;
+        let plan = Planner::new(clause, indexer).plan(Some(delta), &version)?;
         if let Some(atom) = atom_of(&clause.body[delta]) {
             deltas.push((atom.relation, plan));
         }
@@ -276,7 +294,6 @@ fn plan_clause(
 }
 
 struct Planner<'a> {
-    id: ClauseId,
     clause: &'a Clause,
     indexer: &'a mut Indexer,
     slots: Vec<Value>,
@@ -290,9 +307,8 @@ struct Planner<'a> {
 }
 
 impl<'a> Planner<'a> {
-    fn new(id: ClauseId, clause: &'a Clause, indexer: &'a mut Indexer) -> Self {
+    fn new(clause: &'a Clause, indexer: &'a mut Indexer) -> Self {
         Planner {
-            id,
             clause,
             indexer,
             slots: vec![Value(0); clause.variables.len()],
@@ -330,7 +346,6 @@ impl<'a> Planner<'a> {
         let head = &self.clause.head;
         let output = head.terms.iter().filter_map(|term| self.slot(term)).collect();
         Ok(Plan {
-            clause: self.id,
             head: head.relation,
             output,
             steps: self.steps,
