@@ -61,10 +61,25 @@ fn write(folder: &Path, name: &str, text: impl AsRef<[u8]>) -> String {
 fn run_leaves_a_trace_an_animation_and_a_picture() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("deep/er");
-    let output = logicity(["run", "configs/expert.yaml", "--ticks", "20", "--out", target.to_str().unwrap()]);
+    let output = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "20",
+        "--out",
+        target.to_str().unwrap(),
+    ]);
     assert_eq!(code(&output), 0, "{}", err(&output));
     let summary = out(&output);
-    for word in ["20 ticks", "360 decisions", "decisions per second", "pedestrians", "Stop", "expert.dl:", "city.gif"] {
+    for word in [
+        "20 ticks",
+        "360 decisions",
+        "decisions per second",
+        "pedestrians",
+        "Stop",
+        "expert.dl:",
+        "city.gif",
+    ] {
         assert!(summary.contains(word), "`{word}` is missing in:\n{summary}");
     }
     let trace = fs::read_to_string(target.join("trace.jsonl")).unwrap();
@@ -75,7 +90,12 @@ fn run_leaves_a_trace_an_animation_and_a_picture() {
     assert_eq!(lines[0]["rules_hash"].as_str().unwrap().len(), 64);
     assert_eq!(lines[0]["agents"].as_array().unwrap().len(), 18);
     for pair in lines[1..].windows(2) {
-        for (before, after) in pair[0]["agents"].as_array().unwrap().iter().zip(pair[1]["agents"].as_array().unwrap()) {
+        for (before, after) in pair[0]["agents"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .zip(pair[1]["agents"].as_array().unwrap())
+        {
             assert_eq!(before["next"], after["at"]);
         }
     }
@@ -90,7 +110,17 @@ fn the_same_seed_gives_the_same_bytes() {
     let run = |name: &str, seed: &str| {
         let target = folder.path().join(name);
         let target = target.to_str().unwrap();
-        let output = logicity(["run", "configs/expert.yaml", "--ticks", "60", "--seed", seed, "--no-pictures", "--out", target]);
+        let output = logicity([
+            "run",
+            "configs/expert.yaml",
+            "--ticks",
+            "60",
+            "--seed",
+            seed,
+            "--no-pictures",
+            "--out",
+            target,
+        ]);
         assert_eq!(code(&output), 0, "{}", err(&output));
         fs::read(Path::new(target).join("trace.jsonl")).unwrap()
     };
@@ -103,7 +133,17 @@ fn the_same_seed_gives_the_same_bytes() {
 fn a_trace_can_be_replayed_through_infer() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().to_str().unwrap();
-    let output = logicity(["run", "configs/expert.yaml", "--ticks", "40", "--seed", "3", "--no-pictures", "--out", target]);
+    let output = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "40",
+        "--seed",
+        "3",
+        "--no-pictures",
+        "--out",
+        target,
+    ]);
     assert_eq!(code(&output), 0, "{}", err(&output));
     let trace = fs::read_to_string(folder.path().join("trace.jsonl")).unwrap();
     let mut lines = trace.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
@@ -113,7 +153,12 @@ fn a_trace_can_be_replayed_through_infer() {
         .iter()
         .map(|tick| {
             let mut agents = header["agents"].clone();
-            for (agent, state) in agents.as_array_mut().unwrap().iter_mut().zip(tick["agents"].as_array().unwrap()) {
+            for (agent, state) in agents
+                .as_array_mut()
+                .unwrap()
+                .iter_mut()
+                .zip(tick["agents"].as_array().unwrap())
+            {
                 agent["at"] = state["at"].clone();
                 agent["heading"] = state["heading"].clone();
             }
@@ -127,7 +172,12 @@ fn a_trace_can_be_replayed_through_infer() {
     assert_eq!(text.lines().count(), ticks.len());
     for (answer, tick) in text.lines().zip(&ticks) {
         let answer: Value = serde_json::from_str(answer).unwrap();
-        for (agent, state) in header["agents"].as_array().unwrap().iter().zip(tick["agents"].as_array().unwrap()) {
+        for (agent, state) in header["agents"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .zip(tick["agents"].as_array().unwrap())
+        {
             let ego = &answer["egos"][agent["id"].as_str().unwrap()];
             assert_eq!((&ego["action"], &ego["derived"]), (&state["action"], &state["derived"]));
         }
@@ -148,7 +198,12 @@ fn all_rule_files_of_all_modes_are_clean() {
         if path.extension().is_some_and(|extension| extension == "dl") {
             let output = logicity(["check", "--json", path.to_str().unwrap()]);
             let line: Value = serde_json::from_str(&out(&output)).unwrap();
-            assert_eq!((code(&output), &line["diagnostics"]), (0, &Value::Array(Vec::new())), "{}", path.display());
+            assert_eq!(
+                (code(&output), &line["diagnostics"]),
+                (0, &Value::Array(Vec::new())),
+                "{}",
+                path.display()
+            );
         }
     }
 }
@@ -156,12 +211,30 @@ fn all_rule_files_of_all_modes_are_clean() {
 #[test]
 fn check_tells_all_faults_and_exits_with_1() {
     let folder = tempfile::tempdir().unwrap();
-    let one = write(folder.path(), "one.dl", ".include \"vocabulary.dl\"\nStop(X) :- IsCarr(X).\nStop(X) :- IsClose(X).\n");
+    let one = write(
+        folder.path(),
+        "one.dl",
+        ".include \"vocabulary.dl\"\nStop(X) :- IsCarr(X).\nStop(X) :- IsClose(X).\n",
+    );
     let two = write(folder.path(), "two.dl", ".decl a(x: number)\na(x) :- !a(x).\n");
     let output = logicity(["check", &one, &two]);
-    fails(&output, 1, &["unknown-predicate", "did you mean `IsCar`", "arity-mismatch", "unbound-variable", "one.dl:2", "two.dl:2"]);
+    fails(
+        &output,
+        1,
+        &[
+            "unknown-predicate",
+            "did you mean `IsCar`",
+            "arity-mismatch",
+            "unbound-variable",
+            "one.dl:2",
+            "two.dl:2",
+        ],
+    );
     let output = logicity(["check", "--json", &one, &two]);
-    let lines: Vec<Value> = out(&output).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let lines: Vec<Value> = out(&output)
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
     assert_eq!((code(&output), lines.len()), (1, 2));
     assert_eq!(lines[0]["diagnostics"][0]["labels"][0]["line"], 2);
 }
@@ -175,10 +248,18 @@ fn wrong_usage_exits_with_2() {
     fails(&logicity(["check", "rules"]), 2, &["rules", "folder"]);
     fails(&logicity(["run", "no/such.yaml"]), 2, &["no/such.yaml"]);
     fails(&logicity(["run", "configs"]), 2, &["configs"]);
-    fails(&logicity(["run", "configs/easy.yaml", "--ticks", "1", "--out", &inside]), 2, &["out"]);
+    fails(
+        &logicity(["run", "configs/easy.yaml", "--ticks", "1", "--out", &inside]),
+        2,
+        &["out"],
+    );
     fails(&logicity(["infer", "no/such.jsonl"]), 2, &["no/such.jsonl"]);
     fails(&logicity(["query", "no/such.dl"]), 2, &["no/such.dl"]);
-    fails(&logicity(["route", "--type", "car", "--from", "1", "--to", "2,3"]), 2, &["row and column"]);
+    fails(
+        &logicity(["route", "--type", "car", "--from", "1", "--to", "2,3"]),
+        2,
+        &["row and column"],
+    );
     fails(&logicity(["fly"]), 2, &["fly"]);
 }
 
@@ -209,14 +290,26 @@ fn query_follows_souffle() {
     write(folder.path(), "edge.facts", "10\tb\n-2\ta b\n9\tb\n");
     let here = folder.path().to_str().unwrap();
     let output = logicity(["query", &rules, "-F", here, "-D", here]);
-    assert_eq!((code(&output), out(&output).as_str()), (0, "path\t3\n"), "{}", err(&output));
-    assert_eq!(fs::read_to_string(folder.path().join("path.csv")).unwrap(), "-2\ta b\n9\tb\n10\tb\n");
+    assert_eq!(
+        (code(&output), out(&output).as_str()),
+        (0, "path\t3\n"),
+        "{}",
+        err(&output)
+    );
+    assert_eq!(
+        fs::read_to_string(folder.path().join("path.csv")).unwrap(),
+        "-2\ta b\n9\tb\n10\tb\n"
+    );
     let output = logicity(["query", &rules, "-F", here, "-D", "-"]);
     let expected = "---------------\npath\n===============\n-2\ta b\n9\tb\n10\tb\n===============\npath\t3\n";
     assert_eq!(out(&output), expected);
 
     write(folder.path(), "edge.facts", "10\tb\nten\tb\n1\n");
-    fails(&logicity(["query", &rules, "-F", here, "-D", here]), 1, &["invalid-fact", "edge.facts:2:1", "edge.facts:3:1"]);
+    fails(
+        &logicity(["query", &rules, "-F", here, "-D", here]),
+        1,
+        &["invalid-fact", "edge.facts:2:1", "edge.facts:3:1"],
+    );
     fs::remove_file(folder.path().join("edge.facts")).unwrap();
     fails(&logicity(["query", &rules, "-F", here, "-D", here]), 2, &["edge.facts"]);
 }
@@ -233,7 +326,12 @@ fn a_million_facts_are_read() {
     write(folder.path(), "e.facts", facts);
     let here = folder.path().to_str().unwrap();
     let output = logicity(["query", &rules, "-F", here, "-D", here]);
-    assert_eq!((code(&output), out(&output).as_str()), (0, "twice\t1000000\n"), "{}", err(&output));
+    assert_eq!(
+        (code(&output), out(&output).as_str()),
+        (0, "twice\t1000000\n"),
+        "{}",
+        err(&output)
+    );
 }
 
 #[test]
@@ -261,7 +359,10 @@ fn a_faulty_scene_keeps_answers_in_step() {
         if !line.contains("nowhere") {
             assert!(err(&output).contains("<stdin>:2:"), "{line}\n{}", err(&output));
         }
-        let answers: Vec<Value> = out(&output).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        let answers: Vec<Value> = out(&output)
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
         assert_eq!(answers.len(), 3);
         assert_eq!(answers[0], answers[2]);
         assert_eq!(answers[0]["egos"]["e0"]["action"], "Normal");
@@ -275,10 +376,21 @@ fn a_faulty_scene_keeps_answers_in_step() {
 fn route_prints_the_cells() {
     let output = logicity(["route", "--type", "pedestrian", "--from", "26,20", "--to", "86,61"]);
     let text = out(&output);
-    assert_eq!((code(&output), text.lines().next(), text.lines().last()), (0, Some("26,20"), Some("86,61")));
+    assert_eq!(
+        (code(&output), text.lines().next(), text.lines().last()),
+        (0, Some("26,20"), Some("86,61"))
+    );
     assert_eq!(text.lines().count(), 1 + 60 + 41);
-    fails(&logicity(["route", "--type", "car", "--from", "0,0", "--to", "46,34"]), 1, &["no-route"]);
-    fails(&logicity(["route", "--type", "car", "--from=-1,0", "--to", "46,999999"]), 1, &["no-route"]);
+    fails(
+        &logicity(["route", "--type", "car", "--from", "0,0", "--to", "46,34"]),
+        1,
+        &["no-route"],
+    );
+    fails(
+        &logicity(["route", "--type", "car", "--from=-1,0", "--to", "46,999999"]),
+        1,
+        &["no-route"],
+    );
 }
 
 #[test]
@@ -289,10 +401,26 @@ fn cities_that_cannot_be_are_told() {
         write(folder.path(), "mine.yaml", config)
     };
     let agents = |cars: &str| format!("agents:\n  test:\n    cars: {cars}\n    pedestrians: []\n");
-    fails(&logicity(["run", &config(&agents("[]"))]), 1, &["mine.yaml:", "no agents"]);
-    fails(&logicity(["run", &config("region: {test: 1}\n")]), 1, &["no-start-cell", "mine.yaml:2"]);
-    fails(&logicity(["run", &config("region: {test: 1000000000000}\n")]), 1, &["invalid-value", "mine.yaml:2"]);
-    fails(&logicity(["run", &config("regoin: {test: 1}\n")]), 1, &["unknown-key", "did you mean `region`", "mine.yaml:2:1"]);
+    fails(
+        &logicity(["run", &config(&agents("[]"))]),
+        1,
+        &["mine.yaml:", "no agents"],
+    );
+    fails(
+        &logicity(["run", &config("region: {test: 1}\n")]),
+        1,
+        &["no-start-cell", "mine.yaml:2"],
+    );
+    fails(
+        &logicity(["run", &config("region: {test: 1000000000000}\n")]),
+        1,
+        &["invalid-value", "mine.yaml:2"],
+    );
+    fails(
+        &logicity(["run", &config("regoin: {test: 1}\n")]),
+        1,
+        &["unknown-key", "did you mean `region`", "mine.yaml:2:1"],
+    );
     let huge = "map: {blocks: [1000000000, 1000000000], buildings: {random: {seed: 1}}}\n";
     let output = logicity(["run", &config(huge)]);
     fails(&output, 1, &["mine.yaml:2"]);

@@ -42,7 +42,10 @@ fn files() -> Vec<(PathBuf, String, String)> {
                 let room = inside.iter().nth(1).unwrap().to_str().unwrap().trim_end_matches(".rs");
                 let text = fs::read_to_string(&path).unwrap();
                 let text = text.split("#[cfg(test)]").next().unwrap();
-                let code: Vec<&str> = text.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
+                let code: Vec<&str> = text
+                    .lines()
+                    .filter(|line| !line.trim_start().starts_with("//"))
+                    .collect();
                 found.push((inside.clone(), room.to_owned(), code.join("\n")));
             }
         }
@@ -78,9 +81,13 @@ fn rooms_import_only_lower_rooms() {
         if room == "lib" || room == "main" {
             continue;
         }
-        let own = *level.get(room.as_str()).unwrap_or_else(|| panic!("{} is in no layer", path.display()));
+        let own = *level
+            .get(room.as_str())
+            .unwrap_or_else(|| panic!("{} is in no layer", path.display()));
         for import in imports(&code) {
-            let Some(&other) = level.get(import.as_str()) else { continue };
+            let Some(&other) = level.get(import.as_str()) else {
+                continue;
+            };
             let allowed = import == room || other < own;
             if !allowed {
                 faults.push(format!("{} imports {import}", path.display()));
@@ -95,7 +102,15 @@ fn pure_rooms_touch_no_files_and_no_clock() {
     let mut faults = Vec::new();
     for (path, room, code) in files() {
         if PURE.contains(&room.as_str()) {
-            let words = ["std::fs", "std::env", "std::net", "std::time::Instant", "SystemTime", "println!", "thread_rng"];
+            let words = [
+                "std::fs",
+                "std::env",
+                "std::net",
+                "std::time::Instant",
+                "SystemTime",
+                "println!",
+                "thread_rng",
+            ];
             faults.extend(
                 words
                     .iter()

@@ -1,11 +1,12 @@
 //! `logicity route`
 
 use super::{Failure, find_map};
-use crate::city::{Cell, CityMap, Router};
+use crate::city::{Cell, CityMap, NoRoute, Router};
 use crate::config::{AgentKind, Routing};
 use crate::diag::{Code, Diagnostic, Sources};
 use clap::ValueEnum;
 use std::io::{self, BufWriter, Write};
+use std::sync::Arc;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -56,30 +57,35 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         Choice::Weighted => Routing::Weighted,
         Choice::Hops => Routing::Hops,
     };
+    let router = Router::new(Arc::new(map), routing);
     let (from, to) = (arguments.from, arguments.to);
-    let Some(route) = Router::new(&map).plan(&map, kind, routing, from, to) else {
+    let map = router.map();
+    let route = router.plan(kind, from, to).map_err(|reason| {
         let place = |cell: Cell| format!("[{}, {}]", cell.row, cell.col);
-        let rule = match kind {
-            AgentKind::Car => "cars start and end at curb cells of traffic streets",
-            AgentKind::Pedestrian => "pedestrians walk on walking streets and crossings",
+        let what = kind.name().to_lowercase();
+        let outside = |cell: Cell| {
+            let bounds = format!("rows 0 to {}, columns 0 to {}", map.rows() - 1, map.cols() - 1);
+            (!map.contains(cell)).then(|| format!("{} is not on the map: it has {bounds}", place(cell)))
         };
-        let message = format!(
-            "no {} route on `{}` from {} to {}",
-            kind.name().to_lowercase(),
-            map.name,
-            place(from),
-            place(to)
-        );
-        return Err(Diagnostic::new(Code::NoRoute, message)
-            .note(format!(
-                "the map has rows 0 to {} and columns 0 to {}; {rule}",
-                map.rows() - 1,
-                map.cols() - 1
-            ))
-            .into());
-    };
+        let rule = match kind {
+            AgentKind::Car => {
+                "cars start and end on a traffic street, beside the mid line and outside of intersections"
+            }
+            AgentKind::Pedestrian => "pedestrians start and end on walking streets and crossings",
+        };
+        let (message, cell) = match reason {
+            NoRoute::Start => (format!("a {what} cannot start at {}", place(from)), Some(from)),
+            NoRoute::Goal => (format!("a {what} cannot arrive at {}", place(to)), Some(to)),
+            NoRoute::Unconnected => (format!("no {what} can go from {} to {}", place(from), place(to)), None),
+        };
+        let fault = Diagnostic::new(Code::NoRoute, format!("{message} on `{}`", map.name));
+        match cell {
+            Some(cell) => fault.help(outside(cell).unwrap_or_else(|| rule.to_owned())),
+            None => fault,
+        }
+    })?;
     let mut out = BufWriter::new(io::stdout().lock());
-    for cell in route.cells {
+    for cell in route.cells() {
         writeln!(out, "{},{}", cell.row, cell.col)?;
     }
     out.flush()?;

@@ -92,7 +92,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let mut pictures = if arguments.no_pictures {
         None
     } else {
-        let painter = Painter::new(&simulation.world().map)
+        let painter = Painter::new(simulation.world().map())
             .map_err(|error| Diagnostic::new(Code::InvalidMap, error.to_string()))?;
         let file = Output::create(&path("city.gif")).map_err(writing("city.gif"))?;
         let animation = Animation::new(file, &painter, FRAME_DELAY).map_err(writing("city.gif"))?;
@@ -150,9 +150,9 @@ fn sprites<'a>(simulation: &'a Simulation, tick: Option<&TickReport>) -> Vec<Spr
             name: &agent.name,
             kind: agent.kind,
             concepts: &agent.concepts,
-            at: agent.at,
+            at: agent.cell,
             heading: agent.heading,
-            action: tick.map(|tick| tick.decisions[index].action),
+            action: tick.map(|tick| tick.agents[index].action),
         })
         .collect()
 }
@@ -160,15 +160,15 @@ fn sprites<'a>(simulation: &'a Simulation, tick: Option<&TickReport>) -> Vec<Spr
 impl Tally {
     fn add(&mut self, simulation: &Simulation, tick: &TickReport) {
         self.ticks += 1;
-        for (index, (decision, travel)) in tick.decisions.iter().zip(&tick.travels).enumerate() {
+        for (index, agent) in tick.agents.iter().enumerate() {
             let kind = match simulation.agents()[index].kind {
                 AgentKind::Car => 0,
                 AgentKind::Pedestrian => 1,
             };
-            self.actions[kind][decision.action as usize] += 1;
-            self.overlaps += u64::from(decision.derived.len() > 1);
-            self.goals += u64::from(travel.replanned);
-            if travel.from != travel.to {
+            self.actions[kind][agent.action as usize] += 1;
+            self.overlaps += u64::from(agent.derived.len() > 1);
+            self.goals += u64::from(agent.moved.replanned);
+            if agent.moved.from != agent.moved.to {
                 self.last_move[index] = self.ticks;
             }
         }
@@ -190,7 +190,7 @@ fn summary(simulation: &Simulation, tally: &Tally, sources: &Sources, written: &
         scenario.name,
         simulation.split().name(),
         agents.len() - cars,
-        world.map.name,
+        world.map().name,
         simulation.seed().0,
     );
     let decisions = tally.ticks * agents.len() as u64;
@@ -237,7 +237,7 @@ fn summary(simulation: &Simulation, tally: &Tally, sources: &Sources, written: &
             .iter()
             .zip(&tally.last_move)
             .filter(|&(_, &last)| tally.ticks - last >= STUCK_TICKS)
-            .map(|(agent, _)| agent.name.as_str())
+            .map(|(agent, _)| &*agent.name)
             .collect();
         let names = if stuck.is_empty() {
             "none".to_owned()

@@ -14,7 +14,7 @@ mod world;
 
 pub use ground::{Chance, Entity, Facts, ground};
 pub use infer::{Answer, EgoAnswer, InferError, Inference};
-pub use simulation::{Decision, Simulation, TickReport};
+pub use simulation::{AgentTick, Simulation, TickReport};
 pub use trace::{TRACE_VERSION, TraceWriter, hash_sources};
 pub use vocabulary::{Predicate, Vocabulary};
 pub use world::World;

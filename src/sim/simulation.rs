@@ -3,7 +3,7 @@
 use super::ground::{Entity, Facts, ground};
 use super::infer::{Draws, GroundState, before_default};
 use super::world::World;
-use crate::city::{Agent, Travel, advance, place_agents};
+use crate::city::{Agent, Cell, Heading, Moved, Places, Surroundings, advance, place_agents};
 use crate::config::{Speed, Split};
 use crate::diag::{Code, Diagnostic, did_you_mean};
 use crate::engine::EvalError;
@@ -15,7 +15,7 @@ use std::sync::Arc;
 pub struct Simulation {
     world: Arc<World>,
     split: Split,
-    region: Option<u32>,
+    places: Places,
     seed: Seed,
     tick: u64,
     agents: Vec<Agent>,
@@ -30,23 +30,29 @@ pub struct Simulation {
 pub struct TickReport {
     /// Number of the tick, from 0.
     pub tick: u64,
-    /// The decision of each agent, in list order.
-    pub decisions: Vec<Decision>,
-    /// What each agent did, in list order.
-    pub travels: Vec<Travel>,
+    /// What each agent decided and did, in list order.
+    pub agents: Vec<AgentTick>,
     /// How many rows each counted clause derived, in the order of [`Simulation::clauses`].
     pub firings: Vec<usize>,
 }
 
-/// What the rules decided for an agent.
+/// The tick of one agent: the state it was judged on, what the rules decided, what it did.
 #[derive(Clone, Debug)]
-pub struct Decision {
+pub struct AgentTick {
+    /// Where it was.
+    pub at: Cell,
+    /// Its heading.
+    pub heading: Option<Heading>,
+    /// Where it was bound for.
+    pub goal: Cell,
     /// The actions derived before the default.
     pub derived: Vec<Speed>,
     /// The action decided on: the rules' own, or the one given from outside.
     pub action: Speed,
-    /// The action clauses that fired for the agent: positions in [`Simulation::clauses`].
+    /// The action clauses that fired for it: positions in [`Simulation::clauses`].
     pub clauses: Vec<usize>,
+    /// What it did.
+    pub moved: Moved,
 }
 
 impl Simulation {
@@ -68,12 +74,12 @@ impl Simulation {
                 None => format!("it has: {}", known.join(", ")),
             }));
         };
-        let region = set.region.map(|region| region.value);
-        let agents = place_agents(&world.map, &world.router, scenario.routing, set, seed)?;
+        let places = Places::new(&world.router, set.region.map(|region| region.value));
+        let agents = place_agents(set, &world.router, &places, seed)?;
         let state = GroundState::new(
             &world.program,
             &world.vocabulary,
-            agents.iter().map(|agent| agent.name.as_str()),
+            agents.iter().map(|agent| &*agent.name),
         );
         let rules = world.program.rules();
         let counted = |clause: &ClauseId| {
@@ -86,7 +92,7 @@ impl Simulation {
             .collect();
         Ok(Simulation {
             split,
-            region,
+            places,
             seed,
             tick: 0,
             agents,
@@ -147,7 +153,7 @@ impl Simulation {
         let unread = |index: usize| index != vocabulary.sees && vocabulary.predicates[index].relation.is_none();
         let facts = ground(
             vocabulary,
-            &world.map,
+            world.map(),
             world.scenario.view,
             &entities,
             &mut draws,
@@ -156,73 +162,60 @@ impl Simulation {
         self.state.set(&facts)?;
         self.facts = facts;
 
-        let mut decisions: Vec<Decision> = (0..self.agents.len())
-            .map(|agent| {
-                let derived = self.state.derived(vocabulary, agent);
-                Decision {
-                    action: vocabulary.decide(|speed| derived.contains(&speed)),
-                    derived: before_default(vocabulary, derived),
-                    clauses: Vec::new(),
-                }
-            })
-            .collect();
-        for &(agent, action) in controls {
-            if let Some(decision) = decisions.get_mut(agent) {
-                decision.action = action;
-            }
-        }
-        let firings = self.count_firings(&mut decisions);
+        let (firings, mut clauses) = self.count_firings();
 
-        let (map, router) = (&world.map, &world.router);
-        let travels = self
-            .agents
-            .iter_mut()
-            .zip(&decisions)
-            .enumerate()
-            .map(|(index, (agent, decision))| {
-                advance(
-                    agent,
-                    index,
-                    decision.action,
-                    map,
-                    router,
-                    world.scenario.routing,
-                    self.region,
-                    self.seed,
-                    self.tick,
-                )
-            })
-            .collect();
+        let surroundings = Surroundings {
+            router: &world.router,
+            places: &self.places,
+            seed: self.seed,
+            tick: self.tick,
+        };
+        let mut agents = Vec::with_capacity(self.agents.len());
+        for (index, agent) in self.agents.iter_mut().enumerate() {
+            let derived = self.state.derived(vocabulary, index);
+            let control = controls.iter().rev().find(|(controlled, _)| *controlled == index);
+            let action = control.map_or_else(
+                || vocabulary.decide(|speed| derived.contains(&speed)),
+                |(_, action)| *action,
+            );
+            agents.push(AgentTick {
+                at: agent.cell,
+                heading: agent.heading,
+                goal: agent.goal(),
+                derived: before_default(vocabulary, derived),
+                action,
+                clauses: std::mem::take(&mut clauses[index]),
+                moved: advance(agent, index, action, &surroundings),
+            });
+        }
         let report = TickReport {
             tick: self.tick,
-            decisions,
-            travels,
+            agents,
             firings,
         };
         self.tick += 1;
         Ok(report)
     }
 
-    /// Counts the rows each clause derives and notes, for clauses of actions, for which agents.
-    fn count_firings(&self, decisions: &mut [Decision]) -> Vec<usize> {
+    /// How many rows each clause derives, and for each agent the clauses of actions that fired for it.
+    fn count_firings(&self) -> (Vec<usize>, Vec<Vec<usize>>) {
         let rules = self.world.program.rules();
-        self.clauses
-            .iter()
-            .enumerate()
-            .map(|(index, &clause)| {
-                let rows = self.state.session().fired(clause);
-                let head = rules.clauses[clause.index()].head.relation;
-                if Speed::ALL
-                    .into_iter()
-                    .any(|speed| self.world.vocabulary.action(speed) == Some(head))
-                {
-                    for agent in rows.iter().filter_map(|row| self.state.entity(row[0])) {
-                        decisions[agent].clauses.push(index);
-                    }
+        let mut fired_for = vec![Vec::new(); self.agents.len()];
+        let mut firings = Vec::with_capacity(self.clauses.len());
+        for (index, &clause) in self.clauses.iter().enumerate() {
+            let rows = self.state.session().fired(clause);
+            let head = rules.clauses[clause.index()].head.relation;
+            if Speed::ALL
+                .into_iter()
+                .any(|speed| self.world.vocabulary.action(speed) == Some(head))
+            {
+                for agent in rows.iter().filter_map(|row| self.state.entity(row[0])) {
+                    fired_for[agent].push(index);
                 }
-                rows.len()
-            })
-            .collect()
+            }
+            firings.push(rows.len());
+        }
+        (firings, fired_for)
     }
 }
 
@@ -231,7 +224,7 @@ fn entity(agent: &Agent) -> Entity<'_> {
         kind: agent.kind,
         concepts: &agent.concepts,
         priority: agent.priority,
-        at: agent.at,
+        at: agent.cell,
         heading: agent.heading,
     }
 }

@@ -1,6 +1,7 @@
 //! The trace of a run: JSON lines, the first a header, then one a tick. README documents the format.
 
 use super::simulation::{Simulation, TickReport};
+use crate::city::Heading;
 use crate::config::Definition;
 use crate::diag::{SourceId, Sources};
 use serde_json::{Map, Value, json};
@@ -36,9 +37,9 @@ impl<W: Write> TraceWriter<W> {
             .iter()
             .map(|agent| {
                 json!({
-                    "id": agent.name,
+                    "id": &*agent.name,
                     "type": agent.kind.name(),
-                    "concepts": agent.concepts,
+                    "concepts": &*agent.concepts,
                     "priority": agent.priority,
                 })
             })
@@ -65,7 +66,7 @@ impl<W: Write> TraceWriter<W> {
             "config_hash": world.scenario.hash,
             "rules": sources.name(rule_file),
             "rules_hash": rules_hash,
-            "map": world.map.name,
+            "map": world.map().name,
             "routing": world.scenario.routing.name(),
             "split": simulation.split().name(),
             "seed": simulation.seed().0,
@@ -80,25 +81,22 @@ impl<W: Write> TraceWriter<W> {
         Ok(TraceWriter { out, drawn })
     }
 
-    /// Writes a tick: the state it was decided on (`at`, `heading`, `goal` from `before`), the decision, and where it led.
+    /// Writes a tick: the state it was decided on (`at`, `heading`, `goal`), the decision, and where it led.
     ///
     /// # Errors
     /// Whatever the output reports.
     pub fn tick(&mut self, simulation: &Simulation, report: &TickReport) -> io::Result<()> {
-        let agents: Vec<Value> = report
-            .decisions
-            .iter()
-            .zip(&report.travels)
-            .map(|(decision, travel)| {
-                let derived: Vec<&str> = decision.derived.iter().map(|speed| speed.name()).collect();
+        let agents: Vec<Value> = (report.agents.iter())
+            .map(|agent| {
+                let derived: Vec<&str> = agent.derived.iter().map(|speed| speed.name()).collect();
                 json!({
-                    "at": [travel.from.row, travel.from.col],
-                    "heading": travel.heading_before.map(crate::city::Heading::name),
-                    "goal": [travel.goal_before.row, travel.goal_before.col],
+                    "at": [agent.at.row, agent.at.col],
+                    "heading": agent.heading.map(Heading::name),
+                    "goal": [agent.goal.row, agent.goal.col],
                     "derived": derived,
-                    "action": decision.action.name(),
-                    "clauses": decision.clauses,
-                    "next": [travel.to.row, travel.to.col],
+                    "action": agent.action.name(),
+                    "clauses": agent.clauses,
+                    "next": [agent.moved.to.row, agent.moved.to.col],
                 })
             })
             .collect();
@@ -107,7 +105,7 @@ impl<W: Write> TraceWriter<W> {
         let given: Map<String, Value> = (self.drawn.iter())
             .map(|&index| {
                 let rows = simulation.facts().rows[index].iter();
-                let rows = rows.map(|row| json!(row.map(|agent| &names[agent as usize].name)));
+                let rows = rows.map(|row| json!(row.map(|agent| &*names[agent as usize].name)));
                 (predicates[index].name.clone(), rows.collect())
             })
             .collect();

@@ -5,6 +5,7 @@ use crate::city::{CityMap, Router};
 use crate::config::Scenario;
 use crate::diag::Diagnostic;
 use crate::engine::Program;
+use std::sync::Arc;
 
 /// A scenario made ready: immutable, shared by every simulation and every inference over it.
 #[derive(Debug)]
@@ -15,9 +16,7 @@ pub struct World {
     pub program: Program,
     /// The predicates and actions of both.
     pub vocabulary: Vocabulary,
-    /// The map.
-    pub map: CityMap,
-    /// Routes on it.
+    /// The map and the routes on it.
     pub router: Router,
 }
 
@@ -29,13 +28,16 @@ impl World {
     pub fn new(scenario: Scenario, program: Program) -> Result<World, Vec<Diagnostic>> {
         let vocabulary = Vocabulary::bind(&scenario, &program)?;
         let map = CityMap::generate(&scenario.map).map_err(|fault| vec![fault])?;
-        let router = Router::new(&map);
         Ok(World {
+            router: Router::new(Arc::new(map), scenario.routing),
             scenario,
             program,
             vocabulary,
-            map,
-            router,
         })
+    }
+
+    /// The map.
+    pub fn map(&self) -> &CityMap {
+        self.router.map()
     }
 }
