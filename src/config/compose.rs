@@ -9,8 +9,8 @@
 //! that holds it; what is not on disk is looked for among the built-in files. What the keys mean is not known here.
 
 use super::yaml::{self, Node, Value};
-use crate::diag::{Code, Diagnostic, SourceId, Sources};
-use crate::files::{self, ReadError};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, did_you_mean};
+use crate::files::{self, BUILTIN, ReadError};
 use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
 
@@ -56,7 +56,13 @@ impl<'a> Composer<'a> {
         match found {
             Ok((place, text)) => self.file(place, text, parts, &mut Vec::new()),
             Err(error) => {
-                self.faults.push(unreadable(path, &error));
+                let names = BUILTIN
+                    .iter()
+                    .filter_map(|(known, _)| known.strip_prefix(folder)?.strip_prefix('/')?.strip_suffix(".yaml"));
+                let near = path.to_str().and_then(|name| did_you_mean(name, names));
+                let mut fault = unreadable(path, &error);
+                fault.help.extend(near.map(|near| format!("did you mean `{near}`?")));
+                self.faults.push(fault);
                 None
             }
         }
@@ -248,7 +254,7 @@ fn normalise(path: &Path) -> PathBuf {
         match component {
             Component::CurDir => {}
             Component::ParentDir if matches!(out.components().next_back(), Some(Component::Normal(_))) => {
-                drop(out.pop())
+                out.pop();
             }
             component => out.push(component),
         }

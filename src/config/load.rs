@@ -73,6 +73,7 @@ fn finish<T>(value: Option<T>, mut faults: Vec<Diagnostic>) -> Result<T, Vec<Dia
     match value {
         Some(value) if faults.is_empty() => Ok(value),
         _ => {
+            faults.sort_by_key(|fault| fault.primary.as_ref().map(|label| label.span));
             let more = faults.len().saturating_sub(MAX_FAULTS);
             faults.truncate(MAX_FAULTS);
             if let (Some(last), 1..) = (faults.last_mut(), more) {
@@ -661,6 +662,7 @@ fn agents(
     concepts: Option<&Concepts<'_>>,
     faults: &mut Vec<Diagnostic>,
 ) -> Option<Vec<AgentConfig>> {
+    let before = faults.len();
     let mut fields = Fields::open(node, "the agents of a split", faults)?;
     let mut cars = Vec::new();
     let mut pedestrians = Vec::new();
@@ -683,7 +685,7 @@ fn agents(
         faults.push(Diagnostic::new(Code::LimitExceeded, message).at(node.span, ""));
         return None;
     }
-    if count == 0 && !faults.iter().any(|fault| fault.code != Code::UnknownKey) {
+    if count == 0 && faults.len() == before {
         let message = format!("the split `{}` has no agents", split.name());
         faults.push(
             Diagnostic::new(Code::InvalidValue, message)

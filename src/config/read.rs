@@ -36,24 +36,32 @@ impl<'n> Fields<'n> {
     /// The value of a key; a key with nothing behind it counts as absent.
     pub fn optional(&mut self, key: &'static str) -> Option<&'n Node> {
         self.allowed.push(key);
-        self.find(key)
-            .filter(|node| !matches!(node.value, Value::Absent) && !node.is_null())
+        let (_, node) = self.find(key)?;
+        (!matches!(node.value, Value::Absent) && !node.is_null()).then_some(node)
     }
 
     pub fn required(&mut self, key: &'static str, faults: &mut Vec<Diagnostic>) -> Option<&'n Node> {
         let node = self.optional(key);
-        if node.is_none() && !self.find(key).is_some_and(|node| matches!(node.value, Value::Absent)) {
-            let message = format!("the key `{key}` is missing in {}", self.what);
-            faults.push(Diagnostic::new(Code::MissingKey, message).at(self.span, format!("needs `{key}`")));
+        if node.is_some() {
+            return node;
         }
-        node
+        let fault = match self.find(key) {
+            Some((_, node)) if matches!(node.value, Value::Absent) => return None,
+            Some((given, _)) => {
+                let message = format!("the key `{key}` has no value in {}", self.what);
+                Diagnostic::new(Code::MissingKey, message).at(given.span, "")
+            }
+            None => {
+                let message = format!("the key `{key}` is missing in {}", self.what);
+                Diagnostic::new(Code::MissingKey, message).at(self.span, format!("needs `{key}`"))
+            }
+        };
+        faults.push(fault);
+        None
     }
 
-    fn find(&self, key: &str) -> Option<&'n Node> {
-        self.entries
-            .iter()
-            .find(|(given, _)| given.text == key)
-            .map(|(_, node)| node)
+    fn find(&self, key: &str) -> Option<&'n (Key, Node)> {
+        self.entries.iter().find(|(given, _)| given.text == key)
     }
 
     /// Says which keys were never asked for.

@@ -21,7 +21,7 @@ pub(super) const MAX_NODES: usize = 200_000;
 /// A YAML value and where it stands.
 #[derive(Clone, Debug)]
 pub(super) struct Node {
-    /// A scalar; the key of a block collection; the first line of any other collection.
+    /// A scalar; the key of a block collection, or its own first key; the first line of a collection in brackets.
     pub span: Span,
     pub value: Value,
     /// Whether this mapping came from a file of its own, so that it replaces what it overrides instead of merging with it.
@@ -112,12 +112,6 @@ pub(super) fn parse(
     if text.len() > MAX_BYTES {
         let message = format!("the file has {} bytes, the limit is {MAX_BYTES}", text.len());
         faults.push(Diagnostic::new(Code::LimitExceeded, message).at(start, ""));
-        return None;
-    }
-    // The scanner takes a NUL for the end of its input, so what follows would be ignored in silence.
-    if let Some(at) = text.find('\0') {
-        let fault = Diagnostic::new(Code::YamlSyntax, "a NUL character is not allowed in YAML");
-        faults.push(fault.at(Span::new(source, at..at + 1), "remove it"));
         return None;
     }
     let mut options = serde_yaml::granit_parser::Options::default();
@@ -254,6 +248,10 @@ impl Builder<'_> {
                         node.span = Span::new(self.source, node.span.range().start..end);
                     } else if let Some(Some(Some(key))) = self.open.last().map(|parent| &parent.key) {
                         node.span = key.span;
+                    } else if let Value::Map(entries) = &node.value
+                        && let Some((first, _)) = entries.first()
+                    {
+                        node.span = first.span;
                     }
                     self.finished(node, anchor)?;
                 }
