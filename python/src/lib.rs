@@ -2,10 +2,10 @@
 //! it in types.
 
 use logicity::city::CityMap;
-use logicity::config::{load_map, load_scenario, map_path};
-use logicity::diag::{Diagnostic, Sources, render, to_json};
+use logicity::config::{load_map, load_scenario};
+use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::engine::Program;
-use logicity::files::{ReadError, read_or_builtin};
+use logicity::files::{ReadError, read_or_builtin, read_text};
 use logicity::rng::Seed;
 use logicity::sim::{InferError, Inference};
 use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
@@ -50,16 +50,20 @@ impl PyInference {
     #[new]
     fn new(config: PathBuf, rules: Option<PathBuf>, seed: u64) -> PyResult<Self> {
         let mut sources = Sources::new();
-        read(&config)?;
-        let scenario =
-            load_scenario(&mut sources, &config, &read_or_builtin).map_err(|faults| input_error(&faults, &sources))?;
+        let scenario = load_scenario(&mut sources, &config, &read_text).map_err(|faults| match faults.as_slice() {
+            // The file named by the caller: it has no place in any text.
+            [fault] if fault.code == Code::MissingFile && fault.primary.is_none() => {
+                PyFileNotFoundError::new_err(fault.message.clone())
+            }
+            _ => input_error(&faults, &sources),
+        })?;
         let rules = rules.unwrap_or_else(|| scenario.rules.value.clone());
         let entry = sources.add(rules.display().to_string(), read(&rules)?);
         let loaded = logicity::lang::load(&mut sources, entry, &read_or_builtin);
         let checked = loaded.rules.ok_or_else(|| input_error(&loaded.diagnostics, &sources))?;
         let program = Program::new(checked).map_err(|fault| input_error(&[fault], &sources))?;
         let inference = Inference::new(scenario, program, Seed(seed), |name: &str| {
-            let config = load_map(&mut Sources::new(), &map_path(name), &read_or_builtin)?;
+            let config = load_map(&mut Sources::new(), Path::new(name), &read_text)?;
             CityMap::generate(&config).map_err(|fault| vec![fault])
         })
         .map_err(|faults| input_error(&faults, &sources))?;
