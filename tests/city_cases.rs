@@ -16,7 +16,7 @@ use ndarray_npy::NpzReader;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -29,8 +29,10 @@ fn cases() -> Option<PathBuf> {
     if folder.join("map_square_5x5.npz").is_file() {
         return Some(folder);
     }
-    eprintln!(
-        "SKIPPED: no recorded cases in {} (LOGICITY_CASES names another folder)",
+    // Not `eprintln!`, whose output is hidden when a test passes.
+    let _ = writeln!(
+        std::io::stderr(),
+        "SKIPPED: no recorded cases in {} (the environment variable LOGICITY_CASES names another folder)",
         folder.display()
     );
     None
@@ -213,10 +215,12 @@ fn routes_are_the_recorded_ones() {
     let Some(folder) = cases() else { return };
     let router = Router::new(Arc::new(square_5x5()), Routing::Hops);
     let weighted = Router::new(router.map().clone(), Routing::Weighted);
+    let places = Places::new(&router, Some(REGION));
     let (mut cars, mut pedestrians) = (0, 0);
     for planned in planned_routes(&folder) {
         let (start, goal) = (planned.cells[0], planned.cells[planned.cells.len() - 1]);
         let route = router.plan(planned.kind, start, goal).unwrap();
+        assert!([start, goal].iter().all(|cell| places.of(planned.kind).contains(cell)));
         match planned.kind {
             AgentKind::Car => {
                 cars += 1;
@@ -228,6 +232,8 @@ fn routes_are_the_recorded_ones() {
             }
             AgentKind::Pedestrian => {
                 pedestrians += 1;
+                let block = |cell| router.map().layout.block_at(cell).unwrap();
+                assert_ne!(block(start), block(goal));
                 assert_eq!(route.cells().len(), planned.cells.len(), "{start:?} to {goal:?}");
             }
         }

@@ -131,11 +131,17 @@ fn mid_line_is_left(map: &CityMap, cell: Cell, heading: Heading) -> Option<bool>
         Heading::Up => (Heading::Left, Heading::Right),
         Heading::Down => (Heading::Right, Heading::Left),
     };
+    let is_mid_line = |cell: Cell| {
+        let place = (usize::try_from(cell.row).ok(), usize::try_from(cell.col).ok());
+        matches!(place, (Some(row), Some(col)) if map.mid_line.get((row, col)) == Some(&true))
+    };
+    // The mid line of this street, not the end of one that comes from the side.
+    let is_along = |cell: Cell| is_mid_line(cell) && [1, -1].iter().any(|&step| is_mid_line(cell.ahead(heading, step)));
     let reaches = |side: Heading| {
         (1..)
             .map(|cells| cell.ahead(side, cells))
             .take_while(|&cell| map.is_drivable(cell))
-            .any(|cell| map.mid_line[(usize::try_from(cell.row).unwrap(), usize::try_from(cell.col).unwrap())])
+            .any(is_along)
     };
     match (reaches(left), reaches(right)) {
         (false, false) => None,
