@@ -6,7 +6,7 @@
 use flate2::read::GzDecoder;
 use logicity::city::{
     Agent, Cell, CityMap, Ground, Heading, Lane, Places, Reason, Rest, Route, Router, Surroundings, advance,
-    field_of_view, possible_cells,
+    field_of_view, possible_cells, speed_cells,
 };
 use logicity::config::{AgentConfig, AgentKind, Building, Buildings, Located, MapConfig, Routing, Speed, Widths};
 use logicity::diag::{Sources, Span};
@@ -16,7 +16,7 @@ use ndarray_npy::NpzReader;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -29,8 +29,10 @@ fn cases() -> Option<PathBuf> {
     if folder.join("map_square_5x5.npz").is_file() {
         return Some(folder);
     }
-    eprintln!(
-        "SKIPPED: no recorded cases in {} (LOGICITY_CASES names another folder)",
+    // Not `eprintln!`, whose output is hidden when a test passes.
+    let _ = writeln!(
+        std::io::stderr(),
+        "SKIPPED: no recorded cases in {} (the environment variable LOGICITY_CASES names another folder)",
         folder.display()
     );
     None
@@ -213,10 +215,12 @@ fn routes_are_the_recorded_ones() {
     let Some(folder) = cases() else { return };
     let router = Router::new(Arc::new(square_5x5()), Routing::Hops);
     let weighted = Router::new(router.map().clone(), Routing::Weighted);
+    let places = Places::new(&router, Some(REGION));
     let (mut cars, mut pedestrians) = (0, 0);
     for planned in planned_routes(&folder) {
         let (start, goal) = (planned.cells[0], planned.cells[planned.cells.len() - 1]);
         let route = router.plan(planned.kind, start, goal).unwrap();
+        assert!([start, goal].iter().all(|cell| places.of(planned.kind).contains(cell)));
         match planned.kind {
             AgentKind::Car => {
                 cars += 1;
@@ -228,6 +232,8 @@ fn routes_are_the_recorded_ones() {
             }
             AgentKind::Pedestrian => {
                 pedestrians += 1;
+                let block = |cell| router.map().layout.block_at(cell).unwrap();
+                assert_ne!(block(start), block(goal));
                 assert_eq!(route.cells().len(), planned.cells.len(), "{start:?} to {goal:?}");
             }
         }
@@ -401,4 +407,62 @@ fn agents_move_as_recorded() {
     }
     assert!(moves > 0 && replans > 0);
     println!("{moves} moves, {replans} new goals; published program lost its place on a route: {lost:?}");
+}
+
+#[test]
+fn the_controlled_car_moves_as_recorded() {
+    let Some(folder) = cases() else { return };
+    let router = Router::new(Arc::new(square_5x5()), Routing::Hops);
+    let (mut routes, mut moves, mut drawn) = (0, 0, 0);
+    for mode in ["easy", "hard"] {
+        let mut ego: Option<(Agent, Speed)> = None;
+        for line in lines(&folder, &format!("gym_{mode}.jsonl.gz")) {
+            if line["reset"] == true {
+                let mut cells: Vec<Cell> = line["path"].as_array().unwrap().iter().map(cell).collect();
+                let route = router
+                    .plan(AgentKind::Car, cell(&line["start"]), cell(&line["goal"]))
+                    .unwrap();
+                assert_eq!(4 * cells.len() as u64, line["path_length4"].as_u64().unwrap());
+                cells.dedup();
+                assert_eq!(route.cells(), cells);
+                let config = AgentConfig {
+                    name: "Car_1".into(),
+                    kind: AgentKind::Car,
+                    concepts: Vec::new(),
+                    priority: 0,
+                };
+                ego = Some((Agent::new(&config, route), Speed::Stop));
+                routes += 1;
+                continue;
+            }
+            let (Some(state), Some((agent, decided))) = (line["agents"].get(0), ego.as_mut()) else {
+                continue;
+            };
+            let to = cell(&state["pos"]);
+            let most = possible_cells(agent.route(), agent.kind, agent.position());
+            let ahead: Vec<Cell> = agent.route().cells()[agent.position()..][..=most].to_vec();
+            let cells = ahead.iter().position(|&cell| cell == to).expect("a possible move");
+            match (*decided, speed_cells(agent.kind, *decided)) {
+                (Speed::Stop, _) => assert_eq!(cells, 0),
+                (_, Some(wanted)) if wanted <= most => assert_eq!(cells, wanted),
+                _ if most == 1 => assert_eq!(cells, 1),
+                _ => {
+                    assert_ne!(cells, 0);
+                    drawn += 1;
+                }
+            }
+            let heading = state["dir"].as_str().map(|name| Heading::from_name(name).unwrap());
+            let before = agent.heading;
+            let rest = router
+                .follow(agent.kind, &agent.route().cells()[agent.position() + cells..])
+                .unwrap();
+            agent.set_out(rest);
+            agent.heading = Heading::between(ahead[0], to).or(before);
+            assert_eq!(agent.heading, heading);
+            *decided = Speed::ALL[usize::try_from(line["action"].as_u64().unwrap()).unwrap()];
+            moves += 1;
+        }
+    }
+    assert!(routes > 0 && moves > 0);
+    println!("{routes} routes, {moves} moves of the controlled car, {drawn} of them drawn");
 }

@@ -128,7 +128,7 @@ impl Places {
     }
 
     /// Draws a goal for an agent at `start` and plans the way: for a car any place but the start, for a pedestrian a place in
-    /// another block. Draws again, a bounded number of times, if there is no way.
+    /// another block (so it keeps more than 3 cells away from the buildings of its own). Draws again, a bounded number of times, if there is no way.
     ///
     /// # Errors
     /// If there is no such place, or none of those drawn can be reached.
@@ -185,7 +185,7 @@ pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed
             };
             return Err(Diagnostic::new(
                 Code::NoStartCell,
-                format!("{wanted} {plural}, but {there_are} cells to start from {within}"),
+                format!("too few start cells for {plural}: {wanted} wanted, {there_are} {within}"),
             )
             .at(span, "too small for these agents")
             .note(beside)

@@ -309,3 +309,110 @@ fn draw(weights: &[(Building, f64)], point: f64) -> Building {
     }
     last
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::diag::{Sources, Span};
+
+    const WIDTHS: Widths = Widths {
+        street: 11,
+        sidewalk: 5,
+        building: 10,
+        inner_sidewalk: 5,
+    };
+
+    fn located<T>(value: T) -> Located<T> {
+        let span = Span::new(Sources::new().add("map", ""), 0..0);
+        Located { value, span }
+    }
+
+    fn generate(blocks: [u32; 2], widths: Widths, buildings: Buildings) -> Result<CityMap, Code> {
+        let config = MapConfig {
+            name: "test".into(),
+            blocks: located(blocks),
+            widths: located(widths),
+            buildings: located(buildings),
+        };
+        CityMap::generate(&config).map_err(|diagnostic| diagnostic.code)
+    }
+
+    fn random(weights: &[(Building, f64)]) -> Buildings {
+        let weights = weights.to_vec();
+        Buildings::Random { seed: 7, weights }
+    }
+
+    /// A map with the widths of the paper's and random buildings.
+    pub(in crate::city) fn square(blocks: [u32; 2]) -> CityMap {
+        let weights = [(Building::House, 1.0), (Building::Store, 1.0)];
+        generate(blocks, WIDTHS, random(&weights)).expect("a valid configuration")
+    }
+
+    #[test]
+    fn impossible_maps_are_told() {
+        let houses = || random(&[(Building::House, 1.0)]);
+        let widths = |change: fn(&mut Widths)| {
+            let mut widths = WIDTHS;
+            change(&mut widths);
+            generate([2, 2], widths, houses()).map(|map| map.ground.dim())
+        };
+        assert_eq!(widths(|_| ()), Ok((103, 103)));
+        assert_eq!(widths(|widths| widths.street = 1), Err(Code::InvalidMap));
+        assert_eq!(widths(|widths| widths.street = 10), Err(Code::InvalidMap));
+        assert_eq!(widths(|widths| widths.street = u32::MAX), Err(Code::LimitExceeded));
+        assert_eq!(widths(|widths| widths.sidewalk = 0), Err(Code::InvalidMap));
+        assert_eq!(widths(|widths| widths.building = 0), Err(Code::InvalidMap));
+        assert_eq!(
+            widths(|widths| widths.building = 1_000_000_000),
+            Err(Code::LimitExceeded)
+        );
+        assert_eq!(widths(|widths| widths.inner_sidewalk = 0), Ok((93, 93)));
+
+        let blocks = |blocks| generate(blocks, WIDTHS, houses()).map(|map| map.ground.dim());
+        assert_eq!(blocks([0, 1]), Err(Code::InvalidMap));
+        assert_eq!(blocks([1, 1_000_000_000]), Err(Code::LimitExceeded));
+        assert_eq!(blocks([u32::MAX, u32::MAX]), Err(Code::LimitExceeded));
+        assert_eq!(blocks([1, 3]), Ok((57, 149)));
+    }
+
+    #[test]
+    fn buildings_fit_the_blocks_and_the_weights() {
+        let map = |buildings| generate([1, 2], WIDTHS, buildings).map(|map| map.building);
+        let row = |length| vec![Building::Office; length];
+        assert!(map(Buildings::Fixed(vec![row(4), row(4)])).is_ok());
+        assert_eq!(map(Buildings::Fixed(vec![row(4)])), Err(Code::InvalidMap));
+        assert_eq!(map(Buildings::Fixed(vec![row(4), row(3)])), Err(Code::InvalidMap));
+
+        let house = Building::House;
+        for weights in [
+            &[][..],
+            &[(house, 0.0)],
+            &[(house, -1.0)],
+            &[(house, f64::NAN)],
+            &[(house, f64::INFINITY)],
+        ] {
+            assert_eq!(map(random(weights)), Err(Code::InvalidMap));
+        }
+        let layer = map(random(&[(Building::Store, 0.0), (house, 2.0)])).expect("valid weights");
+        assert_eq!(layer.iter().flatten().filter(|&&building| building != house).count(), 0);
+        assert_eq!(layer.iter().flatten().count(), 8 * 10 * 10);
+    }
+
+    #[test]
+    fn every_building_is_drawn_for_itself() {
+        let map = square([20, 20]);
+        let cells_of = |building| map.building.iter().filter(|&&here| here == Some(building)).count();
+        let houses = cells_of(Building::House) / (10 * 10);
+        let stores = cells_of(Building::Store) / (10 * 10);
+        assert_eq!(houses + stores, 1600);
+        assert!((700..900).contains(&houses), "{houses} of 1600 buildings are houses");
+        // More rows of blocks do not change the rows above.
+        let fewer = square([3, 20]);
+        assert!(
+            fewer
+                .building
+                .indexed_iter()
+                .all(|(place, &building)| map.building[place] == building)
+        );
+    }
+}

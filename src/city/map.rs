@@ -249,10 +249,10 @@ impl CityMap {
             layers[(row, col, layer)] = 1.0;
         }
         for (agent, &cell) in agents.iter().enumerate() {
-            if let Some((row, col)) = index(cell) {
-                if let Some(value) = layers.get_mut((row, col, statics + agent)) {
-                    *value = 1.0;
-                }
+            if let Some((row, col)) = index(cell)
+                && let Some(value) = layers.get_mut((row, col, statics + agent))
+            {
+                *value = 1.0;
             }
         }
         layers

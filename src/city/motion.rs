@@ -136,3 +136,90 @@ fn choose(agent: &Agent, decided: Speed, draw: impl FnOnce(usize) -> usize) -> (
         _ => (draw(most), Reason::Drawn),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::city::generate::tests::square;
+    use crate::config::{AgentConfig, Routing};
+    use std::sync::Arc;
+
+    /// A car that leaves the kerb, stops at the node where its lane ends, and turns right behind it.
+    fn car() -> Agent {
+        let router = Router::new(Arc::new(square([2, 2])), Routing::Weighted);
+        let goal = Cell::new(64, 46);
+        let route = router
+            .plan(AgentKind::Car, Cell::new(56, 36), goal)
+            .expect("a way around the block");
+        let config = AgentConfig {
+            name: "Car_1".into(),
+            kind: AgentKind::Car,
+            concepts: Vec::new(),
+            priority: 1,
+        };
+        Agent::new(&config, route)
+    }
+
+    #[test]
+    fn a_move_ends_before_a_turn_and_on_a_node() {
+        let mut car = car();
+        let most = |car: &Agent| possible_cells(car.route(), car.kind, car.position());
+        // Three cells from the kerb to the lane, five along it to its end at column 41, then on into the intersection.
+        let mut seen = Vec::new();
+        while car.cell.col < 45 {
+            seen.push((car.cell.row, car.cell.col, most(&car)));
+            car.step(1);
+        }
+        let expected = [
+            (56, 36, 3),
+            (55, 36, 2),
+            (54, 36, 1),
+            (53, 36, 3),
+            (53, 37, 3),
+            (53, 38, 3),
+            (53, 39, 2),
+            (53, 40, 1),
+            (53, 41, 3),
+            (53, 42, 3),
+            (53, 43, 3),
+            (53, 44, 3),
+        ];
+        assert_eq!(seen, expected);
+    }
+
+    #[test]
+    fn the_decision_counts_if_the_route_allows_it() {
+        let mut car = car();
+        let chosen = |car: &Agent, decided| choose(car, decided, |most| most - 1);
+        assert_eq!(chosen(&car, Speed::Fast), (3, Reason::Decided));
+        assert_eq!(chosen(&car, Speed::Stop), (0, Reason::Decided));
+        car.step(1);
+        assert_eq!(chosen(&car, Speed::Normal), (2, Reason::Decided));
+        assert_eq!(chosen(&car, Speed::Fast), (1, Reason::Drawn));
+        car.step(1);
+        assert_eq!(chosen(&car, Speed::Slow), (1, Reason::Decided));
+        assert_eq!(chosen(&car, Speed::Fast), (1, Reason::OnlyMove));
+    }
+
+    #[test]
+    fn an_agent_without_another_goal_stays() {
+        let router = Router::new(Arc::new(square([1, 1])), Routing::Weighted);
+        let places = Places::new(&router, Some(0));
+        let mut car = car();
+        car.step(usize::MAX >> 1);
+        for tick in 0..5 {
+            let surroundings = Surroundings {
+                router: &router,
+                places: &places,
+                seed: Seed(1),
+                tick,
+            };
+            let moved = advance(&mut car, 0, Speed::Fast, &surroundings);
+            assert_eq!(
+                (moved.reason, moved.to, moved.replanned),
+                (Reason::Resting, car.goal(), false)
+            );
+        }
+        assert_eq!(car.rest, Rest::Rested);
+    }
+}

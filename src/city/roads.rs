@@ -124,8 +124,8 @@ impl Router {
     pub fn new(map: Arc<CityMap>, routing: Routing) -> Self {
         let layout = map.layout;
         let lanes = lay_lanes(&layout);
-        // Lanes come with horizontal ones first, and searches prefer earlier lanes: of two ways of equal length the published
-        // program takes the one this order yields.
+        // The order of the lanes, horizontal ones first, is the order in which searches meet them. It decides among ways of equal
+        // length, and with fewest hops it does so as the published program.
         let corners = (layout.blocks()[0] + 1) as usize * (layout.blocks()[1] + 1) as usize;
         let corner = |node: Cell| {
             let street = |at: i32| (at + layout.sidewalk()).div_euclid(layout.period());
@@ -165,7 +165,10 @@ impl Router {
         (self.next.iter().enumerate()).flat_map(|(from, next)| next.iter().map(move |&to| (from, to as usize)))
     }
 
-    /// Plans a route. The same question always gets the same answer.
+    /// Plans a route. The same question always gets the same answer. If an agent is already at its goal, the route is that cell.
+    ///
+    /// A car starts and arrives anywhere beside a lane: on a street between two intersections, their outlines included, on
+    /// either side of the mid line.
     ///
     /// # Errors
     /// If the agent can't be at the start or at the goal, or cannot get from one to the other.
@@ -176,12 +179,14 @@ impl Router {
         }
     }
 
-    /// A given way as a route; repeated cells are left out. `None` if it is empty or if two neighbours differ by more than a step.
+    /// A given way as a route; repeated cells are left out. `None` if it is empty, leaves the map, or has neighbours that differ by
+    /// more than a step.
     pub fn follow(&self, kind: AgentKind, cells: &[Cell]) -> Option<Route> {
         let mut cells = cells.to_vec();
         cells.dedup();
-        let unit_steps = cells.windows(2).all(|pair| steps(pair[0], pair[1]) == 1);
-        (!cells.is_empty() && unit_steps).then(|| self.route(kind, cells))
+        let on_map = !cells.is_empty() && cells.iter().all(|&cell| self.map.contains(cell));
+        let unit_steps = |cells: &[Cell]| cells.windows(2).all(|pair| steps(pair[0], pair[1]) == 1);
+        (on_map && unit_steps(&cells)).then(|| self.route(kind, cells))
     }
 
     /// The route along cells.

@@ -39,3 +39,42 @@ pub fn field_of_view(at: Cell, heading: Option<Heading>, half_width: u32, map: &
         ),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::city::generate::tests::square;
+
+    #[test]
+    fn it_reaches_ahead_and_to_both_sides() {
+        let map = square([5, 5]);
+        let view = |at, heading| {
+            let View { first, last } = field_of_view(at, heading, 25, &map);
+            [
+                first.row - at.row,
+                last.row - at.row,
+                first.col - at.col,
+                last.col - at.col,
+            ]
+        };
+        let middle = Cell::new(100, 100);
+        assert_eq!(view(middle, None), [-25, 25, -25, 25]);
+        assert_eq!(view(middle, Some(Heading::Left)), [-25, 25, -25, 1]);
+        assert_eq!(view(middle, Some(Heading::Right)), [-25, 25, -2, 25]);
+        assert_eq!(view(middle, Some(Heading::Up)), [-25, 1, -25, 25]);
+        assert_eq!(view(middle, Some(Heading::Down)), [-2, 25, -25, 25]);
+        // The world ends at 0 and 240.
+        assert_eq!(view(Cell::new(3, 238), None), [-3, 25, -25, 2]);
+    }
+
+    #[test]
+    fn any_width_will_do() {
+        let map = square([1, 1]);
+        let at = Cell::new(30, 30);
+        let alone = field_of_view(at, Some(Heading::Right), 0, &map);
+        assert_eq!((alone.first, alone.last), (at, at));
+        let whole = field_of_view(at, None, u32::MAX, &map);
+        assert!(whole.contains(Cell::new(0, 0)) && whole.contains(Cell::new(56, 56)));
+        assert!(!whole.contains(Cell::new(57, 0)));
+    }
+}
