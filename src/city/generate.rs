@@ -272,7 +272,8 @@ fn choose_buildings(
         }
         Buildings::Random { seed, weights } => {
             let total: f64 = weights.iter().map(|&(_, weight)| weight).sum();
-            if weights.iter().any(|&(_, weight)| !(weight >= 0.0)) || !(total > 0.0 && total.is_finite()) {
+            if weights.iter().any(|&(_, weight)| weight.is_nan() || weight < 0.0) || !(total > 0.0 && total.is_finite())
+            {
                 return Err(
                     Diagnostic::new(Code::InvalidMap, "weights that no building can be drawn from")
                         .at(buildings.span, "here")

@@ -188,6 +188,45 @@ impl CityMap {
         matches!(self.ground_at(cell), Some(Ground::Walking | Ground::Crossing))
     }
 
+    /// The cells where agents of a kind start and arrive, row by row; within the first `region` rows and columns, if given.
+    ///
+    /// Pedestrians: cells of the walking street that touch a house or an office, corners included. Cars: the kerb cells of a
+    /// traffic street straight across the sidewalk from a gas station, garage or store.
+    pub fn start_cells(&self, kind: AgentKind, region: Option<u32>) -> Vec<Cell> {
+        let limit = region.map_or(i32::MAX, |region| i32::try_from(region).unwrap_or(i32::MAX));
+        let [block_rows, block_cols] = self.layout.blocks();
+        let mut cells = Vec::new();
+        for (block_row, row) in (0..block_rows).flat_map(|block| [(block, 0), (block, 1)]) {
+            for (block_col, col) in (0..block_cols).flat_map(|block| [(block, 0), (block, 1)]) {
+                let rows = self.layout.building_span(block_row, row);
+                let cols = self.layout.building_span(block_col, col);
+                let building = self.building[(rows.start as usize, cols.start as usize)];
+                match (kind, building) {
+                    (AgentKind::Pedestrian, Some(Building::House | Building::Office)) => {
+                        let around = |span: Range<i32>| span.start - 1..span.end + 1;
+                        let ring =
+                            around(rows).flat_map(|row| around(cols.clone()).map(move |col| Cell::new(row, col)));
+                        cells.extend(ring.filter(|&cell| self.ground_at(cell) == Some(Ground::Walking)));
+                    }
+                    (AgentKind::Car, Some(Building::GasStation | Building::Garage | Building::Store)) => {
+                        let kerb = |span: &Range<i32>, which: i32| match which {
+                            0 => span.start - self.layout.sidewalk - 1,
+                            _ => span.end + self.layout.sidewalk,
+                        };
+                        let (kerb_row, kerb_col) = (kerb(&rows, row), kerb(&cols, col));
+                        cells.extend(cols.map(|col| Cell::new(kerb_row, col)));
+                        cells.extend(rows.map(|row| Cell::new(row, kerb_col)));
+                    }
+                    _ => {}
+                }
+            }
+        }
+        cells.retain(|cell| cell.row < limit && cell.col < limit);
+        cells.sort_unstable();
+        cells.dedup();
+        cells
+    }
+
     /// The layered semantic map of the paper, W x H x (B + N), of shape (rows, columns, 8 + number of agents). Each value is 0
     /// or 1. Layers 0 to 7 are the static ones of [`STATIC_LAYERS`], of which a cell has at most one; layer 8 + i is 1 in the
     /// cell of agent i and 0 elsewhere (0 everywhere for an agent off the map).
