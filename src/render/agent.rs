@@ -268,12 +268,12 @@ pub(super) struct Size {
 }
 
 impl Size {
-    const LEGEND: Size = Size { unit: 8 };
+    const LEGEND: Size = Size { unit: 10 };
 
     /// The size for cells of that many pixels.
     pub(super) fn for_cell(pixels: i32) -> Size {
         Size {
-            unit: (2 * pixels).max(4),
+            unit: (5 * pixels / 2).max(4),
         }
     }
 
@@ -343,7 +343,8 @@ impl Figure<'_> {
         let stopped = action == Some(Speed::Stop);
         let cut = (width / 4).max(1);
         if stopped {
-            self.rounded(frame, length + 1, width + 1, cut, Ink::SIGNAL_RED);
+            let ring = (width / 5).max(2);
+            self.rounded(frame, length + ring, width + ring, cut + 1, Ink::SIGNAL_RED);
         }
         if self.heading.is_some() {
             // One dash behind it for each cell a tick.
@@ -388,7 +389,8 @@ impl Figure<'_> {
         self.mark(length, width, frame);
         if let Some(ink) = self.second {
             let half = (width / 3).max(1);
-            let middle = -length / 8;
+            // At the rear, where it hides no mark.
+            let middle = 1 + half - length;
             self.fill(frame, (middle - half, middle + half), (-half, half), Ink::OUTLINE);
             self.fill(frame, (middle - half + 1, middle + half - 1), (1 - half, half - 1), ink);
         }
@@ -454,29 +456,19 @@ impl Figure<'_> {
     }
 
     fn pedestrian(&self, action: Option<Speed>, radius: i32, frame: &mut Frame) {
-        let ring = if action == Some(Speed::Stop) {
-            Ink::SIGNAL_RED
-        } else {
-            Ink::OUTLINE
-        };
+        let stopped = action == Some(Speed::Stop);
+        let ink = if stopped { Ink::SIGNAL_RED } else { Ink::OUTLINE };
         if self.heading.is_some() {
             let nose = (radius / 3).max(1);
-            self.fill(frame, (radius, radius + nose), (-nose, nose), ring);
-            self.fill(frame, (radius + nose, radius + 2 * nose), (0, 0), ring);
+            self.fill(frame, (radius, radius + nose), (-nose, nose), ink);
+            self.fill(frame, (radius + nose, radius + 2 * nose), (0, 0), ink);
         }
-        if action == Some(Speed::Stop) {
-            frame.disc(self.x, self.y, radius + 1, ring);
+        if stopped {
+            frame.disc(self.x, self.y, radius + (radius / 4).max(1), ink);
+            frame.disc(self.x, self.y, radius, Ink::WHITE_PAINT);
+        } else {
+            frame.disc(self.x, self.y, radius, ink);
         }
-        frame.disc(
-            self.x,
-            self.y,
-            radius,
-            if action == Some(Speed::Stop) {
-                Ink::WHITE_PAINT
-            } else {
-                ring
-            },
-        );
         frame.disc(self.x, self.y, radius - 1, self.body);
         let head = if self.look.mark() == Mark::Grey {
             Ink::GREY_HEAD

@@ -3,7 +3,8 @@
 use super::agent::Sprite;
 use super::canvas::Frame;
 use super::ink::Ink;
-use embedded_graphics::mono_font::iso_8859_1::FONT_5X8;
+use crate::city::Heading;
+use embedded_graphics::mono_font::iso_8859_1::FONT_6X10;
 use embedded_graphics::text::Alignment;
 
 /// At most this many agents are labelled: more would be unreadable, and the search for room takes time.
@@ -65,9 +66,9 @@ pub(super) fn place(sprites: &[(Sprite<'_>, Area)], bounds: Area) -> Vec<(String
     let mut placed: Vec<(String, Area)> = Vec::new();
     for (sprite, figure) in sprites.iter().take(MOST) {
         let text = short(sprite);
-        // A character is 5 wide and 8 high, and the plate has a margin.
-        let (width, height) = (5 * text.chars().count() as i32 + 3, 9);
-        let free = candidates(*figure, width, height)
+        // A character is 6 wide and 10 high, and the plate has a margin.
+        let (width, height) = (6 * text.chars().count() as i32 + 3, 11);
+        let free = candidates(*figure, sprite.heading, width, height)
             .filter(|&area| bounds.contains(area) && placed.iter().all(|(_, other)| area.overlap(*other) == 0));
         let covered = |area: Area| sprites.iter().map(|(_, figure)| area.overlap(*figure)).sum::<i32>();
         let mut best: Option<(i32, Area)> = None;
@@ -87,20 +88,25 @@ pub(super) fn place(sprites: &[(Sprite<'_>, Area)], bounds: Area) -> Vec<(String
     placed
 }
 
-/// Places around a figure, the best first: beside it, then a little further off.
-fn candidates(figure: Area, width: i32, height: i32) -> impl Iterator<Item = Area> {
+/// Places around a figure, the best first: beside it but not behind it, then a little further off.
+fn candidates(figure: Area, heading: Option<Heading>, width: i32, height: i32) -> impl Iterator<Item = Area> {
     [1, 6, 12].into_iter().flat_map(move |gap| {
         let (west, east) = (figure.left - gap - width, figure.left + figure.width + gap);
+        let (ahead, behind) = if heading == Some(Heading::Left) {
+            (west, east)
+        } else {
+            (east, west)
+        };
         let (north, south) = (figure.top - gap - height, figure.top + figure.height + gap);
         let (middle_x, middle_y) = (
             figure.left + (figure.width - width) / 2,
             figure.top + (figure.height - height) / 2,
         );
         [
-            (east, middle_y),
-            (west, middle_y),
+            (ahead, middle_y),
             (middle_x, north),
             (middle_x, south),
+            (behind, middle_y),
             (east, north),
             (east, south),
             (west, north),
@@ -128,6 +134,6 @@ pub(super) fn draw(labels: &[(String, Area)], frame: &mut Frame) {
     ) in labels
     {
         frame.fill(*left, *top, *width, *height, Ink::PAPER);
-        frame.text(text, left + 2, top + height / 2, &FONT_5X8, Ink::TEXT, Alignment::Left);
+        frame.text(text, left + 2, top + height / 2, &FONT_6X10, Ink::TEXT, Alignment::Left);
     }
 }

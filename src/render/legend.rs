@@ -7,18 +7,18 @@ use super::ink::Ink;
 use super::label::one_line;
 use crate::city::{CityMap, Ground};
 use crate::config::{AgentKind, Speed};
-use embedded_graphics::mono_font::iso_8859_1::{FONT_6X13, FONT_6X13_BOLD, FONT_9X15_BOLD};
+use embedded_graphics::mono_font::iso_8859_1::{FONT_6X13, FONT_7X13_BOLD, FONT_9X15_BOLD};
 use embedded_graphics::text::Alignment;
 
 /// Width of the legend in pixels.
-pub(super) const WIDTH: i32 = 190;
+pub(super) const WIDTH: i32 = 200;
 /// Height of a row of the legend in pixels.
-const ROW: i32 = 21;
+const ROW: i32 = 22;
 /// Extra space above a heading in pixels.
 const BREAK: i32 = 10;
 
 /// The longest name in characters that fits beside a picture and a count.
-const NAME: usize = 18;
+const NAME: usize = 16;
 
 /// A column of rows, filled from the top.
 struct Column<'a> {
@@ -31,15 +31,15 @@ struct Column<'a> {
 impl Column<'_> {
     fn heading(&mut self, text: &str) {
         self.frame
-            .text(text, self.left, self.y, &FONT_6X13_BOLD, Ink::MUTED, Alignment::Left);
+            .text(text, self.left, self.y, &FONT_7X13_BOLD, Ink::MUTED, Alignment::Left);
         self.y += ROW;
     }
 
     /// A row whose picture is drawn by `picture` around a middle.
     fn row(&mut self, text: &str, count: Option<usize>, picture: impl FnOnce(&mut Frame, i32, i32)) {
-        picture(self.frame, self.left + 18, self.y);
+        picture(self.frame, self.left + 24, self.y);
         self.frame
-            .text(text, self.left + 46, self.y, &FONT_6X13, Ink::TEXT, Alignment::Left);
+            .text(text, self.left + 58, self.y, &FONT_6X13, Ink::TEXT, Alignment::Left);
         if let Some(count) = count {
             let right = self.left + WIDTH - 8;
             self.frame.text(
@@ -111,8 +111,11 @@ pub(super) fn draw_static(map: &CityMap, frame: &mut Frame, left: i32, top: i32)
     column.heading("ACTIONS");
     for action in [Speed::Stop, Speed::Slow, Speed::Normal, Speed::Fast] {
         column.row(action.name(), None, |frame, x, y| {
-            frame.fill(x - 18, y - 8, 37, 17, Ink::ASPHALT);
-            sample_action(AgentKind::Car, action, x + 8, y, frame);
+            frame.fill(x - 24, y - 9, 49, 19, Ink::ASPHALT);
+            sample_action(AgentKind::Car, action, x + 10, y, frame);
+            if action == Speed::Stop {
+                sample_action(AgentKind::Pedestrian, action, x - 13, y, frame);
+            }
         });
     }
     column.y + BREAK
@@ -121,7 +124,10 @@ pub(super) fn draw_static(map: &CityMap, frame: &mut Frame, left: i32, top: i32)
 /// Draws which agents there are, above `bottom`.
 pub(super) fn draw_agents(wardrobe: &Wardrobe<'_>, frame: &mut Frame, left: i32, top: i32, bottom: i32) {
     let mut column = Column { frame, left, y: top };
-    for (kind, heading) in [(AgentKind::Car, "CARS"), (AgentKind::Pedestrian, "PEDESTRIANS")] {
+    for (kind, heading, labels) in [
+        (AgentKind::Car, "CARS", "C1, C2, .."),
+        (AgentKind::Pedestrian, "PEDESTRIANS", "P1, P2, .."),
+    ] {
         let looks: Vec<(Look<'_>, usize)> = wardrobe
             .looks
             .iter()
@@ -132,6 +138,10 @@ pub(super) fn draw_agents(wardrobe: &Wardrobe<'_>, frame: &mut Frame, left: i32,
         if looks.is_empty() || column.y + 3 * ROW > bottom {
             continue;
         }
+        let right = left + WIDTH - 8;
+        column
+            .frame
+            .text(labels, right, column.y, &FONT_6X13, Ink::MUTED, Alignment::Right);
         column.heading(heading);
         for (position, &(look, count)) in looks.iter().enumerate() {
             let left_over = looks.len() - position;
@@ -184,6 +194,6 @@ pub(super) fn draw_status(tick: u64, agents: &[Sprite<'_>], off_map: usize, fram
     if off_map > 0 {
         line += &format!("   {off_map} off the map");
     }
-    let after = left + 9 * tick.len().max(10) as i32;
+    let after = left + 9 * (tick.len() + 2).max(10) as i32;
     frame.text(&line, after, middle, &FONT_6X13, Ink::TEXT, Alignment::Left);
 }

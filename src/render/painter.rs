@@ -31,7 +31,7 @@ const STATUS: i32 = 30;
 /// Width of the row numbers and height of the column numbers, in pixels.
 const RULER: (i32, i32) = (20, 12);
 /// A legend with the known concepts of an ordinary scenario needs about this much, in pixels.
-const LEAST_HEIGHT: i32 = 640;
+const LEAST_HEIGHT: i32 = 700;
 /// The line above the map needs about this much, in pixels.
 const LEAST_WIDTH: i32 = 440;
 
