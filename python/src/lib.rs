@@ -12,7 +12,12 @@ use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
 
-pyo3::create_exception!(_logicity, InputError, PyValueError, "Faulty input: arguments are the message and the diagnostics as JSON.");
+pyo3::create_exception!(
+    _logicity,
+    InputError,
+    PyValueError,
+    "Faulty input: arguments are the message and the diagnostics as JSON."
+);
 
 fn input_error(faults: &[Diagnostic], sources: &Sources) -> PyErr {
     InputError::new_err((render(faults, sources, false), to_json(faults, sources).to_string()))
