@@ -35,10 +35,20 @@ builtin_files! {
     "configs/transfer-medium.yaml"
     "configs/vap-easy.yaml"
     "configs/vap-hard.yaml"
+    "rules/easy.dl"
+    "rules/expert.dl"
+    "rules/hard.dl"
+    "rules/medium.dl"
+    "rules/transfer-easy.dl"
+    "rules/transfer-hard.dl"
+    "rules/transfer-medium.dl"
+    "rules/vap-easy.dl"
+    "rules/vap-hard.dl"
+    "rules/vocabulary.dl"
 }
 
-/// The folder, as paths name it, that holds the built-in files and nothing else.
-pub const BUILTIN_FOLDER: &str = "<builtin>";
+/// Where paths look for the built-in rule files and nothing on disk.
+pub const BUILTIN_RULES: &str = "<builtin>";
 
 /// A built-in file by its path in the repository, for example `rules/vocabulary.dl` or `configs/maps/square-5x5.yaml`.
 pub fn builtin(path: &str) -> Option<&'static str> {
@@ -100,24 +110,21 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
     })
 }
 
-/// Reads a text file, or, if there is none, the built-in file of that path; the path may begin with [`BUILTIN_FOLDER`], where
-/// nothing is on disk.
+/// Reads a text file, or, if there is none, the built-in file of that path. In the folder [`BUILTIN_RULES`] are the built-in rule
+/// files, whatever is on disk.
 ///
 /// # Errors
 /// Why the file cannot be read.
 pub fn read_or_builtin(path: &Path) -> Result<String, ReadError> {
-    let text = match path.strip_prefix(BUILTIN_FOLDER) {
-        Ok(_) => Err(ReadError::NotFound),
-        Err(_) => read_text(path),
+    let inside = match path.strip_prefix(BUILTIN_RULES) {
+        Ok(name) => Path::new("rules").join(name),
+        Err(_) => match read_text(path) {
+            Err(ReadError::NotFound) => path.to_owned(),
+            text => return text,
+        },
     };
-    match text {
-        Err(ReadError::NotFound) => {
-            let inside = path.strip_prefix(BUILTIN_FOLDER).unwrap_or(path);
-            let text = inside.to_str().and_then(builtin);
-            text.map(str::to_owned).ok_or(ReadError::NotFound)
-        }
-        text => text,
-    }
+    let text = inside.to_str().and_then(builtin);
+    text.map(str::to_owned).ok_or(ReadError::NotFound)
 }
 
 /// A file being written under a temporary name; [`Output::finish`] gives it its own. Dropped unfinished, it leaves nothing.
