@@ -16,10 +16,14 @@ pub fn write_png(frame: &Frame, out: impl Write) -> io::Result<()> {
     // Neighbouring palette indices are unrelated numbers: a filter only hides the repetition from the compressor.
     encoder.set_compression(png::Compression::Balanced);
     encoder.set_filter(png::Filter::NoFilter);
-    let mut writer = encoder.write_header()?;
-    writer.write_image_data(frame.pixels())?;
-    writer.finish()?;
-    Ok(())
+    let written = encoder.write_header().and_then(|mut writer| {
+        writer.write_image_data(frame.pixels())?;
+        writer.finish()
+    });
+    written.map_err(|error| match error {
+        png::EncodingError::IoError(error) => error,
+        other => io::Error::other(other),
+    })
 }
 
 /// A GIF being written; it repeats for ever.
