@@ -8,6 +8,9 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 /// Writes a frame as an indexed PNG.
+///
+/// # Errors
+/// Those of the output.
 pub fn write_png(frame: &Frame, out: impl Write) -> io::Result<()> {
     let mut encoder = png::Encoder::new(out, frame.width().into(), frame.height().into());
     encoder.set_color(png::ColorType::Indexed);
@@ -55,7 +58,10 @@ impl<W: Write> Animation<W> {
         })
     }
 
-    /// Appends a frame, which must have the size of the painter's.
+    /// Appends a frame.
+    ///
+    /// # Errors
+    /// Those of the output, and `InvalidInput` for a frame of another size than the painter's.
     pub fn push(&mut self, frame: &Frame) -> io::Result<()> {
         if (frame.width(), frame.height()) != self.size {
             return Err(io::Error::new(

@@ -56,6 +56,9 @@ pub struct Painter {
 
 impl Painter {
     /// Draws the map.
+    ///
+    /// # Errors
+    /// If the map has no rows or no columns.
     pub fn new(map: &CityMap) -> Result<Painter, EmptyMap> {
         let (rows, cols) = (map.rows(), map.cols());
         if rows == 0 || cols == 0 {
@@ -93,8 +96,8 @@ impl Painter {
 
     /// The picture of a state. It depends on the arguments alone, not on frames drawn before.
     ///
-    /// Cars lie under pedestrians, and otherwise agents that come later lie on those before. Every agent gets a label where there is
-    /// room for one.
+    /// Cars lie under pedestrians, and otherwise agents that come later lie on those before. The first 300 agents get a label,
+    /// except where it would cover another one.
     pub fn frame(&self, tick: u64, agents: &[Sprite<'_>]) -> Frame {
         let mut frame = self.base.clone();
         let size = Size::for_cell(self.zoom.pixels);
