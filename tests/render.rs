@@ -244,7 +244,8 @@ fn decode_png(bytes: &[u8]) -> (Vec<u8>, Vec<u8>) {
     (pixels, palette)
 }
 
-/// One agent of each look, stopped and moving, on a tiny map. `UPDATE_SNAPSHOTS=1` writes the file anew; look at it then.
+/// One agent of each look, stopped and moving, on a tiny map. `UPDATE_SNAPSHOTS=1` writes the file anew; look at it
+/// then.
 #[test]
 fn the_picture_of_a_tiny_city() {
     let agent =

@@ -237,8 +237,8 @@ pub(super) fn sample_action(kind: AgentKind, action: Speed, x: i32, y: i32, fram
     .draw(Some(action), Size::LEGEND, frame);
 }
 
-/// A colour for each of the names, which are sorted: the one its name hashes to, or the next that is free. So a concept has
-/// the same colour wherever no other claims it, and two share one only when there are more concepts than colours.
+/// A colour for each of the names, which are sorted: the one its name hashes to, or the next that is free. So a concept
+/// has the same colour wherever no other claims it, and two share one only when there are more concepts than colours.
 fn colours<'a>(names: &[&'a str]) -> Vec<(&'a str, Ink)> {
     let mut taken = [false; Ink::OTHER.len()];
     names
@@ -331,8 +331,8 @@ impl Figure<'_> {
         }
     }
 
-    /// Fills a rectangle given in the figure's own axes, ends included: `along` grows ahead, `across` to its right. Without a
-    /// heading it looks right.
+    /// Fills a rectangle given in the figure's own axes, ends included: `along` grows ahead, `across` to its right.
+    /// Without a heading it looks right.
     fn fill(&self, frame: &mut Frame, along: (i32, i32), across: (i32, i32), ink: Ink) {
         let (dr, dc) = self.heading.unwrap_or(Heading::Right).delta();
         let place = |along: i32, across: i32| (self.x + along * dc - across * dr, self.y + along * dr + across * dc);

@@ -43,8 +43,8 @@ pub struct Animation<W: Write> {
 }
 
 impl<W: Write> Animation<W> {
-    /// Begins an animation of the frames of a painter, each shown for `frame_delay`: GIF rounds it to hundredths of a second,
-    /// at most 655.35 s. Many viewers slow delays under 0.02 s down to 0.1 s.
+    /// Begins an animation of the frames of a painter, each shown for `frame_delay`: GIF rounds it to hundredths of a
+    /// second, at most 655.35 s. Many viewers slow delays under 0.02 s down to 0.1 s.
     pub fn new(out: W, painter: &Painter, frame_delay: Duration) -> io::Result<Animation<W>> {
         let size = painter.size();
         let mut encoder = gif::Encoder::new(out, size.0, size.1, PALETTE.as_flattened()).map_err(to_io)?;
@@ -93,8 +93,8 @@ impl<W: Write> Animation<W> {
     }
 }
 
-/// What turns the pixels `old` into `new`, both of this width and one height. Without a difference: one transparent pixel, since a GIF frame is
-/// never empty.
+/// What turns the pixels `old` into `new`, both of this width and one height. Without a difference: one transparent
+/// pixel, since a GIF frame is never empty.
 fn difference(old: &[u8], new: &[u8], width: usize) -> gif::Frame<'static> {
     let mut rows = 0..0;
     let mut columns = width..0;

@@ -60,8 +60,8 @@ pub(super) fn one_line(text: &str, most: usize) -> String {
     line
 }
 
-/// Finds room inside `bounds` for the label of each sprite, whose figure covers the area next to it. A label avoids figures if
-/// it can and other labels always: one without room is left out.
+/// Finds room inside `bounds` for the label of each sprite, whose figure covers the area next to it. A label avoids
+/// figures if it can and other labels always: one without room is left out.
 pub(super) fn place(sprites: &[(Sprite<'_>, Area)], bounds: Area) -> Vec<(String, Area)> {
     let mut placed: Vec<(String, Area)> = Vec::new();
     for (sprite, figure) in sprites.iter().take(MOST) {

@@ -37,10 +37,10 @@ const LEAST_WIDTH: i32 = 440;
 
 /// Draws frames of one map.
 ///
-/// A picture is a line of numbers, the map with row and column numbers, and a legend. The longer side of the map becomes up to
-/// 1000 pixels (square-5x5: 4 pixels a cell, 964 x 964), with cells of at most 12. A map of more than 1600 cells is sampled
-/// down to at most 1600 pixels, so a picture takes at most 4 MB whatever the map; agents never shrink below some 9 x 5
-/// pixels.
+/// A picture is a line of numbers, the map with row and column numbers, and a legend. The longer side of the map
+/// becomes up to 1000 pixels (square-5x5: 4 pixels a cell, 964 x 964), with cells of at most 12. A map of more than
+/// 1600 cells is sampled down to at most 1600 pixels, so a picture takes at most 4 MB whatever the map; agents never
+/// shrink below some 9 x 5 pixels.
 #[derive(Clone, Debug)]
 pub struct Painter {
     /// The picture without agents.
@@ -96,8 +96,8 @@ impl Painter {
 
     /// The picture of a state. It depends on the arguments alone, not on frames drawn before.
     ///
-    /// Cars lie under pedestrians, and otherwise agents that come later lie on those before. The first 300 agents get a label,
-    /// except where it would cover another one.
+    /// Cars lie under pedestrians, and otherwise agents that come later lie on those before. The first 300 agents get a
+    /// label, except where it would cover another one.
     pub fn frame(&self, tick: u64, agents: &[Sprite<'_>]) -> Frame {
         let mut frame = self.base.clone();
         let size = Size::for_cell(self.zoom.pixels);
