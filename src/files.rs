@@ -6,6 +6,45 @@
 use std::io::{self, Read, Write};
 use std::path::Path;
 
+/// Declares the built-in files by their path in the repository. A list and not a search at compile time, so that the program
+/// is built from what the text of the source says; a test compares the list with the folders.
+macro_rules! builtin_files {
+    ($($path:literal)*) => {
+        /// The files of `rules/` and `configs/` that are part of the program, so that it works without the repository.
+        pub const BUILTIN: &[(&str, &str)] = &[$(($path, include_str!(concat!("../", $path))),)*];
+    };
+}
+
+builtin_files! {
+    "configs/agents/easy.yaml"
+    "configs/agents/expert.yaml"
+    "configs/agents/hard.yaml"
+    "configs/agents/medium.yaml"
+    "configs/agents/vap.yaml"
+    "configs/common.yaml"
+    "configs/easy.yaml"
+    "configs/expert.yaml"
+    "configs/hard.yaml"
+    "configs/maps/random-8x8.yaml"
+    "configs/maps/square-5x5.yaml"
+    "configs/medium.yaml"
+    "configs/predicates/standard.yaml"
+    "configs/predicates/vap.yaml"
+    "configs/transfer-easy.yaml"
+    "configs/transfer-hard.yaml"
+    "configs/transfer-medium.yaml"
+    "configs/vap-easy.yaml"
+    "configs/vap-hard.yaml"
+}
+
+/// The folder, as paths name it, that holds the built-in files and nothing else.
+pub const BUILTIN_FOLDER: &str = "<builtin>";
+
+/// A built-in file by its path in the repository, for example `rules/vocabulary.dl` or `configs/maps/square-5x5.yaml`.
+pub fn builtin(path: &str) -> Option<&'static str> {
+    BUILTIN.iter().find(|(known, _)| *known == path).map(|(_, text)| *text)
+}
+
 /// The largest text file that is read: 1 GiB.
 pub const MAX_BYTES: u64 = 1 << 30;
 
@@ -59,6 +98,26 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
             .filter(|&&byte| byte == b'\n')
             .count(),
     })
+}
+
+/// Reads a text file, or, if there is none, the built-in file of that path; the path may begin with [`BUILTIN_FOLDER`], where
+/// nothing is on disk.
+///
+/// # Errors
+/// Why the file cannot be read.
+pub fn read_or_builtin(path: &Path) -> Result<String, ReadError> {
+    let text = match path.strip_prefix(BUILTIN_FOLDER) {
+        Ok(_) => Err(ReadError::NotFound),
+        Err(_) => read_text(path),
+    };
+    match text {
+        Err(ReadError::NotFound) => {
+            let inside = path.strip_prefix(BUILTIN_FOLDER).unwrap_or(path);
+            let text = inside.to_str().and_then(builtin);
+            text.map(str::to_owned).ok_or(ReadError::NotFound)
+        }
+        text => text,
+    }
 }
 
 /// A file being written under a temporary name; [`Output::finish`] gives it its own. Dropped unfinished, it leaves nothing.

@@ -1,5 +1,19 @@
 //! YAML to typed configuration.
+//!
+//! ```text
+//! path --compose--> one tree of all files --load--> Scenario, MapConfig
+//! ```
+//!
+//! Reach for [`load_scenario`] to run a city and for [`load_map`] if only the map is wanted. Neither touches a disk: files come
+//! through a function of the caller and, where it finds none, from those built into the program. This module knows neither
+//! what a rule says nor whether a map has room for its agents.
 
+mod compose;
+mod load;
 mod model;
+mod read;
+mod yaml;
 
+pub use compose::Read;
+pub use load::{load_map, load_scenario};
 pub use model::*;

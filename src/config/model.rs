@@ -1,6 +1,9 @@
 //! The typed form of every configuration file. `configs/README.md` documents the same for users.
+//!
+//! The serialised form holds the content without file names and places. It is what [`Scenario::hash`] is taken of.
 
 use crate::diag::Span;
+use serde::{Serialize, Serializer};
 use std::path::PathBuf;
 
 /// A value and where it stands in its file.
@@ -12,8 +15,15 @@ pub struct Located<T> {
     pub span: Span,
 }
 
+/// Written as the value alone, so that equal content is written alike wherever it stands.
+impl<T: Serialize> Serialize for Located<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.value.serialize(serializer)
+    }
+}
+
 /// What an agent is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub enum AgentKind {
     /// Drives on traffic streets.
     Car,
@@ -32,7 +42,7 @@ impl AgentKind {
 }
 
 /// A kind of building.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub enum Building {
     /// H
     House,
@@ -47,9 +57,10 @@ pub enum Building {
 }
 
 /// A map file (`configs/maps/*.yaml`).
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct MapConfig {
     /// The name of the file without its extension.
+    #[serde(skip)]
     pub name: String,
     /// Rows and columns of blocks, each 1 to 1000.
     pub blocks: Located<[u32; 2]>,
@@ -60,7 +71,7 @@ pub struct MapConfig {
 }
 
 /// Widths of the parts of a map, in cells.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Widths {
     /// A traffic street with both its lanes; odd, since the mid line is a cell wide.
     pub street: u32,
@@ -73,7 +84,7 @@ pub struct Widths {
 }
 
 /// What stands where on a map.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub enum Buildings {
     /// One row of buildings after another (two rows and two columns a block).
     Fixed(Vec<Vec<Building>>),
@@ -87,7 +98,7 @@ pub enum Buildings {
 }
 
 /// The train, validation and test sets of a task.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub enum Split {
     /// `train`
     Train,
@@ -112,7 +123,7 @@ impl Split {
 }
 
 /// One agent of an agent set.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct AgentConfig {
     /// `Car_1`, `Pedestrian_3`, ...: kind and number within the kind, from 1.
     pub name: String,
@@ -125,18 +136,19 @@ pub struct AgentConfig {
 }
 
 /// The agents of one split, in list order: first car, all pedestrians, the other cars.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct AgentSet {
     /// The agents.
     pub agents: Vec<AgentConfig>,
     /// Starts and goals lie in rows and columns below this; `None` for the whole map.
     pub region: Option<Located<u32>>,
     /// Where the set is defined.
+    #[serde(skip)]
     pub span: Span,
 }
 
 /// How a base predicate is computed from the state of the city.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum Definition {
     /// Unary: the agent is of this kind.
     Kind(AgentKind),
@@ -186,7 +198,7 @@ pub enum Definition {
 }
 
 /// A base predicate of a scenario.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct PredicateConfig {
     /// Its name in the rules.
     pub name: Located<String>,
@@ -195,7 +207,7 @@ pub struct PredicateConfig {
 }
 
 /// A speed a decision asks for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub enum Speed {
     /// Cars: 1 cell a tick.
     Slow,
@@ -223,7 +235,7 @@ impl Speed {
 }
 
 /// How derived action predicates become one action.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct ActionsConfig {
     /// If several actions are derived, the first of this list is taken. Each of the four exactly once.
     pub priority: Vec<Speed>,
@@ -232,7 +244,7 @@ pub struct ActionsConfig {
 }
 
 /// How cars choose a route.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum Routing {
     /// Least length, where each turn and U-turn costs 30 cells more (the paper).
     Weighted,
@@ -251,17 +263,19 @@ impl Routing {
 }
 
 /// A run configuration (`configs/*.yaml`) with every file it is composed of.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Scenario {
     /// The name of the file without its extension.
+    #[serde(skip)]
     pub name: String,
     /// The map.
     pub map: MapConfig,
     /// The rule file.
+    #[serde(skip)]
     pub rules: Located<PathBuf>,
     /// The agent sets, at least one.
     pub splits: Vec<(Split, AgentSet)>,
-    /// The base predicates, in the order of the observation.
+    /// The base predicates, in the order of the observation; last comes `Sees`, which no observation holds.
     pub predicates: Vec<PredicateConfig>,
     /// How derived actions become one.
     pub actions: ActionsConfig,
@@ -272,5 +286,16 @@ pub struct Scenario {
     /// Length of a run in ticks unless the command line says otherwise.
     pub ticks: u32,
     /// SHA-256 of the configuration with all its parts, in hexadecimal: equal for equal content, whatever the file names.
+    #[serde(skip)]
     pub hash: String,
+}
+
+impl Scenario {
+    /// The agents of a split, if the configuration has it.
+    pub fn agent_set(&self, split: Split) -> Option<&AgentSet> {
+        self.splits
+            .iter()
+            .find(|(given, _)| *given == split)
+            .map(|(_, set)| set)
+    }
 }

@@ -1,0 +1,272 @@
+//! One tree from many files.
+//!
+//! ```text
+//! path --read, or built in--> text --yaml--> tree --parts and `base` put in--> tree without references --read--> typed
+//! ```
+//!
+//! Three rules, the same everywhere. A part is a path or is written in place. `base: path` starts from another file: mappings
+//! merge key by key, any other value replaces what the base has, and nothing (`~`) removes it. A path is relative to the file
+//! that holds it; what is not on disk is looked for among the built-in files. What the keys mean is not known here.
+
+use super::yaml::{self, Node, Value};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, did_you_mean};
+use crate::files::{self, BUILTIN, ReadError};
+use std::collections::HashMap;
+use std::path::{Component, Path, PathBuf};
+
+/// How many files may build on each other.
+const MAX_CHAIN: usize = 16;
+
+/// How a file is read: its text, or why not.
+pub type Read<'a> = &'a dyn Fn(&Path) -> Result<String, ReadError>;
+
+/// Where a text came from.
+#[derive(Clone, Debug)]
+struct Place {
+    path: PathBuf,
+    builtin: bool,
+}
+
+pub(super) struct Composer<'a> {
+    pub faults: Vec<Diagnostic>,
+    sources: &'a mut Sources,
+    read: Read<'a>,
+    places: Vec<(SourceId, Place)>,
+    nodes_left: usize,
+}
+
+impl<'a> Composer<'a> {
+    pub fn new(sources: &'a mut Sources, read: Read<'a>) -> Self {
+        Composer {
+            faults: Vec::new(),
+            sources,
+            read,
+            places: Vec::new(),
+            nodes_left: yaml::MAX_NODES,
+        }
+    }
+
+    /// The tree of a file that the user named. A bare name such as `expert` means the file of this name in `folder`.
+    pub fn root(&mut self, path: &Path, folder: &str, parts: &[&str]) -> Option<Node> {
+        let mut found = self.find(path, None, path);
+        if matches!(found, Err(ReadError::NotFound)) && path.extension().is_none() && path.components().count() == 1 {
+            let named = Path::new(folder).join(path).with_extension("yaml");
+            found = self.find(&named, None, &named);
+        }
+        match found {
+            Ok((place, text)) => self.file(place, text, parts, &mut Vec::new()),
+            Err(error) => {
+                let names = BUILTIN
+                    .iter()
+                    .filter_map(|(known, _)| known.strip_prefix(folder)?.strip_prefix('/')?.strip_suffix(".yaml"));
+                let near = path.to_str().and_then(|name| did_you_mean(name, names));
+                let mut fault = unreadable(path, &error);
+                fault.help.extend(near.map(|near| format!("did you mean `{near}`?")));
+                self.faults.push(fault);
+                None
+            }
+        }
+    }
+
+    /// Where the file is that a value names. Whether it can be read is told by whoever reads it.
+    pub fn locate(&mut self, node: &Node) -> Option<PathBuf> {
+        let reference = super::read::text(node, "the path of a file", &mut self.faults)?;
+        let (from, path) = self.resolve(node, reference);
+        let found = self.find(&path, from.as_ref(), Path::new(reference));
+        Some(found.map_or(path, |(place, _)| place.path))
+    }
+
+    /// The name of the file a tree came from, without its extension.
+    pub fn name_of(&self, node: &Node) -> String {
+        let place = self.place(node).and_then(|place| place.path.file_stem());
+        place
+            .map(|stem| stem.to_string_lossy().into_owned())
+            .unwrap_or_default()
+    }
+
+    fn place(&self, node: &Node) -> Option<&Place> {
+        self.places
+            .iter()
+            .find(|(id, _)| *id == node.span.source)
+            .map(|(_, place)| place)
+    }
+
+    fn refer(&mut self, node: &Node) -> Option<(Place, String)> {
+        let reference = super::read::text(node, "the path of a file", &mut self.faults)?;
+        let (from, path) = self.resolve(node, reference);
+        match self.find(&path, from.as_ref(), Path::new(reference)) {
+            Ok(found) => Some(found),
+            Err(error) => {
+                self.faults.push(unreadable(&path, &error).at(node.span, ""));
+                None
+            }
+        }
+    }
+
+    fn resolve(&self, node: &Node, reference: &str) -> (Option<Place>, PathBuf) {
+        let from = self.place(node).cloned();
+        let folder = from
+            .as_ref()
+            .and_then(|place| place.path.parent())
+            .unwrap_or(Path::new(""));
+        let path = normalise(&folder.join(reference));
+        (from, path)
+    }
+
+    /// Looks on disk first, then among the built-in files: under the full path, then under the path as it is written.
+    /// A built-in file refers to built-in files only, so that what it means does not depend on the current folder.
+    fn find(&self, path: &Path, from: Option<&Place>, written: &Path) -> Result<(Place, String), ReadError> {
+        let on_disk = if from.is_some_and(|place| place.builtin) {
+            Err(ReadError::NotFound)
+        } else {
+            (self.read)(path)
+        };
+        if !matches!(on_disk, Err(ReadError::NotFound)) {
+            return on_disk.map(|text| {
+                (
+                    Place {
+                        path: path.to_owned(),
+                        builtin: false,
+                    },
+                    text,
+                )
+            });
+        }
+        for path in [normalise(path), normalise(written)] {
+            if let Some(text) = path.to_str().and_then(files::builtin) {
+                return Ok((Place { path, builtin: true }, text.to_owned()));
+            }
+        }
+        Err(ReadError::NotFound)
+    }
+
+    /// The tree of one file, its parts and its base put in. `chain` holds the files that wait for this one.
+    fn file(&mut self, place: Place, text: String, parts: &[&str], chain: &mut Vec<PathBuf>) -> Option<Node> {
+        let shown = place.path.display();
+        let id = self.sources.add(
+            if place.builtin {
+                format!("{shown} (built in)")
+            } else {
+                shown.to_string()
+            },
+            text,
+        );
+        let mut node = yaml::parse(self.sources, id, &mut self.nodes_left, &mut self.faults)?;
+        chain.push(place.path.clone());
+        self.places.push((id, place));
+        if let Value::Map(entries) = &mut node.value {
+            for (_, part) in entries.iter_mut().filter(|(key, _)| parts.contains(&key.text.as_str())) {
+                self.part(part, chain);
+            }
+        }
+        self.base(&mut node, parts, chain);
+        chain.pop();
+        node.whole = true;
+        Some(node)
+    }
+
+    /// Replaces a path by the tree of its file, and puts the base into a part written in place. A part that cannot be had
+    /// becomes absent; its fault is told already.
+    fn part(&mut self, part: &mut Node, chain: &mut Vec<PathBuf>) {
+        match &part.value {
+            Value::Map(_) => self.base(part, &[], chain),
+            Value::Scalar { .. } if !part.is_null() => {
+                let span = part.span;
+                *part = self.referred(part, &[], chain).unwrap_or(Node {
+                    span,
+                    value: Value::Absent,
+                    whole: true,
+                });
+            }
+            _ => {}
+        }
+    }
+
+    fn referred(&mut self, node: &Node, parts: &[&str], chain: &mut Vec<PathBuf>) -> Option<Node> {
+        let (place, text) = self.refer(node)?;
+        if chain.contains(&place.path) || chain.len() == MAX_CHAIN {
+            let fault = if chain.len() == MAX_CHAIN {
+                Diagnostic::new(
+                    Code::LimitExceeded,
+                    format!("more than {MAX_CHAIN} files build on each other"),
+                )
+            } else {
+                Diagnostic::new(
+                    Code::IncludeCycle,
+                    format!("`{}` builds on itself", place.path.display()),
+                )
+            };
+            self.faults.push(fault.at(node.span, ""));
+            return None;
+        }
+        self.file(place, text, parts, chain)
+    }
+
+    /// Takes the key `base` out and puts what it names under the other keys.
+    fn base(&mut self, node: &mut Node, parts: &[&str], chain: &mut Vec<PathBuf>) {
+        let Value::Map(entries) = &mut node.value else { return };
+        let Some(at) = entries.iter().position(|(key, _)| key.text == "base") else {
+            return;
+        };
+        let (_, reference) = entries.remove(at);
+        node.whole = true;
+        match self.referred(&reference, parts, chain) {
+            Some(mut base) => {
+                base.span = node.span;
+                let over = std::mem::replace(node, base);
+                merge(node, Node { whole: false, ..over });
+            }
+            None => node.value = Value::Absent,
+        }
+        node.whole = true;
+    }
+}
+
+fn merge(base: &mut Node, over: Node) {
+    match (&mut base.value, over.value) {
+        (Value::Map(kept), Value::Map(entries)) if !over.whole => {
+            let index: HashMap<String, usize> = kept
+                .iter()
+                .enumerate()
+                .map(|(at, (key, _))| (key.text.clone(), at))
+                .collect();
+            for (key, node) in entries {
+                match index.get(&key.text) {
+                    Some(&at) => {
+                        kept[at].0 = key;
+                        merge(&mut kept[at].1, node);
+                    }
+                    None => kept.push((key, node)),
+                }
+            }
+            kept.retain(|(_, node)| !node.is_null());
+            // A key that is missing is told where the user wrote last.
+            base.span = over.span;
+        }
+        (_, value) => *base = Node { value, ..over },
+    }
+}
+
+/// Takes `.` and `..` out without asking the disk.
+fn normalise(path: &Path) -> PathBuf {
+    let mut out = PathBuf::new();
+    for component in path.components() {
+        match component {
+            Component::CurDir => {}
+            Component::ParentDir if matches!(out.components().next_back(), Some(Component::Normal(_))) => {
+                out.pop();
+            }
+            component => out.push(component),
+        }
+    }
+    out
+}
+
+fn unreadable(path: &Path, error: &ReadError) -> Diagnostic {
+    let code = match error {
+        ReadError::NotText { .. } => Code::NotText,
+        ReadError::TooLarge => Code::LimitExceeded,
+        ReadError::NotFound | ReadError::Io(_) => Code::MissingFile,
+    };
+    Diagnostic::new(code, format!("`{}` cannot be read: {error}", path.display()))
+}

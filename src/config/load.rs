@@ -1,0 +1,788 @@
+//! Typed configurations from composed trees: what each key means and which values it takes.
+//!
+//! `configs/README.md` tells the same to users, key by key.
+
+use super::compose::{Composer, Read};
+use super::model::*;
+use super::read::{Fields, choice, entries, integer, invalid, is_name, list, name, number, text};
+use super::yaml::{Node, Value};
+use crate::diag::{Code, Diagnostic, Sources, Span, did_you_mean};
+use sha2::{Digest, Sha256};
+use std::collections::HashMap;
+use std::fmt::Write;
+use std::path::Path;
+
+/// The most faults told of one configuration.
+const MAX_FAULTS: usize = 100;
+/// The most base predicates of a scenario.
+const MAX_PREDICATES: usize = 1000;
+/// The most agents of a split.
+const MAX_AGENTS: u32 = 1_000_000;
+/// The most cells of a map.
+const MAX_CELLS: u64 = 100_000_000;
+/// The most blocks in a row or column of a map.
+const MAX_BLOCKS: u32 = 1000;
+/// The widest part of a map in cells.
+const MAX_WIDTH: u32 = 1000;
+/// The largest half-width of the field of view in cells.
+const MAX_VIEW: u32 = 10_000;
+/// The longest run in ticks.
+const MAX_TICKS: u32 = 1_000_000_000;
+/// The largest region; a map of [`MAX_CELLS`] may be a single long street.
+const MAX_REGION: u32 = MAX_CELLS as u32;
+
+const KINDS: [(&str, AgentKind); 2] = [
+    (AgentKind::Car.name(), AgentKind::Car),
+    (AgentKind::Pedestrian.name(), AgentKind::Pedestrian),
+];
+/// Buildings with their names and letters in a map file.
+const BUILDINGS: [(&str, char, Building); 5] = [
+    ("House", 'H', Building::House),
+    ("Office", 'O', Building::Office),
+    ("Garage", 'A', Building::Garage),
+    ("Store", 'S', Building::Store),
+    ("GasStation", 'G', Building::GasStation),
+];
+/// The name of the field of view in the rules; always there, so no configuration defines it.
+const SEES: &str = "Sees";
+
+/// Loads a run configuration with every file it is composed of. A bare name such as `expert` means `configs/expert.yaml`.
+///
+/// Files are read through `read`; what it does not find is looked for among the built-in files. Every text read is added to
+/// `sources`. On failure all faults of all files are told at once.
+pub fn load_scenario(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Scenario, Vec<Diagnostic>> {
+    let mut composer = Composer::new(sources, read);
+    let scenario = composer
+        .root(path, "configs", &["map", "agents", "predicates"])
+        .and_then(|tree| scenario(&mut composer, &tree, file_stem(path)));
+    finish(scenario, composer.faults)
+}
+
+/// Loads a map file. A bare name such as `square-5x5` means `configs/maps/square-5x5.yaml`.
+///
+/// Like [`load_scenario`] in all else.
+pub fn load_map(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<MapConfig, Vec<Diagnostic>> {
+    let mut composer = Composer::new(sources, read);
+    let map = composer
+        .root(path, "configs/maps", &[])
+        .and_then(|tree| map(&tree, file_stem(path), &mut composer.faults));
+    finish(map, composer.faults)
+}
+
+fn finish<T>(value: Option<T>, mut faults: Vec<Diagnostic>) -> Result<T, Vec<Diagnostic>> {
+    match value {
+        Some(value) if faults.is_empty() => Ok(value),
+        _ => {
+            faults.sort_by_key(|fault| fault.primary.as_ref().map(|label| label.span));
+            let more = faults.len().saturating_sub(MAX_FAULTS);
+            faults.truncate(MAX_FAULTS);
+            if let (Some(last), 1..) = (faults.last_mut(), more) {
+                last.notes.push(format!("{more} more faults are not shown"));
+            }
+            Err(faults)
+        }
+    }
+}
+
+fn file_stem(path: &Path) -> String {
+    path.file_stem()
+        .map(|stem| stem.to_string_lossy().into_owned())
+        .unwrap_or_default()
+}
+
+fn scenario(composer: &mut Composer<'_>, tree: &Node, name: String) -> Option<Scenario> {
+    let mut fields = Fields::open(tree, "a run configuration", &mut composer.faults)?;
+    let rules = fields
+        .required("rules", &mut composer.faults)
+        .and_then(|node| composer.locate(node).map(|value| Located { value, span: node.span }));
+    let faults = &mut composer.faults;
+    let map_node = fields.required("map", faults);
+    let map = map_node.and_then(|node| map(node, composer.name_of(node), &mut composer.faults));
+    let faults = &mut composer.faults;
+    let predicates = fields
+        .required("predicates", faults)
+        .and_then(|node| predicates(node, faults));
+    let regions = fields
+        .optional("region")
+        .map(|node| regions(node, faults))
+        .unwrap_or_default();
+    let splits = fields
+        .required("agents", faults)
+        .and_then(|node| splits(node, predicates.as_ref(), &regions, faults));
+    let actions = fields
+        .required("actions", faults)
+        .and_then(|node| actions(node, faults));
+    let routing = fields.required("routing", faults).and_then(|node| {
+        choice(
+            node,
+            &[Routing::Weighted, Routing::Hops].map(|routing| (routing.name(), routing)),
+            faults,
+        )
+    });
+    let view = fields
+        .required("view", faults)
+        .and_then(|node| integer(node, 1..=MAX_VIEW, faults));
+    let ticks = fields
+        .required("ticks", faults)
+        .and_then(|node| integer(node, 1..=MAX_TICKS, faults));
+    fields.optional("base");
+    fields.close(faults);
+    let mut scenario = Scenario {
+        name,
+        map: map?,
+        rules: rules?,
+        splits: splits?,
+        predicates: predicates?.used,
+        actions: actions?,
+        routing: routing?,
+        view: view?,
+        ticks: ticks?,
+        hash: String::new(),
+    };
+    scenario.hash = hash(&scenario);
+    Some(scenario)
+}
+
+/// The JSON form of the scenario leaves out file names and places, and its keys stand in the order of the types.
+fn hash(scenario: &Scenario) -> String {
+    let json = serde_json::to_vec(scenario).expect("a scenario holds no map with keys that are not text");
+    Sha256::digest(json).iter().fold(String::new(), |mut hex, byte| {
+        let _ = write!(hex, "{byte:02x}");
+        hex
+    })
+}
+
+fn map(node: &Node, name: String, faults: &mut Vec<Diagnostic>) -> Option<MapConfig> {
+    let mut fields = Fields::open(node, "a map", faults)?;
+    let blocks = fields.required("blocks", faults).and_then(|node| {
+        let [rows, cols] = list(node, "two numbers: rows and columns of blocks", faults)? else {
+            invalid(node, "two numbers: rows and columns of blocks", faults);
+            return None;
+        };
+        let [rows, cols] = [rows, cols].map(|node| integer(node, 1..=MAX_BLOCKS, faults));
+        Some(Located {
+            value: [rows?, cols?],
+            span: node.span,
+        })
+    });
+    let widths = fields.required("widths", faults).and_then(|node| {
+        let value = widths(node, faults)?;
+        Some(Located { value, span: node.span })
+    });
+    let buildings = fields.required("buildings", faults).and_then(|node| {
+        let value = buildings(node, blocks.map(|blocks| blocks.value), faults)?;
+        Some(Located { value, span: node.span })
+    });
+    fields.optional("base");
+    fields.close(faults);
+    let (blocks, widths) = (blocks?, widths?);
+    let side = |blocks: u32| {
+        let Widths {
+            street,
+            sidewalk,
+            building,
+            inner_sidewalk,
+        } = widths.value;
+        let period = street + 2 * (sidewalk + building) + inner_sidewalk;
+        u64::from(blocks) * u64::from(period) + u64::from(street)
+    };
+    let [rows, cols] = blocks.value.map(side);
+    if rows * cols > MAX_CELLS {
+        let message = format!("the map has {rows} x {cols} cells, the limit is {MAX_CELLS} in all");
+        let fault = Diagnostic::new(Code::LimitExceeded, message).at(blocks.span, "so many blocks");
+        faults.push(fault.also(widths.span, "of this size"));
+        return None;
+    }
+    Some(MapConfig {
+        name,
+        blocks,
+        widths,
+        buildings: buildings?,
+    })
+}
+
+fn widths(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Widths> {
+    let mut fields = Fields::open(node, "the widths of a map", faults)?;
+    let street = fields.required("street", faults).and_then(|node| {
+        // Two lanes lie two cells from the mid line, which is one cell wide.
+        let width = integer(node, 5..=MAX_WIDTH, faults)?;
+        if width % 2 == 0 {
+            invalid(
+                node,
+                "an odd width, since the mid line of a street is one cell wide",
+                faults,
+            );
+            return None;
+        }
+        Some(width)
+    });
+    let mut width = |key| {
+        fields
+            .required(key, faults)
+            .and_then(|node| integer(node, 1..=MAX_WIDTH, faults))
+    };
+    let [sidewalk, building, inner_sidewalk] = ["sidewalk", "building", "inner_sidewalk"].map(&mut width);
+    fields.close(faults);
+    Some(Widths {
+        street: street?,
+        sidewalk: sidewalk?,
+        building: building?,
+        inner_sidewalk: inner_sidewalk?,
+    })
+}
+
+fn buildings(node: &Node, blocks: Option<[u32; 2]>, faults: &mut Vec<Diagnostic>) -> Option<Buildings> {
+    let mut fields = Fields::open(node, "the buildings of a map", faults)?;
+    let (rows, random) = (fields.optional("rows"), fields.optional("random"));
+    fields.close(faults);
+    match (rows, random) {
+        (Some(node), None) => {
+            let rows: Vec<_> = list(node, "rows of buildings", faults)?
+                .iter()
+                .map(|row| building_row(row, blocks.map(|[_, cols]| 2 * cols as usize), faults))
+                .collect();
+            if let Some([wanted, _]) = blocks
+                && rows.len() != 2 * wanted as usize
+            {
+                let expected = format!(
+                    "{} rows of buildings, two for each of {wanted} rows of blocks",
+                    2 * wanted
+                );
+                let message = format!("expected {expected}, found {}", rows.len());
+                faults.push(Diagnostic::new(Code::InvalidValue, message).at(node.span, ""));
+                return None;
+            }
+            rows.into_iter().collect::<Option<_>>().map(Buildings::Fixed)
+        }
+        (None, Some(node)) => random_buildings(node, faults),
+        _ => {
+            invalid(node, "either `rows` or `random`", faults);
+            None
+        }
+    }
+}
+
+fn building_row(node: &Node, wanted: Option<usize>, faults: &mut Vec<Diagnostic>) -> Option<Vec<Building>> {
+    let row = text(node, "a row of building letters", faults)?;
+    let mut buildings = Vec::new();
+    for (byte, letter) in row.char_indices().filter(|(_, letter)| !letter.is_whitespace()) {
+        let Some((_, _, building)) = BUILDINGS.iter().find(|(_, known, _)| *known == letter) else {
+            let letters = BUILDINGS.map(|(name, letter, _)| format!("{letter} {name}")).join(", ");
+            let fault = Diagnostic::new(Code::InvalidValue, format!("`{letter}` is no letter of a building"));
+            let span = inside(node, row, byte..byte + letter.len_utf8());
+            faults.push(fault.at(span, "").note(format!("the letters are: {letters}")));
+            return None;
+        };
+        buildings.push(*building);
+    }
+    match wanted {
+        Some(wanted) if wanted != buildings.len() => {
+            let message = format!(
+                "expected {wanted} buildings, two for each block of the row, found {}",
+                buildings.len()
+            );
+            faults.push(Diagnostic::new(Code::InvalidValue, message).at(node.span, ""));
+            None
+        }
+        _ => Some(buildings),
+    }
+}
+
+/// The place of a part of a scalar; the whole scalar if it is quoted, and so perhaps written otherwise than it reads.
+fn inside(node: &Node, text: &str, part: std::ops::Range<usize>) -> Span {
+    let start = node.span.range().start;
+    match &node.value {
+        Value::Scalar { plain: true, .. } if node.span.range().len() == text.len() => {
+            Span::new(node.span.source, start + part.start..start + part.end)
+        }
+        _ => node.span,
+    }
+}
+
+fn random_buildings(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Buildings> {
+    let mut fields = Fields::open(node, "random buildings", faults)?;
+    let seed = fields
+        .required("seed", faults)
+        .and_then(|node| integer(node, 0..=u64::MAX, faults));
+    let weights = fields.required("weights", faults).and_then(|node| {
+        let mut fields = Fields::open(node, "the weights of buildings", faults)?;
+        let weights: Option<Vec<_>> = BUILDINGS
+            .map(|(name, _, building)| match fields.optional(name) {
+                Some(node) => Some((building, number(node, 0.0..=1e9, "a weight from 0 to 1e9", faults)?)),
+                None => Some((building, 0.0)),
+            })
+            .into_iter()
+            .collect();
+        fields.close(faults);
+        if weights
+            .as_ref()
+            .is_some_and(|weights| weights.iter().all(|&(_, weight)| weight == 0.0))
+        {
+            let fault = Diagnostic::new(Code::InvalidValue, "expected a weight above 0, found none");
+            faults.push(fault.at(node.span, ""));
+            return None;
+        }
+        weights
+    });
+    fields.close(faults);
+    Some(Buildings::Random {
+        seed: seed?,
+        weights: weights?,
+    })
+}
+
+/// The base predicates, and where each concept comes from.
+struct Predicates {
+    used: Vec<PredicateConfig>,
+    /// All that are defined, used or not.
+    defined: Vec<PredicateConfig>,
+}
+
+fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
+    let before = faults.len();
+    let mut fields = Fields::open(node, "the predicates", faults)?;
+    let define = fields.required("define", faults);
+    let selection = fields.optional("use");
+    fields.optional("base");
+    fields.close(faults);
+    let entries = entries(define?, "definitions of predicates", faults)?;
+    if entries.len() > MAX_PREDICATES {
+        let message = format!(
+            "{} predicates are defined, the limit is {MAX_PREDICATES}",
+            entries.len()
+        );
+        faults.push(Diagnostic::new(Code::LimitExceeded, message).at(define?.span, ""));
+        return None;
+    }
+    let mut defined = Vec::new();
+    for (key, node) in entries.iter().filter(|(_, node)| !node.is_null()) {
+        let fault = if key.text == SEES {
+            Some(format!("`{SEES}` is always there and is the field of view"))
+        } else if Speed::ALL.iter().any(|speed| speed.name() == key.text) {
+            Some(format!("`{}` is an action, rules derive it", key.text))
+        } else if !is_name(&key.text) {
+            let message = "expected the name of a predicate (letters, digits and `_`, no digit first)";
+            Some(format!("{message}, found `{}`", key.text))
+        } else {
+            None
+        };
+        if let Some(message) = fault {
+            faults.push(Diagnostic::new(Code::InvalidValue, message).at(key.span, ""));
+            continue;
+        }
+        let name = Located {
+            value: key.text.clone(),
+            span: key.span,
+        };
+        defined.extend(definition(node, faults).map(|definition| PredicateConfig { name, definition }));
+    }
+    let used = match selection {
+        None => Some(defined.clone()),
+        Some(node) => selected(node, &defined, faults),
+    };
+    // A definition that failed would make every use of it a second fault.
+    if faults.len() > before {
+        return None;
+    }
+    let mut used = used?;
+    used.push(PredicateConfig {
+        name: Located {
+            value: SEES.into(),
+            span: node.span,
+        },
+        definition: Definition::Sees,
+    });
+    Some(Predicates { used, defined })
+}
+
+/// The predicates that `use` names, in its order.
+fn selected(node: &Node, defined: &[PredicateConfig], faults: &mut Vec<Diagnostic>) -> Option<Vec<PredicateConfig>> {
+    let mut used: Vec<PredicateConfig> = Vec::new();
+    for item in list(node, "names of predicates", faults)? {
+        let Some(wanted) = name(item, "the name of a predicate", faults) else {
+            continue;
+        };
+        if let Some(first) = used.iter().find(|predicate| predicate.name.value == wanted) {
+            let fault = Diagnostic::new(Code::InvalidValue, format!("`{wanted}` is used twice"));
+            faults.push(
+                fault
+                    .at(item.span, "used again")
+                    .also(first.name.span, "first used here"),
+            );
+            continue;
+        }
+        match defined.iter().find(|predicate| predicate.name.value == wanted) {
+            Some(predicate) => used.push(PredicateConfig {
+                name: Located {
+                    value: wanted.to_owned(),
+                    span: item.span,
+                },
+                definition: predicate.definition.clone(),
+            }),
+            None => {
+                let mut fault = Diagnostic::new(Code::InvalidValue, format!("no predicate `{wanted}` is defined"));
+                let names = defined.iter().map(|predicate| predicate.name.value.as_str());
+                if wanted == SEES {
+                    fault = fault.help(format!("remove it: `{SEES}` is always there"));
+                } else if let Some(near) = did_you_mean(wanted, names) {
+                    fault = fault.help(format!("did you mean `{near}`?"));
+                }
+                faults.push(fault.at(item.span, ""));
+            }
+        }
+        if faults.len() > MAX_FAULTS {
+            return None;
+        }
+    }
+    Some(used)
+}
+
+fn definition(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
+    const WORDS: [(&str, Definition); 5] = [
+        ("at-intersection", Definition::AtIntersection),
+        ("in-intersection", Definition::InIntersection),
+        ("higher-priority", Definition::HigherPriority),
+        ("left-of", Definition::LeftOf),
+        ("right-of", Definition::RightOf),
+    ];
+    if matches!(node.value, Value::Scalar { .. }) {
+        let words: [_; 5] = std::array::from_fn(|index| (WORDS[index].0, index));
+        return choice(node, &words, faults).map(|index| WORDS[index].1.clone());
+    }
+    let mut fields = Fields::open(node, "the definition of a predicate", faults)?;
+    let given = ["kind", "concept", "distance", "colliding"].map(|key| fields.optional(key));
+    let of = fields.optional("of");
+    fields.close(faults);
+    match (given, of) {
+        ([Some(kind), None, None, None], None) => choice(kind, &KINDS, faults).map(Definition::Kind),
+        ([None, Some(concept), None, None], Some(of)) => {
+            let concept = name(concept, "the name of a concept", faults).map(str::to_owned);
+            let of = choice(of, &KINDS, faults);
+            Some(Definition::Concept {
+                of: of?,
+                concept: concept?,
+            })
+        }
+        ([None, None, Some(distance), None], None) => self::distance(distance, faults),
+        ([None, None, None, Some(colliding)], None) => self::colliding(colliding, faults),
+        _ => {
+            invalid(
+                node,
+                "exactly one of `kind`, `concept` with `of`, `distance`, `colliding`",
+                faults,
+            );
+            if let Some(fault) = faults.last_mut() {
+                fault
+                    .notes
+                    .push("what is inherited through `base` counts; `key: ~` removes it".into());
+            }
+            None
+        }
+    }
+}
+
+fn distance(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
+    let mut fields = Fields::open(node, "a distance", faults)?;
+    let mut bound = |key| match fields.optional(key) {
+        Some(node) => number(node, 0.0..=1e9, "a distance from 0 to 1e9 cells", faults).map(Some),
+        None => Some(None),
+    };
+    let [above, at_least, below, at_most] = ["above", "at_least", "below", "at_most"].map(&mut bound);
+    fields.close(faults);
+    let (above, at_least, below, at_most) = (above?, at_least?, below?, at_most?);
+    if above.is_some() && at_least.is_some() || below.is_some() && at_most.is_some() {
+        invalid(
+            node,
+            "at most one lower bound (`above`, `at_least`) and one upper bound (`below`, `at_most`)",
+            faults,
+        );
+        return None;
+    }
+    let empty = match (above.or(at_least), below.or(at_most)) {
+        (None, None) => {
+            let message = "expected at least one of `above`, `at_least`, `below`, `at_most`, found none";
+            faults.push(Diagnostic::new(Code::InvalidValue, message).at(node.span, ""));
+            return None;
+        }
+        (low, high) => {
+            let closed = above.is_none() && below.is_none();
+            let (low, high) = (low.unwrap_or(0.0), high.unwrap_or(f64::INFINITY));
+            low > high || low == high && !closed
+        }
+    };
+    if empty {
+        let fault = Diagnostic::new(Code::InvalidValue, "no distance lies within these bounds");
+        faults.push(fault.at(node.span, ""));
+        return None;
+    }
+    Some(Definition::Distance {
+        above,
+        at_least,
+        below,
+        at_most,
+    })
+}
+
+fn colliding(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
+    let mut fields = Fields::open(node, "the definition of a collision", faults)?;
+    let mut value = |key, most: f64, what| {
+        fields
+            .required(key, faults)
+            .and_then(|node| number(node, 0.0..=most, what, faults))
+    };
+    let car_range = value("car_range", 1e9, "a distance from 0 to 1e9 cells");
+    let pedestrian_range = value("pedestrian_range", 1e9, "a distance from 0 to 1e9 cells");
+    let angle = value("angle", 3.2, "an angle from 0 to 3.2 radians");
+    let pedestrian_chance = value("pedestrian_chance", 1.0, "a probability from 0 to 1");
+    let same_cell_chance = value("same_cell_chance", 1.0, "a probability from 0 to 1");
+    fields.close(faults);
+    Some(Definition::Colliding {
+        car_range: car_range?,
+        pedestrian_range: pedestrian_range?,
+        angle: angle?,
+        pedestrian_chance: pedestrian_chance?,
+        same_cell_chance: same_cell_chance?,
+    })
+}
+
+/// The region of each split, in the order of [`Split::ALL`].
+fn regions(node: &Node, faults: &mut Vec<Diagnostic>) -> [Option<Located<u32>>; 3] {
+    let mut region = |node: &Node| {
+        let value = integer(node, 1..=MAX_REGION, faults)?;
+        Some(Located { value, span: node.span })
+    };
+    if !matches!(node.value, Value::Map(_)) {
+        return [region(node); 3];
+    }
+    let Some(mut fields) = Fields::open(node, "the regions", faults) else {
+        return [None; 3];
+    };
+    let regions = Split::ALL.map(|split| {
+        let node = fields.optional(split.name())?;
+        let value = integer(node, 1..=MAX_REGION, faults)?;
+        Some(Located { value, span: node.span })
+    });
+    fields.close(faults);
+    regions
+}
+
+fn splits(
+    node: &Node,
+    predicates: Option<&Predicates>,
+    regions: &[Option<Located<u32>>; 3],
+    faults: &mut Vec<Diagnostic>,
+) -> Option<Vec<(Split, AgentSet)>> {
+    let before = faults.len();
+    let concepts = predicates.map(Concepts::new);
+    let mut fields = Fields::open(node, "the agent sets", faults)?;
+    let mut splits = Vec::new();
+    for (split, region) in Split::ALL.into_iter().zip(regions) {
+        if let Some(node) = fields.optional(split.name()) {
+            let agents = agents(node, split, concepts.as_ref(), faults);
+            let set = agents.map(|agents| AgentSet {
+                agents,
+                region: *region,
+                span: node.span,
+            });
+            splits.extend(set.map(|set| (split, set)));
+        }
+    }
+    fields.optional("base");
+    fields.close(faults);
+    if splits.is_empty() && faults.len() == before {
+        let fault = Diagnostic::new(
+            Code::InvalidValue,
+            "expected at least one of `train`, `val`, `test`, found none",
+        );
+        faults.push(fault.at(node.span, ""));
+    }
+    (faults.len() == before).then_some(splits)
+}
+
+/// Which concepts agents can carry.
+struct Concepts<'p> {
+    used: HashMap<&'p str, Vec<AgentKind>>,
+    predicates: &'p Predicates,
+}
+
+impl<'p> Concepts<'p> {
+    fn new(predicates: &'p Predicates) -> Self {
+        let mut used: HashMap<&str, Vec<AgentKind>> = HashMap::new();
+        for predicate in &predicates.used {
+            if let Definition::Concept { of, concept } = &predicate.definition {
+                used.entry(concept).or_default().push(*of);
+            }
+        }
+        Concepts { used, predicates }
+    }
+
+    fn check(&self, concept: &str, span: Span, kind: AgentKind, faults: &mut Vec<Diagnostic>) {
+        let kinds = self.used.get(concept);
+        if kinds.is_some_and(|kinds| kinds.contains(&kind)) {
+            return;
+        }
+        let carried = |predicate: &&PredicateConfig| matches!(&predicate.definition, Definition::Concept { of, concept: defined } if *of == kind && defined == concept);
+        let fault = if kinds.is_some() {
+            let other = if kind == AgentKind::Car { "pedestrians" } else { "cars" };
+            Diagnostic::new(Code::InvalidValue, format!("`{concept}` is a concept of {other} only")).at(span, "")
+        } else if let Some(unused) = self.predicates.defined.iter().find(carried) {
+            let predicate = &unused.name.value;
+            Diagnostic::new(
+                Code::InvalidValue,
+                format!("no predicate in use tells whether an agent is `{concept}`"),
+            )
+            .at(span, "")
+            .help(format!("add `{predicate}` to the predicates' `use`"))
+        } else {
+            let fault = Diagnostic::new(Code::InvalidValue, format!("unknown concept `{concept}`")).at(span, "");
+            let mut known: Vec<_> = self
+                .used
+                .iter()
+                .filter(|(_, kinds)| kinds.contains(&kind))
+                .map(|(&name, _)| name)
+                .collect();
+            known.sort_unstable();
+            match did_you_mean(concept, known.iter().copied()) {
+                Some(near) => fault.help(format!("did you mean `{near}`?")),
+                None => fault.help("a predicate defines it, for example `IsTaxi: {concept: taxi, of: Car}`"),
+            }
+            .note(format!(
+                "concepts of a {}: {}",
+                kind.name().to_lowercase(),
+                known.join(", ")
+            ))
+        };
+        faults.push(fault);
+    }
+}
+
+fn agents(
+    node: &Node,
+    split: Split,
+    concepts: Option<&Concepts<'_>>,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<Vec<AgentConfig>> {
+    let before = faults.len();
+    let mut fields = Fields::open(node, "the agents of a split", faults)?;
+    let mut cars = Vec::new();
+    let mut pedestrians = Vec::new();
+    for (key, kind, agents) in [
+        ("cars", AgentKind::Car, &mut cars),
+        ("pedestrians", AgentKind::Pedestrian, &mut pedestrians),
+    ] {
+        let Some(node) = fields.optional(key) else { continue };
+        for item in list(node, key, faults)? {
+            group(item, kind, agents, concepts, faults);
+            if faults.len() > MAX_FAULTS || agents.len() > MAX_AGENTS as usize {
+                break;
+            }
+        }
+    }
+    fields.close(faults);
+    let count = cars.len() + pedestrians.len();
+    if count > MAX_AGENTS as usize {
+        let message = format!("more than {MAX_AGENTS} agents in `{}`", split.name());
+        faults.push(Diagnostic::new(Code::LimitExceeded, message).at(node.span, ""));
+        return None;
+    }
+    if count == 0 && faults.len() == before {
+        let message = format!("the split `{}` has no agents", split.name());
+        faults.push(
+            Diagnostic::new(Code::InvalidValue, message)
+                .at(node.span, "")
+                .help("give it `cars` or `pedestrians`"),
+        );
+        return None;
+    }
+    // The first car is the ego of a task and leads the list.
+    let mut cars = cars.into_iter();
+    Some(cars.next().into_iter().chain(pedestrians).chain(cars).collect())
+}
+
+/// Adds the agents of one entry of an agent list.
+fn group(
+    node: &Node,
+    kind: AgentKind,
+    agents: &mut Vec<AgentConfig>,
+    known: Option<&Concepts<'_>>,
+    faults: &mut Vec<Diagnostic>,
+) {
+    let what = if kind == AgentKind::Car {
+        "a car"
+    } else {
+        "a pedestrian"
+    };
+    let Some(mut fields) = Fields::open(node, what, faults) else {
+        return;
+    };
+    let mut concepts: Vec<Located<String>> = Vec::new();
+    for item in fields
+        .optional("concepts")
+        .and_then(|node| list(node, "concepts", faults))
+        .unwrap_or_default()
+    {
+        let Some(concept) = name(item, "the name of a concept", faults) else {
+            continue;
+        };
+        if let Some(first) = concepts.iter().find(|given| given.value == concept) {
+            let fault = Diagnostic::new(Code::InvalidValue, format!("the concept `{concept}` is given twice"));
+            faults.push(fault.at(item.span, "given again").also(first.span, "first given here"));
+            continue;
+        }
+        if let Some(known) = known {
+            known.check(concept, item.span, kind, faults);
+        }
+        if faults.len() > MAX_FAULTS {
+            return;
+        }
+        concepts.push(Located {
+            value: concept.to_owned(),
+            span: item.span,
+        });
+    }
+    let priority = match kind {
+        AgentKind::Car => fields.required("priority", faults),
+        AgentKind::Pedestrian => fields.optional("priority"),
+    };
+    let priority = priority.map_or(Some(0), |node| integer(node, i32::MIN..=i32::MAX, faults));
+    let count = fields
+        .optional("count")
+        .map_or(Some(1), |node| integer(node, 1..=MAX_AGENTS, faults));
+    fields.close(faults);
+    // A wrong entry still counts, so that the numbers of the others stay and an otherwise empty set is not called empty.
+    let first = agents.len() + 1;
+    for number in first..first + count.unwrap_or(1) as usize {
+        agents.push(AgentConfig {
+            name: format!("{}_{number}", kind.name()),
+            kind,
+            concepts: concepts.clone(),
+            priority: priority.unwrap_or(0),
+        });
+    }
+}
+
+fn actions(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<ActionsConfig> {
+    let speeds = Speed::ALL.map(|speed| (speed.name(), speed));
+    let mut fields = Fields::open(node, "the actions", faults)?;
+    let priority = fields.required("priority", faults).and_then(|node| {
+        let items = list(node, "the four actions", faults)?;
+        let order: Option<Vec<_>> = items.iter().map(|item| choice(item, &speeds, faults)).collect();
+        let order = order?;
+        let mut sorted = order.clone();
+        sorted.sort_unstable();
+        if sorted != Speed::ALL {
+            let message = "expected each of `Slow`, `Normal`, `Fast`, `Stop` exactly once";
+            faults.push(Diagnostic::new(Code::InvalidValue, message).at(node.span, ""));
+            return None;
+        }
+        Some(order)
+    });
+    let default = fields
+        .required("default", faults)
+        .and_then(|node| choice(node, &speeds, faults));
+    fields.close(faults);
+    Some(ActionsConfig {
+        priority: priority?,
+        default: default?,
+    })
+}

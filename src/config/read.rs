@@ -1,0 +1,184 @@
+//! Reads typed values from a tree and collects every fault instead of stopping at the first.
+//!
+//! A function here returns `None` after it has pushed a fault. The caller goes on with the other keys, so that one run tells
+//! all that is wrong. What a configuration consists of is not known here.
+
+use super::yaml::{Key, Node, Value};
+use crate::diag::{Code, Diagnostic, Span, did_you_mean};
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+
+/// Says that a value is not what was expected.
+pub(super) fn invalid(node: &Node, expected: impl Display, faults: &mut Vec<Diagnostic>) {
+    let message = format!("expected {expected}, found {}", node.describe());
+    faults.push(Diagnostic::new(Code::InvalidValue, message).at(node.span, ""));
+}
+
+/// A mapping whose keys are asked for one by one.
+pub(super) struct Fields<'n> {
+    /// What the mapping is, with its article: `a map`.
+    what: &'static str,
+    span: Span,
+    entries: &'n [(Key, Node)],
+    allowed: Vec<&'static str>,
+}
+
+impl<'n> Fields<'n> {
+    pub fn open(node: &'n Node, what: &'static str, faults: &mut Vec<Diagnostic>) -> Option<Self> {
+        Some(Fields {
+            what,
+            span: node.span,
+            entries: entries(node, what, faults)?,
+            allowed: Vec::new(),
+        })
+    }
+
+    /// The value of a key; a key with nothing behind it counts as absent.
+    pub fn optional(&mut self, key: &'static str) -> Option<&'n Node> {
+        self.allowed.push(key);
+        let (_, node) = self.find(key)?;
+        (!matches!(node.value, Value::Absent) && !node.is_null()).then_some(node)
+    }
+
+    pub fn required(&mut self, key: &'static str, faults: &mut Vec<Diagnostic>) -> Option<&'n Node> {
+        let node = self.optional(key);
+        if node.is_some() {
+            return node;
+        }
+        let fault = match self.find(key) {
+            Some((_, node)) if matches!(node.value, Value::Absent) => return None,
+            Some((given, _)) => {
+                let message = format!("the key `{key}` has no value in {}", self.what);
+                Diagnostic::new(Code::MissingKey, message).at(given.span, "")
+            }
+            None => {
+                let message = format!("the key `{key}` is missing in {}", self.what);
+                Diagnostic::new(Code::MissingKey, message).at(self.span, format!("needs `{key}`"))
+            }
+        };
+        faults.push(fault);
+        None
+    }
+
+    fn find(&self, key: &str) -> Option<&'n (Key, Node)> {
+        self.entries.iter().find(|(given, _)| given.text == key)
+    }
+
+    /// Says which keys were never asked for.
+    pub fn close(self, faults: &mut Vec<Diagnostic>) {
+        for (key, _) in self.entries {
+            if self.allowed.contains(&key.text.as_str()) {
+                continue;
+            }
+            let mut fault = Diagnostic::new(Code::UnknownKey, format!("unknown key `{}` in {}", key.text, self.what))
+                .at(key.span, "")
+                .note(format!("keys allowed here: {}", self.allowed.join(", ")));
+            if let Some(near) = did_you_mean(&key.text, self.allowed.iter().copied()) {
+                fault = fault.help(format!("did you mean `{near}`?"));
+            }
+            faults.push(fault);
+        }
+    }
+}
+
+/// The entries of a mapping whose keys are free.
+pub(super) fn entries<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n [(Key, Node)]> {
+    match &node.value {
+        Value::Map(entries) => Some(entries),
+        _ => {
+            invalid(node, format_args!("{what} (a mapping)"), faults);
+            None
+        }
+    }
+}
+
+pub(super) fn list<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n [Node]> {
+    match &node.value {
+        Value::List(items) => Some(items),
+        _ => {
+            invalid(node, format_args!("a list of {what}"), faults);
+            None
+        }
+    }
+}
+
+pub(super) fn text<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n str> {
+    match &node.value {
+        Value::Scalar { text, .. } if !node.is_null() => Some(text),
+        _ => {
+            invalid(node, what, faults);
+            None
+        }
+    }
+}
+
+/// A word that can be written in a rule file and a scene: letters, digits and `_`, no digit first.
+pub(super) fn name<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n str> {
+    let text = text(node, what, faults)?;
+    if is_name(text) {
+        return Some(text);
+    }
+    invalid(
+        node,
+        format_args!("{what} (letters, digits and `_`, no digit first)"),
+        faults,
+    );
+    None
+}
+
+pub(super) fn is_name(text: &str) -> bool {
+    text.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+        && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+}
+
+/// One of a few words; case does not matter.
+pub(super) fn choice<T: Copy>(node: &Node, choices: &[(&str, T)], faults: &mut Vec<Diagnostic>) -> Option<T> {
+    let words = || choices.iter().map(|&(word, _)| word);
+    let list = || words().map(|word| format!("`{word}`")).collect::<Vec<_>>().join(", ");
+    let text = match &node.value {
+        Value::Scalar { text, .. } => text,
+        _ => {
+            invalid(node, format_args!("one of {}", list()), faults);
+            return None;
+        }
+    };
+    let found = choices.iter().find(|(word, _)| word.eq_ignore_ascii_case(text));
+    if found.is_none() {
+        invalid(node, format_args!("one of {}", list()), faults);
+        if let (Some(near), Some(fault)) = (did_you_mean(text, words()), faults.last_mut()) {
+            fault.help.push(format!("did you mean `{near}`?"));
+        }
+    }
+    found.map(|&(_, value)| value)
+}
+
+/// A whole number within a range.
+pub(super) fn integer<T>(node: &Node, range: RangeInclusive<T>, faults: &mut Vec<Diagnostic>) -> Option<T>
+where
+    T: std::str::FromStr + PartialOrd + Display + Copy,
+{
+    let value = match &node.value {
+        Value::Scalar { text, plain: true } => text.parse().ok().filter(|value| range.contains(value)),
+        _ => None,
+    };
+    if value.is_none() {
+        invalid(
+            node,
+            format_args!("a whole number from {} to {}", range.start(), range.end()),
+            faults,
+        );
+    }
+    value
+}
+
+/// A finite number within a range; `what` says it in words.
+pub(super) fn number(node: &Node, range: RangeInclusive<f64>, what: &str, faults: &mut Vec<Diagnostic>) -> Option<f64> {
+    let value = match &node.value {
+        Value::Scalar { text, plain: true } => text.parse().ok().filter(|value| range.contains(value)),
+        _ => None,
+    };
+    if value.is_none() {
+        invalid(node, what, faults);
+    }
+    value.filter(|value: &f64| value.is_finite())
+}

@@ -1,0 +1,335 @@
+//! YAML text to a tree that knows where everything stands.
+//!
+//! ```text
+//! text --events of the YAML crate--> Node (spans, duplicate keys told, aliases expanded, size bounded)
+//! ```
+//!
+//! The tree is built from parse events and not through serde, because serde stops at the first fault and its errors know
+//! one place at most. What a key means is not known here.
+
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use serde_yaml::granit_parser::{ErrorKind, Event, Parser, ScalarStyle, Span as Mark, StructureStyle};
+use std::collections::HashMap;
+
+/// The largest configuration file in bytes. A map of 1000 x 1000 blocks with every building given is half of it.
+pub(super) const MAX_BYTES: usize = 8 << 20;
+/// The deepest nesting of lists and mappings.
+pub(super) const MAX_DEPTH: usize = 64;
+/// The most values in a configuration with all its parts, after aliases are expanded.
+pub(super) const MAX_NODES: usize = 200_000;
+
+/// A YAML value and where it stands.
+#[derive(Clone, Debug)]
+pub(super) struct Node {
+    /// A scalar; the key of a block collection, or its own first key; the first line of a collection in brackets.
+    pub span: Span,
+    pub value: Value,
+    /// Whether this mapping came from a file of its own, so that it replaces what it overrides instead of merging with it.
+    pub whole: bool,
+}
+
+#[derive(Clone, Debug)]
+pub(super) enum Value {
+    Scalar {
+        text: String,
+        /// Without quotes: `5` is a number and `~` is nothing, `"5"` and `"~"` are text.
+        plain: bool,
+    },
+    List(Vec<Node>),
+    Map(Vec<(Key, Node)>),
+    /// What a reference names could not be had; the fault is told already.
+    Absent,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Key {
+    pub text: String,
+    pub span: Span,
+}
+
+impl Node {
+    /// Whether this is YAML's null.
+    pub fn is_null(&self) -> bool {
+        matches!(&self.value, Value::Scalar { text, plain: true } if matches!(text.as_str(), "" | "~" | "null" | "Null" | "NULL"))
+    }
+
+    /// What a message calls this value.
+    pub fn describe(&self) -> String {
+        const SHOWN: usize = 40;
+        match &self.value {
+            Value::Absent => "nothing".into(),
+            _ if self.is_null() => "nothing".into(),
+            Value::List(items) if items.is_empty() => "an empty list".into(),
+            Value::List(_) => "a list".into(),
+            Value::Map(_) => "a mapping".into(),
+            Value::Scalar { text, plain } => {
+                let mut shown: String = text.chars().take(SHOWN).collect();
+                if shown.len() < text.len() {
+                    shown.push('…');
+                }
+                if *plain {
+                    format!("`{shown}`")
+                } else {
+                    format!("the text `{shown}`")
+                }
+            }
+        }
+    }
+}
+
+/// A collection whose end has not been met.
+struct Open {
+    node: Node,
+    block: bool,
+    anchor: usize,
+    /// In a mapping, the key that waits for its value; `None` in it if the key was no text.
+    key: Option<Option<Key>>,
+}
+
+/// Whether parsing can go on; if not, the fault that stops it.
+type Step = Result<(), Box<Diagnostic>>;
+
+struct Builder<'a> {
+    source: SourceId,
+    text: &'a str,
+    open: Vec<Open>,
+    anchors: HashMap<usize, (Node, usize)>,
+    root: Option<Node>,
+    nodes_left: &'a mut usize,
+    faults: &'a mut Vec<Diagnostic>,
+}
+
+/// Parses one text. `None` if there is no tree to go on with; then at least one fault was pushed. Faults that leave a tree
+/// (a duplicate key) are pushed too. `nodes_left` bounds the size of all trees of one configuration.
+pub(super) fn parse(
+    sources: &Sources,
+    source: SourceId,
+    nodes_left: &mut usize,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<Node> {
+    let text = sources.text(source);
+    let start = Span::new(source, 0..0);
+    if text.len() > MAX_BYTES {
+        let message = format!("the file has {} bytes, the limit is {MAX_BYTES}", text.len());
+        faults.push(Diagnostic::new(Code::LimitExceeded, message).at(start, ""));
+        return None;
+    }
+    let mut options = serde_yaml::granit_parser::Options::default();
+    options.set_emit_comments(false);
+    options.flow_nesting_limit = MAX_DEPTH;
+    options.block_nesting_limit = MAX_DEPTH;
+    let mut builder = Builder {
+        source,
+        text,
+        open: Vec::new(),
+        anchors: HashMap::new(),
+        root: None,
+        nodes_left,
+        faults,
+    };
+    for event in Parser::new_from_str_with_options(text, options) {
+        let step = match event {
+            Ok((event, mark)) => builder.event(event, &mark),
+            Err(error) => {
+                let at = error.marker().byte_offset().unwrap_or(text.len());
+                let span = builder.one_character(at);
+                Err(Box::new(match error.kind() {
+                    ErrorKind::RecursionLimitExceeded => too_deep(span),
+                    kind => Diagnostic::new(Code::YamlSyntax, kind.to_string()).at(span, ""),
+                }))
+            }
+        };
+        if let Err(fault) = step {
+            builder.faults.push(*fault);
+            return None;
+        }
+    }
+    if builder.root.is_none() {
+        let fault = Diagnostic::new(Code::InvalidValue, "the file is empty, a mapping of keys was expected");
+        builder.faults.push(fault.at(start, ""));
+    }
+    builder.root
+}
+
+fn too_deep(span: Span) -> Diagnostic {
+    let message = format!("lists and mappings are nested more than {MAX_DEPTH} deep");
+    Diagnostic::new(Code::LimitExceeded, message).at(span, "")
+}
+
+impl Builder<'_> {
+    /// The character at a byte, so that a caret has something to stand under; nothing at the end of the text.
+    fn one_character(&self, byte: usize) -> Span {
+        let mut start = byte.min(self.text.len());
+        while !self.text.is_char_boundary(start) {
+            start -= 1;
+        }
+        let length = self.text[start..].chars().next().map_or(0, char::len_utf8);
+        Span::new(self.source, start..start + length)
+    }
+
+    /// The range of an event, cut to its first line.
+    fn span(&self, mark: &Mark) -> Span {
+        let range = mark.byte_range().unwrap_or(0..0);
+        let first_line = self.text.get(range.clone()).and_then(|text| text.lines().next());
+        let end = range.start + first_line.map_or(0, |line| line.trim_end().len());
+        Span::new(self.source, range.start..end)
+    }
+
+    fn spend(&mut self, nodes: usize, span: Span) -> Step {
+        *self.nodes_left = self.nodes_left.checked_sub(nodes).ok_or_else(|| {
+            let message = format!("more than {MAX_NODES} values in one configuration");
+            Box::new(Diagnostic::new(Code::LimitExceeded, message).at(span, "the limit is passed here"))
+        })?;
+        Ok(())
+    }
+
+    fn event(&mut self, event: Event<'_>, mark: &Mark) -> Step {
+        let span = self.span(mark);
+        if let Some(tag) = event.tag() {
+            let fault = Diagnostic::new(
+                Code::InvalidValue,
+                format!("tags such as `{}` have no meaning here", tag.original()),
+            );
+            let tag_span = mark.tag_span().map_or(span, |mark| self.span(&mark));
+            self.faults.push(fault.at(tag_span, "remove it"));
+        }
+        let mut open = |value, style, anchor| {
+            self.open.push(Open {
+                node: Node {
+                    span,
+                    value,
+                    whole: false,
+                },
+                block: style == StructureStyle::Block,
+                anchor,
+                key: None,
+            });
+        };
+        match event {
+            Event::Scalar(text, style, anchor, _) => {
+                self.spend(1, span)?;
+                let value = Value::Scalar {
+                    text: text.into_owned(),
+                    plain: style == ScalarStyle::Plain,
+                };
+                self.finished(
+                    Node {
+                        span,
+                        value,
+                        whole: false,
+                    },
+                    anchor,
+                )?;
+            }
+            Event::SequenceStart(style, anchor, _) => open(Value::List(Vec::new()), style, anchor),
+            Event::MappingStart(style, anchor, _) => open(Value::Map(Vec::new()), style, anchor),
+            Event::SequenceEnd | Event::MappingEnd => {
+                if let Some(Open {
+                    mut node,
+                    block,
+                    anchor,
+                    ..
+                }) = self.open.pop()
+                {
+                    self.spend(1, node.span)?;
+                    if let Value::Map(entries) = &mut node.value {
+                        drop_duplicates(entries, self.faults);
+                    }
+                    if !block {
+                        // The event of the start covers only the bracket.
+                        let mut end = mark.byte_range().map_or(0, |range| range.end);
+                        if let Some(line) = self
+                            .text
+                            .get(node.span.range().start..end)
+                            .and_then(|text| text.lines().next())
+                        {
+                            end = node.span.range().start + line.trim_end().len();
+                        }
+                        node.span = Span::new(self.source, node.span.range().start..end);
+                    } else if let Some(Some(Some(key))) = self.open.last().map(|parent| &parent.key) {
+                        node.span = key.span;
+                    } else if let Value::Map(entries) = &node.value
+                        && let Some((first, _)) = entries.first()
+                    {
+                        node.span = first.span;
+                    }
+                    self.finished(node, anchor)?;
+                }
+            }
+            Event::Alias(anchor) => {
+                let Some((node, size)) = self.anchors.get(&anchor).cloned() else {
+                    let fault = Diagnostic::new(Code::YamlSyntax, "an alias stands inside what it refers to");
+                    return Err(Box::new(fault.at(span, "")));
+                };
+                self.spend(size, span)?;
+                self.finished(node, 0)?;
+            }
+            Event::DocumentStart(..) if self.root.is_some() => {
+                let fault = Diagnostic::new(Code::YamlSyntax, "a second document in one file");
+                return Err(Box::new(fault.at(span, "the file must end before this")));
+            }
+            _ => {}
+        }
+        if self.open.len() > MAX_DEPTH {
+            return Err(Box::new(too_deep(span)));
+        }
+        Ok(())
+    }
+
+    /// Puts a complete value into the collection it belongs to.
+    fn finished(&mut self, node: Node, anchor: usize) -> Step {
+        if anchor != 0 {
+            let size = size(&node);
+            self.spend(size, node.span)?;
+            self.anchors.insert(anchor, (node.clone(), size));
+        }
+        let Some(parent) = self.open.last_mut() else {
+            self.root = Some(node);
+            return Ok(());
+        };
+        match &mut parent.node.value {
+            Value::List(items) => items.push(node),
+            Value::Map(entries) => match parent.key.take() {
+                None => {
+                    let span = node.span;
+                    parent.key = Some(match node.value {
+                        Value::Scalar { text, .. } => Some(Key { text, span }),
+                        _ => {
+                            let fault = Diagnostic::new(Code::InvalidValue, "a key must be a single word");
+                            self.faults.push(fault.at(span, format!("this is {}", node.describe())));
+                            None
+                        }
+                    });
+                }
+                Some(None) => {}
+                Some(Some(key)) => entries.push((key, node)),
+            },
+            Value::Scalar { .. } | Value::Absent => unreachable!("only collections are opened"),
+        }
+        Ok(())
+    }
+}
+
+/// Tells every key given twice and keeps the first.
+fn drop_duplicates(entries: &mut Vec<(Key, Node)>, faults: &mut Vec<Diagnostic>) {
+    let mut first: HashMap<String, Span> = HashMap::new();
+    entries.retain(|(key, _)| match first.get(&key.text) {
+        None => {
+            first.insert(key.text.clone(), key.span);
+            true
+        }
+        Some(&earlier) => {
+            let fault = Diagnostic::new(Code::DuplicateKey, format!("the key `{}` is given twice", key.text));
+            faults.push(fault.at(key.span, "given again").also(earlier, "first given here"));
+            false
+        }
+    });
+}
+
+fn size(node: &Node) -> usize {
+    1 + match &node.value {
+        Value::Scalar { .. } | Value::Absent => 0,
+        Value::List(items) => items.iter().map(size).sum(),
+        Value::Map(entries) => entries.iter().map(|(_, node)| size(node)).sum(),
+    }
+}

@@ -1,0 +1,572 @@
+//! Configurations: the files we ship, every message, the blocks of the reference, and hostile input.
+
+use logicity::config::{AgentKind, Buildings, Definition, Scenario, Speed, Split, load_map, load_scenario};
+use logicity::diag::{Diagnostic, Sources, render, to_json};
+use logicity::files::{BUILTIN, ReadError, builtin, read_text};
+use proptest::prelude::*;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+/// Rule files need only be there; what they say is not a matter of configurations.
+fn read(path: &Path) -> Result<String, ReadError> {
+    match path.extension() {
+        Some(extension) if extension == "dl" => Ok(String::new()),
+        _ => read_text(path),
+    }
+}
+
+fn told(sources: &Sources, faults: &[Diagnostic]) -> String {
+    render(faults, sources, false)
+}
+
+fn load(path: &Path) -> Scenario {
+    let mut sources = Sources::new();
+    load_scenario(&mut sources, path, &read).unwrap_or_else(|faults| panic!("{}", told(&sources, &faults)))
+}
+
+/// Loads `main.yaml` of a few files that exist in memory only; beside them the built-in files.
+fn load_memory(files: &[(&str, &str)]) -> (Sources, Result<Scenario, Vec<Diagnostic>>) {
+    let read = |path: &Path| {
+        let found = files.iter().find(|(name, _)| Path::new(name) == path);
+        found.map(|(_, text)| (*text).to_owned()).ok_or(ReadError::NotFound)
+    };
+    let mut sources = Sources::new();
+    let result = load_scenario(&mut sources, Path::new("main.yaml"), &read);
+    (sources, result)
+}
+
+fn good(files: &[(&str, &str)]) -> Scenario {
+    let (sources, result) = load_memory(files);
+    result.unwrap_or_else(|faults| panic!("{}", told(&sources, &faults)))
+}
+
+fn bad(files: &[(&str, &str)]) -> String {
+    let (sources, result) = load_memory(files);
+    told(&sources, &result.expect_err("a fault"))
+}
+
+#[test]
+fn every_mode_loads_with_the_agents_of_the_reference() {
+    // Cars and pedestrians in train, val and test; predicates besides `Sees`.
+    let table = [
+        ("easy", [(6, 2), (7, 3), (9, 6)], 9),
+        ("medium", [(6, 3), (7, 5), (10, 8)], 12),
+        ("hard", [(7, 3), (8, 6), (10, 8)], 17),
+        ("expert", [(7, 4), (8, 6), (10, 8)], 17),
+        ("transfer-easy", [(7, 3), (8, 6), (10, 8)], 17),
+        ("transfer-medium", [(7, 3), (8, 6), (10, 8)], 17),
+        ("transfer-hard", [(7, 3), (8, 6), (10, 8)], 17),
+        ("vap-easy", [(7, 5), (8, 6), (8, 6)], 17),
+        ("vap-hard", [(7, 5), (8, 6), (8, 6)], 17),
+    ];
+    for (mode, counts, predicates) in table {
+        let scenario = load(&Path::new(ROOT).join("configs").join(mode).with_extension("yaml"));
+        assert_eq!(scenario.name, mode);
+        assert_eq!(scenario.map.name, "square-5x5");
+        assert_eq!(
+            scenario.rules.value,
+            Path::new(ROOT).join("rules").join(mode).with_extension("dl")
+        );
+        assert_eq!(scenario.predicates.len(), predicates + 1, "{mode}");
+        for (split, (cars, pedestrians)) in Split::ALL.into_iter().zip(counts) {
+            let agents = &scenario.agent_set(split).expect("all splits").agents;
+            let count = |kind| agents.iter().filter(|agent| agent.kind == kind).count();
+            assert_eq!(
+                (count(AgentKind::Car), count(AgentKind::Pedestrian)),
+                (cars, pedestrians),
+                "{mode} {split:?}"
+            );
+            assert_eq!(agents[0].name, "Car_1");
+            assert!(
+                agents[1..=pedestrians]
+                    .iter()
+                    .all(|agent| agent.kind == AgentKind::Pedestrian)
+            );
+        }
+    }
+}
+
+/// The faults a text says it has, beside the lines that have them: (line, code).
+fn expected(text: &str) -> Vec<(usize, String)> {
+    let mut out = Vec::new();
+    for (line, text) in text.lines().enumerate() {
+        for comment in text.split("# error[").skip(1) {
+            let code = comment.split(']').next().expect("split gives at least one part");
+            out.push((line + 1, code.to_owned()));
+        }
+    }
+    out
+}
+
+/// The faults that were found: (line, code).
+fn found(sources: &Sources, faults: &[Diagnostic]) -> Vec<(usize, String)> {
+    let mut out: Vec<_> = faults
+        .iter()
+        .map(|fault| {
+            let line = fault
+                .primary
+                .as_ref()
+                .map_or(0, |label| sources.position(label.span).line);
+            (line, fault.code.name().to_owned())
+        })
+        .collect();
+    out.sort();
+    out
+}
+
+#[test]
+fn fixtures_give_the_faults_they_say() {
+    let folder = Path::new(ROOT).join("tests/fixtures/diagnostics");
+    let mut shown = 0;
+    for entry in std::fs::read_dir(&folder).expect("fixtures") {
+        let path = entry.expect("entry").path();
+        let path = if path.is_dir() { path.join("main.yaml") } else { path };
+        if path.extension().is_none_or(|extension| extension != "yaml") || !path.exists() {
+            continue;
+        }
+        let mut sources = Sources::new();
+        let faults = load_scenario(&mut sources, &path, &read).err().unwrap_or_default();
+        let text = read_text(&path).expect("text");
+        println!("{}", told(&sources, &faults));
+        assert_eq!(
+            found(&sources, &faults),
+            expected(&text),
+            "{}\n{}",
+            path.display(),
+            told(&sources, &faults)
+        );
+        shown += 1;
+    }
+    assert!(shown >= 8);
+}
+
+#[test]
+fn sets_that_were_recorded_are_as_recorded() {
+    let sets = |mode: &str| {
+        let scenario = load(&Path::new(ROOT).join("configs").join(mode).with_extension("yaml"));
+        let set = scenario.agent_set(Split::Test).expect("test").clone();
+        let agent = |agent: &logicity::config::AgentConfig| {
+            let concepts: Vec<_> = agent.concepts.iter().map(|concept| concept.value.as_str()).collect();
+            format!("{} {} {}", agent.name, agent.priority, concepts.join("+"))
+        };
+        set.agents.iter().map(agent).collect::<Vec<_>>().join("; ")
+    };
+    assert_eq!(
+        sets("easy"),
+        "Car_1 1 ; Pedestrian_1 0 old; Pedestrian_2 0 ; Pedestrian_3 0 old; Pedestrian_4 0 ; Pedestrian_5 0 ; \
+         Pedestrian_6 0 ; Car_2 2 ambulance; Car_3 3 ambulance; Car_4 5 ; Car_5 4 tiro; Car_6 6 ambulance; \
+         Car_7 6 ambulance; Car_8 5 ; Car_9 4 tiro"
+    );
+    assert_eq!(
+        sets("hard"),
+        "Car_1 1 ; Pedestrian_1 0 ; Pedestrian_2 0 old; Pedestrian_3 0 old; Pedestrian_4 0 old; Pedestrian_5 0 old; \
+         Pedestrian_6 0 old; Pedestrian_7 0 old; Pedestrian_8 0 ; Car_2 2 bus; Car_3 3 bus; Car_4 4 ; Car_5 5 police; \
+         Car_6 6 police; Car_7 7 ambulance; Car_8 8 ambulance; Car_9 8 police; Car_10 8 "
+    );
+}
+
+#[test]
+fn observations_have_the_order_of_the_reference() {
+    let order = |mode: &str| {
+        let scenario = load(Path::new(mode));
+        scenario
+            .predicates
+            .iter()
+            .map(|predicate| predicate.name.value.clone())
+            .collect::<Vec<_>>()
+            .join(" ")
+    };
+    assert_eq!(
+        order("easy"),
+        "IsPedestrian IsCar IsAmbulance IsOld IsTiro IsAtInter IsInInter HigherPri CollidingClose Sees"
+    );
+    assert_eq!(
+        order("medium"),
+        "IsPedestrian IsCar IsAmbulance IsOld IsTiro IsBus IsAtInter IsInInter HigherPri CollidingClose NextTo RightOf Sees"
+    );
+    let full = "IsPedestrian IsCar IsAmbulance IsBus IsPolice IsTiro IsReckless IsOld IsYoung IsAtInter IsInInter IsClose \
+                HigherPri CollidingClose LeftOf RightOf NextTo Sees";
+    for mode in [
+        "hard",
+        "expert",
+        "transfer-easy",
+        "transfer-medium",
+        "transfer-hard",
+        "vap-easy",
+        "vap-hard",
+    ] {
+        assert_eq!(order(mode), full);
+    }
+}
+
+#[test]
+fn values_are_those_of_the_reference() {
+    let expert = load(Path::new("expert"));
+    let definition = |scenario: &Scenario, name: &str| {
+        let found = scenario
+            .predicates
+            .iter()
+            .find(|predicate| predicate.name.value == name);
+        found.expect("predicate").definition.clone()
+    };
+    let close = Definition::Distance {
+        above: Some(12.0),
+        at_least: None,
+        below: None,
+        at_most: Some(20.0),
+    };
+    let next = Definition::Distance {
+        above: None,
+        at_least: None,
+        below: Some(12.0),
+        at_most: None,
+    };
+    assert_eq!(definition(&expert, "IsClose"), close);
+    assert_eq!(definition(&expert, "NextTo"), next);
+    let colliding = |car_range, pedestrian_range| Definition::Colliding {
+        car_range,
+        pedestrian_range,
+        angle: 0.1,
+        pedestrian_chance: 0.5,
+        same_cell_chance: 0.5,
+    };
+    assert_eq!(definition(&expert, "CollidingClose"), colliding(8.0, 3.0));
+    assert_eq!(
+        definition(&load(Path::new("vap-hard")), "CollidingClose"),
+        colliding(11.0, 4.0)
+    );
+    let region = |scenario: &Scenario| {
+        Split::ALL.map(|split| {
+            scenario
+                .agent_set(split)
+                .and_then(|set| set.region)
+                .map(|region| region.value)
+        })
+    };
+    assert_eq!(region(&expert), [Some(100), Some(120), Some(120)]);
+    assert_eq!(region(&load(Path::new("vap-easy"))), [Some(100); 3]);
+    assert_eq!(
+        (expert.view, expert.ticks, expert.actions.default),
+        (25, 300, Speed::Normal)
+    );
+    assert_eq!(expert.actions.priority, Speed::ALL);
+    let Buildings::Fixed(rows) = &expert.map.buildings.value else {
+        panic!("the map of the paper is fixed")
+    };
+    assert_eq!((rows.len(), rows[0].len()), (10, 10));
+}
+
+#[test]
+fn a_user_changes_a_range_and_defines_a_concept_in_a_small_file() {
+    let scenario = good(&[(
+        "main.yaml",
+        "base: configs/expert.yaml
+predicates:
+  define:
+    IsClose: {distance: {at_most: 15}}
+    IsTaxi: {concept: taxi, of: car}
+agents:
+  test:
+    cars:
+      - {priority: 1, concepts: [taxi]}
+",
+    )]);
+    let names: Vec<_> = scenario
+        .predicates
+        .iter()
+        .map(|predicate| predicate.name.value.as_str())
+        .collect();
+    assert_eq!(names[11], "IsClose");
+    assert_eq!(names[17..], ["IsTaxi", "Sees"]);
+    let close = Definition::Distance {
+        above: Some(12.0),
+        at_least: None,
+        below: None,
+        at_most: Some(15.0),
+    };
+    assert_eq!(scenario.predicates[11].definition, close);
+    // A list replaces the list of the base; what is not mentioned stays.
+    let set = scenario.agent_set(Split::Test).expect("test");
+    assert_eq!(set.agents.len(), 1 + 8);
+    assert_eq!(set.agents[0].concepts[0].value, "taxi");
+    assert_eq!(scenario.rules.value, Path::new("rules/expert.dl"));
+}
+
+#[test]
+fn nothing_removes_what_the_base_has() {
+    let scenario = good(&[(
+        "main.yaml",
+        "base: configs/expert.yaml\nregion: ~\nagents: {train: ~}\n",
+    )]);
+    assert!(scenario.agent_set(Split::Train).is_none());
+    assert!(scenario.agent_set(Split::Val).is_some_and(|set| set.region.is_none()));
+}
+
+#[test]
+fn a_part_with_a_path_or_a_base_of_its_own_replaces_the_part_of_the_base() {
+    let part = "train: {cars: [{priority: 1}]}\n";
+    let by_path = good(&[
+        ("main.yaml", "base: configs/expert.yaml\nagents: mine.yaml\n"),
+        ("mine.yaml", part),
+    ]);
+    assert_eq!(by_path.splits.len(), 1);
+    let by_base = "base: configs/expert.yaml\nagents: {base: mine.yaml}\n";
+    assert_eq!(good(&[("main.yaml", by_base), ("mine.yaml", part)]).splits.len(), 1);
+    let merged = "base: configs/expert.yaml\nagents: {train: {cars: [{priority: 1}]}}\n";
+    assert_eq!(good(&[("main.yaml", merged)]).splits.len(), 3);
+}
+
+#[test]
+fn the_hash_is_of_the_content_and_not_of_files_places_or_names() {
+    let one = good(&[("main.yaml", "base: configs/expert.yaml\nview: 30\n")]);
+    let same = good(&[
+        (
+            "main.yaml",
+            "# a comment\nview: 30\nbase: b.yaml\nagents: {base: configs/agents/expert.yaml}",
+        ),
+        ("b.yaml", "base: configs/expert.yaml\nview: 7\n"),
+    ]);
+    let other = good(&[("main.yaml", "base: configs/expert.yaml\nview: 31\n")]);
+    assert_eq!(one.hash.len(), 64);
+    assert_eq!(one.hash, same.hash);
+    assert_ne!(one.hash, other.hash);
+    let modes = ["easy", "medium", "hard", "expert", "vap-easy"].map(|mode| load(Path::new(mode)).hash);
+    assert!(
+        modes
+            .iter()
+            .all(|hash| modes.iter().filter(|other| *other == hash).count() == 1)
+    );
+    // The rules have a hash of their own.
+    assert_eq!(load(Path::new("hard")).hash, load(Path::new("transfer-hard")).hash);
+}
+
+#[test]
+fn maps_are_found_by_path_and_by_name() {
+    for name in ["square-5x5", "configs/maps/square-5x5.yaml"] {
+        let mut sources = Sources::new();
+        let map = load_map(&mut sources, Path::new(name), &|_| Err(ReadError::NotFound)).expect("built in");
+        assert_eq!((map.name.as_str(), map.blocks.value), ("square-5x5", [5, 5]));
+    }
+    let mut sources = Sources::new();
+    let faults = load_map(&mut sources, Path::new("sqare-5x5"), &read).expect_err("no such map");
+    let told = told(&sources, &faults);
+    assert!(
+        told.contains("missing-file") && told.contains("did you mean `square-5x5`?"),
+        "{told}"
+    );
+}
+
+#[test]
+fn files_that_build_on_themselves_are_told() {
+    let told = bad(&[("main.yaml", "base: b.yaml\n"), ("b.yaml", "base: ./x/../main.yaml\n")]);
+    assert!(told.contains("include-cycle") && told.contains("b.yaml:1:7"), "{told}");
+    let names: Vec<String> = (0..30).map(|n| format!("f{n}.yaml")).collect();
+    let texts: Vec<String> = (0..30).map(|n| format!("base: f{}.yaml\n", n + 1)).collect();
+    let mut files: Vec<_> = names
+        .iter()
+        .zip(&texts)
+        .map(|(name, text)| (name.as_str(), text.as_str()))
+        .collect();
+    files.push(("main.yaml", "base: f0.yaml\n"));
+    assert!(bad(&files).contains("limit-exceeded"));
+}
+
+#[test]
+fn a_wrong_letter_of_a_map_is_pointed_at() {
+    let map = "blocks: [1, 1]\nwidths: {street: 11, sidewalk: 5, building: 10, inner_sidewalk: 5}\nbuildings:\n  rows:\n    - OX\n    - H\n";
+    let told = bad(&[
+        ("main.yaml", "base: configs/expert.yaml\nmap: m.yaml\n"),
+        ("m.yaml", map),
+    ]);
+    assert!(
+        told.contains("m.yaml:5:8") && told.contains("`X` is no letter"),
+        "{told}"
+    );
+    assert!(
+        told.contains("m.yaml:6:7") && told.contains("expected 2 buildings"),
+        "{told}"
+    );
+}
+
+#[test]
+fn built_in_files_are_the_files_of_the_folders() {
+    fn walk(folder: &Path, files: &mut Vec<String>) {
+        for entry in std::fs::read_dir(folder).into_iter().flatten() {
+            let path = entry.expect("entry").path();
+            if path.is_dir() {
+                walk(&path, files);
+            } else if path
+                .extension()
+                .is_some_and(|extension| extension == "dl" || extension == "yaml")
+            {
+                let path = path.strip_prefix(ROOT).expect("under the root");
+                files.push(path.to_str().expect("UTF-8").replace('\\', "/"));
+            }
+        }
+    }
+    let mut files = Vec::new();
+    for folder in ["configs", "rules"] {
+        walk(&Path::new(ROOT).join(folder), &mut files);
+    }
+    files.sort();
+    let listed: Vec<_> = BUILTIN.iter().map(|(path, _)| path.to_string()).collect();
+    assert_eq!(listed, files, "the list in src/files.rs");
+    assert_eq!(
+        builtin("configs/expert.yaml"),
+        read_text(&Path::new(ROOT).join("configs/expert.yaml")).ok().as_deref()
+    );
+}
+
+/// Loads a text as a run configuration and as a map and draws what is wrong, within a bound of time.
+fn survive(text: &str) -> String {
+    let start = Instant::now();
+    let mut out = String::new();
+    let mut sources = Sources::new();
+    let read = |_: &Path| Ok(text.to_owned());
+    let map = load_map(&mut sources, Path::new("map.yaml"), &read)
+        .err()
+        .unwrap_or_default();
+    let (scenario_sources, scenario) = load_memory(&[("main.yaml", text)]);
+    let scenario = scenario.err().unwrap_or_default();
+    for (sources, faults) in [(&sources, &map), (&scenario_sources, &scenario)] {
+        assert!(faults.len() <= 100);
+        to_json(faults, sources);
+        // A few are enough: drawing all hundred faults of one endless line takes seconds.
+        out.push_str(&told(sources, &faults[..faults.len().min(3)]));
+        out.push_str(&told(sources, &faults[faults.len().saturating_sub(1)..]));
+    }
+    assert!(start.elapsed() < Duration::from_secs(20), "took {:?}", start.elapsed());
+    out
+}
+
+#[test]
+fn hostile_files_fail_fast() {
+    let mut laughs = String::from("a0: &a0 [x, x, x, x, x, x, x, x, x]\n");
+    for level in 1..30 {
+        let aliases = vec![format!("*a{}", level - 1); 9].join(", ");
+        laughs.push_str(&format!("a{level}: &a{level} [{aliases}]\n"));
+    }
+    let chain: String = (1..10_000).map(|n| format!("a{n}: &a{n} [*a{}]\n", n - 1)).collect();
+    let indented: String = (0..2000).map(|depth| format!("{}a:\n", " ".repeat(depth))).collect();
+    let keys: String = (0..50_000).map(|n| format!("k{n}: 1\n")).collect();
+    let cars = format!(
+        "base: configs/expert.yaml\nagents: {{test: {{cars: [{}]}}}}",
+        "{concepts: [tax]},".repeat(40_000)
+    );
+    let crowd = "base: configs/expert.yaml\nagents: {test: {cars: [{priority: 1, count: 1000000}, {priority: 1, count: 1000000}]}}";
+    let random: String = {
+        let mut state = 12345u64;
+        let mut next = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            char::from(32 + (state % 95) as u8)
+        };
+        (0..8_000_000).map(|_| next()).collect()
+    };
+    let cases: [(&str, String, &str); 22] = [
+        ("open brackets", "[".repeat(100_000), "limit-exceeded"),
+        (
+            "closed brackets",
+            "[".repeat(100_000) + &"]".repeat(100_000),
+            "limit-exceeded",
+        ),
+        ("braces", "{a: ".repeat(100_000), "limit-exceeded"),
+        ("dashes", "- ".repeat(100_000), "limit-exceeded"),
+        ("questions", "? ".repeat(100_000), "limit-exceeded"),
+        ("indentation", indented, "limit-exceeded"),
+        ("billion laughs", laughs, "limit-exceeded"),
+        ("alias chain", String::from("a0: &a0 x\n") + &chain, "limit-exceeded"),
+        ("alias of itself", "a: &a [*a]".into(), "yaml-syntax"),
+        (
+            "huge number",
+            format!("base: configs/expert.yaml\nview: {}", "9".repeat(100_000)),
+            "invalid-value",
+        ),
+        (
+            "endless number",
+            "base: configs/expert.yaml\nview: .inf".into(),
+            "invalid-value",
+        ),
+        ("NUL", "view: 25\n\0ticks: 3\n".into(), "yaml-syntax"),
+        ("NUL in a comment", "view: 25 # \0\nticks: 3\n".into(), "yaml-syntax"),
+        ("tab", "map:\n\tblocks: 3\n".into(), "yaml-syntax"),
+        ("two documents", "view: 25\n---\nticks: 3\n".into(), "yaml-syntax"),
+        (
+            "tag",
+            "base: configs/expert.yaml\nview: !!python/object 25\n".into(),
+            "invalid-value",
+        ),
+        ("empty", String::new(), "invalid-value"),
+        ("list as key", "[a, b]: 3".into(), "invalid-value"),
+        ("many unknown keys", keys, "more faults are not shown"),
+        ("many unknown concepts", cars, "unknown concept"),
+        ("crowd", crowd.into(), "limit-exceeded"),
+        ("long line of garbage", random, "yaml-syntax"),
+    ];
+    for (name, text, expected) in cases {
+        let start = Instant::now();
+        let told = survive(&text);
+        println!("{name}: {:?}", start.elapsed());
+        assert!(
+            told.contains(expected),
+            "{name}: {}",
+            told.chars().take(2000).collect::<String>()
+        );
+    }
+    let told = survive(&"- 1\n".repeat(3_000_000));
+    assert!(told.contains("limit-exceeded"));
+}
+
+/// Text that is nearly a configuration: pieces of ours in any order.
+fn near_yaml() -> impl Strategy<Value = String> {
+    let piece = prop_oneof![
+        Just("base: configs/expert.yaml\n".to_owned()),
+        "(map|agents|predicates|define|use|region|train|cars|concepts|count|rows|random)",
+        "(: |:\n  |:\n|\n|\n  |\n    - |- |, |\\[|\\]|\\{|\\}|~|&a |\\*a|\"|'|#|\\||>|\\?|!t |\t|---|%)",
+        "(-?[0-9]{1,20}|0\\.5|[a-zA-Zé]{1,4})",
+    ];
+    proptest::collection::vec(piece, 0..60).prop_map(|pieces| pieces.concat())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+        survive(&String::from_utf8_lossy(&bytes));
+    }
+
+    #[test]
+    fn nothing_near_yaml_makes_it_panic(text in near_yaml()) {
+        survive(&text);
+    }
+
+    #[test]
+    fn no_mutation_of_our_files_makes_it_panic(
+        file in 0..BUILTIN.len(),
+        edits in proptest::collection::vec((any::<prop::sample::Index>(), 0..4usize, "[ -~\n\téß]{0,6}"), 1..6),
+    ) {
+        let (path, text) = BUILTIN[file];
+        let mut text: Vec<char> = text.chars().collect();
+        for (at, removed, added) in edits {
+            let at = at.index(text.len() + 1);
+            let end = (at + removed).min(text.len());
+            text.splice(at..end, added.chars());
+        }
+        let text: String = text.into_iter().collect();
+        survive(&text);
+        // As the part it is, too.
+        let main = format!("base: {path}\n");
+        let kind = path.split('/').nth(1).unwrap_or_default();
+        let main = match kind {
+            "agents" | "predicates" => format!("base: configs/expert.yaml\n{kind}: {path}\n"),
+            "maps" => format!("base: configs/expert.yaml\nmap: {path}\n"),
+            _ => main,
+        };
+        let (sources, result) = load_memory(&[("main.yaml", &main), (path, &text)]);
+        told(&sources, &result.err().unwrap_or_default());
+    }
+}
