@@ -3,20 +3,24 @@
 //! `cargo bench --bench engine` prints times; each case checks its number of rows before it is timed. Times include loading the
 //! base facts into a fresh session.
 
-#[path = "../tests/plain_rules/mod.rs"]
-mod plain_rules;
+#[path = "../tests/written_program/mod.rs"]
+mod written_program;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use datafrog::{Iteration, Relation};
 use logicity::engine::{Program, Session, naive};
-use logicity::lang::Value;
-use plain_rules::program;
+use logicity::lang::{RelId, Value};
 use std::hint::black_box;
+use written_program::program;
 
-const TRANSITIVE: &str = "Path(x, y) :- Edge(x, y)
-    Path(x, z) :- Path(x, y), Edge(y, z)";
-const SAME_GENERATION: &str = "Same(x, y) :- Parent(x, p), Parent(y, p)
-    Same(x, y) :- Parent(x, p), Same(p, q), Parent(y, q)";
+const TRANSITIVE: &str = ".decl Edge(x: number, y: number)
+    .decl Path(x: number, y: number)
+    Path(x, y) :- Edge(x, y).
+    Path(x, z) :- Path(x, y), Edge(y, z).";
+const SAME_GENERATION: &str = ".decl Parent(child: number, parent: number)
+    .decl Same(x: number, y: number)
+    Same(x, y) :- Parent(x, p), Parent(y, p).
+    Same(x, y) :- Parent(x, p), Same(p, q), Parent(y, q).";
 
 /// A fixed congruential generator.
 fn generator(seed: u64) -> impl FnMut() -> u32 {
@@ -86,97 +90,90 @@ fn same_generation_by_hand(parent: &[(u32, u32)]) -> usize {
     same.complete().len()
 }
 
+/// A program with one derived relation over one base relation of pairs.
+struct Case {
+    name: &'static str,
+    rules: &'static str,
+    base: &'static str,
+    derived: &'static str,
+    rows: Vec<(u32, u32)>,
+    by_hand: fn(&[(u32, u32)]) -> usize,
+    expected: usize,
+}
+
 fn fixpoints(c: &mut Criterion) {
-    type ByHand = fn(&[(u32, u32)]) -> usize;
-    let cases: [(&str, &str, [&str; 2], Vec<(u32, u32)>, ByHand, usize); 3] = [
-        (
-            "transitive_closure/random_2k_6k",
-            TRANSITIVE,
-            ["Edge", "Path"],
-            random_graph(),
-            transitive_by_hand,
-            3_498_323,
-        ),
-        (
-            "transitive_closure/chain_2k",
-            TRANSITIVE,
-            ["Edge", "Path"],
-            chain(),
-            transitive_by_hand,
-            2_001_000,
-        ),
-        (
-            "same_generation/tree_4k",
-            SAME_GENERATION,
-            ["Parent", "Same"],
-            tree(),
-            same_generation_by_hand,
-            5_592_404,
-        ),
+    let closure = |name, rows, expected| Case {
+        name,
+        rules: TRANSITIVE,
+        base: "Edge",
+        derived: "Path",
+        rows,
+        by_hand: transitive_by_hand,
+        expected,
+    };
+    let cases = [
+        closure("transitive_closure/random_2k_6k", random_graph(), 3_498_323),
+        closure("transitive_closure/chain_2k", chain(), 2_001_000),
+        Case {
+            name: "same_generation/tree_4k",
+            rules: SAME_GENERATION,
+            base: "Parent",
+            derived: "Same",
+            rows: tree(),
+            by_hand: same_generation_by_hand,
+            expected: 5_592_404,
+        },
     ];
-    for (name, rules, [base, derived], rows, by_hand, expected) in cases {
-        let program = program(&[rules]);
-        assert_eq!(derived_rows(&program, base, derived, &rows), expected, "{name}");
-        assert_eq!(by_hand(&rows), expected, "{name} by hand");
-        let mut group = c.benchmark_group(name);
+    for case in cases {
+        let program = program(case.rules);
+        let run = |rows: &[(u32, u32)]| derived_rows(&program, case.base, case.derived, rows);
+        assert_eq!(run(&case.rows), case.expected, "{}", case.name);
+        assert_eq!((case.by_hand)(&case.rows), case.expected, "{} by hand", case.name);
+        let mut group = c.benchmark_group(case.name);
         group.sample_size(10);
-        group.bench_function("engine", |b| {
-            b.iter(|| derived_rows(&program, base, derived, black_box(&rows)))
-        });
-        group.bench_function("datafrog", |b| b.iter(|| by_hand(black_box(&rows))));
+        group.bench_function("engine", |b| b.iter(|| run(black_box(&case.rows))));
+        group.bench_function("datafrog", |b| b.iter(|| (case.by_hand)(black_box(&case.rows))));
     }
 }
 
-/// A city's crossing rules over 18 entities: what a small tick costs.
+/// A relation and a row of it.
+type Fact = (RelId, Vec<Value>);
+
+/// The rules of the expert city over 18 entities: what a small tick costs.
 fn ticks(c: &mut Criterion) {
-    let program = program(&[
-        "Stop(x) :- At(x), Sees(x, y), In(y), !Amb(x), !Old(x)
-         Stop(x) :- At(x), Sees(x, y), At(y), Higher(y, x), !Amb(x), !Old(x)
-         Stop(x) :- In(x), Sees(x, y), In(y), Amb(y), !Amb(x), !Old(x)
-         Stop(x) :- Car(x), Sees(x, y), Left(y, x), Close(y, x), Police(y), !Amb(x), !Police(x), !In(x), !At(x)
-         Stop(x) :- Bus(x), Sees(x, y), Right(y, x), Next(y, x), Ped(y), !In(x), !At(x)
-         Stop(x) :- Amb(x), Sees(x, y), Right(y, x), Old(y)
-         Stop(x) :- Sees(x, y), Colliding(x, y), !Amb(x), !Old(x)",
-        "Slow(x) :- Tiro(x), Sees(x, y), Ped(y), Close(x, y), !Stop(x)
-         Slow(x) :- Tiro(x), In(x), Sees(x, y), At(y), !Stop(x)
-         Slow(x) :- Police(x), Sees(x, y), Sees(x, z), Young(y), Young(z), Next(y, z), !Stop(x)",
-        "Fast(x) :- Reckless(x), Sees(x, y), At(y), !Stop(x), !Slow(x)
-         Fast(x) :- Bus(x), !Stop(x), !Slow(x)
-         Fast(x) :- Police(x), Sees(x, y), Reckless(y), !Stop(x), !Slow(x)",
-    ]);
-    let unary = [
-        "Car", "Ped", "Amb", "Old", "At", "In", "Police", "Bus", "Tiro", "Young", "Reckless",
-    ];
-    let binary = ["Sees", "Higher", "Left", "Right", "Close", "Next", "Colliding"];
+    let program = program(".include \"expert.dl\"");
+    let inputs: Vec<RelId> = (program.rules().relations.iter().zip((0..).map(RelId)))
+        .filter_map(|(relation, rel)| relation.input.then_some(rel))
+        .collect();
+    let arity = |rel: &RelId| program.rules().relations[rel.index()].arity();
     let rel = |name: &str| program.relation(name).expect("the program has it");
-    // Facts of an imagined tick: one in four of the unary ones, one in four of the binary ones.
+    // Facts of an imagined tick, one in four of those that could be.
     let facts = |seed: u64| {
         let mut random = generator(seed);
         let mut facts = Vec::new();
-        for x in 0..18 {
-            facts.extend(
-                unary
-                    .iter()
-                    .filter(|_| random() % 4 == 0)
-                    .map(|name| (rel(name), vec![Value(x)])),
-            );
-            for y in (0..18).filter(|&y| y != x) {
-                let present = binary.iter().filter(|_| random() % 4 == 0);
-                facts.extend(present.map(|name| (rel(name), vec![Value(x), Value(y)])));
-            }
+        for (x, y) in (0..18).flat_map(|x| (0..18).map(move |y| (x, y))) {
+            let wanted = if x == y { 1 } else { 2 };
+            let present = inputs
+                .iter()
+                .filter(|rel| arity(rel) == wanted && random().is_multiple_of(4));
+            facts.extend(present.map(|&rel| (rel, vec![Value(x), Value(y)][..wanted].to_vec())));
         }
         facts
     };
     let (even, odd) = (facts(1), facts(2));
-    let switch = |session: &mut Session, from: &[_], to: &[_]| {
-        let (from, to): (&[(_, Vec<Value>)], &[(_, Vec<Value>)]) = (from, to);
+    let switch = |session: &mut Session, from: &[Fact], to: &[Fact]| {
         from.iter()
             .for_each(|(rel, row)| session.retract(*rel, row).expect("a base relation"));
         to.iter()
             .for_each(|(rel, row)| session.insert(*rel, row).expect("a base relation"));
     };
-    let mut session = program.session();
-    switch(&mut session, &[], &even);
+    let fresh = || {
+        let mut session = program.session();
+        (0..18).for_each(|entity| _ = session.intern(&format!("e{entity}")));
+        switch(&mut session, &[], &even);
+        session
+    };
+    let mut session = fresh();
     let delta = session.commit().expect("within the limit");
     let expected = naive::evaluate(program.rules(), session.symbols(), even.iter().cloned());
     for action in ["Stop", "Slow", "Fast"] {
@@ -197,22 +194,17 @@ fn ticks(c: &mut Criterion) {
     let row = [Value(0)];
     group.bench_function("tick_one_fact_changed", |b| {
         b.iter(|| {
-            if session.contains(rel("In"), &row) {
-                session.retract(rel("In"), &row)
+            if session.contains(rel("IsInInter"), &row) {
+                session.retract(rel("IsInInter"), &row)
             } else {
-                session.insert(rel("In"), &row)
+                session.insert(rel("IsInInter"), &row)
             }
             .expect("a base relation");
             session.commit()
         });
     });
     group.bench_function("first_commit", |b| {
-        let fresh = || {
-            let mut session = program.session();
-            switch(&mut session, &[], &even);
-            session
-        };
-        b.iter_batched(fresh, |mut session| session.commit(), BatchSize::SmallInput);
+        b.iter_batched(&fresh, |mut session| session.commit(), BatchSize::SmallInput);
     });
 }
 
