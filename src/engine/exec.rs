@@ -57,6 +57,9 @@ struct State<const W: usize> {
     committed: bool,
 }
 
+/// A derived relation and its rows.
+type Evaluated<const W: usize> = (RelId, Vec<Row<W>>);
+
 /// What a commit has replaced so far.
 struct Undo<const W: usize> {
     /// Relations that changed, with their old rows.
@@ -168,7 +171,7 @@ impl<const W: usize> State<W> {
         symbols: &Symbols,
         stratum: &StratumPlan,
         limit: usize,
-    ) -> Result<(Vec<(RelId, Vec<Row<W>>)>, StratumWork), EvalError> {
+    ) -> Result<(Vec<Evaluated<W>>, StratumWork), EvalError> {
         let Compiled { rules, plans } = compiled;
         let members = &stratum.members;
         let elsewhere = rules
@@ -348,7 +351,7 @@ fn constants<const W: usize>(terms: &[Term]) -> Row<W> {
 
 /// Keeps of several changes of a row the last one, in the order of rows.
 fn settle<const W: usize>(noted: &mut Vec<(Row<W>, bool)>) {
-    noted.sort_by(|a, b| a.0.cmp(&b.0));
+    noted.sort_by_key(|(row, _)| *row);
     // `dedup_by` keeps the first of equal elements and is given the later one first.
     noted.dedup_by(|later, kept| {
         let same = later.0 == kept.0;
@@ -504,7 +507,7 @@ impl<const W: usize> Recursion<W> {
     }
 
     /// The finished relations. Only after [`Recursion::advance`] has said that nothing is new.
-    fn complete(self) -> Vec<(RelId, Vec<Row<W>>)> {
+    fn complete(self) -> Vec<Evaluated<W>> {
         let rows = self.variables.into_iter().map(|variable| variable.complete().elements);
         self.members.into_iter().zip(rows).collect()
     }

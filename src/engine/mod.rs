@@ -44,7 +44,7 @@ struct Compiled {
 }
 
 impl Program {
-    /// Plans the evaluation of checked rules. Fails only if a predicate has more than 32 columns or a clause more than 256
+    /// Plans the evaluation of checked rules. Fails only if a predicate has more than 32 columns or a clause more than 128
     /// variables or literals.
     pub fn new(rules: Rules) -> Result<Program, Diagnostic> {
         let plans = Plans::new(&rules)?;

@@ -14,9 +14,9 @@ use crate::lang::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, 
 /// A place for a value while a clause is evaluated: a variable, or after them a constant.
 pub(super) type Slot = u16;
 
-/// At most this many literals in a body and this many variables in a clause. Evaluation recurses once per atom, and planning
-/// takes cubic time in the literals.
-pub(super) const CLAUSE_MAX: usize = 256;
+/// At most this many literals in a body and this many variables in a clause: evaluation recurses once per atom, and planning
+/// takes cubic time.
+pub(super) const CLAUSE_MAX: usize = 128;
 
 /// Names an index of [`Plans::indexes`]. The first ones are the relations' own rows, by [`RelId`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -299,6 +299,8 @@ struct Planner<'a> {
     slots: Vec<Value>,
     /// By variable.
     bound: Vec<bool>,
+    /// By variable: how often it occurs in the head and in what is left of the body.
+    uses: Vec<usize>,
     /// Positions in the body, in the order of the text.
     left: Vec<usize>,
     steps: Vec<Step>,
@@ -308,11 +310,17 @@ struct Planner<'a> {
 
 impl<'a> Planner<'a> {
     fn new(clause: &'a Clause, indexer: &'a mut Indexer) -> Self {
+        let mut uses = vec![0; clause.variables.len()];
+        let terms = clause.head.terms.iter().chain(clause.body.iter().flat_map(terms_of));
+        terms
+            .filter_map(variable_of)
+            .for_each(|variable| uses[variable.index()] += 1);
         Planner {
             clause,
             indexer,
             slots: vec![Value(0); clause.variables.len()],
             bound: vec![false; clause.variables.len()],
+            uses,
             left: (0..clause.body.len()).collect(),
             steps: Vec::new(),
             repeated: false,
@@ -325,10 +333,10 @@ impl<'a> Planner<'a> {
         let mut next = first;
         loop {
             if let Some(position) = next {
-                self.left.retain(|&other| other != position);
                 if let Some(atom) = atom_of(&self.clause.body[position]) {
                     self.scan(atom, version(position));
                 }
+                self.placed(position);
             }
             self.place_tests(version);
             if settled.is_none() && head_variables.iter().all(|variable| self.bound[variable.index()]) {
@@ -390,7 +398,7 @@ impl<'a> Planner<'a> {
     fn place_tests(&mut self, version: &dyn Fn(usize) -> Version) {
         // An equality may bind what an earlier literal waits for.
         while let Some(position) = (self.left.iter().copied()).find(|&position| self.is_ready(position)) {
-            self.left.retain(|&other| other != position);
+            self.placed(position);
             match &self.clause.body[position] {
                 Literal::Positive(atom) | Literal::Guard(atom) => {
                     let (source, key) = self.lookup(atom, version(position));
@@ -411,7 +419,7 @@ impl<'a> Planner<'a> {
         match &self.clause.body[position] {
             Literal::Positive(atom) | Literal::Guard(atom) => {
                 let terms = || atom.terms.iter();
-                terms().all(|term| self.is_bound(term) || self.is_unneeded(atom, term, position))
+                terms().all(|term| self.is_bound(term) || self.is_unneeded(term))
             }
             Literal::Negative(atom) => atom.terms.iter().all(|term| self.is_bound(term)),
             Literal::Compare {
@@ -424,22 +432,19 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// Whether the term is a variable that is not bound and occurs nowhere else in what is left of the clause: any value
-    /// will do.
-    fn is_unneeded(&self, atom: &Atom, term: &Term, position: usize) -> bool {
-        let Some(variable) = variable_of(term) else {
-            return matches!(term, Term::Wildcard);
-        };
-        let is_it = |term: &&Term| variable_of(term) == Some(variable);
-        !self.bound[variable.index()]
-            && atom.terms.iter().filter(is_it).count() == 1
-            && !self.clause.head.terms.iter().any(|term| is_it(&term))
-            && !(self.left.iter().filter(|&&other| other != position)).any(|&other| match &self.clause.body[other] {
-                Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
-                    atom.terms.iter().any(|term| is_it(&term))
-                }
-                Literal::Compare { left, right, .. } => is_it(&left) || is_it(&right),
-            })
+    /// Whether any value will do for a term of a literal that is still to be placed: a wildcard, or a variable that is not
+    /// bound and occurs nowhere else in what is left of the clause.
+    fn is_unneeded(&self, term: &Term) -> bool {
+        variable_of(term).is_none_or(|variable| !self.bound[variable.index()] && self.uses[variable.index()] == 1)
+            && !matches!(term, Term::Constant(_))
+    }
+
+    /// Strikes a literal off what is left.
+    fn placed(&mut self, position: usize) {
+        self.left.retain(|&other| other != position);
+        for variable in terms_of(&self.clause.body[position]).filter_map(variable_of) {
+            self.uses[variable.index()] -= 1;
+        }
     }
 
     /// The source and key of a test. All columns are bound, or any value will do.
@@ -478,7 +483,7 @@ impl<'a> Planner<'a> {
     fn next_atom(&self) -> Option<usize> {
         let cost = |position: usize| match &self.clause.body[position] {
             Literal::Positive(atom) | Literal::Guard(atom) => {
-                let needed = |term: &&Term| !self.is_bound(term) && !self.is_unneeded(atom, term, position);
+                let needed = |term: &&Term| !self.is_bound(term) && !self.is_unneeded(term);
                 let known = |term: &&Term| **term != Term::Wildcard && self.is_bound(term);
                 let mut new: Vec<VarId> = atom.terms.iter().filter(needed).filter_map(variable_of).collect();
                 new.sort_unstable();
@@ -500,7 +505,7 @@ impl<'a> Planner<'a> {
         let mut checks: Vec<(u16, Slot)> = Vec::new();
         for (column, term) in (0u16..).zip(&atom.terms) {
             let bound = self.is_bound(term);
-            let unneeded = self.is_unneeded(atom, term, usize::MAX);
+            let unneeded = self.is_unneeded(term);
             let Some(slot) = self.slot(term) else { continue };
             if bound {
                 keys.push((column, slot));
@@ -546,6 +551,15 @@ impl<'a> Planner<'a> {
         });
         self.repeated = true;
     }
+}
+
+/// The arguments of an atom or the sides of a comparison.
+fn terms_of(literal: &Literal) -> impl Iterator<Item = &Term> {
+    let (terms, sides): (&[Term], _) = match literal {
+        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => (&atom.terms, None),
+        Literal::Compare { left, right, .. } => (&[], Some([left, right])),
+    };
+    terms.iter().chain(sides.into_iter().flatten())
 }
 
 fn variable_of(term: &Term) -> Option<VarId> {

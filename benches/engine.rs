@@ -1,0 +1,212 @@
+//! The engine on programs with known answers, beside the same programs written by hand on datafrog.
+//!
+//! `cargo bench --bench engine` prints times; each case checks its number of rows before it is timed. Times include loading the
+//! base facts into a fresh session.
+
+#[path = "../tests/written_program/mod.rs"]
+mod written_program;
+
+use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
+use datafrog::{Iteration, Relation};
+use logicity::engine::{Program, Session, naive};
+use logicity::lang::{RelId, Value};
+use std::hint::black_box;
+use written_program::program;
+
+const TRANSITIVE: &str = ".decl Edge(x: number, y: number)
+    .decl Path(x: number, y: number)
+    Path(x, y) :- Edge(x, y).
+    Path(x, z) :- Path(x, y), Edge(y, z).";
+const SAME_GENERATION: &str = ".decl Parent(child: number, parent: number)
+    .decl Same(x: number, y: number)
+    Same(x, y) :- Parent(x, p), Parent(y, p).
+    Same(x, y) :- Parent(x, p), Same(p, q), Parent(y, q).";
+
+/// A fixed congruential generator.
+fn generator(seed: u64) -> impl FnMut() -> u32 {
+    let mut state = seed;
+    move || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as u32
+    }
+}
+
+/// 6,000 edges over 2,000 nodes.
+fn random_graph() -> Vec<(u32, u32)> {
+    let mut random = generator(1);
+    (0..6_000).map(|_| (random() % 2_000, random() % 2_000)).collect()
+}
+
+fn chain() -> Vec<(u32, u32)> {
+    (0..2_000).map(|node| (node, node + 1)).collect()
+}
+
+/// Child and parent in a complete binary tree of 4,095 nodes.
+fn tree() -> Vec<(u32, u32)> {
+    (2..4_096).map(|node| (node, node / 2)).collect()
+}
+
+fn load(program: &Program, base: &str, rows: &[(u32, u32)]) -> Session {
+    let mut session = program.session();
+    let base = program.relation(base).expect("the program has it");
+    for &(a, b) in rows {
+        session
+            .insert(base, &[Value(a), Value(b)])
+            .expect("it is a base relation of two columns");
+    }
+    session
+}
+
+fn derived_rows(program: &Program, base: &str, derived: &str, rows: &[(u32, u32)]) -> usize {
+    let mut session = load(program, base, rows);
+    session.commit().expect("within the limit");
+    session.len(program.relation(derived).expect("the program has it"))
+}
+
+fn transitive_by_hand(edges: &[(u32, u32)]) -> usize {
+    let edges: Relation<(u32, u32)> = edges.iter().collect();
+    let mut iteration = Iteration::new();
+    // Path(x, y) as (y, x).
+    let path = iteration.variable::<(u32, u32)>("path");
+    path.extend(edges.iter().map(|&(x, y)| (y, x)));
+    while iteration.changed() {
+        path.from_join(&path, &edges, |_, &x, &z| (z, x));
+    }
+    path.complete().len()
+}
+
+fn same_generation_by_hand(parent: &[(u32, u32)]) -> usize {
+    let children: Relation<(u32, u32)> = parent.iter().map(|&(x, p)| (p, x)).collect();
+    let mut iteration = Iteration::new();
+    let same = iteration.variable::<(u32, u32)>("same");
+    let half = iteration.variable::<(u32, u32)>("half");
+    same.insert(Relation::from_join(&children, &children, |_, &x, &y| (x, y)));
+    while iteration.changed() {
+        half.from_join(&same, &children, |_, &q, &x| (q, x));
+        same.from_join(&half, &children, |_, &x, &y| (x, y));
+    }
+    same.complete().len()
+}
+
+/// A program with one derived relation over one base relation of pairs.
+struct Case {
+    name: &'static str,
+    rules: &'static str,
+    base: &'static str,
+    derived: &'static str,
+    rows: Vec<(u32, u32)>,
+    by_hand: fn(&[(u32, u32)]) -> usize,
+    expected: usize,
+}
+
+fn fixpoints(c: &mut Criterion) {
+    let closure = |name, rows, expected| Case {
+        name,
+        rules: TRANSITIVE,
+        base: "Edge",
+        derived: "Path",
+        rows,
+        by_hand: transitive_by_hand,
+        expected,
+    };
+    let cases = [
+        closure("transitive_closure/random_2k_6k", random_graph(), 3_498_323),
+        closure("transitive_closure/chain_2k", chain(), 2_001_000),
+        Case {
+            name: "same_generation/tree_4k",
+            rules: SAME_GENERATION,
+            base: "Parent",
+            derived: "Same",
+            rows: tree(),
+            by_hand: same_generation_by_hand,
+            expected: 5_592_404,
+        },
+    ];
+    for case in cases {
+        let program = program(case.rules);
+        let run = |rows: &[(u32, u32)]| derived_rows(&program, case.base, case.derived, rows);
+        assert_eq!(run(&case.rows), case.expected, "{}", case.name);
+        assert_eq!((case.by_hand)(&case.rows), case.expected, "{} by hand", case.name);
+        let mut group = c.benchmark_group(case.name);
+        group.sample_size(10);
+        group.bench_function("engine", |b| b.iter(|| run(black_box(&case.rows))));
+        group.bench_function("datafrog", |b| b.iter(|| (case.by_hand)(black_box(&case.rows))));
+    }
+}
+
+/// A relation and a row of it.
+type Fact = (RelId, Vec<Value>);
+
+/// The rules of the expert city over 18 entities: what a small tick costs.
+fn ticks(c: &mut Criterion) {
+    let program = program(".include \"expert.dl\"");
+    let inputs: Vec<RelId> = (program.rules().relations.iter().zip((0..).map(RelId)))
+        .filter_map(|(relation, rel)| relation.input.then_some(rel))
+        .collect();
+    let arity = |rel: &RelId| program.rules().relations[rel.index()].arity();
+    let rel = |name: &str| program.relation(name).expect("the program has it");
+    // Facts of an imagined tick, one in four of those that could be.
+    let facts = |seed: u64| {
+        let mut random = generator(seed);
+        let mut facts = Vec::new();
+        for (x, y) in (0..18).flat_map(|x| (0..18).map(move |y| (x, y))) {
+            let wanted = if x == y { 1 } else { 2 };
+            let present = inputs
+                .iter()
+                .filter(|rel| arity(rel) == wanted && random().is_multiple_of(4));
+            facts.extend(present.map(|&rel| (rel, vec![Value(x), Value(y)][..wanted].to_vec())));
+        }
+        facts
+    };
+    let (even, odd) = (facts(1), facts(2));
+    let switch = |session: &mut Session, from: &[Fact], to: &[Fact]| {
+        from.iter()
+            .for_each(|(rel, row)| session.retract(*rel, row).expect("a base relation"));
+        to.iter()
+            .for_each(|(rel, row)| session.insert(*rel, row).expect("a base relation"));
+    };
+    let fresh = || {
+        let mut session = program.session();
+        (0..18).for_each(|entity| _ = session.intern(&format!("e{entity}")));
+        switch(&mut session, &[], &even);
+        session
+    };
+    let mut session = fresh();
+    let delta = session.commit().expect("within the limit");
+    let expected = naive::evaluate(program.rules(), session.symbols(), even.iter().cloned());
+    for action in ["Stop", "Slow", "Fast"] {
+        let added = &delta.of(rel(action)).expect("some agent does it").added;
+        assert!(added.iter().eq(&expected[rel(action).index()]), "{action}");
+    }
+
+    let mut group = c.benchmark_group("expert_18_entities");
+    let mut now = false;
+    group.bench_function("tick_all_facts_replaced", |b| {
+        b.iter(|| {
+            let (from, to) = if now { (&odd, &even) } else { (&even, &odd) };
+            switch(&mut session, from, to);
+            now = !now;
+            session.commit()
+        });
+    });
+    let row = [Value(0)];
+    group.bench_function("tick_one_fact_changed", |b| {
+        b.iter(|| {
+            if session.contains(rel("IsInInter"), &row) {
+                session.retract(rel("IsInInter"), &row)
+            } else {
+                session.insert(rel("IsInInter"), &row)
+            }
+            .expect("a base relation");
+            session.commit()
+        });
+    });
+    group.bench_function("first_commit", |b| {
+        b.iter_batched(&fresh, |mut session| session.commit(), BatchSize::SmallInput);
+    });
+}
+
+criterion_group!(benches, fixpoints, ticks);
+criterion_main!(benches);
