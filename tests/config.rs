@@ -1,13 +1,25 @@
 //! Configurations: the files we ship, every message, the blocks of the reference, and hostile input.
 
 use logicity::config::{AgentKind, Buildings, Definition, Scenario, Speed, Split, load_map, load_scenario};
-use logicity::diag::{Diagnostic, Sources, render, to_json};
+use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::files::{BUILTIN, ReadError, builtin, read_text};
 use proptest::prelude::*;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+/// The codes that loading a configuration gives; each has a fixture `<code>.yaml` or `<code>/main.yaml`.
+const FIXTURES: [&str; 8] = [
+    "not-text",
+    "limit-exceeded",
+    "yaml-syntax",
+    "unknown-key",
+    "duplicate-key",
+    "missing-key",
+    "invalid-value",
+    "missing-file",
+];
 
 /// Rule files need only be there; what they say is not a matter of configurations.
 fn read(path: &Path) -> Result<String, ReadError> {
@@ -119,27 +131,20 @@ fn found(sources: &Sources, faults: &[Diagnostic]) -> Vec<(usize, String)> {
 #[test]
 fn fixtures_give_the_faults_they_say() {
     let folder = Path::new(ROOT).join("tests/fixtures/diagnostics");
-    let mut shown = 0;
-    for entry in std::fs::read_dir(&folder).expect("fixtures") {
-        let path = entry.expect("entry").path();
-        let path = if path.is_dir() { path.join("main.yaml") } else { path };
-        if path.extension().is_none_or(|extension| extension != "yaml") || !path.exists() {
-            continue;
-        }
+    for code in FIXTURES {
+        let file = folder.join(code).with_extension("yaml");
+        let path = if file.exists() {
+            file
+        } else {
+            folder.join(code).join("main.yaml")
+        };
         let mut sources = Sources::new();
         let faults = load_scenario(&mut sources, &path, &read).err().unwrap_or_default();
-        let text = read_text(&path).expect("text");
-        println!("{}", told(&sources, &faults));
-        assert_eq!(
-            found(&sources, &faults),
-            expected(&text),
-            "{}\n{}",
-            path.display(),
-            told(&sources, &faults)
-        );
-        shown += 1;
+        let text = read_text(&path).expect("fixture");
+        let wanted = expected(&text);
+        assert!(wanted.iter().all(|(_, wanted)| wanted == code) && !wanted.is_empty());
+        assert_eq!(found(&sources, &faults), wanted, "{code}\n{}", told(&sources, &faults));
     }
-    assert!(shown >= 8);
 }
 
 #[test]
@@ -568,5 +573,66 @@ proptest! {
         };
         let (sources, result) = load_memory(&[("main.yaml", &main), (path, &text)]);
         told(&sources, &result.err().unwrap_or_default());
+    }
+}
+
+#[test]
+fn blocks_of_the_reference_load_or_fail_as_they_say() {
+    let text = read_text(&Path::new(ROOT).join("configs/README.md")).expect("reference");
+    let mut blocks = 0;
+    for part in text.split("```yaml\n").skip(1) {
+        let block = part.split("```").next().expect("split gives at least one part");
+        let kind = block
+            .lines()
+            .next()
+            .and_then(|line| line.split_once(": "))
+            .map(|(_, kind)| kind);
+        let (name, main) = match kind {
+            Some("a run configuration") => ("main.yaml", None),
+            Some("a map") => ("map.yaml", Some("base: configs/expert.yaml\nmap: map.yaml\n")),
+            Some("agent sets") => ("agents.yaml", Some("base: configs/expert.yaml\nagents: agents.yaml\n")),
+            Some("predicates") => (
+                "predicates.yaml",
+                Some("base: configs/expert.yaml\npredicates: predicates.yaml\n"),
+            ),
+            _ => panic!("the first line says what the block is:\n{block}"),
+        };
+        let mut files = vec![(name, block)];
+        files.extend(main.map(|main| ("main.yaml", main)));
+        let (sources, result) = load_memory(&files);
+        let faults = result.err().unwrap_or_default();
+        assert_eq!(
+            found(&sources, &faults),
+            expected(block),
+            "{block}\n{}",
+            told(&sources, &faults)
+        );
+        blocks += 1;
+    }
+    assert!(blocks > 10);
+}
+
+#[test]
+fn every_message_has_a_section_and_those_of_configurations_a_fixture() {
+    let code = read_text(&Path::new(ROOT).join("src/diag/code.rs")).expect("codes");
+    let reference = read_text(&Path::new(ROOT).join("configs/README.md")).expect("reference");
+    let mut section = "";
+    for line in code.lines() {
+        if let Some(title) = line.trim().strip_prefix("// --- ") {
+            section = title;
+        }
+        let Some((_, name)) = line.split_once(" = \"") else {
+            continue;
+        };
+        let name = name.split('"').next().expect("split gives at least one part");
+        if matches!(section, "any file" | "configuration" | "city" | "scenes") {
+            assert!(
+                reference.contains(&format!("\n### {name}\n")),
+                "`{name}` has no section in configs/README.md"
+            );
+        }
+    }
+    for name in FIXTURES {
+        assert!(Code::ALL.iter().any(|code| code.name() == name));
     }
 }
