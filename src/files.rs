@@ -35,7 +35,20 @@ builtin_files! {
     "configs/transfer-medium.yaml"
     "configs/vap-easy.yaml"
     "configs/vap-hard.yaml"
+    "rules/easy.dl"
+    "rules/expert.dl"
+    "rules/hard.dl"
+    "rules/medium.dl"
+    "rules/transfer-easy.dl"
+    "rules/transfer-hard.dl"
+    "rules/transfer-medium.dl"
+    "rules/vap-easy.dl"
+    "rules/vap-hard.dl"
+    "rules/vocabulary.dl"
 }
+
+/// The folder, as paths name it, that holds the built-in files and nothing else.
+pub const BUILTIN_FOLDER: &str = "<builtin>";
 
 /// A built-in file by its path in the repository, for example `rules/vocabulary.dl` or `configs/maps/square-5x5.yaml`.
 pub fn builtin(path: &str) -> Option<&'static str> {
@@ -95,6 +108,24 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
             .filter(|&&byte| byte == b'\n')
             .count(),
     })
+}
+
+/// Reads a text file, or, if there is none, the built-in file of that path. Under [`BUILTIN_FOLDER`] nothing is on disk, and the
+/// folder `rules/` may be left out: a rule file anywhere can include `vocabulary.dl`.
+///
+/// # Errors
+/// Why the file cannot be read.
+pub fn read_or_builtin(path: &Path) -> Result<String, ReadError> {
+    let text = |path: &Path| path.to_str().and_then(builtin).map(str::to_owned);
+    match path.strip_prefix(BUILTIN_FOLDER) {
+        Ok(inside) => text(inside)
+            .or_else(|| text(&Path::new("rules").join(inside)))
+            .ok_or(ReadError::NotFound),
+        Err(_) => match read_text(path) {
+            Err(ReadError::NotFound) => text(path).ok_or(ReadError::NotFound),
+            read => read,
+        },
+    }
 }
 
 /// A file being written under a temporary name; [`Output::finish`] gives it its own. Dropped unfinished, it leaves nothing.

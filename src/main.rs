@@ -1,2 +1,5 @@
 //! The `logicity` command.
-fn main() {}
+
+fn main() -> std::process::ExitCode {
+    logicity::cli::main()
+}

@@ -1,7 +1,21 @@
-//! A world without logic.
+//! A world without logic: the map and how it is generated, roads and routes, agents, how they move and how far they see.
+//!
+//! [`CityMap::generate`] makes a map, [`Router`] plans on it, [`place_agents`] puts [`Agent`]s there and [`advance`] moves one
+//! by what somebody else decided. Coordinates are (row, column) from 0, distances are in cells, time is in ticks.
+//!
+//! This module refuses to know what a rule or a predicate is.
 
+mod agent;
+mod generate;
 mod grid;
 mod map;
+mod motion;
+mod roads;
+mod view;
 
+pub use agent::{Agent, Places, Rest, place_agents};
 pub use grid::{Cell, Heading};
-pub use map::{CityMap, Ground};
+pub use map::{CityMap, Ground, Layout, STATIC_LAYERS};
+pub use motion::{Moved, Reason, Surroundings, advance, possible_cells, speed_cells};
+pub use roads::{Lane, NoRoute, Route, Router};
+pub use view::{View, field_of_view};

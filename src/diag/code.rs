@@ -44,6 +44,8 @@ codes! {
     UnknownPredicate = "unknown-predicate", Error;
     /// A type that is not declared.
     UnknownType = "unknown-type", Error;
+    /// A type that is its own ancestor.
+    CyclicType = "cyclic-type", Error;
     /// An atom with more or fewer arguments than its predicate's declaration.
     ArityMismatch = "arity-mismatch", Error;
     /// A term of one type where another is needed.

@@ -108,6 +108,10 @@ pub fn did_you_mean<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str
     let lower = name.to_lowercase();
     let mut best: Option<(usize, &str)> = None;
     for candidate in candidates {
+        // Comparing takes time in the product of the lengths; nobody mistypes a name as long as this.
+        if name.len().max(candidate.len()) > 100 {
+            continue;
+        }
         let distance = strsim::damerau_levenshtein(&lower, &candidate.to_lowercase());
         let allowed = (name.chars().count().max(candidate.chars().count()) / 3).max(1);
         if distance <= allowed && best.is_none_or(|(nearest, _)| distance < nearest) {

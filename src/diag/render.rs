@@ -45,7 +45,9 @@ fn render_one(diagnostic: &Diagnostic, sources: &Sources, renderer: &Renderer) -
     }
     for id in order {
         let text = sources.text(id);
-        let mut snippet = Snippet::source(text).path(sources.name(id));
+        let mut snippet = Snippet::source(text)
+            .line_start(sources.first_line(id))
+            .path(sources.name(id));
         for (kind, label) in labels.iter().filter(|(_, label)| label.span.source == id) {
             snippet = snippet.annotation(annotation(*kind, label, text));
         }

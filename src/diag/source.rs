@@ -59,6 +59,7 @@ pub struct Position {
 struct Source {
     name: String,
     text: String,
+    first_line: usize,
     line_starts: Vec<u32>,
 }
 
@@ -76,6 +77,11 @@ impl Sources {
 
     /// Adds a text. The name is shown in messages; for a file, the path as the user gave it.
     pub fn add(&mut self, name: impl Into<String>, text: impl Into<String>) -> SourceId {
+        self.add_from(name, text, 1)
+    }
+
+    /// Adds a part of a text that begins at line `first_line` of the whole, counted from 1.
+    pub fn add_from(&mut self, name: impl Into<String>, text: impl Into<String>, first_line: usize) -> SourceId {
         let text = text.into();
         let mut line_starts = vec![0];
         line_starts.extend(
@@ -87,6 +93,7 @@ impl Sources {
         self.list.push(Source {
             name: name.into(),
             text,
+            first_line,
             line_starts,
         });
         SourceId(u32::try_from(self.list.len() - 1).expect("fewer than 2^32 sources"))
@@ -115,6 +122,11 @@ impl Sources {
         &text[start..end]
     }
 
+    /// The number of the first line of a text: 1 unless it is a part of a longer one.
+    pub fn first_line(&self, id: SourceId) -> usize {
+        self.list[id.0 as usize].first_line
+    }
+
     /// Where a span begins.
     pub fn position(&self, span: Span) -> Position {
         self.position_of(span.source, span.start as usize)
@@ -127,7 +139,7 @@ impl Sources {
         let line = source.line_starts.partition_point(|&start| start as usize <= byte) - 1;
         let column = source.text[source.line_starts[line] as usize..byte].chars().count();
         Position {
-            line: line + 1,
+            line: line + source.first_line,
             column: column + 1,
         }
     }
@@ -138,10 +150,10 @@ impl Sources {
         format!("{}:{line}:{column}", self.name(span.source))
     }
 
-    /// The byte at a line and column, both counted from 1; past the end of a line, the end of that line.
+    /// The byte at a line and column, both as in [`Position`]; past the end of a line, the end of that line.
     pub fn byte_at(&self, id: SourceId, line: usize, column: usize) -> usize {
         let source = &self.list[id.0 as usize];
-        let Some(&start) = source.line_starts.get(line.saturating_sub(1)) else {
+        let Some(&start) = source.line_starts.get(line.saturating_sub(source.first_line)) else {
             return source.text.len();
         };
         let rest = &source.text[start as usize..];

@@ -1,8 +1,107 @@
 //! From text to checked rules.
+//!
+//! [`load`] is the door: it reads a rule file and all it includes and gives the checked [`Rules`], or every fault of every
+//! file. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names.
+//!
+//! The stages, each in its own file: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
+//! list of items), `names` (types and predicates), `clause` (one clause: names, types, safety), `scope` (guards), `strata`
+//! (order of evaluation), `lint` (warnings that need all clauses). None stops at the first fault.
+//!
+//! This room refuses to know what a city is, how rules are evaluated, and where texts come from: the caller reads the files.
 
+use std::path::Path;
+
+use crate::diag::{Diagnostic, SourceId, Sources};
+use crate::files::ReadError;
+
+pub mod ast;
+mod clause;
+mod faults;
+mod include;
+mod lexer;
+mod lint;
+mod names;
+mod parser;
+mod print;
 mod rules;
+mod scope;
+mod strata;
 
+pub use include::BUILTIN;
+pub use print::print;
 pub use rules::{
     Atom, BaseType, Clause, ClauseId, Column, Comparison, Literal, RelId, Relation, Rules, Stratum, Term, Type, TypeId,
     Value, VarId,
 };
+
+use faults::Faults;
+
+/// What [`load`] gives.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// The rules; `None` if a diagnostic is an error.
+    pub rules: Option<Rules>,
+    /// Errors and warnings of all files, in the order of the text.
+    pub diagnostics: Vec<Diagnostic>,
+}
+
+/// Reads and checks the rules of `entry`, a text of `sources`, and of all it includes.
+///
+/// `.include "x"` asks `read` for `x` in the folder of the including text (whose path is its name in `sources`); if that is
+/// not found, for the path [`BUILTIN`]`/x`, at which the caller may serve rule files of its own. Included texts are added to
+/// `sources`.
+pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn Fn(&Path) -> Result<String, ReadError>) -> Loaded {
+    let mut faults = Faults::default();
+    let gathered = include::gather(sources, entry, read, &mut faults);
+    let rules = check(&gathered, &mut faults);
+    let rules = if faults.failed() { None } else { rules };
+    Loaded {
+        rules,
+        diagnostics: faults.finish(),
+    }
+}
+
+fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
+    let syntax_is_good = !faults.failed();
+    let mut names = names::declare(&gathered.items, gathered.complete, faults);
+    let checked = clause::check(&gathered.items, &mut names, faults);
+    names.report_unknown(faults);
+    strata::check(&checked.edges, &names, faults);
+    if syntax_is_good {
+        lint::dead(&checked, &names, faults);
+    }
+    lint::redundant(&checked.clauses, faults);
+    if faults.failed() {
+        return None;
+    }
+    let names::Names { types, relations, .. } = names;
+    let clauses: Vec<Clause> = (checked.clauses.into_iter().map(|clause| clause.clause))
+        .chain(checked.hidden)
+        .collect();
+    Some(Rules {
+        strata: strata::order(&relations, &clauses),
+        types,
+        relations,
+        clauses,
+        symbols: checked.symbols,
+    })
+}
+
+/// What [`parse`] gives.
+#[derive(Clone, Debug)]
+pub struct Parsed {
+    /// The tree of all that could be understood.
+    pub file: ast::File,
+    /// The faults of the text; all are errors.
+    pub diagnostics: Vec<Diagnostic>,
+}
+
+/// Parses one text of `sources`, looking up no name and following no `.include`.
+pub fn parse(sources: &Sources, id: SourceId) -> Parsed {
+    let mut faults = Faults::default();
+    let file = include::parse_one(sources, id, &mut faults);
+    Parsed {
+        file,
+        diagnostics: faults.finish(),
+    }
+}

@@ -1,0 +1,13 @@
+import os
+
+__version__: str
+
+class InputError(ValueError): ...
+
+def check(text: str, name: str) -> str: ...
+
+class Inference:
+    def __new__(
+        cls, config: str | os.PathLike[str], rules: str | os.PathLike[str] | None, seed: int
+    ) -> Inference: ...
+    def answer(self, scene: str) -> str: ...

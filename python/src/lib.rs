@@ -1,0 +1,92 @@
+//! The shim between Python and the `logicity` library: text in, text out. It adds no meaning of its own; `python/logicity` wraps
+//! it in types.
+
+use logicity::city::CityMap;
+use logicity::config::{load_map, load_scenario};
+use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
+use logicity::engine::Program;
+use logicity::files::{ReadError, read_or_builtin, read_text};
+use logicity::rng::Seed;
+use logicity::sim::{InferError, Inference};
+use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
+use pyo3::prelude::*;
+use std::path::{Path, PathBuf};
+
+pyo3::create_exception!(_logicity, InputError, PyValueError, "Faulty input: arguments are the message and the diagnostics as JSON.");
+
+fn input_error(faults: &[Diagnostic], sources: &Sources) -> PyErr {
+    InputError::new_err((render(faults, sources, false), to_json(faults, sources).to_string()))
+}
+
+fn read(path: &Path) -> PyResult<String> {
+    read_or_builtin(path).map_err(|error| {
+        let message = format!("cannot read `{}`: {error}", path.display());
+        match error {
+            ReadError::NotFound => PyFileNotFoundError::new_err(message),
+            ReadError::NotText { .. } => PyValueError::new_err(message),
+            ReadError::TooLarge | ReadError::Io(_) => PyOSError::new_err(message),
+        }
+    })
+}
+
+/// The diagnostics of a rule text, as a JSON array.
+#[pyfunction]
+fn check(text: &str, name: &str) -> String {
+    let mut sources = Sources::new();
+    let entry = sources.add(name, text);
+    let loaded = logicity::lang::load(&mut sources, entry, &read_or_builtin);
+    to_json(&loaded.diagnostics, &sources).to_string()
+}
+
+/// Answers scenes.
+#[pyclass(name = "Inference")]
+struct PyInference {
+    inference: Inference,
+    answered: u64,
+}
+
+#[pymethods]
+impl PyInference {
+    #[new]
+    fn new(config: PathBuf, rules: Option<PathBuf>, seed: u64) -> PyResult<Self> {
+        let mut sources = Sources::new();
+        let scenario = load_scenario(&mut sources, &config, &read_text).map_err(|faults| match faults.as_slice() {
+            // The file named by the caller: it has no place in any text.
+            [fault] if fault.code == Code::MissingFile && fault.primary.is_none() => {
+                PyFileNotFoundError::new_err(fault.message.clone())
+            }
+            _ => input_error(&faults, &sources),
+        })?;
+        let rules = rules.unwrap_or_else(|| scenario.rules.value.clone());
+        let entry = sources.add(rules.display().to_string(), read(&rules)?);
+        let loaded = logicity::lang::load(&mut sources, entry, &read_or_builtin);
+        let checked = loaded.rules.ok_or_else(|| input_error(&loaded.diagnostics, &sources))?;
+        let program = Program::new(checked).map_err(|fault| input_error(&[fault], &sources))?;
+        let inference = Inference::new(scenario, program, Seed(seed), |name: &str| {
+            let config = load_map(&mut Sources::new(), Path::new(name), &read_text)?;
+            CityMap::generate(&config).map_err(|fault| vec![fault])
+        })
+        .map_err(|faults| input_error(&faults, &sources))?;
+        Ok(PyInference { inference, answered: 0 })
+    }
+
+    /// The answer to a scene, both as JSON.
+    fn answer(&mut self, scene: &str) -> PyResult<String> {
+        let mut sources = Sources::new();
+        let source = sources.add("<scene>", scene);
+        self.answered += 1;
+        match self.inference.answer(&sources, source, self.answered) {
+            Ok(answer) => Ok(answer.to_json().to_string()),
+            Err(InferError::Scene(faults)) => Err(input_error(&faults, &sources)),
+            Err(InferError::Eval(error)) => Err(PyValueError::new_err(error.to_string())),
+        }
+    }
+}
+
+#[pymodule]
+fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add("InputError", module.py().get_type::<InputError>())?;
+    module.add_function(wrap_pyfunction!(check, module)?)?;
+    module.add_class::<PyInference>()
+}

@@ -1,0 +1,225 @@
+//! Agents, and where they start and want to go.
+
+use super::{Cell, Heading, NoRoute, Route, Router};
+use crate::config::{AgentConfig, AgentKind, AgentSet};
+use crate::diag::{Code, Diagnostic};
+use crate::rng::{Purpose, Rng, RngExt, Seed};
+use std::sync::Arc;
+
+/// How often a goal that cannot be reached is drawn again.
+const GOAL_DRAWS: usize = 16;
+
+/// An agent on its way.
+#[derive(Clone, Debug)]
+pub struct Agent {
+    /// Its name, for example `Car_1`.
+    pub name: Arc<str>,
+    /// What it is.
+    pub kind: AgentKind,
+    /// The concepts it carries.
+    pub concepts: Arc<[String]>,
+    /// Right of way; a smaller number goes first.
+    pub priority: i32,
+    /// Where it is.
+    pub cell: Cell,
+    /// The direction of its last move; none before its first move on a route.
+    pub heading: Option<Heading>,
+    /// The way it takes. It changes only through [`Agent::set_out`].
+    route: Arc<Route>,
+    /// The position on the route: `route.cells()[position] == cell`.
+    position: usize,
+    /// Whether it rests at its goal.
+    pub rest: Rest,
+}
+
+/// The stages of an agent's stay at its goal: under way, arrived, rested. In the tick after that it sets out for a new goal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Rest {
+    /// Under way; also in the first tick at the goal, before it stops there.
+    #[default]
+    UnderWay,
+    /// Has stopped at the goal for one tick.
+    Arrived,
+    /// Has stopped for two ticks; sets out in this one.
+    Rested,
+}
+
+impl Agent {
+    /// An agent at the start of a route.
+    pub fn new(config: &AgentConfig, route: Route) -> Self {
+        Agent {
+            name: config.name.as_str().into(),
+            kind: config.kind,
+            concepts: config.concepts.iter().map(|concept| concept.value.clone()).collect(),
+            priority: config.priority,
+            cell: route.start(),
+            heading: None,
+            route: Arc::new(route),
+            position: 0,
+            rest: Rest::UnderWay,
+        }
+    }
+
+    /// Starts a new route: the agent is put at its start, without a heading.
+    pub fn set_out(&mut self, route: Route) {
+        self.cell = route.start();
+        self.heading = None;
+        self.route = Arc::new(route);
+        self.position = 0;
+        self.rest = Rest::UnderWay;
+    }
+
+    /// The route.
+    pub fn route(&self) -> &Arc<Route> {
+        &self.route
+    }
+
+    /// How far it has come: the position on the route, from 0.
+    pub fn position(&self) -> usize {
+        self.position
+    }
+
+    /// Where the route starts.
+    pub fn start(&self) -> Cell {
+        self.route.start()
+    }
+
+    /// Where the route ends.
+    pub fn goal(&self) -> Cell {
+        self.route.goal()
+    }
+
+    /// Whether it is at its goal.
+    pub fn at_goal(&self) -> bool {
+        self.position + 1 == self.route.cells().len()
+    }
+
+    /// Moves along the route; stays at the goal if that is nearer.
+    pub(super) fn step(&mut self, cells: usize) {
+        self.position = (self.position + cells).min(self.route.cells().len() - 1);
+        let to = self.route.cells()[self.position];
+        self.heading = Heading::between(self.cell, to).or(self.heading);
+        self.cell = to;
+    }
+}
+
+/// The cells where agents start and arrive in a region of the map, row by row; see [`super::CityMap::start_cells`].
+#[derive(Clone, Debug)]
+pub struct Places {
+    cars: Vec<Cell>,
+    pedestrians: Vec<Cell>,
+}
+
+impl Places {
+    /// The places within the first `region` rows and columns; `None` for the whole map.
+    pub fn new(router: &Router, region: Option<u32>) -> Self {
+        Places {
+            cars: router.map().start_cells(AgentKind::Car, region),
+            pedestrians: router.map().start_cells(AgentKind::Pedestrian, region),
+        }
+    }
+
+    /// The places for agents of a kind.
+    pub fn of(&self, kind: AgentKind) -> &[Cell] {
+        match kind {
+            AgentKind::Car => &self.cars,
+            AgentKind::Pedestrian => &self.pedestrians,
+        }
+    }
+
+    /// Draws a goal for an agent at `start` and plans the way: for a car any place but the start, for a pedestrian a place in
+    /// another block (so it keeps more than 3 cells away from the buildings of its own). Draws again, a bounded number of times, if there is no way.
+    ///
+    /// # Errors
+    /// If there is no such place, or none of those drawn can be reached.
+    pub fn draw_route(
+        &self,
+        router: &Router,
+        kind: AgentKind,
+        start: Cell,
+        stream: &mut impl Rng,
+    ) -> Result<Route, NoRoute> {
+        let layout = &router.map().layout;
+        let home = layout.block_at(start);
+        let is_goal = |cell: &&Cell| match kind {
+            AgentKind::Car => **cell != start,
+            AgentKind::Pedestrian => **cell != start && (home.is_none() || layout.block_at(**cell) != home),
+        };
+        let goals = || self.of(kind).iter().filter(is_goal);
+        let count = goals().count();
+        if count == 0 {
+            return Err(NoRoute::Goal);
+        }
+        let mut failure = NoRoute::Unconnected;
+        for _ in 0..GOAL_DRAWS {
+            let drawn = stream.random_range(0..count);
+            let goal = goals().nth(drawn).copied().ok_or(NoRoute::Goal)?;
+            match router.plan(kind, start, goal) {
+                Ok(route) => return Ok(route),
+                Err(NoRoute::Start) => return Err(NoRoute::Start),
+                Err(other) => failure = other,
+            }
+        }
+        Err(failure)
+    }
+}
+
+/// Places a set of agents on the map: different start cells, a goal and a route for each. (In runs of the published program two
+/// agents may start in one cell; that needs given routes, see [`Agent::new`].)
+///
+/// # Errors
+/// `no-start-cell` if the region has fewer start cells than agents of a kind, `no-route` if no goal can be reached.
+pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed) -> Result<Vec<Agent>, Diagnostic> {
+    let span = set.region.map_or(set.span, |region| region.span);
+    let within = set.region.map_or_else(
+        || "on the whole map".to_string(),
+        |region| format!("in the first {0} rows and columns", region.value),
+    );
+    for (kind, plural) in [(AgentKind::Car, "cars"), (AgentKind::Pedestrian, "pedestrians")] {
+        let wanted = set.agents.iter().filter(|agent| agent.kind == kind).count();
+        let there_are = places.of(kind).len();
+        if wanted > there_are {
+            let beside = match kind {
+                AgentKind::Car => "cars start at the kerb across from a gas station, garage or store",
+                AgentKind::Pedestrian => "pedestrians start beside a house or office",
+            };
+            return Err(Diagnostic::new(
+                Code::NoStartCell,
+                format!("too few start cells for {plural}: {wanted} wanted, {there_are} {within}"),
+            )
+            .at(span, "too small for these agents")
+            .note(beside)
+            .help(format!("take a larger region or map, or fewer {plural}")));
+        }
+    }
+    let mut free = places.clone();
+    let mut agents = Vec::with_capacity(set.agents.len());
+    for (index, config) in set.agents.iter().enumerate() {
+        let mut stream = seed.stream(Purpose::Placement, index as u64, 0);
+        let free = match config.kind {
+            AgentKind::Car => &mut free.cars,
+            AgentKind::Pedestrian => &mut free.pedestrians,
+        };
+        let drawn = stream.random_range(0..free.len());
+        let start = free.swap_remove(drawn);
+        let route = places
+            .draw_route(router, config.kind, start, &mut stream)
+            .map_err(|_| {
+                let (name, Cell { row, col }) = (&config.name, start);
+                let help = match config.kind {
+                    AgentKind::Car => "a car needs another kerb cell to go to: take a larger region or map",
+                    AgentKind::Pedestrian => {
+                        "a pedestrian goes to a house or office in another block: take a larger region or map"
+                    }
+                };
+                Diagnostic::new(
+                    Code::NoRoute,
+                    format!("{name} has nowhere to go from [{row}, {col}] {within}"),
+                )
+                .at(span, "no goal that can be reached")
+                .help(help)
+            })?;
+        agents.push(Agent::new(config, route));
+    }
+    Ok(agents)
+}

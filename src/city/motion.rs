@@ -1,0 +1,225 @@
+//! From a decision to a move.
+
+use super::{Agent, Cell, Places, Rest, Route, Router};
+use crate::config::{AgentKind, Speed};
+use crate::rng::{Purpose, RngExt, Seed};
+
+/// Most cells a car moves in one tick.
+const CAR_REACH: usize = 3;
+
+/// How many cells agents of a kind move in one tick at a speed. `None` for the speeds pedestrians do not have.
+pub const fn speed_cells(kind: AgentKind, speed: Speed) -> Option<usize> {
+    match (kind, speed) {
+        (_, Speed::Stop) => Some(0),
+        (AgentKind::Pedestrian, Speed::Normal) | (AgentKind::Car, Speed::Slow) => Some(1),
+        (AgentKind::Car, Speed::Normal) => Some(2),
+        (AgentKind::Car, Speed::Fast) => Some(CAR_REACH),
+        (AgentKind::Pedestrian, Speed::Slow | Speed::Fast) => None,
+    }
+}
+
+/// How many cells an agent can move from a position of its route: every number from 1 to the result. A move is straight, and
+/// jumps over no node of the road graph, so that cars always land on the lines where intersections begin and end. 0 at the goal.
+pub fn possible_cells(route: &Route, kind: AgentKind, position: usize) -> usize {
+    let reach = match kind {
+        AgentKind::Car => CAR_REACH,
+        AgentKind::Pedestrian => 1,
+    };
+    let straight = route.straight_ahead(position, reach);
+    (1..straight)
+        .find(|&cells| route.is_stop(position + cells))
+        .unwrap_or(straight)
+}
+
+/// Why an agent moved as it did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Reason {
+    /// It was decided so.
+    Decided,
+    /// The route allowed no other move.
+    OnlyMove,
+    /// Several moves were possible, none of the decided speed: one was drawn.
+    Drawn,
+    /// It rests at its goal, or has nowhere to go from there.
+    Resting,
+}
+
+/// What an agent did in a tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Moved {
+    /// Where it was.
+    pub from: Cell,
+    /// Where it is now.
+    pub to: Cell,
+    /// Why.
+    pub reason: Reason,
+    /// Whether it set out for a new goal.
+    pub replanned: bool,
+}
+
+/// What agents move in.
+#[derive(Clone, Copy, Debug)]
+pub struct Surroundings<'a> {
+    /// Plans new routes.
+    pub router: &'a Router,
+    /// Where new goals are.
+    pub places: &'a Places,
+    /// The seed of the run.
+    pub seed: Seed,
+    /// The number of the tick, from 0.
+    pub tick: u64,
+}
+
+/// Moves an agent for one tick by what was decided for it. `index` is its place in the list of agents, which names its random
+/// streams.
+///
+/// An agent at its goal stops there for two ticks, whatever was decided; in the third it draws a new goal, forgets its heading
+/// and follows the decision of that tick on the new route. If there is no new goal that it can reach, it stays and tries again in the next
+/// tick.
+pub fn advance(agent: &mut Agent, index: usize, decided: Speed, surroundings: &Surroundings<'_>) -> Moved {
+    let Surroundings {
+        router,
+        places,
+        seed,
+        tick,
+    } = *surroundings;
+    let from = agent.cell;
+    let resting = Moved {
+        from,
+        to: from,
+        reason: Reason::Resting,
+        replanned: false,
+    };
+    let mut replanned = false;
+    if agent.at_goal() {
+        match agent.rest {
+            Rest::UnderWay => {
+                agent.rest = Rest::Arrived;
+                return resting;
+            }
+            Rest::Arrived => {
+                agent.rest = Rest::Rested;
+                return resting;
+            }
+            Rest::Rested => {
+                let mut stream = seed.stream(Purpose::Goal, index as u64, tick);
+                match places.draw_route(router, agent.kind, from, &mut stream) {
+                    Ok(route) => agent.set_out(route),
+                    Err(_) => return resting,
+                }
+                replanned = true;
+            }
+        }
+    }
+    let (cells, reason) = choose(agent, decided, |most| {
+        seed.stream(Purpose::Move, index as u64, tick).random_range(1..=most)
+    });
+    agent.step(cells);
+    Moved {
+        from,
+        to: agent.cell,
+        reason,
+        replanned,
+    }
+}
+
+/// How many cells to move: as decided if the route allows it, else the only possible move, else what `draw` draws from 1 to the
+/// number it is given.
+fn choose(agent: &Agent, decided: Speed, draw: impl FnOnce(usize) -> usize) -> (usize, Reason) {
+    if decided == Speed::Stop {
+        return (0, Reason::Decided);
+    }
+    let most = possible_cells(agent.route(), agent.kind, agent.position());
+    match speed_cells(agent.kind, decided) {
+        Some(cells) if cells <= most => (cells, Reason::Decided),
+        _ if most <= 1 => (most, Reason::OnlyMove),
+        _ => (draw(most), Reason::Drawn),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::city::generate::tests::square;
+    use crate::config::{AgentConfig, Routing};
+    use std::sync::Arc;
+
+    /// A car that leaves the kerb, stops at the node where its lane ends, and turns right behind it.
+    fn car() -> Agent {
+        let router = Router::new(Arc::new(square([2, 2])), Routing::Weighted);
+        let goal = Cell::new(64, 46);
+        let route = router
+            .plan(AgentKind::Car, Cell::new(56, 36), goal)
+            .expect("a way around the block");
+        let config = AgentConfig {
+            name: "Car_1".into(),
+            kind: AgentKind::Car,
+            concepts: Vec::new(),
+            priority: 1,
+        };
+        Agent::new(&config, route)
+    }
+
+    #[test]
+    fn a_move_ends_before_a_turn_and_on_a_node() {
+        let mut car = car();
+        let most = |car: &Agent| possible_cells(car.route(), car.kind, car.position());
+        // Three cells from the kerb to the lane, five along it to its end at column 41, then on into the intersection.
+        let mut seen = Vec::new();
+        while car.cell.col < 45 {
+            seen.push((car.cell.row, car.cell.col, most(&car)));
+            car.step(1);
+        }
+        let expected = [
+            (56, 36, 3),
+            (55, 36, 2),
+            (54, 36, 1),
+            (53, 36, 3),
+            (53, 37, 3),
+            (53, 38, 3),
+            (53, 39, 2),
+            (53, 40, 1),
+            (53, 41, 3),
+            (53, 42, 3),
+            (53, 43, 3),
+            (53, 44, 3),
+        ];
+        assert_eq!(seen, expected);
+    }
+
+    #[test]
+    fn the_decision_counts_if_the_route_allows_it() {
+        let mut car = car();
+        let chosen = |car: &Agent, decided| choose(car, decided, |most| most - 1);
+        assert_eq!(chosen(&car, Speed::Fast), (3, Reason::Decided));
+        assert_eq!(chosen(&car, Speed::Stop), (0, Reason::Decided));
+        car.step(1);
+        assert_eq!(chosen(&car, Speed::Normal), (2, Reason::Decided));
+        assert_eq!(chosen(&car, Speed::Fast), (1, Reason::Drawn));
+        car.step(1);
+        assert_eq!(chosen(&car, Speed::Slow), (1, Reason::Decided));
+        assert_eq!(chosen(&car, Speed::Fast), (1, Reason::OnlyMove));
+    }
+
+    #[test]
+    fn an_agent_without_another_goal_stays() {
+        let router = Router::new(Arc::new(square([1, 1])), Routing::Weighted);
+        let places = Places::new(&router, Some(0));
+        let mut car = car();
+        car.step(usize::MAX >> 1);
+        for tick in 0..5 {
+            let surroundings = Surroundings {
+                router: &router,
+                places: &places,
+                seed: Seed(1),
+                tick,
+            };
+            let moved = advance(&mut car, 0, Speed::Fast, &surroundings);
+            assert_eq!(
+                (moved.reason, moved.to, moved.replanned),
+                (Reason::Resting, car.goal(), false)
+            );
+        }
+        assert_eq!(car.rest, Rest::Rested);
+    }
+}

@@ -1,0 +1,80 @@
+//! What an agent sees.
+
+use super::{Cell, CityMap, Heading};
+
+/// The rectangle of cells in a field of view.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct View {
+    /// Its upper left cell.
+    pub first: Cell,
+    /// Its lower right cell, which belongs to it.
+    pub last: Cell,
+}
+
+impl View {
+    /// Whether the cell is in view.
+    pub fn contains(&self, cell: Cell) -> bool {
+        (self.first.row..=self.last.row).contains(&cell.row) && (self.first.col..=self.last.col).contains(&cell.col)
+    }
+}
+
+/// The field of view of an agent. It reaches `half_width` cells to both sides of the way and ahead, and hardly behind: 1 cell
+/// for an agent that goes left or up, 2 cells for one that goes right or down (the published program's rectangles, half open
+/// after a shift by one). Without a heading it reaches `half_width` cells to all sides. It ends where the world ends.
+pub fn field_of_view(at: Cell, heading: Option<Heading>, half_width: u32, map: &CityMap) -> View {
+    let ahead = i32::try_from(half_width).unwrap_or(i32::MAX);
+    let (mut up, mut down, mut left, mut right) = (ahead, ahead, ahead, ahead);
+    match heading {
+        None => {}
+        Some(Heading::Left) => right = ahead.min(1),
+        Some(Heading::Right) => left = ahead.min(2),
+        Some(Heading::Up) => down = ahead.min(1),
+        Some(Heading::Down) => up = ahead.min(2),
+    }
+    View {
+        first: Cell::new(at.row.saturating_sub(up).max(0), at.col.saturating_sub(left).max(0)),
+        last: Cell::new(
+            at.row.saturating_add(down).min(map.rows() - 1),
+            at.col.saturating_add(right).min(map.cols() - 1),
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::city::generate::tests::square;
+
+    #[test]
+    fn it_reaches_ahead_and_to_both_sides() {
+        let map = square([5, 5]);
+        let view = |at, heading| {
+            let View { first, last } = field_of_view(at, heading, 25, &map);
+            [
+                first.row - at.row,
+                last.row - at.row,
+                first.col - at.col,
+                last.col - at.col,
+            ]
+        };
+        let middle = Cell::new(100, 100);
+        assert_eq!(view(middle, None), [-25, 25, -25, 25]);
+        assert_eq!(view(middle, Some(Heading::Left)), [-25, 25, -25, 1]);
+        assert_eq!(view(middle, Some(Heading::Right)), [-25, 25, -2, 25]);
+        assert_eq!(view(middle, Some(Heading::Up)), [-25, 1, -25, 25]);
+        assert_eq!(view(middle, Some(Heading::Down)), [-2, 25, -25, 25]);
+        // The world ends at 0 and 240.
+        assert_eq!(view(Cell::new(3, 238), None), [-3, 25, -25, 2]);
+    }
+
+    #[test]
+    fn any_width_will_do() {
+        let map = square([1, 1]);
+        let at = Cell::new(30, 30);
+        let alone = field_of_view(at, Some(Heading::Right), 0, &map);
+        assert_eq!((alone.first, alone.last), (at, at));
+        let whole = field_of_view(at, None, u32::MAX, &map);
+        assert!(whole.contains(Cell::new(0, 0)) && whole.contains(Cell::new(56, 56)));
+        assert!(!whole.contains(Cell::new(57, 0)));
+    }
+}

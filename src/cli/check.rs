@@ -1,0 +1,74 @@
+//! `logicity check`
+
+use super::{Failure, load_rules, report};
+use crate::diag::{Diagnostic, Sources, to_json};
+use crate::lang::{RelId, Rules};
+use serde_json::json;
+use std::collections::HashSet;
+use std::io::Write;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Rule files; each is a program of its own
+    #[arg(required = true, value_name = "RULES")]
+    rules: Vec<PathBuf>,
+    /// Print one JSON object a file instead: `file`, `ok`, `strata`, `diagnostics`
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let mut out = anstream::stdout();
+    let mut told = HashSet::new();
+    let mut diagnostics: Vec<Diagnostic> = Vec::new();
+    let mut unreadable = Vec::new();
+    for path in &arguments.rules {
+        let (rules, found) = match load_rules(sources, path) {
+            Ok((rules, warnings)) => (Some(rules), warnings),
+            Err(Failure::Input(faults)) => (None, faults),
+            Err(Failure::Usage(message)) => {
+                unreadable.push(message);
+                continue;
+            }
+            Err(other) => return Err(other),
+        };
+        if arguments.json {
+            let line = json!({
+                "file": path.display().to_string(),
+                "ok": rules.is_some(),
+                "strata": rules.as_ref().map(strata),
+                "diagnostics": to_json(&found, sources),
+            });
+            writeln!(out, "{line}")?;
+        } else if let Some(rules) = &rules {
+            let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
+            writeln!(out, "{}: {} clauses", path.display(), rules.clauses.len())?;
+            writeln!(out, "  strata: {}", strata.join(" < "))?;
+        }
+        // A fault in a file that several programs include is told once.
+        diagnostics.extend(
+            found
+                .into_iter()
+                .filter(|fault| told.insert(to_json(std::slice::from_ref(fault), sources).to_string())),
+        );
+    }
+    let faulty = diagnostics.iter().any(Diagnostic::is_error);
+    if !arguments.json {
+        report(&diagnostics, sources);
+    }
+    if !unreadable.is_empty() {
+        return Err(Failure::Usage(unreadable.join("\nerror: ")));
+    }
+    if faulty { Err(Failure::Told) } else { Ok(()) }
+}
+
+/// The names of the predicates of each stratum, in the order in which they are computed.
+fn strata(rules: &Rules) -> Vec<Vec<&str>> {
+    let name = |relation: &RelId| rules.relations[relation.index()].name.as_str();
+    rules
+        .strata
+        .iter()
+        .map(|stratum| stratum.relations.iter().map(name).collect())
+        .collect()
+}

@@ -1,0 +1,200 @@
+//! The command line: one file a subcommand.
+//!
+//! Results go to standard output, everything else (progress, diagnostics) to standard error. Exit code 0: done; 1: faulty
+//! input; 2: wrong usage, or a file that cannot be read or written.
+
+mod check;
+mod infer;
+mod query;
+mod route;
+mod run;
+
+use crate::config::{MapConfig, Scenario, load_map, load_scenario};
+use crate::diag::{Code, Diagnostic, Sources, render};
+use crate::engine::Program;
+use crate::files::{self, ReadError};
+use crate::lang;
+use clap::{CommandFactory, Parser, Subcommand};
+use std::io::{self, IsTerminal, Write};
+use std::path::Path;
+use std::process::ExitCode;
+
+/// A city of cars and pedestrians governed by Datalog rules.
+#[derive(Parser)]
+#[command(name = "logicity", version, propagate_version = true, max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run a city and write a trace, an animation and a last picture
+    Run(run::Arguments),
+    /// Check rule files: report every fault, print the strata
+    Check(check::Arguments),
+    /// Run any Datalog program on facts files, as Souffle does
+    Query(query::Arguments),
+    /// Decide scenes: one JSON scene a line in, one JSON answer a line out
+    Infer(infer::Arguments),
+    /// Plan one route and print its cells
+    Route(route::Arguments),
+    /// Print a completion script for a shell
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+}
+
+/// Why a command did not do what was asked.
+enum Failure {
+    /// The input is at fault; the diagnostics tell how. Exit code 1.
+    Input(Vec<Diagnostic>),
+    /// The input is at fault and that has been told. Exit code 1.
+    Told,
+    /// Wrong usage, or a file that cannot be read or written. Exit code 2.
+    Usage(String),
+    /// Whoever reads standard output has gone; there is nobody to tell.
+    Closed,
+}
+
+impl From<Diagnostic> for Failure {
+    fn from(fault: Diagnostic) -> Self {
+        Failure::Input(vec![fault])
+    }
+}
+
+impl From<Vec<Diagnostic>> for Failure {
+    fn from(faults: Vec<Diagnostic>) -> Self {
+        Failure::Input(faults)
+    }
+}
+
+/// Only standard output is written without naming a file; see [`Failure::file`] for files.
+impl From<io::Error> for Failure {
+    fn from(error: io::Error) -> Self {
+        match error.kind() {
+            io::ErrorKind::BrokenPipe => Failure::Closed,
+            _ => Failure::Usage(format!("cannot write to standard output: {error}")),
+        }
+    }
+}
+
+impl Failure {
+    /// A file that cannot be written or read.
+    fn file(doing: &str, path: &Path, error: impl std::fmt::Display) -> Failure {
+        Failure::Usage(format!("cannot {doing} `{}`: {error}", path.display()))
+    }
+}
+
+/// Runs the command that the process was started with.
+pub fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            let _ = error.print();
+            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
+        }
+    };
+    let mut sources = Sources::new();
+    let result = match arguments.command {
+        Command::Run(arguments) => run::run(&arguments, &mut sources),
+        Command::Check(arguments) => check::run(&arguments, &mut sources),
+        Command::Query(arguments) => query::run(&arguments, &mut sources),
+        Command::Infer(arguments) => infer::run(&arguments, &mut sources),
+        Command::Route(arguments) => route::run(&arguments, &mut sources),
+        Command::Completions { shell } => {
+            clap_complete::generate(shell, &mut Arguments::command(), "logicity", &mut io::stdout());
+            Ok(())
+        }
+    };
+    match result {
+        Ok(()) | Err(Failure::Closed) => ExitCode::SUCCESS,
+        Err(Failure::Input(diagnostics)) => {
+            report(&diagnostics, &sources);
+            ExitCode::from(1)
+        }
+        Err(Failure::Told) => ExitCode::from(1),
+        Err(Failure::Usage(message)) => {
+            let _ = writeln!(io::stderr(), "error: {message}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+/// Draws diagnostics on standard error, and how many there are if more than one.
+fn report(diagnostics: &[Diagnostic], sources: &Sources) {
+    if diagnostics.is_empty() {
+        return;
+    }
+    let mut err = anstream::stderr();
+    let colour = io::stderr().is_terminal();
+    let _ = writeln!(err, "{}", render(diagnostics, sources, colour));
+    let errors = diagnostics.iter().filter(|diagnostic| diagnostic.is_error()).count();
+    if diagnostics.len() > 1 {
+        let _ = writeln!(err, "{}", count(errors, diagnostics.len() - errors));
+    }
+}
+
+/// `2 errors, 1 warning`.
+fn count(errors: usize, warnings: usize) -> String {
+    let plural = |n: usize, word: &str| format!("{n} {word}{}", if n == 1 { "" } else { "s" });
+    match (errors, warnings) {
+        (errors, 0) => plural(errors, "error"),
+        (0, warnings) => plural(warnings, "warning"),
+        (errors, warnings) => format!("{}, {}", plural(errors, "error"), plural(warnings, "warning")),
+    }
+}
+
+/// Reads a file that the user named on the command line.
+fn read(path: &Path) -> Result<String, Failure> {
+    files::read_or_builtin(path).map_err(|error| match error {
+        ReadError::NotText { .. } => Diagnostic::new(Code::NotText, format!("`{}` is {error}", path.display()))
+            .help("save the file as UTF-8")
+            .into(),
+        error => Failure::file("read", path, error),
+    })
+}
+
+/// Reads and checks a rule file. Warnings are returned beside the rules.
+fn load_rules(sources: &mut Sources, path: &Path) -> Result<(lang::Rules, Vec<Diagnostic>), Failure> {
+    let text = read(path)?;
+    let entry = sources.add(path.display().to_string(), text);
+    let loaded = lang::load(sources, entry, &files::read_or_builtin);
+    match loaded.rules {
+        Some(rules) => Ok((rules, loaded.diagnostics)),
+        None => Err(loaded.diagnostics.into()),
+    }
+}
+
+/// Reads a run configuration and all its parts.
+fn load_config(sources: &mut Sources, path: &Path) -> Result<Scenario, Failure> {
+    load_scenario(sources, path, &files::read_text).map_err(|faults| missing_is_usage(faults))
+}
+
+/// Reads a map: a path to a YAML file, or the name of a built-in map.
+fn find_map(sources: &mut Sources, name: &str) -> Result<MapConfig, Failure> {
+    load_map(sources, Path::new(name), &files::read_text).map_err(|faults| missing_is_usage(faults))
+}
+
+/// A file that the user named on the command line and that cannot be read has no place in any text: that is wrong usage.
+fn missing_is_usage(faults: Vec<Diagnostic>) -> Failure {
+    match faults.as_slice() {
+        [fault] if fault.code == Code::MissingFile && fault.primary.is_none() => {
+            let help = fault.help.iter().map(|help| format!("\nhelp: {help}"));
+            Failure::Usage(fault.message.clone() + &help.collect::<String>())
+        }
+        _ => faults.into(),
+    }
+}
+
+/// The rules that a configuration names, or those given instead.
+fn load_program(
+    sources: &mut Sources,
+    scenario: &Scenario,
+    instead: Option<&Path>,
+) -> Result<(Program, Vec<Diagnostic>), Failure> {
+    let path = instead.unwrap_or(&scenario.rules.value);
+    let (rules, warnings) = load_rules(sources, path)?;
+    Ok((Program::new(rules)?, warnings))
+}

@@ -1,0 +1,100 @@
+//! `logicity query`
+
+use super::{Failure, load_rules, report};
+use crate::diag::{Code, Diagnostic, Sources};
+use crate::engine::{Program, Session, facts};
+use crate::files::{self, Output, ReadError};
+use crate::lang::RelId;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Rule file
+    rules: PathBuf,
+    /// Folder with one NAME.facts for each input relation: one row a line, values separated by tabs
+    #[arg(short = 'F', long, value_name = "DIR", default_value = ".")]
+    facts: PathBuf,
+    /// Folder for one NAME.csv for each output relation; `-` is standard output
+    #[arg(short = 'D', long, value_name = "DIR", default_value = ".")]
+    output: PathBuf,
+}
+
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let (rules, warnings) = load_rules(sources, &arguments.rules)?;
+    report(&warnings, sources);
+    let program = Program::new(rules)?;
+    let mut session = program.session();
+    load_inputs(&arguments.facts, &mut session, sources)?;
+    session
+        .commit()
+        .map_err(|error| Diagnostic::new(Code::LimitExceeded, error.to_string()))?;
+
+    let mut out = anstream::stdout();
+    for (id, relation) in relations(&program) {
+        if relation.output {
+            let text = facts::print(&session, id);
+            if arguments.output == Path::new("-") {
+                let rule = "-".repeat(15);
+                write!(
+                    out,
+                    "{rule}\n{}\n===============\n{text}===============\n",
+                    relation.name
+                )?;
+            } else {
+                write_relation(&arguments.output, &relation.name, &text)?;
+            }
+        }
+        if relation.printsize {
+            writeln!(out, "{}\t{}", relation.name, session.len(id))?;
+        }
+    }
+    Ok(())
+}
+
+/// The declared relations in the order of the text.
+fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::lang::Relation)> {
+    let relations = program.rules().relations.iter().enumerate();
+    relations.map(|(index, relation)| {
+        let id = RelId(u32::try_from(index).expect("fewer than 2^32 relations"));
+        (id, relation)
+    })
+}
+
+/// Reads the facts of every input relation. All faulty files are told in one run.
+fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
+    let program = session.program().clone();
+    let mut faults = Vec::new();
+    for (id, relation) in relations(&program).filter(|(_, relation)| relation.input) {
+        let path = folder.join(format!("{}.facts", relation.name));
+        match files::read_text(&path) {
+            Ok(text) => {
+                let source = sources.add(path.display().to_string(), text);
+                if let Err(found) = facts::load(session, id, sources, source) {
+                    faults.extend(found);
+                }
+            }
+            Err(ReadError::NotText { line }) => faults.push(Diagnostic::new(
+                Code::NotText,
+                format!("line {line} of `{}` is not UTF-8 text", path.display()),
+            )),
+            Err(error) => {
+                return Err(Failure::Usage(format!(
+                    "cannot read the facts of `{}` from `{}`: {error}",
+                    relation.name,
+                    path.display()
+                )));
+            }
+        }
+    }
+    if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
+}
+
+fn write_relation(folder: &Path, name: &str, text: &str) -> Result<(), Failure> {
+    std::fs::create_dir_all(folder).map_err(|error| Failure::file("make the folder", folder, error))?;
+    let path = folder.join(format!("{name}.csv"));
+    let fail = |error: std::io::Error| Failure::file("write", &path, error);
+    let mut file = Output::create(&path).map_err(fail)?;
+    file.write_all(text.as_bytes()).map_err(fail)?;
+    file.finish().map_err(fail)
+}

@@ -1,0 +1,93 @@
+//! `logicity route`
+
+use super::{Failure, find_map};
+use crate::city::{Cell, CityMap, NoRoute, Router};
+use crate::config::{AgentKind, Routing};
+use crate::diag::{Code, Diagnostic, Sources};
+use clap::ValueEnum;
+use std::io::{self, BufWriter, Write};
+use std::sync::Arc;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Name of a built-in map, or path to a map file
+    #[arg(long, default_value = "square-5x5")]
+    map: String,
+    /// Who travels
+    #[arg(long = "type", value_enum)]
+    kind: Traveller,
+    /// First cell
+    #[arg(long, value_name = "ROW,COL", value_parser = cell)]
+    from: Cell,
+    /// Last cell
+    #[arg(long, value_name = "ROW,COL", value_parser = cell)]
+    to: Cell,
+    /// How cars choose: least weighted length (the paper), or fewest nodes of the road graph (the published program)
+    #[arg(long, value_enum, default_value = "weighted")]
+    routing: Choice,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Traveller {
+    Car,
+    Pedestrian,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Choice {
+    Weighted,
+    Hops,
+}
+
+fn cell(text: &str) -> Result<Cell, String> {
+    let expected = || "expected two whole numbers, row and column, as in `46,20`".to_owned();
+    let (row, col) = text.split_once(',').ok_or_else(expected)?;
+    let number = |text: &str| text.trim().parse::<i32>().map_err(|_| expected());
+    Ok(Cell::new(number(row)?, number(col)?))
+}
+
+/// Prints one `row,col` a line, from the first cell to the last.
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let map = CityMap::generate(&find_map(sources, &arguments.map)?)?;
+    let kind = match arguments.kind {
+        Traveller::Car => AgentKind::Car,
+        Traveller::Pedestrian => AgentKind::Pedestrian,
+    };
+    let routing = match arguments.routing {
+        Choice::Weighted => Routing::Weighted,
+        Choice::Hops => Routing::Hops,
+    };
+    let router = Router::new(Arc::new(map), routing);
+    let (from, to) = (arguments.from, arguments.to);
+    let map = router.map();
+    let route = router.plan(kind, from, to).map_err(|reason| {
+        let place = |cell: Cell| format!("[{}, {}]", cell.row, cell.col);
+        let what = kind.name().to_lowercase();
+        let outside = |cell: Cell| {
+            let bounds = format!("rows 0 to {}, columns 0 to {}", map.rows() - 1, map.cols() - 1);
+            (!map.contains(cell)).then(|| format!("{} is not on the map: it has {bounds}", place(cell)))
+        };
+        let rule = match kind {
+            AgentKind::Car => {
+                "cars start and end on a traffic street, beside the mid line and outside of intersections"
+            }
+            AgentKind::Pedestrian => "pedestrians start and end on walking streets and crossings",
+        };
+        let (message, cell) = match reason {
+            NoRoute::Start => (format!("a {what} cannot start at {}", place(from)), Some(from)),
+            NoRoute::Goal => (format!("a {what} cannot arrive at {}", place(to)), Some(to)),
+            NoRoute::Unconnected => (format!("no {what} can go from {} to {}", place(from), place(to)), None),
+        };
+        let fault = Diagnostic::new(Code::NoRoute, format!("{message} on `{}`", map.name));
+        match cell {
+            Some(cell) => fault.help(outside(cell).unwrap_or_else(|| rule.to_owned())),
+            None => fault,
+        }
+    })?;
+    let mut out = BufWriter::new(io::stdout().lock());
+    for cell in route.cells() {
+        writeln!(out, "{},{}", cell.row, cell.col)?;
+    }
+    out.flush()?;
+    Ok(())
+}

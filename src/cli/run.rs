@@ -1,0 +1,255 @@
+//! `logicity run`
+
+use super::{Failure, load_config, load_program, report};
+use crate::config::{AgentKind, Speed, Split};
+use crate::diag::{Code, Diagnostic, Sources};
+use crate::files::Output;
+use crate::render::{Animation, Painter, Sprite, write_png};
+use crate::rng::Seed;
+use crate::sim::{Simulation, TickReport, TraceWriter, World, hash_sources};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt::Write as _;
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// An agent that has not moved in this many ticks is called stuck.
+const STUCK_TICKS: u64 = 50;
+/// The animation ends after this many ticks, to stay of a size that viewers open.
+const MAX_FRAMES: u64 = 1000;
+/// How long the animation shows a tick.
+const FRAME_DELAY: Duration = Duration::from_millis(100);
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Run configuration
+    config: PathBuf,
+    /// How long, in ticks; the configuration's `ticks` unless given
+    #[arg(long)]
+    ticks: Option<u64>,
+    /// Seed of everything random in the run
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Which agent set of the configuration
+    #[arg(long, value_enum, default_value = "test")]
+    split: Choice,
+    /// Folder for trace.jsonl, city.gif and last.png; made if it does not exist
+    #[arg(long, value_name = "DIR", default_value = "out")]
+    out: PathBuf,
+    /// Rule file instead of the configuration's
+    #[arg(long)]
+    rules: Option<PathBuf>,
+    /// Write the trace only
+    #[arg(long)]
+    no_pictures: bool,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Choice {
+    Train,
+    Val,
+    Test,
+}
+
+/// What the summary counts.
+#[derive(Default)]
+struct Tally {
+    ticks: u64,
+    deciding: Duration,
+    actions: [[u64; 4]; 2],
+    overlaps: u64,
+    firings: Vec<u64>,
+    goals: u64,
+    last_move: Vec<u64>,
+}
+
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let split = match arguments.split {
+        Choice::Train => Split::Train,
+        Choice::Val => Split::Val,
+        Choice::Test => Split::Test,
+    };
+    let scenario = load_config(sources, &arguments.config)?;
+    let first_rule_file = sources.ids().count();
+    let (program, warnings) = load_program(sources, &scenario, arguments.rules.as_deref())?;
+    report(&warnings, sources);
+    let rule_files: Vec<_> = sources.ids().skip(first_rule_file).collect();
+    let rules_hash = hash_sources(sources, &rule_files);
+    let ticks = arguments.ticks.unwrap_or(u64::from(scenario.ticks));
+    let mut simulation = Simulation::new(Arc::new(World::new(scenario, program)?), split, Seed(arguments.seed))?;
+
+    let folder = &arguments.out;
+    std::fs::create_dir_all(folder).map_err(|error| Failure::file("make the folder", folder, error))?;
+    let path = |name: &str| folder.join(name);
+    let writing = |name: &'static str| {
+        let path = path(name);
+        move |error: io::Error| Failure::file("write", &path, error)
+    };
+    let trace_file = Output::create(&path("trace.jsonl")).map_err(writing("trace.jsonl"))?;
+    let mut trace = TraceWriter::new(trace_file, &simulation, sources, rule_files[0], &rules_hash)
+        .map_err(writing("trace.jsonl"))?;
+    let mut pictures = if arguments.no_pictures {
+        None
+    } else {
+        let painter = Painter::new(simulation.world().map())
+            .map_err(|error| Diagnostic::new(Code::InvalidMap, error.to_string()))?;
+        let file = Output::create(&path("city.gif")).map_err(writing("city.gif"))?;
+        let animation = Animation::new(file, &painter, FRAME_DELAY).map_err(writing("city.gif"))?;
+        Some((painter, animation))
+    };
+
+    let bar = ProgressBar::new(ticks).with_style(
+        ProgressStyle::with_template("{bar:30} tick {pos} of {len}, {per_sec}, {eta} left").expect("a valid template"),
+    );
+    let mut tally = Tally {
+        last_move: vec![0; simulation.agents().len()],
+        firings: vec![0; simulation.clauses().len()],
+        ..Tally::default()
+    };
+    for _ in 0..ticks {
+        let begin = Instant::now();
+        let tick = simulation
+            .tick(&[])
+            .map_err(|error| Diagnostic::new(Code::LimitExceeded, error.to_string()))?;
+        tally.deciding += begin.elapsed();
+        tally.add(&simulation, &tick);
+        trace.tick(&simulation, &tick).map_err(writing("trace.jsonl"))?;
+        if let Some((painter, animation)) = &mut pictures
+            && tick.tick < MAX_FRAMES
+        {
+            let frame = painter.frame(tick.tick, &sprites(&simulation, Some(&tick)));
+            animation.push(&frame).map_err(writing("city.gif"))?;
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+
+    trace.into_inner().finish().map_err(writing("trace.jsonl"))?;
+    let mut written = vec![path("trace.jsonl")];
+    if let Some((painter, animation)) = pictures {
+        let file = animation.finish().map_err(writing("city.gif"))?;
+        file.finish().map_err(writing("city.gif"))?;
+        written.push(path("city.gif"));
+        let mut file = Output::create(&path("last.png")).map_err(writing("last.png"))?;
+        let frame = painter.frame(simulation.now(), &sprites(&simulation, None));
+        write_png(&frame, &mut file).map_err(writing("last.png"))?;
+        file.finish().map_err(writing("last.png"))?;
+        written.push(path("last.png"));
+    }
+    let mut out = anstream::stdout();
+    write!(out, "{}", summary(&simulation, &tally, sources, &written))?;
+    Ok(())
+}
+
+/// The agents as they are, and what they decided in `tick`, if that is given.
+fn sprites<'a>(simulation: &'a Simulation, tick: Option<&TickReport>) -> Vec<Sprite<'a>> {
+    let agents = simulation.agents().iter().enumerate();
+    agents
+        .map(|(index, agent)| Sprite {
+            name: &agent.name,
+            kind: agent.kind,
+            concepts: &agent.concepts,
+            at: agent.cell,
+            heading: agent.heading,
+            action: tick.map(|tick| tick.agents[index].action),
+        })
+        .collect()
+}
+
+impl Tally {
+    fn add(&mut self, simulation: &Simulation, tick: &TickReport) {
+        self.ticks += 1;
+        for (index, agent) in tick.agents.iter().enumerate() {
+            let kind = match simulation.agents()[index].kind {
+                AgentKind::Car => 0,
+                AgentKind::Pedestrian => 1,
+            };
+            self.actions[kind][agent.action as usize] += 1;
+            self.overlaps += u64::from(agent.derived.len() > 1);
+            self.goals += u64::from(agent.moved.replanned);
+            if agent.moved.from != agent.moved.to {
+                self.last_move[index] = self.ticks;
+            }
+        }
+        for (sum, fired) in self.firings.iter_mut().zip(&tick.firings) {
+            *sum += *fired as u64;
+        }
+    }
+}
+
+fn summary(simulation: &Simulation, tally: &Tally, sources: &Sources, written: &[PathBuf]) -> String {
+    let world = simulation.world();
+    let scenario = &world.scenario;
+    let agents = simulation.agents();
+    let mut text = String::new();
+    let cars = agents.iter().filter(|agent| agent.kind == AgentKind::Car).count();
+    let _ = writeln!(
+        text,
+        "{} ({}): {cars} cars and {} pedestrians on {}, seed {}",
+        scenario.name,
+        simulation.split().name(),
+        agents.len() - cars,
+        world.map().name,
+        simulation.seed().0,
+    );
+    let decisions = tally.ticks * agents.len() as u64;
+    #[allow(clippy::cast_precision_loss)]
+    let rate = decisions as f64 / tally.deciding.as_secs_f64().max(1e-9);
+    let _ = writeln!(
+        text,
+        "{} ticks, {decisions} decisions, {rate:.0} decisions per second, {} goals reached",
+        tally.ticks, tally.goals
+    );
+    let _ = writeln!(
+        text,
+        "\n{:<12}{:>10}{:>10}{:>10}{:>10}",
+        "decisions", "Slow", "Normal", "Fast", "Stop"
+    );
+    for (kind, counts) in ["cars", "pedestrians"].into_iter().zip(tally.actions) {
+        let counts: String = Speed::ALL
+            .iter()
+            .map(|&speed| format!("{:>10}", counts[speed as usize]))
+            .collect();
+        let _ = writeln!(text, "{kind:<12}{counts}");
+    }
+    if tally.overlaps > 0 {
+        let _ = writeln!(
+            text,
+            "{} decisions had more than one action derived; the first by priority was taken",
+            tally.overlaps
+        );
+    }
+    let _ = writeln!(text, "\n{:>10}  clause", "fired");
+    let rules = world.program.rules();
+    for (clause, fired) in simulation.clauses().iter().zip(&tally.firings) {
+        let clause = &rules.clauses[clause.index()];
+        let head = &rules.relations[clause.head.relation.index()].name;
+        let title = clause.doc.lines().next().unwrap_or("");
+        let file = Path::new(sources.name(clause.span.source))
+            .file_name()
+            .unwrap_or_default();
+        let place = format!("{}:{}", file.to_string_lossy(), sources.position(clause.span).line);
+        let _ = writeln!(text, "{fired:>10}  {head:<8}{place:<20}{title}");
+    }
+    if tally.ticks >= STUCK_TICKS {
+        let stuck: Vec<&str> = agents
+            .iter()
+            .zip(&tally.last_move)
+            .filter(|&(_, &last)| tally.ticks - last >= STUCK_TICKS)
+            .map(|(agent, _)| &*agent.name)
+            .collect();
+        let names = if stuck.is_empty() {
+            "none".to_owned()
+        } else {
+            stuck.join(", ")
+        };
+        let _ = writeln!(text, "\nstuck (no move in the last {STUCK_TICKS} ticks): {names}");
+    }
+    if tally.ticks > MAX_FRAMES && written.len() > 1 {
+        let _ = writeln!(text, "the animation shows the first {MAX_FRAMES} ticks");
+    }
+    let written: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
+    let _ = writeln!(text, "wrote {}", written.join(", "));
+    text
+}

@@ -1,0 +1,556 @@
+//! From a clause to the steps that evaluate it.
+//!
+//! A plan is a straight list of [`Step`]s over numbered slots (the clause's variables, then its constants). A scan binds
+//! variables, one atom at a time; every other step tests what is already bound and stands as early as it can. Literals are
+//! ordered greedily: tests first, then the atom that shares bound variables and adds the fewest new ones. Sizes of relations
+//! are not looked at, so a program is planned once.
+//!
+//! A clause of a recursive stratum has one plan for each of its atoms over that stratum, beginning with the newest rows of it.
+
+use crate::diag::{Code, Diagnostic};
+use crate::engine::row::WIDTHS;
+use crate::lang::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Rules, Stratum, Term, Value, VarId};
+
+/// A place for a value while a clause is evaluated: a variable, or after them a constant.
+pub(super) type Slot = u16;
+
+/// At most this many literals in a body and this many variables in a clause. Evaluation recurses once per atom, and planning
+/// takes cubic time in the literals.
+pub(super) const CLAUSE_MAX: usize = 256;
+
+/// Names an index of [`Plans::indexes`]. The first ones are the relations' own rows, by [`RelId`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct IndexId(pub(super) u32);
+
+impl IndexId {
+    pub(super) fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+
+/// Which columns of a relation an index holds, in which order.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct IndexSpec {
+    pub(super) relation: RelId,
+    pub(super) columns: Vec<u16>,
+}
+
+/// Which rows of a relation are meant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Version {
+    /// Those of the finished relation.
+    Complete,
+    /// Those known before this round and those new in it.
+    All,
+    /// Those known before this round.
+    Old,
+    /// Those new in this round.
+    New,
+}
+
+/// Where a step finds rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Source {
+    pub(super) index: IndexId,
+    pub(super) version: Version,
+}
+
+/// One step of a plan.
+#[derive(Clone, Debug)]
+pub(super) enum Step {
+    /// For each row that begins with the key and passes the checks, bind and go on.
+    Scan {
+        source: Source,
+        key: Vec<Slot>,
+        /// (column of the index, slot to fill).
+        bind: Vec<(u16, Slot)>,
+        /// (column of the index, slot it must equal); done after binding.
+        check: Vec<(u16, Slot)>,
+    },
+    /// Go on if some row begins with the key.
+    Exists { source: Source, key: Vec<Slot> },
+    /// Go on if no row begins with the key.
+    Absent { source: Source, key: Vec<Slot> },
+    /// Fill a slot from another.
+    Copy { to: Slot, from: Slot },
+    /// Go on if the comparison holds.
+    Compare {
+        op: Comparison,
+        left: Slot,
+        right: Slot,
+        base: BaseType,
+    },
+}
+
+impl Step {
+    /// Where the step finds rows, if it looks at any.
+    pub(super) fn source(&self) -> Option<Source> {
+        match *self {
+            Step::Scan { source, .. } | Step::Exists { source, .. } | Step::Absent { source, .. } => Some(source),
+            Step::Copy { .. } | Step::Compare { .. } => None,
+        }
+    }
+}
+
+/// How to evaluate a clause.
+#[derive(Clone, Debug)]
+pub(super) struct Plan {
+    pub(super) head: RelId,
+    /// Where the head's columns come from.
+    pub(super) output: Vec<Slot>,
+    pub(super) steps: Vec<Step>,
+    /// Once the steps before this one are done the head is known; one success of the rest is enough.
+    pub(super) settled: usize,
+    /// What the slots hold at the beginning: zeros for variables, then the constants.
+    pub(super) slots: Vec<Value>,
+}
+
+/// The plans of a clause.
+#[derive(Clone, Debug)]
+pub(super) struct ClausePlans {
+    /// Over finished relations.
+    pub(super) complete: Plan,
+    /// One for each atom over the clause's own recursive stratum, with the relation whose new rows it begins with.
+    pub(super) deltas: Vec<(RelId, Plan)>,
+}
+
+/// What a stratum computes and from what.
+#[derive(Clone, Debug)]
+pub(super) struct StratumPlan {
+    /// The derived relations; those with nothing but facts are not evaluated.
+    pub(super) members: Vec<RelId>,
+    /// The other relations that occur in bodies, in order.
+    pub(super) inputs: Vec<RelId>,
+    /// The clauses of the members.
+    pub(super) clauses: Vec<ClauseId>,
+}
+
+/// Everything about a program that does not change while it runs.
+#[derive(Clone, Debug)]
+pub(super) struct Plans {
+    /// By [`ClauseId`].
+    pub(super) clauses: Vec<ClausePlans>,
+    pub(super) indexes: Vec<IndexSpec>,
+    /// By [`RelId`]: the indexes of a relation, its own rows first.
+    pub(super) indexes_of: Vec<Vec<IndexId>>,
+    /// By position in [`Rules::strata`].
+    pub(super) strata: Vec<StratumPlan>,
+    /// One of [`WIDTHS`].
+    pub(super) width: usize,
+}
+
+impl Plans {
+    /// Plans all clauses. Fails only if a clause or a relation is too large to evaluate, or is not safe, which checking
+    /// excludes.
+    pub(super) fn new(rules: &Rules) -> Result<Plans, Diagnostic> {
+        let width_max = WIDTHS[WIDTHS.len() - 1];
+        if let Some(wide) = rules.relations.iter().find(|relation| relation.arity() > width_max) {
+            let message = format!(
+                "`{}` has {} columns; at most {width_max} are possible",
+                wide.name,
+                wide.arity()
+            );
+            return Err(Diagnostic::new(Code::LimitExceeded, message).at(wide.span, "declared here"));
+        }
+        let arity = rules
+            .relations
+            .iter()
+            .map(|relation| relation.arity())
+            .max()
+            .unwrap_or(0);
+        let width = WIDTHS.into_iter().find(|&width| width >= arity).unwrap_or(width_max);
+
+        let own_rows = |(position, relation): (usize, &crate::lang::Relation)| IndexSpec {
+            relation: RelId(position as u32),
+            columns: (0..relation.arity() as u16).collect(),
+        };
+        let indexes: Vec<IndexSpec> = rules.relations.iter().enumerate().map(own_rows).collect();
+        let mut indexer = Indexer {
+            of: (0..indexes.len() as u32).map(|index| vec![IndexId(index)]).collect(),
+            specs: indexes,
+        };
+
+        let strata: Vec<StratumPlan> = rules
+            .strata
+            .iter()
+            .map(|stratum| plan_stratum(rules, stratum))
+            .collect();
+        let mut computed_with: Vec<&[RelId]> = vec![&[]; rules.clauses.len()];
+        for stratum in &strata {
+            for &clause in &stratum.clauses {
+                computed_with[clause.index()] = &stratum.members;
+            }
+        }
+        let mut clauses = Vec::with_capacity(rules.clauses.len());
+        for (clause, stratum) in rules.clauses.iter().zip(computed_with) {
+            clauses.push(plan_clause(clause, stratum, &mut indexer)?);
+        }
+        Ok(Plans {
+            clauses,
+            strata,
+            indexes: indexer.specs,
+            indexes_of: indexer.of,
+            width,
+        })
+    }
+
+    /// Whether the index is the relation's own rows.
+    pub(super) fn is_own(&self, index: IndexId) -> bool {
+        index.index() < self.indexes_of.len()
+    }
+}
+
+fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
+    let derived = |relation: &RelId| rules.relations[relation.index()].derived;
+    let head = |clause: &ClauseId| rules.clauses[clause.index()].head.relation;
+    let members: Vec<RelId> = stratum.relations.iter().copied().filter(derived).collect();
+    let clauses: Vec<ClauseId> = stratum
+        .clauses
+        .iter()
+        .copied()
+        .filter(|clause| derived(&head(clause)))
+        .collect();
+    let bodies = clauses.iter().flat_map(|clause| &rules.clauses[clause.index()].body);
+    let mut inputs: Vec<RelId> = bodies.filter_map(|literal| Some(atom_of(literal)?.relation)).collect();
+    inputs.retain(|relation| !members.contains(relation));
+    inputs.sort_unstable();
+    inputs.dedup();
+    StratumPlan {
+        members,
+        inputs,
+        clauses,
+    }
+}
+
+/// The atom of a literal that has one.
+fn atom_of(literal: &Literal) -> Option<&Atom> {
+    match literal {
+        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => Some(atom),
+        Literal::Compare { .. } => None,
+    }
+}
+
+/// Hands out indexes, each once.
+struct Indexer {
+    specs: Vec<IndexSpec>,
+    of: Vec<Vec<IndexId>>,
+}
+
+impl Indexer {
+    /// The index with exactly these columns.
+    fn exact(&mut self, relation: RelId, columns: Vec<u16>) -> IndexId {
+        let known = &mut self.of[relation.index()];
+        if let Some(&index) = known.iter().find(|index| self.specs[index.index()].columns == columns) {
+            return index;
+        }
+        let index = IndexId(self.specs.len() as u32);
+        self.specs.push(IndexSpec { relation, columns });
+        known.push(index);
+        index
+    }
+
+    /// An index whose first columns are these in some order, and that order.
+    fn prefix(&mut self, relation: RelId, columns: Vec<u16>) -> (IndexId, Vec<u16>) {
+        for &index in &self.of[relation.index()] {
+            let spec = &self.specs[index.index()].columns;
+            if spec.len() >= columns.len() && columns.iter().all(|column| spec[..columns.len()].contains(column)) {
+                return (index, spec[..columns.len()].to_vec());
+            }
+        }
+        (self.exact(relation, columns.clone()), columns)
+    }
+}
+
+/// All plans of a clause. `stratum` holds the relations computed together with its head.
+fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Result<ClausePlans, Diagnostic> {
+    for (what, count) in [("literals", clause.body.len()), ("variables", clause.variables.len())] {
+        if count > CLAUSE_MAX {
+            let message = format!("the clause has {count} {what}; at most {CLAUSE_MAX} are possible");
+            return Err(Diagnostic::new(Code::LimitExceeded, message).at(clause.span, ""));
+        }
+    }
+    let recursive: Vec<usize> = (0..clause.body.len())
+        .filter(|&position| match &clause.body[position] {
+            Literal::Positive(atom) | Literal::Guard(atom) => stratum.contains(&atom.relation),
+            _ => false,
+        })
+        .collect();
+    let complete = Planner::new(clause, indexer).plan(None, &|_| Version::Complete)?;
+    let mut deltas = Vec::new();
+    for &delta in &recursive {
+        // Each derivation is found once: by the plan of its first atom that holds by a new row.
+        let version = |position: usize| match position.cmp(&delta) {
+            _ if !recursive.contains(&position) => Version::Complete,
+            std::cmp::Ordering::Less => Version::Old,
+            std::cmp::Ordering::Equal => Version::New,
+            std::cmp::Ordering::Greater => Version::All,
+        };
+        let plan = Planner::new(clause, indexer).plan(Some(delta), &version)?;
+        if let Some(atom) = atom_of(&clause.body[delta]) {
+            deltas.push((atom.relation, plan));
+        }
+    }
+    Ok(ClausePlans { complete, deltas })
+}
+
+struct Planner<'a> {
+    clause: &'a Clause,
+    indexer: &'a mut Indexer,
+    slots: Vec<Value>,
+    /// By variable.
+    bound: Vec<bool>,
+    /// Positions in the body, in the order of the text.
+    left: Vec<usize>,
+    steps: Vec<Step>,
+    /// Whether a scan stands before, so that the next step may run many times.
+    repeated: bool,
+}
+
+impl<'a> Planner<'a> {
+    fn new(clause: &'a Clause, indexer: &'a mut Indexer) -> Self {
+        Planner {
+            clause,
+            indexer,
+            slots: vec![Value(0); clause.variables.len()],
+            bound: vec![false; clause.variables.len()],
+            left: (0..clause.body.len()).collect(),
+            steps: Vec::new(),
+            repeated: false,
+        }
+    }
+
+    fn plan(mut self, first: Option<usize>, version: &dyn Fn(usize) -> Version) -> Result<Plan, Diagnostic> {
+        let head_variables: Vec<VarId> = self.clause.head.terms.iter().filter_map(variable_of).collect();
+        let mut settled = head_variables.is_empty().then_some(0);
+        let mut next = first;
+        loop {
+            if let Some(position) = next {
+                self.left.retain(|&other| other != position);
+                if let Some(atom) = atom_of(&self.clause.body[position]) {
+                    self.scan(atom, version(position));
+                }
+            }
+            self.place_tests(version);
+            if settled.is_none() && head_variables.iter().all(|variable| self.bound[variable.index()]) {
+                settled = Some(self.steps.len());
+            }
+            next = self.next_atom();
+            if next.is_none() {
+                break;
+            }
+        }
+        let settled = match settled {
+            Some(settled) if self.left.is_empty() => settled,
+            _ => return Err(self.unbound()),
+        };
+        let head = &self.clause.head;
+        let output = head.terms.iter().filter_map(|term| self.slot(term)).collect();
+        Ok(Plan {
+            head: head.relation,
+            output,
+            steps: self.steps,
+            settled,
+            slots: self.slots,
+        })
+    }
+
+    /// What to say of a clause that checking should have refused.
+    fn unbound(&self) -> Diagnostic {
+        let names = self.clause.variables.iter().zip(&self.bound);
+        let names: Vec<String> = names
+            .filter(|(_, bound)| !**bound)
+            .map(|(name, _)| format!("`{name}`"))
+            .collect();
+        let message = format!("no positive atom binds {}", names.join(", "));
+        Diagnostic::new(Code::UnboundVariable, message).at(self.clause.span, "")
+    }
+
+    /// The slot of a term; `None` for a wildcard.
+    fn slot(&mut self, term: &Term) -> Option<Slot> {
+        match *term {
+            Term::Variable(variable) => Some(variable.index() as Slot),
+            Term::Constant(value) => {
+                let first = self.clause.variables.len();
+                let known = self.slots[first..].iter().position(|&constant| constant == value);
+                let position = known.unwrap_or_else(|| {
+                    self.slots.push(value);
+                    self.slots.len() - 1 - first
+                });
+                Some((first + position) as Slot)
+            }
+            Term::Wildcard => None,
+        }
+    }
+
+    fn is_bound(&self, term: &Term) -> bool {
+        variable_of(term).is_none_or(|variable| self.bound[variable.index()])
+    }
+
+    /// Places every literal that binds no variable by a scan and whose variables are bound.
+    fn place_tests(&mut self, version: &dyn Fn(usize) -> Version) {
+        // An equality may bind what an earlier literal waits for.
+        while let Some(position) = (self.left.iter().copied()).find(|&position| self.is_ready(position)) {
+            self.left.retain(|&other| other != position);
+            match &self.clause.body[position] {
+                Literal::Positive(atom) | Literal::Guard(atom) => {
+                    let (source, key) = self.lookup(atom, version(position));
+                    self.steps.push(Step::Exists { source, key });
+                }
+                Literal::Negative(atom) => {
+                    let (source, key) = self.lookup(atom, Version::Complete);
+                    self.steps.push(Step::Absent { source, key });
+                }
+                Literal::Compare {
+                    op, left, right, base, ..
+                } => self.compare(*op, left, right, *base),
+            }
+        }
+    }
+
+    fn is_ready(&self, position: usize) -> bool {
+        match &self.clause.body[position] {
+            Literal::Positive(atom) | Literal::Guard(atom) => {
+                let terms = || atom.terms.iter();
+                terms().all(|term| self.is_bound(term) || self.is_unneeded(atom, term, position))
+            }
+            Literal::Negative(atom) => atom.terms.iter().all(|term| self.is_bound(term)),
+            Literal::Compare {
+                op: Comparison::Equal,
+                left,
+                right,
+                ..
+            } => self.is_bound(left) || self.is_bound(right),
+            Literal::Compare { left, right, .. } => self.is_bound(left) && self.is_bound(right),
+        }
+    }
+
+    /// Whether the term is a variable that is not bound and occurs nowhere else in what is left of the clause: any value
+    /// will do.
+    fn is_unneeded(&self, atom: &Atom, term: &Term, position: usize) -> bool {
+        let Some(variable) = variable_of(term) else {
+            return matches!(term, Term::Wildcard);
+        };
+        let is_it = |term: &&Term| variable_of(term) == Some(variable);
+        !self.bound[variable.index()]
+            && atom.terms.iter().filter(is_it).count() == 1
+            && !self.clause.head.terms.iter().any(|term| is_it(&term))
+            && !(self.left.iter().filter(|&&other| other != position)).any(|&other| match &self.clause.body[other] {
+                Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
+                    atom.terms.iter().any(|term| is_it(&term))
+                }
+                Literal::Compare { left, right, .. } => is_it(&left) || is_it(&right),
+            })
+    }
+
+    /// The source and key of a test. All columns are bound, or any value will do.
+    fn lookup(&mut self, atom: &Atom, version: Version) -> (Source, Vec<Slot>) {
+        let bound = |&column: &u16| {
+            let term = &atom.terms[column as usize];
+            *term != Term::Wildcard && self.is_bound(term)
+        };
+        let columns: Vec<u16> = (0..atom.terms.len() as u16).filter(bound).collect();
+        let (index, columns) = self.indexer.prefix(atom.relation, columns);
+        let key = columns
+            .iter()
+            .filter_map(|&column| self.slot(&atom.terms[column as usize]))
+            .collect();
+        (Source { index, version }, key)
+    }
+
+    fn compare(&mut self, op: Comparison, left: &Term, right: &Term, base: BaseType) {
+        let bound = (self.is_bound(left), self.is_bound(right));
+        let (Some(left), Some(right)) = (self.slot(left), self.slot(right)) else {
+            return;
+        };
+        let (to, from) = match bound {
+            (true, true) => {
+                self.steps.push(Step::Compare { op, left, right, base });
+                return;
+            }
+            (false, _) => (left, right),
+            (true, false) => (right, left),
+        };
+        self.bound[to as usize] = true;
+        self.steps.push(Step::Copy { to, from });
+    }
+
+    /// The atom to scan next: connected to what is bound, then the fewest new variables, then the most bound columns.
+    fn next_atom(&self) -> Option<usize> {
+        let cost = |position: usize| match &self.clause.body[position] {
+            Literal::Positive(atom) | Literal::Guard(atom) => {
+                let needed = |term: &&Term| !self.is_bound(term) && !self.is_unneeded(atom, term, position);
+                let known = |term: &&Term| **term != Term::Wildcard && self.is_bound(term);
+                let mut new: Vec<VarId> = atom.terms.iter().filter(needed).filter_map(variable_of).collect();
+                new.sort_unstable();
+                new.dedup();
+                let known = atom.terms.iter().filter(known).count();
+                Some((known == 0, new.len(), std::cmp::Reverse(known), position))
+            }
+            _ => None,
+        };
+        let best = self.left.iter().filter_map(|&position| cost(position)).min()?;
+        Some(best.3)
+    }
+
+    /// Appends a scan of the atom.
+    fn scan(&mut self, atom: &Atom, version: Version) {
+        // (column, slot) of every column whose value matters.
+        let mut keys: Vec<(u16, Slot)> = Vec::new();
+        let mut binds: Vec<(u16, Slot)> = Vec::new();
+        let mut checks: Vec<(u16, Slot)> = Vec::new();
+        for (column, term) in (0u16..).zip(&atom.terms) {
+            let bound = self.is_bound(term);
+            let unneeded = self.is_unneeded(atom, term, usize::MAX);
+            let Some(slot) = self.slot(term) else { continue };
+            if bound {
+                keys.push((column, slot));
+            } else if binds.iter().any(|&(_, other)| other == slot) {
+                checks.push((column, slot));
+            } else if !unneeded {
+                binds.push((column, slot));
+            }
+        }
+        for &(_, slot) in &binds {
+            self.bound[slot as usize] = true;
+        }
+        let own = IndexId(atom.relation.0);
+        let index = if self.repeated && version != Version::New && !keys.is_empty() {
+            let columns = keys
+                .iter()
+                .chain(&binds)
+                .chain(&checks)
+                .map(|&(column, _)| column)
+                .collect::<Vec<u16>>();
+            let index = self.indexer.exact(atom.relation, columns.clone());
+            for (column, _) in keys.iter_mut().chain(&mut binds).chain(&mut checks) {
+                *column =
+                    (columns.iter().position(|other| other == column)).map_or(*column, |position| position as u16);
+            }
+            index
+        } else {
+            // Run once, or with nothing known: an index would cost more than it saves. The relation's own order may still
+            // begin with known columns.
+            let prefix = if version == Version::New {
+                0
+            } else {
+                (0..).zip(&keys).take_while(|(at, key)| *at == key.0).count()
+            };
+            checks.extend(keys.drain(prefix..));
+            own
+        };
+        self.steps.push(Step::Scan {
+            source: Source { index, version },
+            key: keys.into_iter().map(|(_, slot)| slot).collect(),
+            bind: binds,
+            check: checks,
+        });
+        self.repeated = true;
+    }
+}
+
+fn variable_of(term: &Term) -> Option<VarId> {
+    match *term {
+        Term::Variable(variable) => Some(variable),
+        Term::Constant(_) | Term::Wildcard => None,
+    }
+}

@@ -1,0 +1,282 @@
+//! Rows of a width fixed at compile time, and sorted lists of them.
+//!
+//! A program learns the arities of its predicates at run time, while fast sorting, merging and searching want them at compile
+//! time. So everything that touches rows is generic over one width `W`, the program's largest arity rounded up to one of
+//! [`WIDTHS`]; narrower rows are padded with zeros. A set of rows is a sorted slice without repetitions.
+
+use crate::lang::Value;
+use std::cmp::Ordering;
+
+/// The widths there is code for, in words. An arity beyond the last is refused when a program is made.
+pub(super) const WIDTHS: [usize; 6] = [2, 3, 4, 8, 16, 32];
+
+/// A row of `W` words, ordered from the first word on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Row<const W: usize>(pub(super) [Value; W]);
+
+impl<const W: usize> Row<W> {
+    /// A row of zeros.
+    pub(super) const ZERO: Self = Row([Value(0); W]);
+
+    /// The values, padded. There must be at most `W`.
+    pub(super) fn new(values: &[Value]) -> Self {
+        let mut row = Self::ZERO;
+        row.0[..values.len()].copy_from_slice(values);
+        row
+    }
+
+    /// The values of the given columns, padded.
+    pub(super) fn project(&self, columns: &[u16]) -> Self {
+        let mut row = Self::ZERO;
+        for (to, &from) in row.0.iter_mut().zip(columns) {
+            *to = self.0[from as usize];
+        }
+        row
+    }
+}
+
+impl<const W: usize> Ord for Row<W> {
+    /// Lexicographic, two words at a time: sorting spends its time here.
+    #[inline]
+    fn cmp(&self, other: &Self) -> Ordering {
+        let pair = |row: &Self, i: usize| u64::from(row.0[i].0) << 32 | u64::from(row.0[i + 1].0);
+        let mut i = 0;
+        while i + 1 < W {
+            let (a, b) = (pair(self, i), pair(other, i));
+            if i + 2 >= W || a != b {
+                return a.cmp(&b);
+            }
+            i += 2;
+        }
+        self.0[W - 1].cmp(&other.0[W - 1])
+    }
+}
+
+impl<const W: usize> PartialOrd for Row<W> {
+    #[inline]
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// How many elements from the front satisfy `before`, which holds for a prefix of the slice. Fast if they are few.
+pub(super) fn gallop<T>(slice: &[T], mut before: impl FnMut(&T) -> bool) -> usize {
+    let mut step = 1;
+    let mut low = 0;
+    // Everything in front of `low` is before.
+    while low + step <= slice.len() && before(&slice[low + step - 1]) {
+        low += step;
+        step *= 2;
+    }
+    let high = (low + step).min(slice.len());
+    low + slice[low..high].partition_point(before)
+}
+
+/// The union of two disjoint or overlapping sets.
+pub(super) fn merge<const W: usize>(a: &[Row<W>], b: &[Row<W>]) -> Vec<Row<W>> {
+    let mut out = Vec::with_capacity(a.len() + b.len());
+    let (mut a, mut b) = (a, b);
+    while let (Some(x), Some(y)) = (a.first(), b.first()) {
+        match x.cmp(y) {
+            Ordering::Less => {
+                out.push(*x);
+                a = &a[1..];
+            }
+            Ordering::Greater => {
+                out.push(*y);
+                b = &b[1..];
+            }
+            Ordering::Equal => a = &a[1..],
+        }
+    }
+    out.extend_from_slice(a);
+    out.extend_from_slice(b);
+    out
+}
+
+/// The elements of `a` that are not in `b`.
+pub(super) fn difference<const W: usize>(a: &[Row<W>], b: &[Row<W>]) -> Vec<Row<W>> {
+    let mut out = Vec::new();
+    let mut b = b;
+    for row in a {
+        b = &b[gallop(b, |other| other < row)..];
+        if b.first() != Some(row) {
+            out.push(*row);
+        }
+    }
+    out
+}
+
+/// Sorts and removes repetitions.
+pub(super) fn normalise<const W: usize>(rows: &mut Vec<Row<W>>) {
+    rows.sort_unstable();
+    rows.dedup();
+}
+
+/// A sorted list of rows that can be searched by a prefix.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Batch<'a, const W: usize> {
+    pub(super) rows: &'a [Row<W>],
+    /// `starts[v]` is the position of the first row that begins with `v` or more; empty if there is no such directory.
+    pub(super) starts: &'a [u32],
+}
+
+impl<'a, const W: usize> Batch<'a, W> {
+    /// A batch without a directory.
+    pub(super) fn plain(rows: &'a [Row<W>]) -> Self {
+        Batch { rows, starts: &[] }
+    }
+
+    /// The rows that begin with `key`.
+    #[inline]
+    pub(super) fn range(&self, key: &[Value]) -> &'a [Row<W>] {
+        let Some(&first) = key.first() else { return self.rows };
+        let (rows, rest) = if self.starts.is_empty() {
+            let start = self.rows.partition_point(|row| row.0[0] < first);
+            let rows = &self.rows[start..];
+            (&rows[..gallop(rows, |row| row.0[0] == first)], &key[1..])
+        } else {
+            let at = first.0 as usize;
+            match (self.starts.get(at), self.starts.get(at + 1)) {
+                (Some(&start), Some(&end)) => (&self.rows[start as usize..end as usize], &key[1..]),
+                _ => return &[],
+            }
+        };
+        if rest.is_empty() { rows } else { narrow(rows, rest) }
+    }
+}
+
+/// Of rows that agree in the first column, those whose next columns are `rest`.
+fn narrow<'a, const W: usize>(rows: &'a [Row<W>], rest: &[Value]) -> &'a [Row<W>] {
+    let key = |row: &Row<W>| row.0[1..=rest.len()].cmp(rest);
+    let start = rows.partition_point(|row| key(row).is_lt());
+    let rows = &rows[start..];
+    &rows[..gallop(rows, |row| key(row).is_eq())]
+}
+
+/// A relation's rows in another order of columns, or just a directory over its own order.
+#[derive(Clone, Debug)]
+pub(super) struct Index<const W: usize> {
+    /// Projected rows; `None` if the relation's own rows serve.
+    rows: Option<Vec<Row<W>>>,
+    starts: Vec<u32>,
+}
+
+impl<const W: usize> Index<W> {
+    /// Below this number of rows a binary search costs no more than a directory.
+    const DIRECTORY_MIN: usize = 512;
+
+    /// An index over `rows` by `columns`; `own` if those are all columns in their own order.
+    pub(super) fn build(rows: &[Row<W>], columns: &[u16], own: bool) -> Self {
+        let projected = (!own).then(|| project(rows, columns));
+        let starts = directory(projected.as_deref().unwrap_or(rows));
+        Index {
+            rows: projected,
+            starts,
+        }
+    }
+
+    /// The searchable list; `own` are the relation's rows.
+    pub(super) fn batch<'a>(&'a self, own: &'a [Row<W>]) -> Batch<'a, W> {
+        Batch {
+            rows: self.rows.as_deref().unwrap_or(own),
+            starts: &self.starts,
+        }
+    }
+}
+
+/// The rows with only the given columns, in their order; sorted, without repetitions.
+pub(super) fn project<const W: usize>(rows: &[Row<W>], columns: &[u16]) -> Vec<Row<W>> {
+    let mut projected: Vec<Row<W>> = rows.iter().map(|row| row.project(columns)).collect();
+    normalise(&mut projected);
+    projected
+}
+
+/// Direct addressing by the first word, if the words are dense enough (symbols are: they are numbered from zero).
+fn directory<const W: usize>(rows: &[Row<W>]) -> Vec<u32> {
+    let Some(last) = rows.last() else { return Vec::new() };
+    let largest = last.0[0].0 as usize;
+    if rows.len() < Index::<W>::DIRECTORY_MIN || largest / 4 > rows.len() || u32::try_from(rows.len()).is_err() {
+        return Vec::new();
+    }
+    let mut starts = Vec::with_capacity(largest + 2);
+    for (position, row) in rows.iter().enumerate() {
+        while starts.len() <= row.0[0].0 as usize {
+            starts.push(position as u32);
+        }
+    }
+    starts.push(rows.len() as u32);
+    starts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rows<const W: usize>(words: &[[u32; W]]) -> Vec<Row<W>> {
+        words.iter().map(|row| Row(row.map(Value))).collect()
+    }
+
+    #[test]
+    fn rows_are_ordered_as_their_words() {
+        fn check<const W: usize>() {
+            let samples: Vec<[u32; W]> = (0..200u32)
+                .map(|i| std::array::from_fn(|column| i.wrapping_mul(2_654_435_761 + column as u32) >> 30))
+                .collect();
+            for a in &samples {
+                for b in &samples {
+                    assert_eq!(Row(a.map(Value)).cmp(&Row(b.map(Value))), a.cmp(b));
+                }
+            }
+        }
+        check::<2>();
+        check::<3>();
+        check::<4>();
+        check::<8>();
+    }
+
+    #[test]
+    fn searches_agree_with_and_without_a_directory() {
+        let mut list = rows::<3>(&[]);
+        for a in (0..300).filter(|a| a % 7 != 3) {
+            for b in 0..a % 5 {
+                list.push(Row([Value(a), Value(b), Value(a ^ b)]));
+            }
+        }
+        normalise(&mut list);
+        let index = Index::build(&list, &[0, 1, 2], true);
+        assert!(!index.starts.is_empty());
+        for a in 0..400 {
+            for b in 0..6 {
+                let expected: Vec<_> = list.iter().filter(|row| row.0[..2] == [Value(a), Value(b)]).collect();
+                for batch in [Batch::plain(&list), index.batch(&list)] {
+                    assert!(batch.range(&[Value(a), Value(b)]).iter().eq(expected.iter().copied()));
+                }
+            }
+            let expected: Vec<_> = list.iter().filter(|row| row.0[0] == Value(a)).collect();
+            for batch in [Batch::plain(&list), index.batch(&list)] {
+                assert!(batch.range(&[Value(a)]).iter().eq(expected.iter().copied()));
+            }
+        }
+        assert!(index.batch(&list).range(&[Value(u32::MAX)]).is_empty());
+    }
+
+    #[test]
+    fn gallop_counts_a_prefix() {
+        for len in 0..40 {
+            let list: Vec<usize> = (0..len).collect();
+            for prefix in 0..=len {
+                assert_eq!(gallop(&list, |&x| x < prefix), prefix);
+            }
+        }
+    }
+
+    #[test]
+    fn sets_merge_and_subtract() {
+        let a = rows(&[[1, 1], [2, 2], [5, 0]]);
+        let b = rows(&[[0, 9], [2, 2], [7, 7]]);
+        assert_eq!(merge(&a, &b), rows(&[[0, 9], [1, 1], [2, 2], [5, 0], [7, 7]]));
+        assert_eq!(difference(&a, &b), rows(&[[1, 1], [5, 0]]));
+        assert_eq!(difference(&b, &a), rows(&[[0, 9], [7, 7]]));
+    }
+}

@@ -1,0 +1,199 @@
+//! The syntax tree: what a text says, before any name is looked up.
+
+use crate::diag::Span;
+
+use super::rules::Comparison;
+
+/// Where a part of the tree stands in its text. Two places are always equal, so trees are compared by what they say.
+#[derive(Clone, Copy, Debug)]
+pub struct Place(pub Span);
+
+impl PartialEq for Place {
+    fn eq(&self, _: &Place) -> bool {
+        true
+    }
+}
+
+impl Eq for Place {}
+
+/// A name as written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Name {
+    /// The name.
+    pub text: String,
+    /// Where it stands.
+    pub place: Place,
+}
+
+/// One text.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct File {
+    /// Its parts, in order.
+    pub items: Vec<Item>,
+}
+
+/// A directive or a clause.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Item {
+    /// `.include "path"`
+    Include(Include),
+    /// `.type name <: parent` or `.type name = other`
+    Type(TypeDecl),
+    /// `.decl A, B(x: number)`
+    Decl(Decl),
+    /// `.input A, B`, `.output A`, `.printsize A`
+    Mark(Mark),
+    /// `.scope P`, or `.scope` alone
+    Scope(Scope),
+    /// A fact or a rule.
+    Clause(Clause),
+}
+
+/// `.include "path"`
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Include {
+    /// The path between the quotes.
+    pub path: String,
+    /// The quoted path.
+    pub place: Place,
+}
+
+/// A declared type.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TypeDecl {
+    /// Its name.
+    pub name: Name,
+    /// What it is.
+    pub definition: TypeDefinition,
+    /// Text of the doc comment before it.
+    pub doc: String,
+}
+
+/// The right-hand side of a `.type`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum TypeDefinition {
+    /// `<: parent`
+    Subtype(Name),
+    /// `= other`: one type under two names.
+    Alias(Name),
+    /// Something that is not understood and was reported; the name is kept so that its uses are not reported too.
+    Faulty,
+}
+
+/// One or more declared predicates with the same columns.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Decl {
+    /// Their names; at least one.
+    pub names: Vec<Name>,
+    /// Their columns; `None` if they could not be read, which was reported.
+    pub columns: Option<Vec<ColumnDecl>>,
+    /// Text of the doc comment before it.
+    pub doc: String,
+}
+
+/// `name: type`
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ColumnDecl {
+    /// The column's name.
+    pub name: Name,
+    /// The name of its type.
+    pub ty: Name,
+}
+
+/// `.input A, B` and the like.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mark {
+    /// Which directive.
+    pub kind: MarkKind,
+    /// The predicates it names; at least one.
+    pub names: Vec<Name>,
+}
+
+/// What a [`Mark`] says of its predicates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MarkKind {
+    /// `.input`
+    Input,
+    /// `.output`
+    Output,
+    /// `.printsize`
+    PrintSize,
+}
+
+/// `.scope P`: guards the variables of the clauses after it; without a name it ends.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Scope {
+    /// The guard.
+    pub predicate: Option<Name>,
+    /// The directive.
+    pub place: Place,
+}
+
+/// A fact (no body) or a rule.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Clause {
+    /// What is derived.
+    pub head: Atom,
+    /// When.
+    pub body: Vec<Literal>,
+    /// Text of the doc comment before it.
+    pub doc: String,
+    /// From head to full stop.
+    pub place: Place,
+}
+
+/// A literal. Double negations and negated comparisons are folded when they are read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Literal {
+    /// `P(X)`, or `Not(P(X))`, `not P(X)`, `!P(X)`
+    Atom {
+        /// Whether it is negated.
+        negated: bool,
+        /// The atom.
+        atom: Atom,
+    },
+    /// `X < Y`
+    Compare {
+        /// The operator.
+        op: Comparison,
+        /// Left side.
+        left: Term,
+        /// Right side.
+        right: Term,
+        /// Both sides.
+        place: Place,
+    },
+}
+
+/// A predicate with arguments.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Atom {
+    /// The predicate's name.
+    pub predicate: Name,
+    /// Its arguments.
+    pub terms: Vec<Term>,
+    /// All of it.
+    pub place: Place,
+}
+
+/// An argument.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Term {
+    /// What it is.
+    pub kind: TermKind,
+    /// Where it stands.
+    pub place: Place,
+}
+
+/// What a [`Term`] is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum TermKind {
+    /// A variable's name.
+    Variable(String),
+    /// `_`
+    Wildcard,
+    /// A number.
+    Number(i32),
+    /// A text in quotes, after its escapes were replaced.
+    Text(String),
+}

@@ -1,0 +1,184 @@
+//! Follows `.include`: the texts of a program become one list of items, in the order in which they would be read aloud.
+
+use std::path::{Component, Path, PathBuf};
+
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::files::ReadError;
+
+use super::ast::{File, Include, Item};
+use super::faults::Faults;
+use super::parser;
+
+/// The folder under which [`super::load`] asks for a file that is not beside the one including it.
+pub const BUILTIN: &str = "<builtin>";
+
+/// A larger text is refused.
+const MAX_TEXT_BYTES: usize = 64 << 20;
+
+/// A longer chain of includes is refused.
+const MAX_DEPTH: usize = 64;
+
+/// The items of all texts.
+pub(super) struct Gathered {
+    /// No [`Item::Include`] is left among them.
+    pub items: Vec<Item>,
+    /// Whether every included text was there. If not, names may be unknown only because their declaration was not read.
+    pub complete: bool,
+}
+
+pub(super) fn gather(
+    sources: &mut Sources,
+    entry: SourceId,
+    read: &dyn Fn(&Path) -> Result<String, ReadError>,
+    faults: &mut Faults,
+) -> Gathered {
+    let key = normal(Path::new(sources.name(entry)));
+    let mut walk = Walk {
+        sources,
+        read,
+        faults,
+        seen: std::iter::once(key.clone()).collect(),
+        open: vec![(key, None)],
+        gathered: Gathered {
+            items: Vec::new(),
+            complete: true,
+        },
+    };
+    walk.text(entry);
+    walk.gathered
+}
+
+pub(super) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) -> File {
+    let text = sources.text(id);
+    if text.len() > MAX_TEXT_BYTES {
+        let fault = Diagnostic::new(Code::LimitExceeded, "rule file too large")
+            .at(Span::new(id, 0..0), "")
+            .note(format!(
+                "a rule file has at most {} MiB; facts can be given as `.facts` files",
+                MAX_TEXT_BYTES >> 20
+            ));
+        faults.push(fault);
+        return File::default();
+    }
+    parser::parse(id, text, faults)
+}
+
+struct Walk<'a> {
+    sources: &'a mut Sources,
+    read: &'a dyn Fn(&Path) -> Result<String, ReadError>,
+    faults: &'a mut Faults,
+    /// The normal paths of all texts so far. It is only asked, never walked.
+    seen: std::collections::HashSet<PathBuf>,
+    /// The texts being read, outermost first: normal path, and the include that led to it.
+    open: Vec<(PathBuf, Option<Span>)>,
+    gathered: Gathered,
+}
+
+impl Walk<'_> {
+    fn text(&mut self, id: SourceId) {
+        for item in parse_one(self.sources, id, self.faults).items {
+            match item {
+                Item::Include(include) => self.include(id, &include),
+                other => self.gathered.items.push(other),
+            }
+        }
+    }
+
+    fn include(&mut self, from: SourceId, include: &Include) {
+        let span = include.place.0;
+        let beside = Path::new(self.sources.name(from))
+            .parent()
+            .unwrap_or(Path::new(""))
+            .join(&include.path);
+        let builtin = Path::new(BUILTIN).join(&include.path);
+        let mut error = ReadError::NotFound;
+        for path in [&beside, &builtin] {
+            let key = normal(path);
+            if let Some(position) = self.open.iter().position(|(open, _)| *open == key) {
+                return self.cycle(position, span);
+            }
+            if self.seen.contains(&key) {
+                return;
+            }
+            if path.as_os_str() == builtin.as_os_str() && !builtin.starts_with(BUILTIN) {
+                continue; // an absolute path
+            }
+            match (self.read)(path) {
+                Ok(text) => return self.open(path, key, text, span),
+                Err(ReadError::NotFound) => {}
+                Err(other) => {
+                    error = other;
+                    break;
+                }
+            }
+        }
+        self.gathered.complete = false;
+        let path = beside.display();
+        let fault = match error {
+            ReadError::NotFound => {
+                Diagnostic::new(Code::MissingInclude, format!("no file `{}` to include", include.path))
+                    .at(span, "")
+                    .note(format!("looked for `{path}` and for a built-in rule file of that name"))
+            }
+            ReadError::NotText { .. } => {
+                Diagnostic::new(Code::NotText, format!("`{path}` is {error}")).at(span, "included here")
+            }
+            ReadError::TooLarge => {
+                Diagnostic::new(Code::LimitExceeded, format!("`{path}` is {error}")).at(span, "included here")
+            }
+            ReadError::Io(_) => Diagnostic::new(Code::MissingInclude, format!("cannot read `{path}`: {error}"))
+                .at(span, "included here"),
+        };
+        self.faults.push(fault);
+    }
+
+    fn open(&mut self, path: &Path, key: PathBuf, text: String, span: Span) {
+        if self.open.len() >= MAX_DEPTH {
+            self.gathered.complete = false;
+            let fault = Diagnostic::new(Code::LimitExceeded, "includes nested too deeply")
+                .at(span, "")
+                .note(format!("a chain of includes has at most {MAX_DEPTH} files"));
+            self.faults.push(fault);
+            return;
+        }
+        let id = self.sources.add(path.display().to_string(), text);
+        self.seen.insert(key.clone());
+        self.open.push((key, Some(span)));
+        self.text(id);
+        self.open.pop();
+    }
+
+    /// `span` includes the open text number `position`.
+    fn cycle(&mut self, position: usize, span: Span) {
+        let name = self.sources.name(span.source).to_owned();
+        let on_cycle: Vec<Span> = self.open[position + 1..]
+            .iter()
+            .filter_map(|(_, include)| *include)
+            .collect();
+        let mut fault = match on_cycle.as_slice() {
+            [] => Diagnostic::new(Code::IncludeCycle, format!("`{name}` includes itself")).at(span, ""),
+            _ => Diagnostic::new(Code::IncludeCycle, "files include each other in a circle")
+                .at(span, "this include closes the circle"),
+        };
+        for step in on_cycle {
+            fault = fault.also(step, "on the circle");
+        }
+        self.faults
+            .push(fault.help("move what both need into a file of its own, and include that"));
+    }
+}
+
+/// A path without `.` and, where the text allows it, without `..`: by it two names of one file are known to be the same.
+fn normal(path: &Path) -> PathBuf {
+    let mut out = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::CurDir => {}
+            Component::ParentDir if matches!(out.components().next_back(), Some(Component::Normal(_))) => {
+                out.pop();
+            }
+            _ => out.push(part),
+        }
+    }
+    out
+}

@@ -1,0 +1,327 @@
+//! Text to tokens. One pass, no look-back; faults are reported and lexing goes on.
+
+use crate::diag::{Code, Diagnostic, SourceId, Span};
+
+use super::faults::Faults;
+
+/// Longer names are refused, so that they can be shown and compared.
+pub(super) const MAX_NAME_BYTES: usize = 255;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Ident,
+    Underscore,
+    Number,
+    Float,
+    Unsigned,
+    /// A text with both quotes.
+    Text,
+    /// A text whose closing quote is missing; reported.
+    OpenText,
+    LParen,
+    RParen,
+    LBracket,
+    RBracket,
+    LBrace,
+    RBrace,
+    Comma,
+    Dot,
+    Colon,
+    Semicolon,
+    /// `:-`
+    If,
+    Bang,
+    Equal,
+    NotEqual,
+    Less,
+    LessEqual,
+    Greater,
+    GreaterEqual,
+    /// `<:`
+    Subtype,
+    Pipe,
+    /// `+ * / % ^ &`
+    Operator,
+    Minus,
+    Dollar,
+    At,
+    Hash,
+    End,
+}
+
+/// A token: what it is and its bytes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Token {
+    pub kind: Kind,
+    pub start: u32,
+    pub end: u32,
+    /// Whether no other token stands before it on its line.
+    pub first_on_line: bool,
+}
+
+/// A line of doc comment, without the slashes, and the number of the token that follows it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct DocLine {
+    pub before: u32,
+    pub start: u32,
+    pub end: u32,
+}
+
+#[derive(Debug)]
+pub(super) struct Lexed {
+    /// The last one is [`Kind::End`].
+    pub tokens: Vec<Token>,
+    pub docs: Vec<DocLine>,
+}
+
+pub(super) fn is_name_start(byte: u8) -> bool {
+    byte.is_ascii_alphabetic() || byte == b'_' || byte == b'?'
+}
+
+pub(super) fn is_name_part(byte: u8) -> bool {
+    byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'?'
+}
+
+/// `text` must be shorter than 4 GiB.
+pub(super) fn lex(source: SourceId, text: &str, faults: &mut Faults) -> Lexed {
+    let mut lexer = Lexer {
+        source,
+        text,
+        bytes: text.as_bytes(),
+        at: if text.starts_with('\u{feff}') {
+            '\u{feff}'.len_utf8()
+        } else {
+            0
+        },
+        fresh_line: true,
+        lexed: Lexed {
+            tokens: Vec::new(),
+            docs: Vec::new(),
+        },
+        faults,
+    };
+    lexer.run();
+    lexer.lexed
+}
+
+struct Lexer<'a> {
+    source: SourceId,
+    text: &'a str,
+    bytes: &'a [u8],
+    at: usize,
+    fresh_line: bool,
+    lexed: Lexed,
+    faults: &'a mut Faults,
+}
+
+impl Lexer<'_> {
+    fn run(&mut self) {
+        while let Some(&byte) = self.bytes.get(self.at) {
+            match byte {
+                b'\n' => {
+                    self.fresh_line = true;
+                    self.at += 1;
+                }
+                b' ' | b'\t' | b'\r' | 0x0b | 0x0c => self.at += 1,
+                b'/' if self.peek(1) == Some(b'/') => self.line_comment(),
+                b'/' if self.peek(1) == Some(b'*') => self.block_comment(),
+                b'"' => self.text_constant(),
+                b'0'..=b'9' => self.number(),
+                _ if is_name_start(byte) => self.name(),
+                _ => self.punctuation(byte),
+            }
+        }
+        self.push(Kind::End, 0);
+    }
+
+    fn peek(&self, ahead: usize) -> Option<u8> {
+        self.bytes.get(self.at + ahead).copied()
+    }
+
+    fn span(&self, start: usize, end: usize) -> Span {
+        Span::new(self.source, start..end)
+    }
+
+    fn push(&mut self, kind: Kind, length: usize) {
+        let end = self.at + length;
+        let narrow = |byte: usize| u32::try_from(byte).unwrap_or(u32::MAX);
+        self.lexed.tokens.push(Token {
+            kind,
+            start: narrow(self.at),
+            end: narrow(end),
+            first_on_line: self.fresh_line,
+        });
+        self.fresh_line = false;
+        self.at = end;
+    }
+
+    fn count_while(&self, from: usize, keep: impl Fn(u8) -> bool) -> usize {
+        self.bytes[from..].iter().take_while(|&&byte| keep(byte)).count()
+    }
+
+    fn line_comment(&mut self) {
+        let length = self.count_while(self.at, |byte| byte != b'\n');
+        let end = self.at + length;
+        // As in Rust, `///` documents and `////` is a ruler.
+        if self.peek(2) == Some(b'/') && self.peek(3) != Some(b'/') {
+            let narrow = |byte: usize| u32::try_from(byte).unwrap_or(u32::MAX);
+            self.lexed.docs.push(DocLine {
+                before: narrow(self.lexed.tokens.len()),
+                start: narrow(self.at + 3),
+                end: narrow(end),
+            });
+        }
+        self.at = end;
+    }
+
+    fn block_comment(&mut self) {
+        match self.text[self.at + 2..].find("*/") {
+            Some(length) => {
+                let end = self.at + 2 + length + 2;
+                self.fresh_line |= self.bytes[self.at..end].contains(&b'\n');
+                self.at = end;
+            }
+            None => {
+                self.faults.push(
+                    Diagnostic::new(Code::Syntax, "comment without an end")
+                        .at(self.span(self.at, self.at + 2), "this `/*` has no `*/`"),
+                );
+                self.at = self.bytes.len();
+            }
+        }
+    }
+
+    fn text_constant(&mut self) {
+        let mut length = 1;
+        loop {
+            match self.peek(length) {
+                Some(b'"') => return self.push(Kind::Text, length + 1),
+                Some(b'\\') if !matches!(self.peek(length + 1), None | Some(b'\n')) => length += 2,
+                None | Some(b'\n') => break,
+                Some(_) => length += 1,
+            }
+        }
+        self.faults.push(
+            Diagnostic::new(Code::Syntax, "text without a closing quote")
+                .at(self.span(self.at, self.at + 1), "it begins here")
+                .note("a text ends on the line it begins; write a line break as `\\n`"),
+        );
+        self.push(Kind::OpenText, length);
+    }
+
+    fn number(&mut self) {
+        let radix_prefix = self.peek(0) == Some(b'0') && matches!(self.peek(1), Some(b'x' | b'b'));
+        let length = self.count_while(self.at, |byte| byte.is_ascii_alphanumeric() || byte == b'_');
+        let word = &self.bytes[self.at..self.at + length];
+        let after_dot = self.peek(length + 1).is_some_and(|byte| byte.is_ascii_digit());
+        if radix_prefix {
+            let digits = &word[2..];
+            let good = match word[1] {
+                b'x' => digits.iter().all(u8::is_ascii_hexdigit),
+                _ => digits.iter().all(|byte| matches!(byte, b'0' | b'1')),
+            };
+            if good && !digits.is_empty() {
+                return self.push(Kind::Number, length);
+            }
+        } else if word.iter().all(u8::is_ascii_digit) {
+            if self.peek(length) != Some(b'.') || !after_dot {
+                return self.push(Kind::Number, length);
+            }
+            let fraction = self.count_while(self.at + length, |byte| byte.is_ascii_alphanumeric() || byte == b'.');
+            return self.push(Kind::Float, length + fraction);
+        } else if let Some((b'u', digits)) = word.split_last()
+            && digits.iter().all(u8::is_ascii_digit)
+        {
+            return self.push(Kind::Unsigned, length);
+        } else if word.iter().all(|byte| byte.is_ascii_digit() || *byte == b'e') {
+            return self.push(Kind::Float, length);
+        }
+        self.faults.push(
+            Diagnostic::new(Code::Syntax, "not a number")
+                .at(self.span(self.at, self.at + length), "")
+                .help(
+                    "a number is written in decimal, or as `0x` or `0b` and digits; a name does not begin with a digit",
+                ),
+        );
+        self.push(Kind::Number, length);
+    }
+
+    fn name(&mut self) {
+        let length = self.count_while(self.at, is_name_part);
+        if length > MAX_NAME_BYTES {
+            self.faults.push(
+                Diagnostic::new(Code::LimitExceeded, format!("name of {length} characters"))
+                    .at(self.span(self.at, self.at + 1), "it begins here")
+                    .note(format!("a name has at most {MAX_NAME_BYTES}")),
+            );
+        }
+        let kind = match &self.bytes[self.at..self.at + length] {
+            b"_" => Kind::Underscore,
+            _ => Kind::Ident,
+        };
+        self.push(kind, length);
+    }
+
+    fn punctuation(&mut self, byte: u8) {
+        let (kind, length) = match (byte, self.peek(1)) {
+            (b':', Some(b'-')) => (Kind::If, 2),
+            (b'!', Some(b'=')) => (Kind::NotEqual, 2),
+            (b'<', Some(b'=')) => (Kind::LessEqual, 2),
+            (b'<', Some(b':')) => (Kind::Subtype, 2),
+            (b'>', Some(b'=')) => (Kind::GreaterEqual, 2),
+            (b'(', _) => (Kind::LParen, 1),
+            (b')', _) => (Kind::RParen, 1),
+            (b'[', _) => (Kind::LBracket, 1),
+            (b']', _) => (Kind::RBracket, 1),
+            (b'{', _) => (Kind::LBrace, 1),
+            (b'}', _) => (Kind::RBrace, 1),
+            (b',', _) => (Kind::Comma, 1),
+            (b'.', _) => (Kind::Dot, 1),
+            (b':', _) => (Kind::Colon, 1),
+            (b';', _) => (Kind::Semicolon, 1),
+            (b'!', _) => (Kind::Bang, 1),
+            (b'=', _) => (Kind::Equal, 1),
+            (b'<', _) => (Kind::Less, 1),
+            (b'>', _) => (Kind::Greater, 1),
+            (b'|', _) => (Kind::Pipe, 1),
+            (b'-', _) => (Kind::Minus, 1),
+            (b'+' | b'*' | b'/' | b'%' | b'^' | b'&', _) => (Kind::Operator, 1),
+            (b'$', _) => (Kind::Dollar, 1),
+            (b'@', _) => (Kind::At, 1),
+            (b'#', _) => (Kind::Hash, 1),
+            _ => return self.strange_characters(),
+        };
+        self.push(kind, length);
+    }
+
+    /// Reports a run of characters that begin no token as one fault.
+    fn strange_characters(&mut self) {
+        let start = self.at;
+        let strange = |byte: u8| {
+            !byte.is_ascii_whitespace()
+                && !is_name_part(byte)
+                && !b"\"()[]{},.:;!=<>|-+*/%^&$@#".contains(&byte)
+                && byte != 0x0b
+        };
+        let length = self.count_while(start, strange);
+        let first = self.text[start..].chars().next().unwrap_or('\u{fffd}');
+        let message = if first.is_control() {
+            format!("unexpected character U+{:04X}", u32::from(first))
+        } else {
+            format!("unexpected character `{first}`")
+        };
+        let mut fault = Diagnostic::new(Code::Syntax, message).at(self.span(start, start + length), "");
+        fault = match first {
+            '\'' | '\u{2018}' | '\u{2019}' | '\u{201c}' | '\u{201d}' => {
+                fault.help("texts are written in double quotes: `\"...\"`")
+            }
+            '\u{ac}' | '~' | '\\' => fault.help("negation is written `Not(P(X))`, `not P(X)` or `!P(X)`"),
+            _ if first.is_alphabetic() => fault.help(
+                "names are made of the letters a-z and A-Z, digits, `_` and `?`; other letters stand in texts only",
+            ),
+            _ => fault,
+        };
+        self.faults.push(fault);
+        self.at += length;
+    }
+}

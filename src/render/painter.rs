@@ -1,0 +1,184 @@
+//! Composes a frame: the map once, the agents every time.
+
+use super::agent::{Size, Sprite, Wardrobe};
+use super::canvas::Frame;
+use super::ground::{self, Zoom};
+use super::ink::Ink;
+use super::label::{self, Area};
+use super::legend;
+use crate::city::{CityMap, Heading};
+use crate::config::AgentKind;
+use embedded_graphics::mono_font::iso_8859_1::FONT_5X8;
+use embedded_graphics::text::Alignment;
+use std::fmt;
+
+/// A map without cells cannot be drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EmptyMap;
+
+impl fmt::Display for EmptyMap {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "the map has no cells")
+    }
+}
+
+impl std::error::Error for EmptyMap {}
+
+/// Space around everything, and between map and legend, in pixels.
+const MARGIN: i32 = 14;
+/// Height of the line above the map, in pixels.
+const STATUS: i32 = 30;
+/// Width of the row numbers and height of the column numbers, in pixels.
+const RULER: (i32, i32) = (20, 12);
+/// A legend with the known concepts of an ordinary scenario needs about this much, in pixels.
+const LEAST_HEIGHT: i32 = 700;
+/// The line above the map needs about this much, in pixels.
+const LEAST_WIDTH: i32 = 440;
+
+/// Draws frames of one map.
+///
+/// A picture is a line of numbers, the map with row and column numbers, and a legend. The longer side of the map becomes up to
+/// 1000 pixels (square-5x5: 4 pixels a cell, 964 x 964), with cells of at most 12. A map of more than 1600 cells is sampled
+/// down to at most 1600 pixels, so a picture takes at most 4 MB whatever the map; agents never shrink below some 9 x 5
+/// pixels.
+#[derive(Clone, Debug)]
+pub struct Painter {
+    /// The picture without agents.
+    base: Frame,
+    zoom: Zoom,
+    /// Rows and columns of the map.
+    cells: (i32, i32),
+    /// Where the map is in the picture.
+    map: Area,
+    /// Where the legend of the agents begins (left, top).
+    agents: (i32, i32),
+}
+
+impl Painter {
+    /// Draws the map.
+    pub fn new(map: &CityMap) -> Result<Painter, EmptyMap> {
+        let (rows, cols) = (map.rows(), map.cols());
+        if rows == 0 || cols == 0 {
+            return Err(EmptyMap);
+        }
+        let zoom = Zoom::fit(rows.max(cols));
+        let area = Area {
+            left: MARGIN + RULER.0,
+            top: STATUS + RULER.1,
+            width: zoom.length(cols),
+            height: zoom.length(rows),
+        };
+        let legend = (area.left + area.width.max(LEAST_WIDTH) + MARGIN, STATUS);
+        let width = legend.0 + legend::WIDTH + MARGIN;
+        let height = (area.top + area.height).max(LEAST_HEIGHT) + MARGIN;
+        let side = |length: i32| u16::try_from(length).expect("the zoom bounds the map, and all else is constant");
+        let mut base = Frame::new(side(width), side(height), Ink::PAPER);
+        ground::draw(map, zoom, &mut base, area.left, area.top);
+        rulers(&mut base, zoom, area, (rows, cols));
+        legend::draw_title(&map.name, &mut base, legend.0, STATUS / 2);
+        let agents = (legend.0, legend::draw_static(map, &mut base, legend.0, legend.1));
+        Ok(Painter {
+            base,
+            zoom,
+            cells: (rows, cols),
+            map: area,
+            agents,
+        })
+    }
+
+    /// Width and height of every frame in pixels.
+    pub fn size(&self) -> (u16, u16) {
+        (self.base.width(), self.base.height())
+    }
+
+    /// The picture of a state. It depends on the arguments alone, not on frames drawn before.
+    ///
+    /// Cars lie under pedestrians, and otherwise agents that come later lie on those before. Every agent gets a label where there is
+    /// room for one.
+    pub fn frame(&self, tick: u64, agents: &[Sprite<'_>]) -> Frame {
+        let mut frame = self.base.clone();
+        let size = Size::for_cell(self.zoom.pixels);
+        let wardrobe = Wardrobe::of(agents);
+        let mut drawn: Vec<(Sprite<'_>, Area)> = agents
+            .iter()
+            .filter_map(|sprite| Some((*sprite, self.area(sprite, size)?)))
+            .collect();
+        drawn.sort_by_key(|(sprite, _)| sprite.kind == AgentKind::Pedestrian);
+        for (sprite, area) in &drawn {
+            wardrobe.draw(
+                sprite,
+                area.left + area.width / 2,
+                area.top + area.height / 2,
+                size,
+                &mut frame,
+            );
+        }
+        label::draw(&label::place(&drawn, self.map), &mut frame);
+        legend::draw_status(
+            tick,
+            agents,
+            agents.len() - drawn.len(),
+            &mut frame,
+            self.map.left,
+            STATUS / 2,
+        );
+        legend::draw_agents(
+            &wardrobe,
+            &mut frame,
+            self.agents.0,
+            self.agents.1,
+            i32::from(self.base.height()) - MARGIN,
+        );
+        frame
+    }
+
+    /// What an agent covers, without its dashes; `None` if it is off the map.
+    fn area(&self, sprite: &Sprite<'_>, size: Size) -> Option<Area> {
+        let on_map = (0..self.cells.0).contains(&sprite.at.row) && (0..self.cells.1).contains(&sprite.at.col);
+        on_map.then(|| {
+            let (x, y) = (self.zoom.middle(sprite.at.col), self.zoom.middle(sprite.at.row));
+            let (right, down) = size.reach(sprite);
+            Area {
+                left: self.map.left + x - right,
+                top: self.map.top + y - down,
+                width: 2 * right + 1,
+                height: 2 * down + 1,
+            }
+        })
+    }
+}
+
+/// Row numbers left of the map and column numbers above it.
+fn rulers(frame: &mut Frame, zoom: Zoom, map: Area, (rows, cols): (i32, i32)) {
+    // Room for a number of five digits.
+    let step = [10, 20, 50, 100, 200, 500, 1000, 2000, 5000]
+        .into_iter()
+        .find(|&step| zoom.length(step) >= 36)
+        .unwrap_or(10_000);
+    for (heading, side) in [(Heading::Down, rows), (Heading::Right, cols)] {
+        for cell in (0..side).step_by(step as usize) {
+            let (at, text) = (zoom.middle(cell), cell.to_string());
+            if heading == Heading::Down {
+                frame.text(
+                    &text,
+                    map.left - 5,
+                    map.top + at,
+                    &FONT_5X8,
+                    Ink::MUTED,
+                    Alignment::Right,
+                );
+                frame.fill(map.left - 3, map.top + at, 3, 1, Ink::MUTED);
+            } else {
+                frame.text(
+                    &text,
+                    map.left + at,
+                    map.top - 8,
+                    &FONT_5X8,
+                    Ink::MUTED,
+                    Alignment::Center,
+                );
+                frame.fill(map.left + at, map.top - 3, 1, 3, Ink::MUTED);
+            }
+        }
+    }
+}

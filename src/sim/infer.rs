@@ -1,0 +1,388 @@
+//! Inference: what the rules decide in one scene.
+
+use super::ground::{Chance, Entity, Facts, ground};
+use super::scene::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
+use super::vocabulary::Vocabulary;
+use crate::city::CityMap;
+use crate::config::{Definition, Scenario, Speed};
+use crate::diag::{Diagnostic, SourceId, Sources};
+use crate::engine::{EvalError, Program, Session};
+use crate::lang::{RelId, Value};
+use crate::rng::{Purpose, RngExt, Seed};
+use serde_json::{Map, json};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Answers scenes under one scenario and one program. Maps are kept by name once they have been loaded.
+pub struct Inference {
+    scenario: Scenario,
+    program: Program,
+    vocabulary: Vocabulary,
+    load_map: Box<dyn FnMut(&str) -> Result<CityMap, Vec<Diagnostic>> + Send + Sync>,
+    maps: HashMap<String, Arc<CityMap>>,
+    seed: Seed,
+}
+
+/// Why a scene has no answer.
+#[derive(Clone, Debug)]
+pub enum InferError {
+    /// The scene is at fault.
+    Scene(Vec<Diagnostic>),
+    /// The rules derived too much.
+    Eval(EvalError),
+}
+
+impl From<Diagnostic> for InferError {
+    fn from(fault: Diagnostic) -> Self {
+        InferError::Scene(vec![fault])
+    }
+}
+
+impl From<EvalError> for InferError {
+    fn from(error: EvalError) -> Self {
+        InferError::Eval(error)
+    }
+}
+
+/// What the rules decide for the egos of a scene.
+#[derive(Clone, Debug)]
+pub struct Answer {
+    /// One for each ego, in the order asked.
+    pub egos: Vec<EgoAnswer>,
+}
+
+/// What the rules decide for one ego.
+#[derive(Clone, Debug)]
+pub struct EgoAnswer {
+    /// Name of the ego.
+    pub id: String,
+    /// Names of all it sees: itself first, the others in list order.
+    pub sees: Vec<String>,
+    /// The true atoms over them, by base predicate; `Sees` is left out.
+    pub atoms: Vec<(String, Vec<Vec<String>>)>,
+    /// The actions derived before the default.
+    pub derived: Vec<Speed>,
+    /// The action.
+    pub action: Speed,
+}
+
+impl Answer {
+    /// The answer as JSON: `{"egos": {ID: {"sees": [..], "true": {..}, "derived": [..], "action": ".."}}}`. A row of one name
+    /// is written as the name alone.
+    pub fn to_json(&self) -> serde_json::Value {
+        let egos: Map<String, serde_json::Value> = self
+            .egos
+            .iter()
+            .map(|ego| {
+                let atoms: Map<String, serde_json::Value> = ego
+                    .atoms
+                    .iter()
+                    .map(|(name, rows)| {
+                        let rows = rows.iter().map(|row| match row.as_slice() {
+                            [only] => json!(only),
+                            names => json!(names),
+                        });
+                        (name.clone(), rows.collect())
+                    })
+                    .collect();
+                let derived: Vec<&str> = ego.derived.iter().map(|speed| speed.name()).collect();
+                let answer = json!({
+                    "sees": ego.sees,
+                    "true": atoms,
+                    "derived": derived,
+                    "action": ego.action.name(),
+                });
+                (ego.id.clone(), answer)
+            })
+            .collect();
+        json!({ "egos": egos })
+    }
+}
+
+impl Inference {
+    /// Binds a scenario to a program. `load_map` makes the map of a name that scenes use.
+    ///
+    /// # Errors
+    /// As [`Vocabulary::bind`].
+    pub fn new(
+        scenario: Scenario,
+        program: Program,
+        seed: Seed,
+        load_map: impl FnMut(&str) -> Result<CityMap, Vec<Diagnostic>> + Send + Sync + 'static,
+    ) -> Result<Self, Vec<Diagnostic>> {
+        Ok(Inference {
+            vocabulary: Vocabulary::bind(&scenario, &program)?,
+            scenario,
+            program,
+            load_map: Box::new(load_map),
+            maps: HashMap::new(),
+            seed,
+        })
+    }
+
+    /// Answers the scene in `source`. `number` tells apart the random draws of different scenes.
+    ///
+    /// # Errors
+    /// A faulty scene, or rules that derive more than the limit.
+    pub fn answer(&mut self, sources: &Sources, source: SourceId, number: u64) -> Result<Answer, InferError> {
+        let terms = Terms {
+            predicates: (self.vocabulary.predicates.iter())
+                .map(|predicate| (predicate.name.as_str(), predicate.arity))
+                .collect(),
+            concepts: (self.scenario.predicates.iter())
+                .filter_map(|predicate| match &predicate.definition {
+                    Definition::Concept { of, concept } => Some((*of, concept.as_str())),
+                    _ => None,
+                })
+                .collect(),
+        };
+        match parse_scene(sources, source, &terms)? {
+            Scene::Geometric(scene) => self.geometric(&scene, number),
+            Scene::Symbolic(scene) => self.symbolic(&scene),
+        }
+    }
+
+    fn geometric(&mut self, scene: &GeometricScene, number: u64) -> Result<Answer, InferError> {
+        let map = match self.maps.get(&scene.map) {
+            Some(map) => Arc::clone(map),
+            None => {
+                let map = (self.load_map)(&scene.map).map_err(|mut faults| {
+                    for fault in &mut faults {
+                        if fault.primary.is_none() {
+                            *fault = fault.clone().at(scene.map_span, "the scene asks for this map");
+                        }
+                    }
+                    InferError::Scene(faults)
+                })?;
+                let map = Arc::new(map);
+                self.maps.insert(scene.map.clone(), Arc::clone(&map));
+                map
+            }
+        };
+        scene.check_cells(&map)?;
+        let entities: Vec<Entity<'_>> = scene
+            .agents
+            .iter()
+            .map(|agent| Entity {
+                kind: agent.kind,
+                concepts: &agent.concepts,
+                priority: agent.priority,
+                at: agent.at,
+                heading: agent.heading,
+            })
+            .collect();
+        let given = |index: usize| given(&self.vocabulary, &scene.given, index);
+        let mut facts = ground(
+            &self.vocabulary,
+            &map,
+            self.scenario.view,
+            &entities,
+            &mut Draws {
+                seed: self.seed,
+                time: number,
+            },
+            |index| given(index).is_some(),
+        );
+        for index in 0..facts.rows.len() {
+            if let Some(rows) = given(index) {
+                facts.rows[index] = rows;
+            }
+        }
+        let names: Vec<&str> = scene.agents.iter().map(|agent| agent.id.as_str()).collect();
+        self.decide(&names, &scene.egos, &facts)
+    }
+
+    fn symbolic(&self, scene: &SymbolicScene) -> Result<Answer, InferError> {
+        let names: Vec<&str> = scene.entities.iter().map(String::as_str).collect();
+        let mut facts = Facts {
+            rows: (0..self.vocabulary.predicates.len())
+                .map(|index| given(&self.vocabulary, &scene.facts, index).unwrap_or_default())
+                .collect(),
+        };
+        if !scene
+            .facts
+            .iter()
+            .any(|fact| fact.name == self.vocabulary.predicates[self.vocabulary.sees].name)
+        {
+            let all = 0..u32::try_from(names.len()).expect("fewer than 2^32 entities");
+            facts.rows[self.vocabulary.sees] = all.clone().flat_map(|x| all.clone().map(move |y| [x, y])).collect();
+        }
+        self.decide(&names, &[scene.ego], &facts)
+    }
+
+    fn decide(&self, names: &[&str], egos: &[usize], facts: &Facts) -> Result<Answer, InferError> {
+        let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
+        state.set(facts)?;
+        let egos = egos
+            .iter()
+            .map(|&ego| {
+                let sees = entities_in_view(&facts.rows[self.vocabulary.sees], ego);
+                let derived = state.derived(&self.vocabulary, ego);
+                EgoAnswer {
+                    id: names[ego].to_owned(),
+                    sees: sees.iter().map(|&index| names[index].to_owned()).collect(),
+                    atoms: atoms_over(&self.vocabulary, facts, &sees, names),
+                    action: self.vocabulary.decide(|speed| derived.contains(&speed)),
+                    derived: before_default(&self.vocabulary, derived),
+                }
+            })
+            .collect();
+        Ok(Answer { egos })
+    }
+}
+
+/// Without the default action, where it stands alone: then it is the default that made it.
+pub(super) fn before_default(vocabulary: &Vocabulary, derived: Vec<Speed>) -> Vec<Speed> {
+    if derived == [vocabulary.default_action()] {
+        Vec::new()
+    } else {
+        derived
+    }
+}
+
+/// The given rows of a predicate, if the scene gives any.
+fn given(vocabulary: &Vocabulary, list: &[GivenPredicate], index: usize) -> Option<Vec<[u32; 2]>> {
+    let name = &vocabulary.predicates[index].name;
+    let rows = &list.iter().find(|given| given.name == *name)?.rows;
+    let word = |row: &Vec<usize>, column: usize| {
+        let position = row.get(column).copied().unwrap_or(0);
+        u32::try_from(position).expect("fewer than 2^32 entities")
+    };
+    Some(rows.iter().map(|row| [word(row, 0), word(row, 1)]).collect())
+}
+
+/// What an ego sees: itself first, the others in list order.
+fn entities_in_view(sees: &[[u32; 2]], ego: usize) -> Vec<usize> {
+    let others = sees
+        .iter()
+        .filter(|[x, _]| *x as usize == ego)
+        .map(|[_, y]| *y as usize)
+        .filter(|&y| y != ego);
+    std::iter::once(ego).chain(others).collect()
+}
+
+/// The true atoms over some entities, `Sees` left out, rows in the order of those entities.
+fn atoms_over(
+    vocabulary: &Vocabulary,
+    facts: &Facts,
+    entities: &[usize],
+    names: &[&str],
+) -> Vec<(String, Vec<Vec<String>>)> {
+    let mut place = vec![None; names.len()];
+    for (order, &entity) in entities.iter().enumerate() {
+        place[entity] = Some(order);
+    }
+    let mut atoms = Vec::new();
+    for (index, predicate) in vocabulary.predicates.iter().enumerate() {
+        if index == vocabulary.sees {
+            continue;
+        }
+        let mut rows: Vec<Vec<usize>> = facts.rows[index]
+            .iter()
+            .filter_map(|row| {
+                row[..predicate.arity]
+                    .iter()
+                    .map(|&entity| place[entity as usize])
+                    .collect()
+            })
+            .collect();
+        rows.sort_unstable();
+        if !rows.is_empty() {
+            let name = |order: &usize| names[entities[*order]].to_owned();
+            let rows = rows.iter().map(|row| row.iter().map(name).collect()).collect();
+            atoms.push((predicate.name.clone(), rows));
+        }
+    }
+    atoms
+}
+
+/// Draws from seeded streams: the same for the same seed, time, predicate and pair of entities.
+pub(super) struct Draws {
+    pub seed: Seed,
+    pub time: u64,
+}
+
+impl Chance for Draws {
+    fn happens(&mut self, predicate: usize, first: usize, second: usize, probability: f64) -> bool {
+        // 16 bits of predicate and 24 bits for each entity: a scene has fewer of either.
+        let index = (predicate as u64) << 48 | (first as u64) << 24 | second as u64;
+        let mut stream = self.seed.stream(Purpose::Predicate, index, self.time);
+        stream.random::<f64>() < probability
+    }
+}
+
+/// A session that is kept equal to grounded facts.
+pub(super) struct GroundState {
+    session: Session,
+    entities: Vec<Value>,
+    positions: HashMap<Value, usize>,
+    relations: Vec<Option<(RelId, usize)>>,
+    facts: Facts,
+}
+
+impl GroundState {
+    /// A session without facts about the entities of these names.
+    pub fn new<'n>(program: &Program, vocabulary: &Vocabulary, names: impl Iterator<Item = &'n str>) -> Self {
+        let mut session = program.session();
+        let entities: Vec<Value> = names.map(|name| session.intern(name)).collect();
+        GroundState {
+            session,
+            positions: entities
+                .iter()
+                .enumerate()
+                .map(|(index, &value)| (value, index))
+                .collect(),
+            entities,
+            relations: vocabulary
+                .predicates
+                .iter()
+                .map(|predicate| predicate.relation.map(|relation| (relation, predicate.arity)))
+                .collect(),
+            facts: Facts {
+                rows: vec![Vec::new(); vocabulary.predicates.len()],
+            },
+        }
+    }
+
+    /// Makes `facts` the true ones: inserts and retracts the difference from those before, and commits.
+    pub fn set(&mut self, facts: &Facts) -> Result<(), EvalError> {
+        for (index, relation) in self.relations.iter().enumerate() {
+            let Some((relation, arity)) = *relation else { continue };
+            let (old, new) = (&self.facts.rows[index], &facts.rows[index]);
+            let row = |row: &[u32; 2]| row.map(|entity| self.entities[entity as usize]);
+            for gone in old.iter().filter(|row| new.binary_search(row).is_err()) {
+                let row = row(gone);
+                self.session
+                    .retract(relation, &row[..arity])
+                    .expect("bound relations fit");
+            }
+            for come in new.iter().filter(|row| old.binary_search(row).is_err()) {
+                let row = row(come);
+                self.session
+                    .insert(relation, &row[..arity])
+                    .expect("bound relations fit");
+            }
+        }
+        self.session.commit()?;
+        self.facts.clone_from(facts);
+        Ok(())
+    }
+
+    /// The actions that hold for an entity, in the order of [`Speed::ALL`].
+    pub fn derived(&self, vocabulary: &Vocabulary, entity: usize) -> Vec<Speed> {
+        let holds = |speed: &Speed| {
+            let relation = vocabulary.action(*speed);
+            relation.is_some_and(|relation| self.session.contains(relation, &[self.entities[entity]]))
+        };
+        Speed::ALL.into_iter().filter(holds).collect()
+    }
+
+    pub fn session(&self) -> &Session {
+        &self.session
+    }
+
+    /// The position of the entity that a value stands for.
+    pub fn entity(&self, value: Value) -> Option<usize> {
+        self.positions.get(&value).copied()
+    }
+}

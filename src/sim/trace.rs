@@ -1,0 +1,134 @@
+//! The trace of a run: JSON lines, the first a header, then one a tick. README documents the format.
+
+use super::simulation::{Simulation, TickReport};
+use crate::city::Heading;
+use crate::config::Definition;
+use crate::diag::{SourceId, Sources};
+use serde_json::{Map, Value, json};
+use sha2::{Digest, Sha256};
+use std::io::{self, Write};
+
+/// Version of the format; it grows when a reader of the old one would misread the new one.
+pub const TRACE_VERSION: u32 = 1;
+
+/// Writes a trace.
+pub struct TraceWriter<W: Write> {
+    out: W,
+    /// Predicates that hold with a probability: their true rows are recorded, since they cannot be computed again.
+    drawn: Vec<usize>,
+}
+
+impl<W: Write> TraceWriter<W> {
+    /// Writes the header. `rule_file` is the file of the rules and `rules_hash` stands for it and all it includes.
+    ///
+    /// # Errors
+    /// Whatever `out` reports.
+    pub fn new(
+        mut out: W,
+        simulation: &Simulation,
+        sources: &Sources,
+        rule_file: SourceId,
+        rules_hash: &str,
+    ) -> io::Result<Self> {
+        let world = simulation.world();
+        let rules = world.program.rules();
+        let agents: Vec<Value> = simulation
+            .agents()
+            .iter()
+            .map(|agent| {
+                json!({
+                    "id": &*agent.name,
+                    "type": agent.kind.name(),
+                    "concepts": &*agent.concepts,
+                    "priority": agent.priority,
+                })
+            })
+            .collect();
+        let clauses: Vec<Value> = simulation
+            .clauses()
+            .iter()
+            .map(|clause| {
+                let clause = &rules.clauses[clause.index()];
+                let position = sources.position(clause.span);
+                json!({
+                    "head": rules.relations[clause.head.relation.index()].name,
+                    "file": sources.name(clause.span.source),
+                    "line": position.line,
+                    "doc": clause.doc,
+                    "text": sources.slice(clause.span),
+                })
+            })
+            .collect();
+        let header = json!({
+            "trace": "logicity",
+            "version": TRACE_VERSION,
+            "config": world.scenario.name,
+            "config_hash": world.scenario.hash,
+            "rules": sources.name(rule_file),
+            "rules_hash": rules_hash,
+            "map": world.map().name,
+            "routing": world.scenario.routing.name(),
+            "split": simulation.split().name(),
+            "seed": simulation.seed().0,
+            "agents": agents,
+            "clauses": clauses,
+        });
+        writeln!(out, "{header}")?;
+        let drawn = (world.vocabulary.predicates.iter().enumerate())
+            .filter(|(_, predicate)| matches!(predicate.definition, Definition::Colliding { .. }))
+            .map(|(index, _)| index)
+            .collect();
+        Ok(TraceWriter { out, drawn })
+    }
+
+    /// Writes a tick: the state it was decided on (`at`, `heading`, `goal`), the decision, and where it led.
+    ///
+    /// # Errors
+    /// Whatever the output reports.
+    pub fn tick(&mut self, simulation: &Simulation, report: &TickReport) -> io::Result<()> {
+        let agents: Vec<Value> = (report.agents.iter())
+            .map(|agent| {
+                let derived: Vec<&str> = agent.derived.iter().map(|speed| speed.name()).collect();
+                json!({
+                    "at": [agent.at.row, agent.at.col],
+                    "heading": agent.heading.map(Heading::name),
+                    "goal": [agent.goal.row, agent.goal.col],
+                    "derived": derived,
+                    "action": agent.action.name(),
+                    "clauses": agent.clauses,
+                    "next": [agent.moved.to.row, agent.moved.to.col],
+                })
+            })
+            .collect();
+        let names = simulation.agents();
+        let predicates = &simulation.world().vocabulary.predicates;
+        let given: Map<String, Value> = (self.drawn.iter())
+            .map(|&index| {
+                let rows = simulation.facts().rows[index].iter();
+                let rows = rows.map(|row| json!(row.map(|agent| &*names[agent as usize].name)));
+                (predicates[index].name.clone(), rows.collect())
+            })
+            .collect();
+        writeln!(
+            self.out,
+            "{}",
+            json!({ "tick": report.tick, "agents": agents, "given": given })
+        )
+    }
+
+    /// The output, once every tick is written.
+    pub fn into_inner(self) -> W {
+        self.out
+    }
+}
+
+/// SHA-256 over the texts of `files` in that order, in hexadecimal.
+pub fn hash_sources(sources: &Sources, files: &[SourceId]) -> String {
+    let mut hash = Sha256::new();
+    for &id in files {
+        let text = sources.text(id);
+        hash.update((text.len() as u64).to_le_bytes());
+        hash.update(text);
+    }
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}

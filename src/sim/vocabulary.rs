@@ -1,0 +1,200 @@
+//! What the rules can read and what they can decide: the base predicates and actions of a scenario, bound to a program.
+
+use crate::config::{ActionsConfig, Definition, PredicateConfig, Scenario, Speed};
+use crate::diag::{Code, Diagnostic, did_you_mean};
+use crate::engine::Program;
+use crate::lang::{BaseType, Literal, RelId, Relation};
+
+/// A base predicate.
+#[derive(Clone, Debug)]
+pub struct Predicate {
+    /// Its name in the rules.
+    pub name: String,
+    /// How it is computed.
+    pub definition: Definition,
+    /// 1 or 2.
+    pub arity: usize,
+    /// Its relation in the program; `None` if the rules do not take it as input.
+    pub relation: Option<RelId>,
+}
+
+/// The base predicates and actions of a scenario, bound to a program.
+#[derive(Clone, Debug)]
+pub struct Vocabulary {
+    /// The base predicates in the order of the scenario; `Sees` last.
+    pub predicates: Vec<Predicate>,
+    /// Position of `Sees` in `predicates`.
+    pub sees: usize,
+    /// The relation of each action, in the order of [`Speed::ALL`]; `None` if the rules do not mention it.
+    actions: [Option<RelId>; 4],
+    config: ActionsConfig,
+}
+
+impl Vocabulary {
+    /// Binds the predicates of a scenario to the relations of a program.
+    ///
+    /// # Errors
+    /// `rule-mismatch` for every relation whose declaration does not fit: an input that a rule reads and the scenario does not
+    /// define, another number of columns, a column that is not of base type symbol, or no action at all.
+    pub fn bind(scenario: &Scenario, program: &Program) -> Result<Vocabulary, Vec<Diagnostic>> {
+        let rules = program.rules();
+        let mut faults = Vec::new();
+        let mut predicates = Vec::new();
+        for PredicateConfig { name, definition } in &scenario.predicates {
+            let arity = arity(definition);
+            let relation = program.relation(&name.value).filter(|&relation| {
+                let relation = &rules.relations[relation.index()];
+                relation.input
+                    && fits(relation, arity, &mut faults, || {
+                        Diagnostic::new(
+                            Code::RuleMismatch,
+                            format!(
+                                "`{}` is declared otherwise than the configuration defines it",
+                                name.value
+                            ),
+                        )
+                        .also(name.span, "defined here")
+                    })
+            });
+            predicates.push(Predicate {
+                name: name.value.clone(),
+                definition: definition.clone(),
+                arity,
+                relation,
+            });
+        }
+        let sees = predicates
+            .iter()
+            .position(|predicate| predicate.definition == Definition::Sees)
+            .expect("every scenario defines the field of view");
+
+        for relation in unknown_inputs(program, &predicates) {
+            let known = predicates.iter().map(|predicate| predicate.name.as_str());
+            let mut fault = Diagnostic::new(
+                Code::RuleMismatch,
+                format!(
+                    "a rule reads `{}`, which the configuration `{}` does not define",
+                    relation.name, scenario.name
+                ),
+            )
+            .at(relation.span, "declared as input here")
+            .also(scenario.rules.span, "the configuration uses these rules");
+            fault = match did_you_mean(&relation.name, known) {
+                Some(name) => fault.help(format!("did you mean `{name}`?")),
+                None => fault.help("define it under `predicates` in the configuration, or derive it by a rule"),
+            };
+            faults.push(fault);
+        }
+
+        let actions = Speed::ALL.map(|speed| {
+            program.relation(speed.name()).filter(|&relation| {
+                fits(&rules.relations[relation.index()], 1, &mut faults, || {
+                    Diagnostic::new(
+                        Code::RuleMismatch,
+                        format!("the action `{}` is not a predicate over one agent", speed.name()),
+                    )
+                })
+            })
+        });
+        if faults.is_empty() && actions.iter().all(Option::is_none) {
+            faults.push(
+                Diagnostic::new(
+                    Code::RuleMismatch,
+                    "the rules have none of the actions Slow, Normal, Fast, Stop",
+                )
+                .at(scenario.rules.span, "these rules")
+                .help("begin the file with `.include \"vocabulary.dl\"`, which declares them"),
+            );
+        }
+        if faults.is_empty() {
+            Ok(Vocabulary {
+                predicates,
+                sees,
+                actions,
+                config: scenario.actions.clone(),
+            })
+        } else {
+            Err(faults)
+        }
+    }
+
+    /// The relation of an action, if the rules mention it.
+    pub fn action(&self, speed: Speed) -> Option<RelId> {
+        self.actions[speed as usize]
+    }
+
+    /// The one action to take, given those that hold: the first by the scenario's priority, else its default.
+    pub fn decide(&self, holds: impl Fn(Speed) -> bool) -> Speed {
+        let mut by_priority = self.config.priority.iter().copied();
+        by_priority.find(|&speed| holds(speed)).unwrap_or(self.config.default)
+    }
+
+    /// The action taken if none is derived.
+    pub fn default_action(&self) -> Speed {
+        self.config.default
+    }
+}
+
+/// The number of agents a definition speaks of.
+fn arity(definition: &Definition) -> usize {
+    match definition {
+        Definition::Kind(_) | Definition::Concept { .. } | Definition::AtIntersection | Definition::InIntersection => 1,
+        Definition::Distance { .. }
+        | Definition::HigherPriority
+        | Definition::LeftOf
+        | Definition::RightOf
+        | Definition::Colliding { .. }
+        | Definition::Sees => 2,
+    }
+}
+
+/// Whether a relation has `arity` columns, all made of symbols; if not, a fault is pushed.
+fn fits(relation: &Relation, arity: usize, faults: &mut Vec<Diagnostic>, fault: impl FnOnce() -> Diagnostic) -> bool {
+    let symbols = relation.columns.iter().all(|column| column.base == BaseType::Symbol);
+    if relation.arity() == arity && symbols {
+        return true;
+    }
+    let plural = if arity == 1 { "column" } else { "columns" };
+    faults.push(
+        fault()
+            .at(relation.span, format!("declared with {} here", describe(relation)))
+            .help(format!("declare it with {arity} {plural} of type agent")),
+    );
+    false
+}
+
+fn describe(relation: &Relation) -> String {
+    let columns: Vec<&str> = relation
+        .columns
+        .iter()
+        .map(|column| match column.base {
+            BaseType::Symbol => "symbol",
+            BaseType::Number => "number",
+        })
+        .collect();
+    format!("({})", columns.join(", "))
+}
+
+/// Input relations that some body reads and no predicate of the configuration defines, in the order of declaration.
+fn unknown_inputs<'a>(program: &'a Program, predicates: &[Predicate]) -> Vec<&'a Relation> {
+    let rules = program.rules();
+    let mut read = vec![false; rules.relations.len()];
+    for clause in &rules.clauses {
+        for literal in &clause.body {
+            match literal {
+                Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
+                    read[atom.relation.index()] = true;
+                }
+                Literal::Compare { .. } => {}
+            }
+        }
+    }
+    rules
+        .relations
+        .iter()
+        .zip(read)
+        .filter(|(relation, read)| *read && relation.input)
+        .map(|(relation, _)| relation)
+        .filter(|relation| predicates.iter().all(|predicate| predicate.name != relation.name))
+        .collect()
+}

@@ -1,0 +1,429 @@
+//! The command line as a user meets it: the real program, real files, exit codes.
+
+use serde_json::Value;
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+/// Runs the program in the repository's folder.
+fn logicity<const N: usize>(arguments: [&str; N]) -> Output {
+    with_input(arguments, b"")
+}
+
+fn with_input<const N: usize>(arguments: [&str; N], input: &[u8]) -> Output {
+    let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .args(arguments)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut stdin = process.stdin.take().unwrap();
+    let input = input.to_owned();
+    // The program may end without having read everything.
+    let writer = std::thread::spawn(move || drop(stdin.write_all(&input)));
+    let output = process.wait_with_output().unwrap();
+    writer.join().unwrap();
+    output
+}
+
+fn code(output: &Output) -> i32 {
+    output.status.code().expect("ended by itself")
+}
+
+fn out(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+fn err(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Asserts that a command failed with this exit code and said all of `words`, without a panic.
+fn fails(output: &Output, exit: i32, words: &[&str]) {
+    let said = err(output);
+    assert_eq!(code(output), exit, "{said}");
+    assert!(!said.contains("panicked"), "{said}");
+    for word in words {
+        assert!(said.contains(word), "`{word}` is missing in:\n{said}");
+    }
+}
+
+fn write(folder: &Path, name: &str, text: impl AsRef<[u8]>) -> String {
+    let path = folder.join(name);
+    fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn run_leaves_a_trace_an_animation_and_a_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("deep/er");
+    let output = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "20",
+        "--out",
+        target.to_str().unwrap(),
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let summary = out(&output);
+    for word in [
+        "20 ticks",
+        "360 decisions",
+        "decisions per second",
+        "pedestrians",
+        "Stop",
+        "expert.dl:",
+        "city.gif",
+    ] {
+        assert!(summary.contains(word), "`{word}` is missing in:\n{summary}");
+    }
+    let trace = fs::read_to_string(target.join("trace.jsonl")).unwrap();
+    let lines: Vec<Value> = trace.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 21);
+    assert_eq!(lines[0]["config"], "expert");
+    assert_eq!(lines[0]["config_hash"].as_str().unwrap().len(), 64);
+    assert_eq!(lines[0]["rules_hash"].as_str().unwrap().len(), 64);
+    assert_eq!(lines[0]["agents"].as_array().unwrap().len(), 18);
+    for pair in lines[1..].windows(2) {
+        for (before, after) in pair[0]["agents"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .zip(pair[1]["agents"].as_array().unwrap())
+        {
+            assert_eq!(before["next"], after["at"]);
+        }
+    }
+    assert!(fs::read(target.join("city.gif")).unwrap().starts_with(b"GIF89a"));
+    assert!(fs::read(target.join("last.png")).unwrap().starts_with(b"\x89PNG"));
+    assert_eq!(fs::read_dir(&target).unwrap().count(), 3, "no temporary file is left");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |name: &str, seed: &str| {
+        let target = folder.path().join(name);
+        let target = target.to_str().unwrap();
+        let output = logicity([
+            "run",
+            "configs/expert.yaml",
+            "--ticks",
+            "60",
+            "--seed",
+            seed,
+            "--no-pictures",
+            "--out",
+            target,
+        ]);
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        fs::read(Path::new(target).join("trace.jsonl")).unwrap()
+    };
+    assert_eq!(run("a", "7"), run("b", "7"));
+    assert_ne!(run("a", "7"), run("c", "8"));
+}
+
+/// What a trace says can be asked again: every tick, put as a scene, is decided the same way.
+#[test]
+fn a_trace_can_be_replayed_through_infer() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let output = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "40",
+        "--seed",
+        "3",
+        "--no-pictures",
+        "--out",
+        target,
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let trace = fs::read_to_string(folder.path().join("trace.jsonl")).unwrap();
+    let mut lines = trace.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let header = lines.next().unwrap();
+    let ticks: Vec<Value> = lines.collect();
+    let scenes: String = ticks
+        .iter()
+        .map(|tick| {
+            let mut agents = header["agents"].clone();
+            for (agent, state) in agents
+                .as_array_mut()
+                .unwrap()
+                .iter_mut()
+                .zip(tick["agents"].as_array().unwrap())
+            {
+                agent["at"] = state["at"].clone();
+                agent["heading"] = state["heading"].clone();
+            }
+            let scene = serde_json::json!({ "map": header["map"], "agents": agents, "given": tick["given"] });
+            format!("{scene}\n")
+        })
+        .collect();
+    let output = with_input(["infer", "--config", "configs/expert.yaml"], scenes.as_bytes());
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let text = out(&output);
+    assert_eq!(text.lines().count(), ticks.len());
+    for (answer, tick) in text.lines().zip(&ticks) {
+        let answer: Value = serde_json::from_str(answer).unwrap();
+        for (agent, state) in header["agents"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .zip(tick["agents"].as_array().unwrap())
+        {
+            let ego = &answer["egos"][agent["id"].as_str().unwrap()];
+            assert_eq!((&ego["action"], &ego["derived"]), (&state["action"], &state["derived"]));
+        }
+    }
+}
+
+#[test]
+fn check_prints_the_strata() {
+    let output = logicity(["check", "rules/expert.dl"]);
+    assert_eq!((code(&output), err(&output).as_str()), (0, ""));
+    assert!(out(&output).contains("Stop < Slow < Fast < Normal"), "{}", out(&output));
+}
+
+#[test]
+fn all_rule_files_of_all_modes_are_clean() {
+    for file in fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/rules")).unwrap() {
+        let path = file.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "dl") {
+            let output = logicity(["check", "--json", path.to_str().unwrap()]);
+            let line: Value = serde_json::from_str(&out(&output)).unwrap();
+            assert_eq!(
+                (code(&output), &line["diagnostics"]),
+                (0, &Value::Array(Vec::new())),
+                "{}",
+                path.display()
+            );
+        }
+    }
+}
+
+#[test]
+fn check_tells_all_faults_and_exits_with_1() {
+    let folder = tempfile::tempdir().unwrap();
+    let one = write(
+        folder.path(),
+        "one.dl",
+        ".include \"vocabulary.dl\"\nStop(X) :- IsCarr(X).\nStop(X) :- IsClose(X).\n",
+    );
+    let two = write(folder.path(), "two.dl", ".decl a(x: number)\na(x) :- !a(x).\n");
+    let output = logicity(["check", &one, &two]);
+    fails(
+        &output,
+        1,
+        &[
+            "unknown-predicate",
+            "did you mean `IsCar`",
+            "arity-mismatch",
+            "unbound-variable",
+            "one.dl:2",
+            "two.dl:2",
+        ],
+    );
+    let output = logicity(["check", "--json", &one, &two]);
+    let lines: Vec<Value> = out(&output)
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    assert_eq!((code(&output), lines.len()), (1, 2));
+    assert_eq!(lines[0]["diagnostics"][0]["labels"][0]["line"], 2);
+}
+
+#[test]
+fn wrong_usage_exits_with_2() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = write(folder.path(), "file", "");
+    let inside = format!("{file}/out");
+    fails(&logicity(["check", "no/such.dl"]), 2, &["no/such.dl"]);
+    fails(&logicity(["check", "rules"]), 2, &["rules", "folder"]);
+    fails(&logicity(["run", "no/such.yaml"]), 2, &["no/such.yaml"]);
+    fails(&logicity(["run", "configs"]), 2, &["configs"]);
+    fails(
+        &logicity(["run", "configs/easy.yaml", "--ticks", "1", "--out", &inside]),
+        2,
+        &["out"],
+    );
+    fails(&logicity(["infer", "no/such.jsonl"]), 2, &["no/such.jsonl"]);
+    fails(&logicity(["query", "no/such.dl"]), 2, &["no/such.dl"]);
+    fails(
+        &logicity(["route", "--type", "car", "--from", "1", "--to", "2,3"]),
+        2,
+        &["row and column"],
+    );
+    fails(&logicity(["fly"]), 2, &["fly"]);
+}
+
+#[test]
+fn a_file_that_is_not_text_exits_with_1() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = b"\n.decl \xff\xfe";
+    let rules = write(folder.path(), "a.dl", bytes);
+    let config = write(folder.path(), "a.yaml", bytes);
+    let facts = write(folder.path(), "a.facts", bytes);
+    fails(&logicity(["check", &rules]), 1, &["not-text", "line 2"]);
+    fails(&logicity(["run", &config]), 1, &["not-text"]);
+    fails(&with_input(["infer"], bytes), 1, &["not-text", "line 2"]);
+    let program = write(folder.path(), "b.dl", ".decl a(x: symbol)\n.input a\n.output a\n");
+    let parent = Path::new(&facts).parent().unwrap().to_str().unwrap();
+    fails(&logicity(["query", &program, "-F", parent]), 1, &["not-text", "line 2"]);
+}
+
+#[test]
+fn query_follows_souffle() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "tc.dl",
+        ".decl edge(x: number, y: symbol)\n.input edge\n.decl path(x: number, y: symbol)\n.output path\n.printsize path\n\
+         path(x, y) :- edge(x, y).\n",
+    );
+    write(folder.path(), "edge.facts", "10\tb\n-2\ta b\n9\tb\n");
+    let here = folder.path().to_str().unwrap();
+    let output = logicity(["query", &rules, "-F", here, "-D", here]);
+    assert_eq!(
+        (code(&output), out(&output).as_str()),
+        (0, "path\t3\n"),
+        "{}",
+        err(&output)
+    );
+    assert_eq!(
+        fs::read_to_string(folder.path().join("path.csv")).unwrap(),
+        "-2\ta b\n9\tb\n10\tb\n"
+    );
+    let output = logicity(["query", &rules, "-F", here, "-D", "-"]);
+    let expected = "---------------\npath\n===============\n-2\ta b\n9\tb\n10\tb\n===============\npath\t3\n";
+    assert_eq!(out(&output), expected);
+
+    write(folder.path(), "edge.facts", "10\tb\nten\tb\n1\n");
+    fails(
+        &logicity(["query", &rules, "-F", here, "-D", here]),
+        1,
+        &["invalid-fact", "edge.facts:2:1", "edge.facts:3:1"],
+    );
+    fs::remove_file(folder.path().join("edge.facts")).unwrap();
+    fails(&logicity(["query", &rules, "-F", here, "-D", here]), 2, &["edge.facts"]);
+}
+
+#[test]
+fn a_million_facts_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "big.dl",
+        ".decl e(x: number, y: number)\n.input e\n.decl twice(x: number)\n.printsize twice\ntwice(x) :- e(x, y), e(y, x).\n",
+    );
+    let facts: String = (0..1_000_000).map(|n| format!("{n}\t{}\n", n ^ 1)).collect();
+    write(folder.path(), "e.facts", facts);
+    let here = folder.path().to_str().unwrap();
+    let output = logicity(["query", &rules, "-F", here, "-D", here]);
+    assert_eq!(
+        (code(&output), out(&output).as_str()),
+        (0, "twice\t1000000\n"),
+        "{}",
+        err(&output)
+    );
+}
+
+#[test]
+fn a_faulty_scene_keeps_answers_in_step() {
+    let scene = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsCar":["e0"],"HigherPri":[["e1","e0"]]}}"#;
+    let faulty = [
+        "{",
+        "[1,2]",
+        r#"{"map":"square-5x5"}"#,
+        r#"{"map":"nowhere","agents":[]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Bird","at":[1,1]}]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,99999]}]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,99999999999999999999]}]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,1]},{"id":"a","type":"Car","at":[1,1]}]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,1],"concepts":["ambulence"]}]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,1]}],"egos":["b"]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,1]}],"given":{"IsClose":[["a"]]}}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,1]}],"given":{"IsClosed":[]}}"#,
+        r#"{"entities":["e0"],"ego":"e1"}"#,
+    ];
+    for line in faulty {
+        let input = format!("{scene}\n{line}\n{scene}\n");
+        let output = with_input(["infer"], input.as_bytes());
+        fails(&output, 1, &["invalid-scene"]);
+        if !line.contains("nowhere") {
+            assert!(err(&output).contains("<stdin>:2:"), "{line}\n{}", err(&output));
+        }
+        let answers: Vec<Value> = out(&output)
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
+        assert_eq!(answers.len(), 3);
+        assert_eq!(answers[0], answers[2]);
+        assert_eq!(answers[0]["egos"]["e0"]["action"], "Normal");
+        assert_eq!(answers[1]["error"][0]["code"], "invalid-scene", "{line}");
+    }
+    let deep = "[".repeat(100_000);
+    fails(&with_input(["infer"], deep.as_bytes()), 1, &["invalid-scene"]);
+}
+
+#[test]
+fn route_prints_the_cells() {
+    let output = logicity(["route", "--type", "pedestrian", "--from", "26,20", "--to", "86,61"]);
+    let text = out(&output);
+    assert_eq!(
+        (code(&output), text.lines().next(), text.lines().last()),
+        (0, Some("26,20"), Some("86,61"))
+    );
+    assert_eq!(text.lines().count(), 1 + 60 + 41);
+    fails(
+        &logicity(["route", "--type", "car", "--from", "0,0", "--to", "46,34"]),
+        1,
+        &["no-route"],
+    );
+    fails(
+        &logicity(["route", "--type", "car", "--from=-1,0", "--to", "46,999999"]),
+        1,
+        &["no-route"],
+    );
+}
+
+#[test]
+fn cities_that_cannot_be_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = |changes: &str| {
+        let config = format!("base: configs/expert.yaml\n{changes}");
+        write(folder.path(), "mine.yaml", config)
+    };
+    let agents = |cars: &str| format!("agents:\n  test:\n    cars: {cars}\n    pedestrians: []\n");
+    fails(
+        &logicity(["run", &config(&agents("[]"))]),
+        1,
+        &["mine.yaml:", "no agents"],
+    );
+    fails(
+        &logicity(["run", &config("region: {test: 1}\n")]),
+        1,
+        &["no-start-cell", "mine.yaml:2"],
+    );
+    fails(
+        &logicity(["run", &config("region: {test: 1000000000000}\n")]),
+        1,
+        &["invalid-value", "mine.yaml:2"],
+    );
+    fails(
+        &logicity(["run", &config("regoin: {test: 1}\n")]),
+        1,
+        &["unknown-key", "did you mean `region`", "mine.yaml:2:1"],
+    );
+    let huge = "map: {blocks: [1000000000, 1000000000], buildings: {random: {seed: 1}}}\n";
+    let output = logicity(["run", &config(huge)]);
+    fails(&output, 1, &["mine.yaml:2"]);
+    let many = agents("[{priority: 1, count: 100000}]");
+    fails(&logicity(["run", &config(&many)]), 1, &["no-start-cell"]);
+}

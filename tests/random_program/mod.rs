@@ -1,0 +1,308 @@
+//! Random safe, stratified programs, facts and scripts of changes, made to shrink well.
+//!
+//! proptest draws plain lists of small numbers (a [`Genome`]); [`Genome::rules`] reads any such list as a program, mending what
+//! would not be safe. So every shrunk list is a valid program too.
+
+#![allow(dead_code, reason = "each test target uses its own part")]
+
+use logicity::diag::{Sources, Span};
+use logicity::lang::{
+    Atom, BaseType, Clause, ClauseId, Column, Comparison, Literal, RelId, Relation, Rules, Stratum, Term, Type, TypeId,
+    Value, VarId,
+};
+use logicity::symbol::Symbols;
+use proptest::collection::vec;
+use proptest::prelude::*;
+
+/// The symbols of the domain; their order of interning is not that of their texts.
+pub const TEXTS: [&str; 5] = ["m", "b", "", "é", "a"];
+/// The numbers of the domain.
+pub const NUMBERS: [i32; 5] = [0, 1, -1, i32::MIN, 7];
+
+/// Variables of a clause: the even ones hold symbols, the odd ones numbers.
+const VARIABLES: usize = 8;
+
+/// Raw material of an atom or comparison.
+#[derive(Clone, Debug)]
+pub struct LiteralGene {
+    kind: u8,
+    relation: u8,
+    terms: [u8; 5],
+}
+
+/// Raw material of a clause.
+#[derive(Clone, Debug)]
+pub struct ClauseGene {
+    relation: u8,
+    head: [u8; 5],
+    body: Vec<LiteralGene>,
+}
+
+/// A change of a base fact: whether it is inserted, relation, values.
+pub type ChangeGene = (bool, u8, [u8; 5]);
+
+/// Raw material of a program and of what happens to it.
+#[derive(Clone, Debug)]
+pub struct Genome {
+    /// Column bases of the base relations.
+    base: Vec<Vec<bool>>,
+    /// For each stratum, the column bases of its relations, and its clauses.
+    strata: Vec<(Vec<Vec<bool>>, Vec<ClauseGene>)>,
+    /// Batches of changes.
+    pub script: Vec<Vec<ChangeGene>>,
+}
+
+/// Programs with `batches` batches of changes.
+pub fn genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value = Genome> {
+    let columns = || prop_oneof![8 => vec(prop::bool::weighted(0.3), 0..=3), 1 => vec(any::<bool>(), 4..=5)];
+    let literal = || {
+        (any::<u8>(), any::<u8>(), any::<[u8; 5]>()).prop_map(|(kind, relation, terms)| LiteralGene {
+            kind,
+            relation,
+            terms,
+        })
+    };
+    let clause = || {
+        (any::<u8>(), any::<[u8; 5]>(), vec(literal(), 0..6)).prop_map(|(relation, head, body)| ClauseGene {
+            relation,
+            head,
+            body,
+        })
+    };
+    let stratum = (vec(columns(), 1..=3), vec(clause(), 1..6));
+    let script = vec(
+        vec((prop::bool::weighted(0.7), any::<u8>(), any::<[u8; 5]>()), 0..25),
+        batches,
+    );
+    (vec(columns(), 1..=4), vec(stratum, 1..=4), script).prop_map(|(base, strata, script)| Genome {
+        base,
+        strata,
+        script,
+    })
+}
+
+impl Genome {
+    /// The program.
+    pub fn rules(&self) -> Rules {
+        let span = Span::new(Sources::new().add("random.dl", ""), 0..0);
+        let mut symbols = Symbols::new();
+        TEXTS.iter().for_each(|text| _ = symbols.intern(text));
+        let mut rules = Rules {
+            types: [("symbol", BaseType::Symbol), ("number", BaseType::Number)]
+                .map(|(name, base)| Type {
+                    name: name.into(),
+                    base,
+                    parent: None,
+                    doc: String::new(),
+                })
+                .into(),
+            relations: Vec::new(),
+            clauses: Vec::new(),
+            strata: Vec::new(),
+            symbols,
+        };
+        for columns in &self.base {
+            declare(&mut rules, columns, span);
+        }
+        for (relations, clauses) in &self.strata {
+            let first = rules.relations.len();
+            for columns in relations {
+                declare(&mut rules, columns, span);
+            }
+            let mut stratum = Stratum {
+                relations: (first..rules.relations.len()).map(rel).collect(),
+                clauses: Vec::new(),
+                recursive: false,
+            };
+            for gene in clauses {
+                let clause = clause(gene, &rules, first, span);
+                stratum.recursive |= clause.body.iter().any(|literal| match literal {
+                    Literal::Positive(atom) | Literal::Guard(atom) => stratum.relations.contains(&atom.relation),
+                    _ => false,
+                });
+                rules.relations[clause.head.relation.index()].derived |= !clause.body.is_empty();
+                stratum.clauses.push(ClauseId(rules.clauses.len() as u32));
+                rules.clauses.push(clause);
+            }
+            stratum.relations.retain(|relation| {
+                let mut heads = stratum
+                    .clauses
+                    .iter()
+                    .map(|clause| rules.clauses[clause.index()].head.relation);
+                heads.any(|head| head == *relation)
+            });
+            rules.strata.push(stratum);
+        }
+        rules
+    }
+
+    /// A batch as rows of base relations.
+    pub fn batch(&self, rules: &Rules, batch: usize) -> Vec<(bool, RelId, Vec<Value>)> {
+        let base: Vec<RelId> = (0..rules.relations.len()).map(rel).collect();
+        let base: Vec<RelId> = base
+            .into_iter()
+            .filter(|base| !rules.relations[base.index()].derived)
+            .collect();
+        let change = |(present, relation, values): &ChangeGene| {
+            let relation = base[*relation as usize % base.len()];
+            let columns = rules.relations[relation.index()].columns.iter();
+            (
+                *present,
+                relation,
+                columns
+                    .zip(values)
+                    .map(|(column, &gene)| constant(column.base, gene))
+                    .collect(),
+            )
+        };
+        self.script[batch].iter().map(change).collect()
+    }
+}
+
+fn rel(position: usize) -> RelId {
+    RelId(position as u32)
+}
+
+fn declare(rules: &mut Rules, columns: &[bool], span: Span) {
+    let column = |(position, &number): (usize, &bool)| Column {
+        name: format!("c{position}"),
+        ty: TypeId(u32::from(number)),
+        base: if number { BaseType::Number } else { BaseType::Symbol },
+    };
+    rules.relations.push(Relation {
+        name: format!("r{}", rules.relations.len()),
+        columns: columns.iter().enumerate().map(column).collect(),
+        doc: String::new(),
+        span,
+        input: false,
+        output: true,
+        printsize: false,
+        derived: false,
+        hidden: false,
+    });
+}
+
+fn constant(base: BaseType, gene: u8) -> Value {
+    match base {
+        BaseType::Symbol => Value(u32::from(gene) % TEXTS.len() as u32),
+        BaseType::Number => Value::number(NUMBERS[gene as usize % NUMBERS.len()]),
+    }
+}
+
+fn variable(base: BaseType, gene: u8) -> usize {
+    2 * (gene as usize % (VARIABLES / 2)) + usize::from(base == BaseType::Number)
+}
+
+/// Mostly a variable, now and then a constant or a wildcard.
+fn term(base: BaseType, gene: u8) -> Term {
+    match gene / 8 {
+        0..24 => Term::Variable(VarId(variable(base, gene) as u32)),
+        24..28 => Term::Constant(constant(base, gene)),
+        _ => Term::Wildcard,
+    }
+}
+
+/// The term, if it is bound; else a bound variable of that base, else a constant.
+fn bound_term(base: BaseType, gene: u8, bound: &[bool; VARIABLES]) -> Term {
+    match term(base, gene) {
+        Term::Variable(variable) if bound[variable.index()] => Term::Variable(variable),
+        Term::Variable(_) => (0..=u8::MAX)
+            .map(|other| variable(base, other.wrapping_add(gene)))
+            .take(VARIABLES)
+            .find(|&variable| bound[variable])
+            .map_or(Term::Constant(constant(base, gene)), |variable| {
+                Term::Variable(VarId(variable as u32))
+            }),
+        Term::Constant(value) => Term::Constant(value),
+        Term::Wildcard => Term::Constant(constant(base, gene)),
+    }
+}
+
+/// A clause whose head is one of the relations from `first` on; those before may be negated.
+fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause {
+    let mut bound = [false; VARIABLES];
+    let atom = |relation: usize, terms: Vec<Term>| Atom {
+        relation: rel(relation),
+        terms,
+        span,
+    };
+    let columns = |relation: usize| rules.relations[relation].columns.iter();
+    let positive = |gene: &LiteralGene| {
+        let relation = gene.relation as usize % rules.relations.len();
+        atom(
+            relation,
+            columns(relation)
+                .zip(gene.terms)
+                .map(|(column, gene)| term(column.base, gene))
+                .collect(),
+        )
+    };
+    // Positive atoms bind first, wherever they stand.
+    for literal in gene.body.iter().filter(|literal| literal.kind < 150) {
+        for term in positive(literal).terms {
+            if let Term::Variable(variable) = term {
+                bound[variable.index()] = true;
+            }
+        }
+    }
+    let mut body = Vec::new();
+    for literal in &gene.body {
+        let base = if literal.terms[2] % 2 == 0 {
+            BaseType::Symbol
+        } else {
+            BaseType::Number
+        };
+        body.push(match literal.kind {
+            0..130 => Literal::Positive(positive(literal)),
+            130..150 => Literal::Guard(positive(literal)),
+            150..190 => {
+                let relation = literal.relation as usize % first;
+                let term = |(column, gene): (&Column, u8)| match term(column.base, gene) {
+                    Term::Wildcard => Term::Wildcard,
+                    _ => bound_term(column.base, gene, &bound),
+                };
+                Literal::Negative(atom(relation, columns(relation).zip(literal.terms).map(term).collect()))
+            }
+            190..225 => {
+                // An equality that may bind its left side.
+                let right = bound_term(base, literal.terms[1], &bound);
+                let left = variable(base, literal.terms[0]);
+                bound[left] = true;
+                let left = Term::Variable(VarId(left as u32));
+                let swap = literal.terms[3] % 2 == 0;
+                let (left, right) = if swap { (right, left) } else { (left, right) };
+                let op = Comparison::Equal;
+                Literal::Compare {
+                    op,
+                    left,
+                    right,
+                    base,
+                    span,
+                }
+            }
+            225.. => {
+                use Comparison::*;
+                Literal::Compare {
+                    op: [NotEqual, Less, LessEqual, Greater, GreaterEqual, Equal][literal.terms[3] as usize % 6],
+                    left: bound_term(base, literal.terms[0], &bound),
+                    right: bound_term(base, literal.terms[1], &bound),
+                    base,
+                    span,
+                }
+            }
+        });
+    }
+    let relation = first + gene.relation as usize % (rules.relations.len() - first);
+    let terms = columns(relation)
+        .zip(gene.head)
+        .map(|(column, gene)| bound_term(column.base, gene, &bound))
+        .collect();
+    // Variables that occur nowhere would be unbound.
+    Clause {
+        head: atom(relation, terms),
+        body,
+        variables: (0..VARIABLES).map(|variable| format!("v{variable}")).collect(),
+        doc: String::new(),
+        span,
+    }
+}
