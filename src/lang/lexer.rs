@@ -14,6 +14,8 @@ pub(super) enum Kind {
     Number,
     Float,
     Unsigned,
+    /// Digits and letters that make no number; reported.
+    BadNumber,
     /// A text with both quotes.
     Text,
     /// A text whose closing quote is missing; reported.
@@ -243,7 +245,7 @@ impl Lexer<'_> {
                     "a number is written in decimal, or as `0x` or `0b` and digits; a name does not begin with a digit",
                 ),
         );
-        self.push(Kind::Number, length);
+        self.push(Kind::BadNumber, length);
     }
 
     fn name(&mut self) {

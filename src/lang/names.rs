@@ -96,6 +96,11 @@ impl Names {
         self.relation_by_name.get(name).copied()
     }
 
+    /// Whether every declaration was read.
+    pub fn complete(&self) -> bool {
+        self.complete
+    }
+
     pub fn relation(&self, id: RelId) -> &Relation {
         &self.relations[id.index()]
     }

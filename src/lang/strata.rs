@@ -108,7 +108,7 @@ fn shortest(from: usize, to: usize, edges: &[Edge], out: &[Vec<usize>], componen
 
 /// The strongly connected components of a graph: for each node the number of its component, and how many there are. A
 /// component has a higher number than those it leads to.
-fn components(successors: &[Vec<usize>]) -> (Vec<usize>, usize) {
+pub(super) fn components(successors: &[Vec<usize>]) -> (Vec<usize>, usize) {
     const UNSEEN: usize = usize::MAX;
     let count = successors.len();
     let mut index = vec![UNSEEN; count];
