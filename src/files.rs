@@ -47,8 +47,8 @@ builtin_files! {
     "rules/vocabulary.dl"
 }
 
-/// Where paths look for the built-in rule files and nothing on disk.
-pub const BUILTIN_RULES: &str = "<builtin>";
+/// The folder, as paths name it, that holds the built-in files and nothing else.
+pub const BUILTIN_FOLDER: &str = "<builtin>";
 
 /// A built-in file by its path in the repository, for example `rules/vocabulary.dl` or `configs/maps/square-5x5.yaml`.
 pub fn builtin(path: &str) -> Option<&'static str> {
@@ -110,21 +110,22 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
     })
 }
 
-/// Reads a text file, or, if there is none, the built-in file of that path. In the folder [`BUILTIN_RULES`] are the built-in rule
-/// files, whatever is on disk.
+/// Reads a text file, or, if there is none, the built-in file of that path. Under [`BUILTIN_FOLDER`] nothing is on disk, and the
+/// folder `rules/` may be left out: a rule file anywhere can include `vocabulary.dl`.
 ///
 /// # Errors
 /// Why the file cannot be read.
 pub fn read_or_builtin(path: &Path) -> Result<String, ReadError> {
-    let inside = match path.strip_prefix(BUILTIN_RULES) {
-        Ok(name) => Path::new("rules").join(name),
+    let text = |path: &Path| path.to_str().and_then(builtin).map(str::to_owned);
+    match path.strip_prefix(BUILTIN_FOLDER) {
+        Ok(inside) => text(inside)
+            .or_else(|| text(&Path::new("rules").join(inside)))
+            .ok_or(ReadError::NotFound),
         Err(_) => match read_text(path) {
-            Err(ReadError::NotFound) => path.to_owned(),
-            text => return text,
+            Err(ReadError::NotFound) => text(path).ok_or(ReadError::NotFound),
+            read => read,
         },
-    };
-    let text = inside.to_str().and_then(builtin);
-    text.map(str::to_owned).ok_or(ReadError::NotFound)
+    }
 }
 
 /// A file being written under a temporary name; [`Output::finish`] gives it its own. Dropped unfinished, it leaves nothing.
