@@ -371,6 +371,21 @@ fn files_that_build_on_themselves_are_told() {
 }
 
 #[test]
+fn a_missing_base_is_the_only_fault() {
+    let told = bad(&[("main.yaml", "base: b.yaml\nview: 3\n"), ("b.yaml", "base: c.yaml\n")]);
+    assert!(
+        told.contains("b.yaml:1:7") && told.matches("error[").count() == 1,
+        "{told}"
+    );
+    let told = bad(&[(
+        "main.yaml",
+        "base: configs/expert.yaml\nagents: {base: nowhere.yaml}\nveiw: 3\n",
+    )]);
+    assert!(told.contains("missing-file") && told.contains("unknown-key"), "{told}");
+    assert_eq!(told.matches("error[").count(), 2, "{told}");
+}
+
+#[test]
 fn a_wrong_letter_of_a_map_is_pointed_at() {
     let map = "blocks: [1, 1]\nwidths: {street: 11, sidewalk: 5, building: 10, inner_sidewalk: 5}\nbuildings:\n  rows:\n    - OX\n    - H\n";
     let told = bad(&[
@@ -536,8 +551,8 @@ fn hostile_files_fail_fast() {
             told.chars().take(2000).collect::<String>()
         );
     }
-    let told = survive(&"- 1\n".repeat(1_000_000));
-    assert!(told.contains("limit-exceeded"));
+    assert!(survive(&"- 1\n".repeat(1_000_000)).contains("more than 200000 values"));
+    assert!(survive(&"\n".repeat(10_000_000)).contains("has 10000000 bytes"));
 }
 
 /// Text that is nearly a configuration: pieces of ours in any order.

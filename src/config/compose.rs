@@ -85,7 +85,11 @@ impl<'a> Composer<'a> {
         match self.find(&path, Path::new(reference)) {
             Ok(found) => Some(found),
             Err(error) => {
-                self.faults.push(unreadable(&path, &error).at(node.span, ""));
+                let mut fault = unreadable(&path, &error).at(node.span, "");
+                if error == ReadError::NotFound {
+                    fault = fault.note("a path is relative to the file that names it; it is no built-in file either");
+                }
+                self.faults.push(fault);
                 None
             }
         }
@@ -112,6 +116,12 @@ impl<'a> Composer<'a> {
 
     /// The tree of one file, its parts and its base put in. `chain` holds the files that wait for this one.
     fn file(&mut self, path: PathBuf, text: String, parts: &[&str], chain: &mut Vec<PathBuf>) -> Option<Node> {
+        if text.len() > yaml::MAX_BYTES {
+            let (length, limit) = (text.len(), yaml::MAX_BYTES);
+            let message = format!("`{}` has {length} bytes, the limit is {limit}", path.display());
+            self.faults.push(Diagnostic::new(Code::LimitExceeded, message));
+            return None;
+        }
         let id = self.sources.add(path.display().to_string(), text);
         let mut node = yaml::parse(self.sources, id, &mut self.nodes_left, &mut self.faults)?;
         chain.push(path.clone());
@@ -124,7 +134,7 @@ impl<'a> Composer<'a> {
         self.base(&mut node, parts, chain);
         chain.pop();
         node.whole = true;
-        Some(node)
+        (!matches!(node.value, Value::Absent)).then_some(node)
     }
 
     /// Replaces a path by the tree of its file, and puts the base into a part written in place. A part that cannot be had
@@ -134,11 +144,9 @@ impl<'a> Composer<'a> {
             Value::Map(_) => self.base(part, &[], chain),
             Value::Scalar { .. } if !part.is_null() => {
                 let span = part.span;
-                *part = self.referred(part, &[], chain).unwrap_or(Node {
-                    span,
-                    value: Value::Absent,
-                    whole: true,
-                });
+                *part = self
+                    .referred(part, &[], chain)
+                    .unwrap_or(Node::new(span, Value::Absent));
             }
             _ => {}
         }

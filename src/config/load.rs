@@ -125,7 +125,8 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node, name: String) -> Option<Sc
     let ticks = fields
         .required("ticks", faults)
         .and_then(|node| integer(node, 1..=MAX_TICKS, faults));
-    fields.close(faults);
+    let usual = "`base: configs/common.yaml` gives what is usual for every key but `rules` and `agents`";
+    fields.close_with(Some(usual), faults);
     let mut scenario = Scenario {
         name,
         map: map?,
