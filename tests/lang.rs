@@ -1,5 +1,6 @@
 //! The rule language: rule files, fixtures, reference, round trip, hostile texts.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
@@ -784,6 +785,129 @@ fn each_code_has_a_section_whose_example_produces_it() {
                 "no example of {}",
                 code.name()
             );
+        }
+    }
+}
+
+// --- redundant clauses
+
+/// A small database: for each relation of the rules its rows.
+type Database = Vec<BTreeSet<Vec<u32>>>;
+
+/// What a clause derives, by trying every assignment of {0, 1, 2} to its variables.
+fn derived(clause: &Clause, database: &Database) -> BTreeSet<Vec<u32>> {
+    let count = u32::try_from(clause.variables.len()).expect("few variables");
+    let mut heads = BTreeSet::new();
+    for number in 0..3_u32.pow(count) {
+        let values: Vec<u32> = (0..count).map(|at| number / 3_u32.pow(at) % 3).collect();
+        let value = |term: &Term| match term {
+            Term::Variable(id) => Some(values[id.index()]),
+            Term::Constant(constant) => Some(constant.0),
+            Term::Wildcard => None,
+        };
+        let holds = |atom: &Atom| {
+            database[atom.relation.index()].iter().any(|row| {
+                row.iter()
+                    .zip(&atom.terms)
+                    .all(|(cell, term)| value(term).is_none_or(|value| value == *cell))
+            })
+        };
+        let fires = clause.body.iter().all(|literal| match literal {
+            Literal::Positive(atom) | Literal::Guard(atom) => holds(atom),
+            Literal::Negative(atom) => !holds(atom),
+            Literal::Compare { op, left, right, .. } => {
+                let (left, right) = (value(left), value(right));
+                match op {
+                    Comparison::Equal => left == right,
+                    Comparison::NotEqual => left != right,
+                    Comparison::Less => left < right,
+                    Comparison::LessEqual => left <= right,
+                    Comparison::Greater => left > right,
+                    Comparison::GreaterEqual => left >= right,
+                }
+            }
+        });
+        if fires {
+            heads.insert(clause.head.terms.iter().filter_map(value).collect());
+        }
+    }
+    heads
+}
+
+/// A clause for `P`. Variables that only negated atoms and comparisons use get an atom.
+fn random_clause() -> impl Strategy<Value = String> {
+    let symbol = || proptest::sample::select(vec!["x", "y", "z", "_", "\"a\""]);
+    let bound = || proptest::sample::select(vec!["x", "y", "z", "\"a\""]);
+    let number = || proptest::sample::select(vec!["n", "m", "0"]);
+    let literal = prop_oneof![
+        symbol().prop_map(|a| format!("A({a})")),
+        (symbol(), symbol()).prop_map(|(a, b)| format!("B({a}, {b})")),
+        (symbol(), number()).prop_map(|(a, n)| format!("V({a}, {n})")),
+        (symbol(), symbol()).prop_map(|(a, b)| format!("!B({a}, {b})")),
+        (bound(), bound()).prop_map(|(a, b)| format!("{a} != {b}")),
+        (bound(), bound()).prop_map(|(a, b)| format!("{a} = {b}")),
+        (
+            number(),
+            number(),
+            proptest::sample::select(vec!["<", ">", "<=", ">=", "="])
+        )
+            .prop_map(|(a, b, op)| format!("{a} {op} {b}")),
+    ];
+    (proptest::collection::vec(literal, 1..4), any::<bool>()).prop_map(|(mut literals, constant)| {
+        for name in ["y", "z", "n", "m"] {
+            if literals.iter().any(|literal| literal.contains(name)) {
+                literals.push(if "yz".contains(name) {
+                    format!("A({name})")
+                } else {
+                    format!("V(_, {name})")
+                });
+            }
+        }
+        literals.push("A(x)".to_owned());
+        format!(
+            "P({}) :- {}.",
+            if constant && literals.len() > 4 { "\"a\"" } else { "x" },
+            literals.join(", ")
+        )
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(512))]
+    #[test]
+    fn no_clause_is_called_redundant_that_is_not(
+        clauses in proptest::collection::vec(random_clause(), 2..5),
+        scoped: bool,
+        databases in proptest::collection::vec(any::<(u8, u16, u16)>(), 8),
+    ) {
+        let scope = if scoped { ".scope B" } else { "" };
+        let text = format!(
+            ".decl A(x: symbol)\n.decl B(x: symbol, y: symbol)\n.decl V(x: symbol, n: number)\n.decl P(x: symbol)\n\
+             .input A, B, V\n.output P\n{scope}\n{}", clauses.join("\n"));
+        let (_, loaded) = load_text("random.dl", &text);
+        let Some(rules) = loaded.rules else { return Ok(()) };
+        for diagnostic in &loaded.diagnostics {
+            let equal = match diagnostic.code {
+                Code::DuplicateClause => true,
+                Code::SubsumedClause => false,
+                _ => continue,
+            };
+            let at = |span: Span| rules.clauses.iter().find(|clause| clause.span == span).expect("a clause is there");
+            let redundant = at(diagnostic.primary.as_ref().expect("it has a place").span);
+            let other = at(diagnostic.secondary[0].span);
+            for (a, b, v) in &databases {
+                let pairs = |bits: u16| (0..9).filter(move |at| bits >> at & 1 == 1).map(|at| vec![at / 3, at % 3]).collect();
+                let mut database: Database = vec![BTreeSet::new(); rules.relations.len()];
+                database[0] = (0..3).filter(|at| a >> at & 1 == 1).map(|at| vec![at]).collect();
+                database[1] = pairs(*b);
+                database[2] = pairs(*v);
+                for clause in rules.clauses.iter().filter(|clause| rules.relations[clause.head.relation.index()].hidden) {
+                    database[clause.head.relation.index()] = derived(clause, &database);
+                }
+                let (redundant, other) = (derived(redundant, &database), derived(other, &database));
+                prop_assert!(redundant.is_subset(&other), "{}\n{:?}", text, diagnostic);
+                prop_assert!(!equal || redundant == other, "{}\n{:?}", text, diagnostic);
+            }
         }
     }
 }
