@@ -153,6 +153,9 @@ impl<'a> Parser<'a> {
     /// Something is missing before the present token.
     fn expected(&mut self, what: &str) -> Reported {
         let token = self.token();
+        if token.kind == Kind::Faulty {
+            return Reported;
+        }
         let message = format!("expected {what}, found {}", self.describe(token));
         // When the line is over, the fault is where something should have followed.
         let span = if self.at > 0 && (token.first_on_line || token.kind == Kind::End) {
@@ -169,6 +172,9 @@ impl<'a> Parser<'a> {
     /// The present token cannot begin a clause or directive.
     fn expected_item(&mut self, why: &str) -> Reported {
         let token = self.token();
+        if token.kind == Kind::Faulty {
+            return Reported;
+        }
         let message = format!("expected a clause or a directive{why}, found {}", self.describe(token));
         self.faults
             .push(Diagnostic::new(Code::Syntax, message).at(self.span(token), ""));
@@ -716,7 +722,7 @@ impl<'a> Parser<'a> {
             Kind::Ident
             | Kind::Underscore
             | Kind::Number
-            | Kind::BadNumber
+            | Kind::Faulty
             | Kind::Float
             | Kind::Unsigned
             | Kind::Text
@@ -811,7 +817,7 @@ impl<'a> Parser<'a> {
                 TermKind::Text(self.unescape(start))
             }
             // Reported by the lexer.
-            Kind::BadNumber => return Err(Reported),
+            Kind::Faulty => return Err(Reported),
             Kind::Float => return Err(self.unsupported(self.span(start), "floating-point numbers are", "")),
             Kind::Unsigned => {
                 return Err(self.unsupported(self.span(start), "unsigned numbers are", "write it without the `u`"));

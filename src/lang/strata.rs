@@ -30,6 +30,9 @@ pub(super) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
     let mut covered = vec![false; edges.len()];
     let mut reported = vec![0_usize; components];
     for (index, edge) in edges.iter().enumerate() {
+        if faults.full() {
+            return;
+        }
         let home = component[edge.from.index()];
         if !edge.negative || component[edge.to.index()] != home || covered[index] || reported[home] >= MAX_CYCLES {
             continue;
