@@ -1,0 +1,153 @@
+//! Every message has a stable name, a fixture that produces it, and a section in a reference.
+//!
+//! `tests/lang.rs` and `tests/config.rs` run the fixtures of what their rooms find alone; here are those that need a whole city, scenes or
+//! facts, and the count of all.
+
+use logicity::diag::Code;
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn fixtures() -> PathBuf {
+    root().join("tests/fixtures/diagnostics")
+}
+
+fn logicity(arguments: &[&str]) -> Output {
+    let program = env!("CARGO_BIN_EXE_logicity");
+    Command::new(program)
+        .args(arguments)
+        .current_dir(root())
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn every_code_has_a_fixture_and_a_section() {
+    let names: BTreeSet<&str> = Code::ALL.iter().map(|code| code.name()).collect();
+    let found: BTreeSet<String> = fs::read_dir(fixtures())
+        .unwrap()
+        .map(|entry| entry.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned())
+        .collect();
+    assert_eq!(found.iter().map(String::as_str).collect::<BTreeSet<_>>(), names);
+
+    let references =
+        ["rules/README.md", "configs/README.md"].map(|path| fs::read_to_string(root().join(path)).unwrap());
+    let is_section = |line: &&str| line.starts_with('#');
+    let headings: Vec<&str> = references
+        .iter()
+        .flat_map(|text| text.lines().filter(is_section))
+        .collect();
+    for name in names {
+        let has = |heading: &&str| {
+            heading
+                .split(|c: char| !c.is_alphanumeric() && c != '-')
+                .any(|word| word == name)
+        };
+        assert!(headings.iter().any(has), "no section about {name} in a README");
+    }
+}
+
+#[test]
+fn cities_fail_as_their_fixtures_say() {
+    let out = tempfile::tempdir().unwrap();
+    let out = out.path().to_str().unwrap();
+    for code in [
+        "unknown-split",
+        "rule-mismatch",
+        "invalid-map",
+        "no-start-cell",
+        "no-route",
+    ] {
+        let path = fixtures().join(code).with_extension("yaml");
+        let split = if code == "unknown-split" { "train" } else { "test" };
+        let output = logicity(&[
+            "run",
+            path.to_str().unwrap(),
+            "--ticks",
+            "1",
+            "--split",
+            split,
+            "--out",
+            out,
+        ]);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        assert!(said.contains(&format!("error[{code}]")), "{said}");
+        let text = fs::read_to_string(&path).unwrap();
+        let file = path.file_name().unwrap().to_str().unwrap();
+        for (line, _) in text.lines().enumerate().filter(|(_, text)| text.contains("# error[")) {
+            assert!(
+                said.contains(&format!("{file}:{}:", line + 1)),
+                "line {} of {file} is not named:\n{said}",
+                line + 1
+            );
+        }
+    }
+}
+
+#[test]
+fn scenes_and_facts_fail_as_their_fixtures_say() {
+    let scenes = fixtures().join("invalid-scene.jsonl");
+    let output = logicity(&["infer", scenes.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(1));
+    let lines = fs::read_to_string(&scenes).unwrap();
+    let answers = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(answers.lines().count(), lines.lines().count());
+    for (answer, line) in answers.lines().zip(1..) {
+        let answer: Value = serde_json::from_str(answer).unwrap();
+        assert_eq!(answer["error"][0]["code"], "invalid-scene");
+        assert_eq!(answer["error"][0]["labels"][0]["line"], line);
+    }
+
+    let folder = fixtures().join("invalid-fact");
+    let folder = folder.to_str().unwrap();
+    let output = logicity(&["query", &format!("{folder}/main.dl"), "-F", folder, "-D", "-"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    for part in ["error[invalid-fact]", "age.facts:2:5", "age.facts:3:1"] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+}
+
+/// The scenes in the reference are answered; the ones that stand for faults are refused.
+#[test]
+fn the_scenes_of_the_reference_do_what_it_says() {
+    let text = fs::read_to_string(Path::new(&root()).join("configs/README.md")).unwrap();
+    let mut heading = "";
+    let mut lines = text.lines();
+    let mut last = Value::Null;
+    let mut count = 0;
+    while let Some(line) = lines.next() {
+        if line.starts_with('#') {
+            heading = line;
+        }
+        let Some(kind) = line.strip_prefix("```json") else {
+            continue;
+        };
+        let block: String = lines.by_ref().take_while(|line| *line != "```").collect();
+        count += 1;
+        if kind == " answer" {
+            assert_eq!(serde_json::from_str::<Value>(&block).unwrap(), last);
+            continue;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("scene.jsonl");
+        fs::write(&file, block).unwrap();
+        let output = logicity(&["infer", file.to_str().unwrap()]);
+        let fails = heading.ends_with("invalid-scene");
+        assert_eq!(
+            output.status.code(),
+            Some(i32::from(fails)),
+            "{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+        last = serde_json::from_slice(&output.stdout).unwrap();
+    }
+    assert!(count >= 4);
+}

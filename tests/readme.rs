@@ -1,0 +1,98 @@
+//! What README shows is what happens: its rule files are written to a folder, its commands run there, and what they print is
+//! compared.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+struct Block {
+    kind: String,
+    text: String,
+}
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn blocks() -> Vec<Block> {
+    let text = fs::read_to_string(root().join("README.md")).unwrap();
+    let mut blocks = Vec::new();
+    let mut lines = text.lines();
+    while let Some(line) = lines.next() {
+        if let Some(kind) = line.strip_prefix("```") {
+            let text: Vec<&str> = lines.by_ref().take_while(|line| *line != "```").collect();
+            blocks.push(Block {
+                kind: kind.to_owned(),
+                text: text.join("\n") + "\n",
+            });
+        }
+    }
+    blocks
+}
+
+/// What a shell command prints, on either output, with this program first on the path.
+fn shell(command: &str, folder: &Path) -> String {
+    let program = Path::new(env!("CARGO_BIN_EXE_logicity")).parent().unwrap();
+    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let output = Command::new("sh")
+        .args(["-c", command])
+        .env("PATH", path)
+        .current_dir(folder)
+        .output()
+        .unwrap();
+    String::from_utf8(output.stdout).unwrap() + &String::from_utf8(output.stderr).unwrap()
+}
+
+#[test]
+fn the_commands_print_what_readme_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut last_file = String::new();
+    let mut last_output = String::new();
+    let mut compared = 0;
+    for block in blocks() {
+        match block.kind.as_str() {
+            kind if kind.starts_with("prolog ") => {
+                last_file = kind["prolog ".len()..].to_owned();
+                fs::write(folder.path().join(&last_file), &block.text).unwrap();
+                last_output.clear();
+            }
+            "sh" if block.text.contains("cargo run") => {}
+            "sh" => {
+                last_output = shell(&block.text, folder.path());
+                assert!(!last_output.contains("error"), "{}\n{last_output}", block.text);
+            }
+            "text" if last_output.is_empty() => {
+                let output = shell(&format!("logicity check {last_file}"), folder.path());
+                assert_eq!(output, block.text);
+                compared += 1;
+            }
+            "text" | "json" => {
+                assert_eq!(last_output, block.text);
+                compared += 1;
+            }
+            _ => {}
+        }
+    }
+    assert!(compared >= 4, "README has lost its examples");
+}
+
+#[test]
+fn readme_names_every_command() {
+    let help = shell("logicity --help", &root());
+    let commands: Vec<&str> = help
+        .lines()
+        .skip_while(|line| *line != "Commands:")
+        .skip(1)
+        .map_while(|line| line.strip_prefix("  "))
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|command| *command != "help")
+        .collect();
+    assert!(commands.len() >= 6);
+    let text = fs::read_to_string(root().join("README.md")).unwrap();
+    for command in commands {
+        assert!(
+            text.contains(&format!("| `{command}")),
+            "{command} is not in README's table"
+        );
+    }
+}
