@@ -35,6 +35,16 @@ builtin_files! {
     "configs/transfer-medium.yaml"
     "configs/vap-easy.yaml"
     "configs/vap-hard.yaml"
+    "rules/easy.dl"
+    "rules/expert.dl"
+    "rules/hard.dl"
+    "rules/medium.dl"
+    "rules/transfer-easy.dl"
+    "rules/transfer-hard.dl"
+    "rules/transfer-medium.dl"
+    "rules/vap-easy.dl"
+    "rules/vap-hard.dl"
+    "rules/vocabulary.dl"
 }
 
 /// The folder, as paths name it, that holds the built-in files and nothing else.
@@ -100,23 +110,21 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
     })
 }
 
-/// Reads a text file, or, if there is none, the built-in file of that path; the path may begin with [`BUILTIN_FOLDER`], where
-/// nothing is on disk.
+/// Reads a text file, or, if there is none, the built-in file of that path. Under [`BUILTIN_FOLDER`] nothing is on disk, and the
+/// folder `rules/` may be left out: a rule file anywhere can include `vocabulary.dl`.
 ///
 /// # Errors
 /// Why the file cannot be read.
 pub fn read_or_builtin(path: &Path) -> Result<String, ReadError> {
-    let text = match path.strip_prefix(BUILTIN_FOLDER) {
-        Ok(_) => Err(ReadError::NotFound),
-        Err(_) => read_text(path),
-    };
-    match text {
-        Err(ReadError::NotFound) => {
-            let inside = path.strip_prefix(BUILTIN_FOLDER).unwrap_or(path);
-            let text = inside.to_str().and_then(builtin);
-            text.map(str::to_owned).ok_or(ReadError::NotFound)
-        }
-        text => text,
+    let text = |path: &Path| path.to_str().and_then(builtin).map(str::to_owned);
+    match path.strip_prefix(BUILTIN_FOLDER) {
+        Ok(inside) => text(inside)
+            .or_else(|| text(&Path::new("rules").join(inside)))
+            .ok_or(ReadError::NotFound),
+        Err(_) => match read_text(path) {
+            Err(ReadError::NotFound) => text(path).ok_or(ReadError::NotFound),
+            read => read,
+        },
     }
 }
 

@@ -1,21 +1,25 @@
 //! Configurations: the files we ship, every message, the blocks of the reference, and hostile input.
 
 use logicity::config::{AgentKind, Buildings, Definition, Scenario, Speed, Split, load_map, load_scenario};
-use logicity::diag::{Diagnostic, Sources, render, to_json};
-use logicity::files::{BUILTIN, ReadError, builtin, read_text};
+use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
+use logicity::files::{BUILTIN, ReadError, builtin, read_or_builtin, read_text};
 use proptest::prelude::*;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
-/// Rule files need only be there; what they say is not a matter of configurations.
-fn read(path: &Path) -> Result<String, ReadError> {
-    match path.extension() {
-        Some(extension) if extension == "dl" => Ok(String::new()),
-        _ => read_text(path),
-    }
-}
+/// The codes that loading a configuration gives; each has a fixture `<code>.yaml` or `<code>/main.yaml`.
+const FIXTURES: [&str; 8] = [
+    "not-text",
+    "limit-exceeded",
+    "yaml-syntax",
+    "unknown-key",
+    "duplicate-key",
+    "missing-key",
+    "invalid-value",
+    "missing-file",
+];
 
 fn told(sources: &Sources, faults: &[Diagnostic]) -> String {
     render(faults, sources, false)
@@ -23,7 +27,7 @@ fn told(sources: &Sources, faults: &[Diagnostic]) -> String {
 
 fn load(path: &Path) -> Scenario {
     let mut sources = Sources::new();
-    load_scenario(&mut sources, path, &read).unwrap_or_else(|faults| panic!("{}", told(&sources, &faults)))
+    load_scenario(&mut sources, path, &read_text).unwrap_or_else(|faults| panic!("{}", told(&sources, &faults)))
 }
 
 /// Loads `main.yaml` of a few files that exist in memory only; beside them the built-in files.
@@ -119,27 +123,20 @@ fn found(sources: &Sources, faults: &[Diagnostic]) -> Vec<(usize, String)> {
 #[test]
 fn fixtures_give_the_faults_they_say() {
     let folder = Path::new(ROOT).join("tests/fixtures/diagnostics");
-    let mut shown = 0;
-    for entry in std::fs::read_dir(&folder).expect("fixtures") {
-        let path = entry.expect("entry").path();
-        let path = if path.is_dir() { path.join("main.yaml") } else { path };
-        if path.extension().is_none_or(|extension| extension != "yaml") || !path.exists() {
-            continue;
-        }
+    for code in FIXTURES {
+        let file = folder.join(code).with_extension("yaml");
+        let path = if file.exists() {
+            file
+        } else {
+            folder.join(code).join("main.yaml")
+        };
         let mut sources = Sources::new();
-        let faults = load_scenario(&mut sources, &path, &read).err().unwrap_or_default();
-        let text = read_text(&path).expect("text");
-        println!("{}", told(&sources, &faults));
-        assert_eq!(
-            found(&sources, &faults),
-            expected(&text),
-            "{}\n{}",
-            path.display(),
-            told(&sources, &faults)
-        );
-        shown += 1;
+        let faults = load_scenario(&mut sources, &path, &read_text).err().unwrap_or_default();
+        let text = read_text(&path).expect("fixture");
+        let wanted = expected(&text);
+        assert!(wanted.iter().all(|(_, wanted)| wanted == code) && !wanted.is_empty());
+        assert_eq!(found(&sources, &faults), wanted, "{code}\n{}", told(&sources, &faults));
     }
-    assert!(shown >= 8);
 }
 
 #[test]
@@ -291,7 +288,7 @@ agents:
     let set = scenario.agent_set(Split::Test).expect("test");
     assert_eq!(set.agents.len(), 1 + 8);
     assert_eq!(set.agents[0].concepts[0].value, "taxi");
-    assert_eq!(scenario.rules.value, Path::new("rules/expert.dl"));
+    assert_eq!(scenario.rules.value, Path::new("<builtin>/rules/expert.dl"));
 }
 
 #[test]
@@ -350,7 +347,7 @@ fn maps_are_found_by_path_and_by_name() {
         assert_eq!((map.name.as_str(), map.blocks.value), ("square-5x5", [5, 5]));
     }
     let mut sources = Sources::new();
-    let faults = load_map(&mut sources, Path::new("sqare-5x5"), &read).expect_err("no such map");
+    let faults = load_map(&mut sources, Path::new("sqare-5x5"), &read_text).expect_err("no such map");
     let told = told(&sources, &faults);
     assert!(
         told.contains("missing-file") && told.contains("did you mean `square-5x5`?"),
@@ -371,6 +368,21 @@ fn files_that_build_on_themselves_are_told() {
         .collect();
     files.push(("main.yaml", "base: f0.yaml\n"));
     assert!(bad(&files).contains("limit-exceeded"));
+}
+
+#[test]
+fn a_missing_base_is_the_only_fault() {
+    let told = bad(&[("main.yaml", "base: b.yaml\nview: 3\n"), ("b.yaml", "base: c.yaml\n")]);
+    assert!(
+        told.contains("b.yaml:1:7") && told.matches("error[").count() == 1,
+        "{told}"
+    );
+    let told = bad(&[(
+        "main.yaml",
+        "base: configs/expert.yaml\nagents: {base: nowhere.yaml}\nveiw: 3\n",
+    )]);
+    assert!(told.contains("missing-file") && told.contains("unknown-key"), "{told}");
+    assert_eq!(told.matches("error[").count(), 2, "{told}");
 }
 
 #[test]
@@ -419,6 +431,29 @@ fn built_in_files_are_the_files_of_the_folders() {
     );
 }
 
+#[test]
+fn built_in_files_are_read_where_there_is_no_repository() {
+    let same = |path: &str, builtin_path: &str| {
+        assert_eq!(
+            read_or_builtin(Path::new(path)).ok().as_deref(),
+            builtin(builtin_path),
+            "{path}"
+        );
+    };
+    same("<builtin>/rules/vocabulary.dl", "rules/vocabulary.dl");
+    same("<builtin>/vocabulary.dl", "rules/vocabulary.dl");
+    same("<builtin>/configs/expert.yaml", "configs/expert.yaml");
+    assert_eq!(
+        read_or_builtin(Path::new("<builtin>/nothing.dl")),
+        Err(ReadError::NotFound)
+    );
+    assert_eq!(read_or_builtin(Path::new("vocabulary.dl")), Err(ReadError::NotFound));
+    // What a built-in configuration names is built in, too.
+    let expert =
+        load_scenario(&mut Sources::new(), Path::new("expert"), &|_| Err(ReadError::NotFound)).expect("built in");
+    same(expert.rules.value.to_str().expect("UTF-8"), "rules/expert.dl");
+}
+
 /// Loads a text as a run configuration and as a map and draws what is wrong, within a bound of time.
 fn survive(text: &str) -> String {
     let start = Instant::now();
@@ -450,7 +485,7 @@ fn hostile_files_fail_fast() {
     }
     let chain: String = (1..10_000).map(|n| format!("a{n}: &a{n} [*a{}]\n", n - 1)).collect();
     let indented: String = (0..2000).map(|depth| format!("{}a:\n", " ".repeat(depth))).collect();
-    let keys: String = (0..50_000).map(|n| format!("k{n}: 1\n")).collect();
+    let keys: String = (0..20_000).map(|n| format!("k{n}: 1\n")).collect();
     let cars = format!(
         "base: configs/expert.yaml\nagents: {{test: {{cars: [{}]}}}}",
         "{concepts: [tax]},".repeat(40_000)
@@ -464,7 +499,7 @@ fn hostile_files_fail_fast() {
             state ^= state << 17;
             char::from(32 + (state % 95) as u8)
         };
-        (0..8_000_000).map(|_| next()).collect()
+        (0..2_000_000).map(|_| next()).collect()
     };
     let cases: [(&str, String, &str); 22] = [
         ("open brackets", "[".repeat(100_000), "limit-exceeded"),
@@ -516,8 +551,8 @@ fn hostile_files_fail_fast() {
             told.chars().take(2000).collect::<String>()
         );
     }
-    let told = survive(&"- 1\n".repeat(3_000_000));
-    assert!(told.contains("limit-exceeded"));
+    assert!(survive(&"- 1\n".repeat(1_000_000)).contains("more than 200000 values"));
+    assert!(survive(&"\n".repeat(10_000_000)).contains("has 10000000 bytes"));
 }
 
 /// Text that is nearly a configuration: pieces of ours in any order.
@@ -568,5 +603,66 @@ proptest! {
         };
         let (sources, result) = load_memory(&[("main.yaml", &main), (path, &text)]);
         told(&sources, &result.err().unwrap_or_default());
+    }
+}
+
+#[test]
+fn blocks_of_the_reference_load_or_fail_as_they_say() {
+    let text = read_text(&Path::new(ROOT).join("configs/README.md")).expect("reference");
+    let mut blocks = 0;
+    for part in text.split("```yaml\n").skip(1) {
+        let block = part.split("```").next().expect("split gives at least one part");
+        let kind = block
+            .lines()
+            .next()
+            .and_then(|line| line.split_once(": "))
+            .map(|(_, kind)| kind);
+        let (name, main) = match kind {
+            Some("a run configuration") => ("main.yaml", None),
+            Some("a map") => ("map.yaml", Some("base: configs/expert.yaml\nmap: map.yaml\n")),
+            Some("agent sets") => ("agents.yaml", Some("base: configs/expert.yaml\nagents: agents.yaml\n")),
+            Some("predicates") => (
+                "predicates.yaml",
+                Some("base: configs/expert.yaml\npredicates: predicates.yaml\n"),
+            ),
+            _ => panic!("the first line says what the block is:\n{block}"),
+        };
+        let mut files = vec![(name, block)];
+        files.extend(main.map(|main| ("main.yaml", main)));
+        let (sources, result) = load_memory(&files);
+        let faults = result.err().unwrap_or_default();
+        assert_eq!(
+            found(&sources, &faults),
+            expected(block),
+            "{block}\n{}",
+            told(&sources, &faults)
+        );
+        blocks += 1;
+    }
+    assert!(blocks > 10);
+}
+
+#[test]
+fn every_message_has_a_section_and_those_of_configurations_a_fixture() {
+    let code = read_text(&Path::new(ROOT).join("src/diag/code.rs")).expect("codes");
+    let reference = read_text(&Path::new(ROOT).join("configs/README.md")).expect("reference");
+    let mut section = "";
+    for line in code.lines() {
+        if let Some(title) = line.trim().strip_prefix("// --- ") {
+            section = title;
+        }
+        let Some((_, name)) = line.split_once(" = \"") else {
+            continue;
+        };
+        let name = name.split('"').next().expect("split gives at least one part");
+        if matches!(section, "any file" | "configuration" | "city" | "scenes") {
+            assert!(
+                reference.contains(&format!("\n### {name}\n")),
+                "`{name}` has no section in configs/README.md"
+            );
+        }
+    }
+    for name in FIXTURES {
+        assert!(Code::ALL.iter().any(|code| code.name() == name));
     }
 }

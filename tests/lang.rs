@@ -1,10 +1,12 @@
 //! The rule language: rule files, fixtures, reference, round trip, hostile texts.
 
-use std::path::Path;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 
-use logicity::diag::{Sources, render};
+use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
 use logicity::files::{ReadError, read_text};
-use logicity::lang::{BUILTIN, Loaded, Rules, load};
+use logicity::lang::{Atom, BUILTIN, Clause, Comparison, Literal, Loaded, Rules, Term, ast, load, parse, print};
+use proptest::prelude::*;
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -80,4 +82,832 @@ fn stopping_comes_before_slowing_before_speeding() {
         [["Stop"], ["Slow"], ["Fast"], ["Normal"]]
     );
     assert_eq!(strata(&load_rule_file("easy.dl")), [["Stop"], ["Normal"]]);
+}
+
+// --- expectations beside the input
+
+/// Loads the first of some texts, the others being the files beside it.
+fn load_files(files: &[(String, String)]) -> (Sources, Loaded) {
+    let read_one = |path: &Path| {
+        let clean: PathBuf = path
+            .components()
+            .filter(|part| *part != std::path::Component::CurDir)
+            .collect();
+        let name = clean.to_string_lossy();
+        let name = name.strip_prefix("x/../").unwrap_or(&name);
+        match files.iter().find(|(file, _)| file == name) {
+            Some((_, text)) => Ok(text.clone()),
+            None => read(path),
+        }
+    };
+    let mut sources = Sources::new();
+    let entry = sources.add(files[0].0.as_str(), files[0].1.as_str());
+    let loaded = load(&mut sources, entry, &read_one);
+    (sources, loaded)
+}
+
+/// Splits a text at the lines `// file: NAME`.
+fn split_files(name: &str, text: &str) -> Vec<(String, String)> {
+    let mut files = vec![(name.to_owned(), String::new())];
+    for line in text.lines() {
+        if let Some(name) = line.strip_prefix("// file: ") {
+            files.push((name.to_owned(), String::new()));
+        } else {
+            let (_, text) = files.last_mut().expect("one was put there");
+            text.push_str(line);
+            text.push('\n');
+        }
+    }
+    files
+}
+
+/// `error[code]: part of the message`, `warning[code]`, `label[code]: part of the label`, said of a line.
+#[derive(Debug)]
+struct Expectation {
+    file: String,
+    line: usize,
+    kind: String,
+    code: String,
+    part: String,
+}
+
+fn expectations(file: &str, text: &str) -> Vec<Expectation> {
+    let mut found = Vec::new();
+    for (index, line) in text.lines().enumerate() {
+        let Some(at) = ["// error[", "// warning[", "// label["]
+            .iter()
+            .filter_map(|mark| line.find(mark))
+            .min()
+        else {
+            continue;
+        };
+        let marks = line[at + 3..]
+            .replace(", error[", "\0error[")
+            .replace(", warning[", "\0warning[");
+        for mark in marks.replace(", label[", "\0label[").split('\0') {
+            let (kind, rest) = mark.split_once('[').expect("a mark has a bracket");
+            let (code, part) = rest.split_once(']').expect("a mark has both brackets");
+            found.push(Expectation {
+                file: file.to_owned(),
+                line: index + 1,
+                kind: kind.to_owned(),
+                code: code.to_owned(),
+                part: part.trim_start_matches(':').trim().to_owned(),
+            });
+        }
+    }
+    found
+}
+
+/// Every diagnostic is expected on its line, and every expectation met. Labels may be more than are expected.
+fn check_expectations(what: &str, files: &[(String, String)]) -> Result<(), String> {
+    let (sources, loaded) = load_files(files);
+    let drawn = render(&loaded.diagnostics, &sources, false);
+    let expected: Vec<Expectation> = files.iter().flat_map(|(name, text)| expectations(name, text)).collect();
+    let matches = |expectation: &Expectation, diagnostic: &Diagnostic| {
+        if diagnostic.code.name() != expectation.code {
+            return false;
+        }
+        let on_line = |span| {
+            let name = Path::new(sources.name(span))
+                .file_name()
+                .map(|name| name.to_string_lossy().into_owned());
+            name.as_deref() == Path::new(&expectation.file).file_name().and_then(|name| name.to_str())
+        };
+        if expectation.kind == "label" {
+            return diagnostic.secondary.iter().any(|label| {
+                on_line(label.span.source)
+                    && sources.position(label.span).line == expectation.line
+                    && label.message.contains(&expectation.part)
+            });
+        }
+        let severity = if expectation.kind == "error" {
+            Severity::Error
+        } else {
+            Severity::Warning
+        };
+        diagnostic.severity() == severity
+            && diagnostic.message.contains(&expectation.part)
+            && diagnostic.primary.as_ref().is_some_and(|label| {
+                on_line(label.span.source) && sources.position(label.span).line == expectation.line
+            })
+    };
+    let mut met = vec![false; loaded.diagnostics.len()];
+    for expectation in &expected {
+        let index = loaded.diagnostics.iter().enumerate().position(|(index, diagnostic)| {
+            (expectation.kind == "label" || !met[index]) && matches(expectation, diagnostic)
+        });
+        let index = index.ok_or_else(|| format!("{what}: not met: {expectation:?}\n{drawn}"))?;
+        if expectation.kind != "label" {
+            met[index] = true;
+        }
+    }
+    let unexpected: Vec<_> = (loaded.diagnostics.iter().zip(&met))
+        .filter(|(_, met)| !**met)
+        .map(|(one, _)| one.clone())
+        .collect();
+    if !unexpected.is_empty() {
+        return Err(format!(
+            "{what}: not expected:\n{}",
+            render(&unexpected, &sources, false)
+        ));
+    }
+    let failed = loaded.diagnostics.iter().any(Diagnostic::is_error);
+    assert_eq!(
+        loaded.rules.is_none(),
+        failed,
+        "{what}: rules exactly if there is no error"
+    );
+    Ok(())
+}
+
+/// The codes that this room produces.
+fn rule_codes() -> impl Iterator<Item = Code> {
+    Code::ALL.iter().copied().filter(|code| *code <= Code::DeadClause)
+}
+
+#[test]
+fn each_code_has_a_fixture_that_produces_it() {
+    let folder = root().join("tests/fixtures/diagnostics");
+    let mut failures = Vec::new();
+    for code in rule_codes() {
+        let name = code.name();
+        let mut files = Vec::new();
+        let single = folder.join(format!("{name}.dl"));
+        if single.exists() {
+            files = split_files(
+                &format!("{name}.dl"),
+                &read_text(&single).expect("a fixture can be read"),
+            );
+        } else {
+            let path = folder.join(name).join("main.dl");
+            let text = read_text(&path).unwrap_or_else(|error| panic!("no fixture for {name}: {error}"));
+            files.push((path.display().to_string(), text));
+        }
+        failures.extend(check_expectations(name, &files).err());
+        let marked = files.iter().flat_map(|(name, text)| expectations(name, text));
+        assert!(
+            marked.into_iter().any(|mark| mark.code == name && mark.kind != "label"),
+            "{name}.dl expects no {name}"
+        );
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+// --- the paper's notation
+
+/// The table of clauses of the expert mode as it is printed.
+const PAPER: &str = r#"
+.include "vocabulary.dl"
+Stop(X):- Not(IsAmbulance(X)), Not(IsOld(X)), IsAtInter(X), IsInInter(Y).
+Stop(X):- Not(IsAmbulance(X)), Not(IsOld(X)), IsAtInter(X), IsAtInter(Y), HigherPri(Y, X).
+Stop(X):- Not(IsAmbulance(X)), Not(IsOld(X)), IsInInter(X), IsInInter(Y), IsAmbulance(Y).
+Stop(X):- Not(IsAmbulance(X)), Not(IsPolice(X)), IsCar(X), Not(IsInInter(X)), Not(IsAtInter(X)), LeftOf(Y, X), IsClose(Y, X), IsPolice(Y).
+Stop(X):- IsBus(X), Not(IsInInter(X)), Not(IsAtInter(X)), RightOf(Y, X), NextTo(Y, X), IsPedestrian(Y).
+Stop(X):- IsAmbulance(X), RightOf(Y, X), IsOld(Y).
+Stop(X):- Not(IsAmbulance(X)), Not(IsOld(X)), CollidingClose(X, Y).
+Slow(X):- Not(Stop(X)), IsTiro(X), IsPedestrian(Y), IsClose(X, Y).
+Slow(X):- Not(Stop(X)), IsTiro(X), IsInInter(X), IsAtInter(Y).
+Slow(X):- Not(Stop(X)), IsPolice(X), IsYoung(Y), IsYoung(Z), NextTo(Y, Z).
+Fast(X):- Not(Stop(X)), Not(Slow(X)), IsReckless(X), IsAtInter(Y).
+Fast(X):- Not(Stop(X)), Not(Slow(X)), IsBus(X).
+Fast(X):- Not(Stop(X)), Not(Slow(X)), IsPolice(X), IsReckless(Y).
+"#;
+
+/// The clauses of some rules without their order, places and docs: one line each.
+fn clause_lines(rules: &Rules) -> Vec<String> {
+    let mut lines: Vec<String> = (rules.clauses.iter())
+        .map(|clause| {
+            let atom = |atom: &Atom| {
+                let terms: Vec<String> = atom.terms.iter().map(|term| format!("{term:?}")).collect();
+                format!("{}({})", rules.relations[atom.relation.index()].name, terms.join(","))
+            };
+            let mut body: Vec<String> = (clause.body.iter())
+                .map(|literal| match literal {
+                    Literal::Positive(one) => atom(one),
+                    Literal::Negative(one) => format!("!{}", atom(one)),
+                    Literal::Guard(one) => format!("guard {}", atom(one)),
+                    Literal::Compare { op, left, right, .. } => format!("{left:?} {op} {right:?}"),
+                })
+                .collect();
+            body.sort();
+            format!("{} :- {}", atom(&clause.head), body.join(", "))
+        })
+        .collect();
+    lines.sort();
+    lines
+}
+
+#[test]
+fn the_papers_clauses_load_as_printed_and_are_those_of_expert() {
+    assert_eq!(
+        clause_lines(&load_clean("paper.dl", PAPER)),
+        clause_lines(&load_rule_file("expert.dl"))
+    );
+}
+
+#[test]
+fn rule_sets_nest_as_the_modes_do() {
+    let clauses = |name| load_rule_file(name).clauses.len();
+    // The default clause counts too.
+    assert_eq!(clauses("easy.dl"), 4);
+    assert_eq!(clauses("medium.dl"), 7);
+    assert_eq!(clauses("hard.dl"), 8);
+    assert_eq!(clauses("expert.dl"), 14);
+    assert_eq!(clauses("transfer-easy.dl"), 4);
+    assert_eq!(clauses("transfer-medium.dl"), 6);
+    assert_eq!(clauses("transfer-hard.dl"), 8);
+    assert_eq!(clauses("vap-easy.dl"), 6);
+    assert_eq!(clauses("vap-hard.dl"), 15);
+}
+
+#[test]
+fn docs_of_clauses_are_kept() {
+    let rules = load_rule_file("expert.dl");
+    let titles: Vec<&str> = rules
+        .clauses
+        .iter()
+        .filter_map(|clause| clause.doc.split(':').next())
+        .collect();
+    assert_eq!(
+        titles,
+        [
+            "N", "S1", "S2", "S3", "S6", "S7", "S5", "S4", "L1", "L2", "L3", "F1", "F2", "F3"
+        ]
+    );
+}
+
+// --- scope
+
+/// The clauses of a text after `vocabulary.dl`, written out.
+fn expanded(text: &str) -> Vec<String> {
+    let rules = load_clean("main.dl", &format!(".include \"vocabulary.dl\"\n{text}"));
+    let vocabulary = load_rule_file("vocabulary.dl").clauses.len();
+    rules.clauses[vocabulary..]
+        .iter()
+        .map(|clause| written(&rules, clause))
+        .collect()
+}
+
+fn written(rules: &Rules, clause: &Clause) -> String {
+    let term = |term: &Term| match term {
+        Term::Variable(id) => format!("{}{}", clause.variables[id.index()], id.0),
+        Term::Constant(value) => format!("{}", value.0),
+        Term::Wildcard => "_".to_owned(),
+    };
+    let atom = |atom: &Atom| {
+        let terms: Vec<String> = atom.terms.iter().map(term).collect();
+        format!("{}({})", rules.relations[atom.relation.index()].name, terms.join(", "))
+    };
+    let body: Vec<String> = (clause.body.iter())
+        .map(|literal| match literal {
+            Literal::Positive(one) => atom(one),
+            Literal::Negative(one) => format!("!{}", atom(one)),
+            Literal::Guard(one) => format!("[{}]", atom(one)),
+            Literal::Compare { op, left, right, .. } => format!("{} {op} {}", term(left), term(right)),
+        })
+        .collect();
+    format!("{} :- {}", atom(&clause.head), body.join(", "))
+}
+
+#[test]
+fn a_scope_guards_every_variable_but_the_heads_first() {
+    assert_eq!(
+        expanded("Stop(X) :- IsPolice(X), IsYoung(Y), IsYoung(Z), NextTo(Y, Z)."),
+        ["Stop(X0) :- IsPolice(X0), IsYoung(Y1), IsYoung(Z2), NextTo(Y1, Z2), [Sees(X0, Y1)], [Sees(X0, Z2)]"]
+    );
+    assert_eq!(
+        expanded("Stop(X) :- IsPolice(X), Not(IsBus(X))."),
+        ["Stop(X0) :- IsPolice(X0), !IsBus(X0)"]
+    );
+    // What the author wrote is not written twice.
+    assert_eq!(
+        expanded("Stop(X) :- Sees(X, Y), IsBus(Y)."),
+        ["Stop(X0) :- Sees(X0, Y1), IsBus(Y1)"]
+    );
+    assert_eq!(
+        expanded(".scope\nStop(X) :- IsBus(X), IsBus(Y), Y != X."),
+        ["Stop(X0) :- IsBus(X0), IsBus(Y1), Y1 != X0"]
+    );
+}
+
+#[test]
+fn under_a_scope_a_wildcard_is_somebody_in_view() {
+    assert_eq!(
+        expanded("Stop(X) :- IsClose(X, _)."),
+        ["Stop(X0) :- IsClose(X0, _1), [Sees(X0, _1)]"]
+    );
+    assert_eq!(
+        expanded("Stop(X) :- IsCar(X), Not(IsClose(_, X)).\nSlow(Y) :- IsBus(Y), !IsClose(_, Y)."),
+        [
+            "Stop(X0) :- IsCar(X0), !+1(X0)",
+            "Slow(Y0) :- IsBus(Y0), !+1(Y0)",
+            "+1(X0) :- IsClose(_1, X0), [Sees(X0, _1)]",
+        ]
+    );
+    assert_eq!(
+        expanded("Stop(X) :- IsCar(X), IsBus(Y), Not(IsClose(Y, _))."),
+        [
+            "Stop(X0) :- IsCar(X0), IsBus(Y1), !+1(X0, Y1), [Sees(X0, Y1)]",
+            "+1(X0, Y1) :- IsClose(Y1, _2), [Sees(X0, _2)]",
+        ]
+    );
+}
+
+#[test]
+fn a_scope_leaves_other_types_alone() {
+    assert_eq!(
+        expanded(
+            ".decl Speed(x: agent, v: number)\n.input Speed\nStop(X) :- Speed(X, V), Speed(Y, W), V < W, Speed(_, _)."
+        ),
+        ["Stop(X0) :- Speed(X0, V1), Speed(Y2, W3), V1 < W3, Speed(_4, _), [Sees(X0, Y2)], [Sees(X0, _4)]"]
+    );
+}
+
+// --- forms of the text
+
+#[test]
+fn negations_and_parentheses_fold() {
+    let plain = expanded("Stop(X) :- IsCar(X), !IsBus(X), X != \"a\".");
+    for text in [
+        "Stop(X) :- IsCar(X), Not(IsBus(X)), Not(X = \"a\").",
+        "Stop(X) :- Not(Not(IsCar(X))), not IsBus(X), !(X = \"a\").",
+        "Stop(X) :- !!IsCar(X), not (IsBus(X)), not not X != \"a\".",
+    ] {
+        assert_eq!(expanded(text), plain, "{text}");
+    }
+}
+
+#[test]
+fn numbers_and_texts() {
+    let rules = load_clean(
+        "main.dl",
+        ".decl N(x: number)\n.decl T(x: symbol)\nN(0x1F). N(0b101). N(-7). N(-2147483648). T(\"a\\n\\t\\\"\\\\'\u{e9}\").\n.output N, T",
+    );
+    let numbers: Vec<i32> = (rules.clauses.iter().take(4))
+        .map(|clause| match clause.head.terms[0] {
+            Term::Constant(value) => value.as_number(),
+            _ => panic!("a fact has constants"),
+        })
+        .collect();
+    assert_eq!(numbers, [31, 5, -7, i32::MIN]);
+    assert!(rules.symbols.get("a\n\t\"\\'\u{e9}").is_some());
+}
+
+// --- there and back
+
+fn name() -> impl Strategy<Value = String> {
+    "[a-zA-Z?_][a-zA-Z0-9_?]{0,5}".prop_filter("a word of the language", |name| {
+        !matches!(name.as_str(), "_" | "Not" | "not" | "as" | "nil")
+    })
+}
+
+fn place() -> ast::Place {
+    let mut sources = Sources::new();
+    ast::Place(Span::new(sources.add("", ""), 0..0))
+}
+
+fn node(text: String) -> ast::Name {
+    ast::Name { text, place: place() }
+}
+
+fn doc() -> impl Strategy<Value = String> {
+    prop_oneof![
+        Just(String::new()),
+        proptest::collection::vec("([a-z/*\"] ?){1,4}[a-z.]", 1..3).prop_map(|lines| lines.join("\n")),
+        Just("one\n\n  three".to_owned()),
+    ]
+}
+
+fn term() -> impl Strategy<Value = ast::Term> {
+    prop_oneof![
+        4 => name().prop_map(ast::TermKind::Variable),
+        1 => Just(ast::TermKind::Wildcard),
+        1 => any::<i32>().prop_map(ast::TermKind::Number),
+        1 => any::<String>().prop_map(ast::TermKind::Text),
+    ]
+    .prop_map(|kind| ast::Term { kind, place: place() })
+}
+
+fn atom() -> impl Strategy<Value = ast::Atom> {
+    (name(), proptest::collection::vec(term(), 0..4)).prop_map(|(predicate, terms)| ast::Atom {
+        predicate: node(predicate),
+        terms,
+        place: place(),
+    })
+}
+
+fn literal() -> impl Strategy<Value = ast::Literal> {
+    let op = prop_oneof![
+        Just(Comparison::Equal),
+        Just(Comparison::NotEqual),
+        Just(Comparison::Less),
+        Just(Comparison::LessEqual),
+        Just(Comparison::Greater),
+        Just(Comparison::GreaterEqual),
+    ];
+    prop_oneof![
+        3 => (any::<bool>(), atom()).prop_map(|(negated, atom)| ast::Literal::Atom { negated, atom }),
+        1 => (op, term(), term()).prop_map(|(op, left, right)| ast::Literal::Compare { op, left, right, place: place() }),
+    ]
+}
+
+fn item() -> impl Strategy<Value = ast::Item> {
+    let names = || proptest::collection::vec(name().prop_map(node), 1..3);
+    let columns = proptest::collection::vec(
+        (name(), name()).prop_map(|(name, ty)| ast::ColumnDecl {
+            name: node(name),
+            ty: node(ty),
+        }),
+        0..4,
+    );
+    let kind = prop_oneof![
+        Just(ast::MarkKind::Input),
+        Just(ast::MarkKind::Output),
+        Just(ast::MarkKind::PrintSize)
+    ];
+    prop_oneof![
+        1 => any::<String>().prop_map(|path| ast::Item::Include(ast::Include { path, place: place() })),
+        1 => (name(), name(), any::<bool>(), doc()).prop_map(|(name, other, alias, doc)| {
+            let other = node(other);
+            let definition = if alias { ast::TypeDefinition::Alias(other) } else { ast::TypeDefinition::Subtype(other) };
+            ast::Item::Type(ast::TypeDecl { name: node(name), definition, doc })
+        }),
+        2 => (names(), columns, doc()).prop_map(|(names, columns, doc)| {
+            ast::Item::Decl(ast::Decl { names, columns: Some(columns), doc })
+        }),
+        1 => (kind, names()).prop_map(|(kind, names)| ast::Item::Mark(ast::Mark { kind, names })),
+        1 => proptest::option::of(name()).prop_map(|name| {
+            ast::Item::Scope(ast::Scope { predicate: name.map(node), place: place() })
+        }),
+        6 => (atom(), proptest::collection::vec(literal(), 0..5), doc()).prop_map(|(head, body, doc)| {
+            ast::Item::Clause(ast::Clause { head, body, doc, place: place() })
+        }),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn what_is_printed_parses_to_the_same(items in proptest::collection::vec(item(), 0..8)) {
+        let file = ast::File { items };
+        let text = print(&file);
+        let mut sources = Sources::new();
+        let id = sources.add("printed.dl", text.as_str());
+        let parsed = parse(&sources, id);
+        prop_assert!(parsed.diagnostics.is_empty(), "{}", render(&parsed.diagnostics, &sources, false));
+        prop_assert_eq!(&parsed.file, &file);
+        prop_assert_eq!(print(&parsed.file), text);
+    }
+}
+
+#[test]
+fn the_rule_files_survive_printing() {
+    for entry in std::fs::read_dir(root().join("rules")).expect("rules/ is there") {
+        let path = entry.expect("a readable folder").path();
+        if path.extension().is_some_and(|extension| extension == "dl") {
+            let mut sources = Sources::new();
+            let id = sources.add(
+                path.display().to_string(),
+                read_text(&path).expect("a rule file can be read"),
+            );
+            let parsed = parse(&sources, id);
+            let again = sources.add("printed.dl", print(&parsed.file));
+            assert_eq!(parse(&sources, again).file, parsed.file, "{}", path.display());
+        }
+    }
+}
+
+// --- hostile texts
+
+/// No panic, and rules exactly if there is no error.
+fn survives(text: &str) {
+    let (sources, loaded) = load_text("hostile.dl", text);
+    assert_eq!(
+        loaded.rules.is_none(),
+        loaded.diagnostics.iter().any(Diagnostic::is_error)
+    );
+    if text.len() < 10_000 {
+        render(&loaded.diagnostics, &sources, false);
+    }
+}
+
+/// Pieces that rules are made of, and some that they are not.
+const PIECES: &[&str] = &[
+    ".decl A(x: symbol)",
+    ".decl B(x: number, y: symbol)",
+    ".type t <: symbol",
+    ".type u = t",
+    ".type",
+    ".decl",
+    ".input A",
+    ".output",
+    ".scope B",
+    ".scope",
+    ".include \"vocabulary.dl\"",
+    ".include",
+    ".comp {",
+    "}",
+    "A(x)",
+    "B(x, y)",
+    "A(_)",
+    "A(\"c\")",
+    "B(1, \"c\")",
+    " :- ",
+    ", ",
+    ".\n",
+    ".",
+    "Not(",
+    "not ",
+    "!",
+    "(",
+    ")",
+    "x = y",
+    "x < 3",
+    "_",
+    "\"",
+    "/*",
+    "*/",
+    "//",
+    "/// d\n",
+    "\n",
+    "-",
+    "0x",
+    "9999999999",
+    "count : {",
+    "[",
+    ";",
+    "<=",
+    "\u{e9}",
+    "\0",
+    "|",
+    "Sees(x, x)",
+];
+
+proptest! {
+    #[test]
+    fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
+        survives(&String::from_utf8_lossy(&bytes));
+    }
+
+    #[test]
+    fn no_order_of_pieces_makes_it_panic(pieces in proptest::collection::vec(proptest::sample::select(PIECES), 0..60)) {
+        survives(&pieces.concat());
+    }
+
+    #[test]
+    fn no_mutation_of_good_rules_makes_it_panic(
+        changes in proptest::collection::vec((any::<prop::sample::Index>(), proptest::sample::select(PIECES), 0_usize..12), 1..12)
+    ) {
+        let mut text: Vec<char> = PAPER.chars().collect();
+        for (at, piece, cut) in changes {
+            let at = at.index(text.len());
+            let end = (at + cut).min(text.len());
+            text.splice(at..end, piece.chars());
+        }
+        survives(&text.into_iter().collect::<String>());
+    }
+}
+
+#[test]
+fn large_texts_take_time_in_proportion() {
+    let many = 200_000;
+    let decl = ".decl P(x: symbol)\n.decl Q(x: symbol, y: symbol)\n.input Q\n.output P\n";
+    let chain: String = (0..20_000)
+        .map(|at| format!(".decl C{at}(x: symbol)\nC{at}(x) :- C{}(x).\n", (at + 1) % 20_000))
+        .collect();
+    let types: String = (0..20_000).map(|at| format!(".type T{at} <: T{}\n", at + 1)).collect();
+    let texts = [
+        "(".repeat(many),
+        "!".repeat(many),
+        format!("P(x) :- {}", "Not(".repeat(many)),
+        format!("{decl}P(x) :- {}Q(x, x).", "Q(x, x), ".repeat(many)),
+        format!("{decl}P({}).", "1".repeat(many)),
+        format!("{decl}P(\"{}\").", "\\q".repeat(many)),
+        format!("{decl}P({}).", "x".repeat(many)),
+        format!("{decl}{}(x) :- {0}(x).", "P".repeat(many)),
+        format!("{decl}P(x) :- Q(x, {}).", "x, ".repeat(many)),
+        format!(".decl W({})", "c: symbol, ".repeat(many)),
+        format!("{decl}{}", "P(x) :- Q(x,. ".repeat(many)),
+        format!("{decl}{}", ".pragma ".repeat(many)),
+        format!("{decl}{}", "R(x). ".repeat(many)),
+        format!("{decl}{}", "P(x) :- Q(x, _).\n".repeat(20_000)),
+        format!(
+            "{decl}{}",
+            (0..many).map(|at| format!("P(\"{at}\").")).collect::<String>()
+        ),
+        (0..20_000)
+            .map(|at| format!(".decl A{at}(x: symbol) A{at}(x) :- B{at}(x)."))
+            .collect::<String>(),
+        "\u{e9}".repeat(many),
+        "/*".repeat(many),
+        "///\n".repeat(many),
+        chain.clone(),
+        chain.replace(":- ", ":- !"),
+        types,
+    ];
+    for text in texts {
+        let start = std::time::Instant::now();
+        survives(&text);
+        let took = start.elapsed();
+        println!("{took:?} {:?}", &text.chars().take(60).collect::<String>());
+        assert!(
+            took.as_secs() < 10,
+            "{took:?} for {:?}...",
+            &text.chars().take(60).collect::<String>()
+        );
+    }
+}
+
+#[test]
+fn includes_end() {
+    // Every file includes a further one.
+    let endless = |path: &Path| match path.starts_with(BUILTIN) {
+        true => Err(ReadError::NotFound),
+        false => Ok(format!(
+            ".include \"{}x\"",
+            path.file_name().expect("a name").to_string_lossy()
+        )),
+    };
+    let mut sources = Sources::new();
+    let entry = sources.add("x", ".include \"xx\"");
+    let loaded = load(&mut sources, entry, &endless);
+    assert_eq!(loaded.diagnostics.len(), 1);
+    assert_eq!(loaded.diagnostics[0].code, Code::LimitExceeded);
+}
+
+// --- the reference
+
+/// The blocks of a language in a Markdown text, with the number of the line before each.
+fn blocks<'a>(text: &'a str, language: &str) -> Vec<(usize, String)> {
+    let mut found = Vec::new();
+    let mut lines = text.lines().enumerate();
+    while let Some((number, line)) = lines.next() {
+        if let Some(of) = line.strip_prefix("```") {
+            let block: Vec<&'a str> = lines
+                .by_ref()
+                .map(|(_, line)| line)
+                .take_while(|line| *line != "```")
+                .collect();
+            if of == language {
+                found.push((number + 1, block.join("\n")));
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn every_block_of_the_reference_does_what_it_says() {
+    let text = read_text(&root().join("rules/README.md")).expect("the reference is there");
+    let blocks = blocks(&text, "dl");
+    assert!(blocks.len() > 20);
+    let failures: Vec<String> = (blocks.iter())
+        .filter_map(|(line, block)| {
+            check_expectations(&format!("README.md:{line}"), &split_files("main.dl", block)).err()
+        })
+        .collect();
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+#[test]
+fn each_code_has_a_section_whose_example_produces_it() {
+    let text = read_text(&root().join("rules/README.md")).expect("the reference is there");
+    for code in rule_codes() {
+        let heading = format!("\n### `{}`\n", code.name());
+        let (_, section) = text
+            .split_once(&heading)
+            .unwrap_or_else(|| panic!("no section for {}", code.name()));
+        let section = section.split("\n### ").next().unwrap_or(section);
+        // What is not UTF-8 cannot stand in an example.
+        if code != Code::NotText {
+            assert!(
+                section.contains(&format!("[{}]", code.name())),
+                "no example of {}",
+                code.name()
+            );
+        }
+    }
+}
+
+// --- redundant clauses
+
+/// A small database: for each relation of the rules its rows.
+type Database = Vec<BTreeSet<Vec<u32>>>;
+
+/// What a clause derives, by trying every assignment of {0, 1, 2} to its variables.
+fn derived(clause: &Clause, database: &Database) -> BTreeSet<Vec<u32>> {
+    let count = u32::try_from(clause.variables.len()).expect("few variables");
+    let mut heads = BTreeSet::new();
+    for number in 0..3_u32.pow(count) {
+        let values: Vec<u32> = (0..count).map(|at| number / 3_u32.pow(at) % 3).collect();
+        let value = |term: &Term| match term {
+            Term::Variable(id) => Some(values[id.index()]),
+            Term::Constant(constant) => Some(constant.0),
+            Term::Wildcard => None,
+        };
+        let holds = |atom: &Atom| {
+            database[atom.relation.index()].iter().any(|row| {
+                row.iter()
+                    .zip(&atom.terms)
+                    .all(|(cell, term)| value(term).is_none_or(|value| value == *cell))
+            })
+        };
+        let fires = clause.body.iter().all(|literal| match literal {
+            Literal::Positive(atom) | Literal::Guard(atom) => holds(atom),
+            Literal::Negative(atom) => !holds(atom),
+            Literal::Compare { op, left, right, .. } => {
+                let (left, right) = (value(left), value(right));
+                match op {
+                    Comparison::Equal => left == right,
+                    Comparison::NotEqual => left != right,
+                    Comparison::Less => left < right,
+                    Comparison::LessEqual => left <= right,
+                    Comparison::Greater => left > right,
+                    Comparison::GreaterEqual => left >= right,
+                }
+            }
+        });
+        if fires {
+            heads.insert(clause.head.terms.iter().filter_map(value).collect());
+        }
+    }
+    heads
+}
+
+/// A clause for `P`. Variables that only negated atoms and comparisons use get an atom.
+fn random_clause() -> impl Strategy<Value = String> {
+    let symbol = || proptest::sample::select(vec!["x", "y", "z", "_", "\"a\""]);
+    let bound = || proptest::sample::select(vec!["x", "y", "z", "\"a\""]);
+    let number = || proptest::sample::select(vec!["n", "m", "0"]);
+    let literal = prop_oneof![
+        symbol().prop_map(|a| format!("A({a})")),
+        (symbol(), symbol()).prop_map(|(a, b)| format!("B({a}, {b})")),
+        (symbol(), number()).prop_map(|(a, n)| format!("V({a}, {n})")),
+        (symbol(), symbol()).prop_map(|(a, b)| format!("!B({a}, {b})")),
+        (bound(), bound()).prop_map(|(a, b)| format!("{a} != {b}")),
+        (bound(), bound()).prop_map(|(a, b)| format!("{a} = {b}")),
+        (
+            number(),
+            number(),
+            proptest::sample::select(vec!["<", ">", "<=", ">=", "="])
+        )
+            .prop_map(|(a, b, op)| format!("{a} {op} {b}")),
+    ];
+    (proptest::collection::vec(literal, 1..4), any::<bool>()).prop_map(|(mut literals, constant)| {
+        for name in ["y", "z", "n", "m"] {
+            if literals.iter().any(|literal| literal.contains(name)) {
+                literals.push(if "yz".contains(name) {
+                    format!("A({name})")
+                } else {
+                    format!("V(_, {name})")
+                });
+            }
+        }
+        literals.push("A(x)".to_owned());
+        format!(
+            "P({}) :- {}.",
+            if constant && literals.len() > 4 { "\"a\"" } else { "x" },
+            literals.join(", ")
+        )
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(512))]
+    #[test]
+    fn no_clause_is_called_redundant_that_is_not(
+        clauses in proptest::collection::vec(random_clause(), 2..5),
+        scoped: bool,
+        databases in proptest::collection::vec(any::<(u8, u16, u16)>(), 8),
+    ) {
+        let scope = if scoped { ".scope B" } else { "" };
+        let text = format!(
+            ".decl A(x: symbol)\n.decl B(x: symbol, y: symbol)\n.decl V(x: symbol, n: number)\n.decl P(x: symbol)\n\
+             .input A, B, V\n.output P\n{scope}\n{}", clauses.join("\n"));
+        let (_, loaded) = load_text("random.dl", &text);
+        let Some(rules) = loaded.rules else { return Ok(()) };
+        for diagnostic in &loaded.diagnostics {
+            let equal = match diagnostic.code {
+                Code::DuplicateClause => true,
+                Code::SubsumedClause => false,
+                _ => continue,
+            };
+            let at = |span: Span| rules.clauses.iter().find(|clause| clause.span == span).expect("a clause is there");
+            let redundant = at(diagnostic.primary.as_ref().expect("it has a place").span);
+            let other = at(diagnostic.secondary[0].span);
+            for (a, b, v) in &databases {
+                let pairs = |bits: u16| (0..9).filter(move |at| bits >> at & 1 == 1).map(|at| vec![at / 3, at % 3]).collect();
+                let mut database: Database = vec![BTreeSet::new(); rules.relations.len()];
+                database[0] = (0..3).filter(|at| a >> at & 1 == 1).map(|at| vec![at]).collect();
+                database[1] = pairs(*b);
+                database[2] = pairs(*v);
+                for clause in rules.clauses.iter().filter(|clause| rules.relations[clause.head.relation.index()].hidden) {
+                    database[clause.head.relation.index()] = derived(clause, &database);
+                }
+                let (redundant, other) = (derived(redundant, &database), derived(other, &database));
+                prop_assert!(redundant.is_subset(&other), "{}\n{:?}", text, diagnostic);
+                prop_assert!(!equal || redundant == other, "{}\n{:?}", text, diagnostic);
+            }
+        }
+    }
 }

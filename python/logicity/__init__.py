@@ -7,12 +7,27 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Any, Literal, NotRequired, TypedDict, cast
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, cast
 
 from . import _logicity
 from ._logicity import __version__
 
-__all__ = ["Agent", "Answer", "Diagnostic", "EgoAnswer", "Inference", "InputError", "Label", "Scene", "__version__", "check"]
+if TYPE_CHECKING:
+    from typing import NotRequired  # Python 3.11; only annotations use it
+
+__all__ = [
+    "Agent",
+    "Answer",
+    "Diagnostic",
+    "EgoAnswer",
+    "Inference",
+    "InputError",
+    "Label",
+    "Scene",
+    "SymbolicScene",
+    "__version__",
+    "check",
+]
 
 Action = Literal["Slow", "Normal", "Fast", "Stop"]
 
@@ -71,11 +86,13 @@ class SymbolicScene(TypedDict):
     facts: NotRequired[dict[str, list[Any]]]
 
 
-EgoAnswer = TypedDict(
-    "EgoAnswer",
-    {"sees": list[str], "true": dict[str, list[Any]], "derived": list[Action], "action": Action},
-)
-EgoAnswer.__doc__ = "What an ego sees (itself first), the true atoms over that, the actions derived, the action taken."
+class EgoAnswer(TypedDict):
+    """What an ego sees (itself first), the true atoms over that, the actions derived before the default, the action."""
+
+    sees: list[str]
+    true: dict[str, list[Any]]
+    derived: list[Action]
+    action: Action
 
 
 class Answer(TypedDict):

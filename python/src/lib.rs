@@ -1,8 +1,7 @@
 //! The shim between Python and the `logicity` library: text in, text out. It adds no meaning of its own; `python/logicity` wraps
 //! it in types.
 
-use logicity::city::CityMap;
-use logicity::config::{load_map, load_scenario};
+use logicity::config::load_scenario;
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::engine::Program;
 use logicity::files::{ReadError, read_or_builtin, read_text};
@@ -12,7 +11,12 @@ use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
 
-pyo3::create_exception!(_logicity, InputError, PyValueError, "Faulty input: arguments are the message and the diagnostics as JSON.");
+pyo3::create_exception!(
+    _logicity,
+    InputError,
+    PyValueError,
+    "Faulty input: arguments are the message and the diagnostics as JSON."
+);
 
 fn input_error(faults: &[Diagnostic], sources: &Sources) -> PyErr {
     InputError::new_err((render(faults, sources, false), to_json(faults, sources).to_string()))
@@ -62,11 +66,8 @@ impl PyInference {
         let loaded = logicity::lang::load(&mut sources, entry, &read_or_builtin);
         let checked = loaded.rules.ok_or_else(|| input_error(&loaded.diagnostics, &sources))?;
         let program = Program::new(checked).map_err(|fault| input_error(&[fault], &sources))?;
-        let inference = Inference::new(scenario, program, Seed(seed), |name: &str| {
-            let config = load_map(&mut Sources::new(), Path::new(name), &read_text)?;
-            CityMap::generate(&config).map_err(|fault| vec![fault])
-        })
-        .map_err(|faults| input_error(&faults, &sources))?;
+        let inference = Inference::new(scenario, program, Seed(seed), read_text)
+            .map_err(|faults| input_error(&faults, &sources))?;
         Ok(PyInference { inference, answered: 0 })
     }
 

@@ -309,16 +309,19 @@ impl Router {
             return None;
         }
         let layout = &self.map.layout;
-        let (row, col) = (layout.place(cell.row), layout.place(cell.col));
-        let [_, block_cols] = layout.blocks();
-        let number = match (row, col) {
-            (Place::Street { number, side }, Place::Lane { block }) => {
-                2 * (number * block_cols + block) + i32::from(side > 0)
-            }
+        let [block_rows, block_cols] = layout.blocks();
+        // The place of the street's first lane in the list of lanes, see `lay_lanes`.
+        let (first, block, side) = match (layout.place(cell.row), layout.place(cell.col)) {
+            (Place::Street { number, side }, Place::Lane { block }) => (2 * number * block_cols, block, side),
             (Place::Lane { block }, Place::Street { number, side }) => {
-                let horizontal = 2 * (layout.blocks()[0] + 1) * block_cols;
-                horizontal + 2 * (number * layout.blocks()[0] + block) + i32::from(side > 0)
+                let horizontal = 2 * (block_rows + 1) * block_cols;
+                (horizontal + 2 * number * block_rows, block, side)
             }
+            _ => return None,
+        };
+        let number = match side {
+            -1 => first + 2 * block,
+            1 => first + 2 * block + 1,
             _ => return None,
         };
         u32::try_from(number).ok()

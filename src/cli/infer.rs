@@ -1,9 +1,8 @@
 //! `logicity infer`
 
-use super::{Failure, find_map, load_config, load_program, report};
-use crate::city::CityMap;
+use super::{Failure, load_config, load_program, report};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
-use crate::files::{MAX_BYTES, Output};
+use crate::files::{self, MAX_BYTES, Output};
 use crate::rng::Seed;
 use crate::sim::{InferError, Inference};
 use serde_json::json;
@@ -33,23 +32,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let scenario = load_config(sources, &arguments.config)?;
     let (program, warnings) = load_program(sources, &scenario, arguments.rules.as_deref())?;
     report(&warnings, sources);
-    let load_map = |name: &str| -> Result<CityMap, Vec<Diagnostic>> {
-        let mut sources = Sources::new();
-        match find_map(&mut sources, name) {
-            Ok(config) => CityMap::generate(&config).map_err(|fault| vec![fault]),
-            Err(Failure::Input(faults)) => Err(faults),
-            Err(_) => unreachable!("a map's faults are diagnostics"),
-        }
-        // The map file is not among the sources of the scene: tell its faults as text.
-        .map_err(|faults| {
-            let reasons: Vec<String> = faults.into_iter().map(|fault| fault.message).collect();
-            vec![Diagnostic::new(
-                Code::InvalidScene,
-                format!("the map `{name}` cannot be used: {}", reasons.join("; ")),
-            )]
-        })
-    };
-    let mut inference = Inference::new(scenario, program, Seed(arguments.seed), load_map)?;
+    let mut inference = Inference::new(scenario, program, Seed(arguments.seed), files::read_text)?;
 
     let input: Box<dyn Read> = if arguments.file == Path::new("-") {
         Box::new(io::stdin().lock())

@@ -169,12 +169,12 @@ fn load_rules(sources: &mut Sources, path: &Path) -> Result<(lang::Rules, Vec<Di
 
 /// Reads a run configuration and all its parts.
 fn load_config(sources: &mut Sources, path: &Path) -> Result<Scenario, Failure> {
-    load_scenario(sources, path, &files::read_text).map_err(|faults| missing_is_usage(faults))
+    load_scenario(sources, path, &files::read_text).map_err(missing_is_usage)
 }
 
 /// Reads a map: a path to a YAML file, or the name of a built-in map.
 fn find_map(sources: &mut Sources, name: &str) -> Result<MapConfig, Failure> {
-    load_map(sources, Path::new(name), &files::read_text).map_err(|faults| missing_is_usage(faults))
+    load_map(sources, Path::new(name), &files::read_text).map_err(missing_is_usage)
 }
 
 /// A file that the user named on the command line and that cannot be read has no place in any text: that is wrong usage.

@@ -10,7 +10,7 @@
 
 use super::yaml::{self, Node, Value};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, did_you_mean};
-use crate::files::{self, BUILTIN, ReadError};
+use crate::files::{self, BUILTIN, BUILTIN_FOLDER, ReadError};
 use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
 
@@ -20,18 +20,12 @@ const MAX_CHAIN: usize = 16;
 /// How a file is read: its text, or why not.
 pub type Read<'a> = &'a dyn Fn(&Path) -> Result<String, ReadError>;
 
-/// Where a text came from.
-#[derive(Clone, Debug)]
-struct Place {
-    path: PathBuf,
-    builtin: bool,
-}
-
 pub(super) struct Composer<'a> {
     pub faults: Vec<Diagnostic>,
     sources: &'a mut Sources,
     read: Read<'a>,
-    places: Vec<(SourceId, Place)>,
+    /// The path of every text read.
+    files: Vec<(SourceId, PathBuf)>,
     nodes_left: usize,
 }
 
@@ -41,20 +35,20 @@ impl<'a> Composer<'a> {
             faults: Vec::new(),
             sources,
             read,
-            places: Vec::new(),
+            files: Vec::new(),
             nodes_left: yaml::MAX_NODES,
         }
     }
 
     /// The tree of a file that the user named. A bare name such as `expert` means the file of this name in `folder`.
     pub fn root(&mut self, path: &Path, folder: &str, parts: &[&str]) -> Option<Node> {
-        let mut found = self.find(path, None, path);
+        let mut found = self.find(path, path);
         if matches!(found, Err(ReadError::NotFound)) && path.extension().is_none() && path.components().count() == 1 {
             let named = Path::new(folder).join(path).with_extension("yaml");
-            found = self.find(&named, None, &named);
+            found = self.find(&named, &named);
         }
         match found {
-            Ok((place, text)) => self.file(place, text, parts, &mut Vec::new()),
+            Ok((path, text)) => self.file(path, text, parts, &mut Vec::new()),
             Err(error) => {
                 let names = BUILTIN
                     .iter()
@@ -68,92 +62,70 @@ impl<'a> Composer<'a> {
         }
     }
 
-    /// Where the file is that a value names. Whether it can be read is told by whoever reads it.
+    /// Where the file is that a value names.
     pub fn locate(&mut self, node: &Node) -> Option<PathBuf> {
-        let reference = super::read::text(node, "the path of a file", &mut self.faults)?;
-        let (from, path) = self.resolve(node, reference);
-        let found = self.find(&path, from.as_ref(), Path::new(reference));
-        Some(found.map_or(path, |(place, _)| place.path))
+        self.refer(node).map(|(path, _)| path)
     }
 
     /// The name of the file a tree came from, without its extension.
     pub fn name_of(&self, node: &Node) -> String {
-        let place = self.place(node).and_then(|place| place.path.file_stem());
-        place
-            .map(|stem| stem.to_string_lossy().into_owned())
-            .unwrap_or_default()
+        let stem = self.path_of(node).file_stem().unwrap_or_default();
+        stem.to_string_lossy().into_owned()
     }
 
-    fn place(&self, node: &Node) -> Option<&Place> {
-        self.places
-            .iter()
-            .find(|(id, _)| *id == node.span.source)
-            .map(|(_, place)| place)
+    fn path_of(&self, node: &Node) -> &Path {
+        let file = self.files.iter().find(|(id, _)| *id == node.span.source);
+        file.map_or(Path::new(""), |(_, path)| path)
     }
 
-    fn refer(&mut self, node: &Node) -> Option<(Place, String)> {
+    fn refer(&mut self, node: &Node) -> Option<(PathBuf, String)> {
         let reference = super::read::text(node, "the path of a file", &mut self.faults)?;
-        let (from, path) = self.resolve(node, reference);
-        match self.find(&path, from.as_ref(), Path::new(reference)) {
+        let folder = self.path_of(node).parent().unwrap_or(Path::new(""));
+        let path = normalise(&folder.join(reference));
+        match self.find(&path, Path::new(reference)) {
             Ok(found) => Some(found),
             Err(error) => {
-                self.faults.push(unreadable(&path, &error).at(node.span, ""));
+                let mut fault = unreadable(&path, &error).at(node.span, "");
+                if error == ReadError::NotFound {
+                    fault = fault.note("a path is relative to the file that names it; it is no built-in file either");
+                }
+                self.faults.push(fault);
                 None
             }
         }
     }
 
-    fn resolve(&self, node: &Node, reference: &str) -> (Option<Place>, PathBuf) {
-        let from = self.place(node).cloned();
-        let folder = from
-            .as_ref()
-            .and_then(|place| place.path.parent())
-            .unwrap_or(Path::new(""));
-        let path = normalise(&folder.join(reference));
-        (from, path)
-    }
-
     /// Looks on disk first, then among the built-in files: under the full path, then under the path as it is written.
-    /// A built-in file refers to built-in files only, so that what it means does not depend on the current folder.
-    fn find(&self, path: &Path, from: Option<&Place>, written: &Path) -> Result<(Place, String), ReadError> {
-        let on_disk = if from.is_some_and(|place| place.builtin) {
-            Err(ReadError::NotFound)
-        } else {
-            (self.read)(path)
-        };
-        if !matches!(on_disk, Err(ReadError::NotFound)) {
-            return on_disk.map(|text| {
-                (
-                    Place {
-                        path: path.to_owned(),
-                        builtin: false,
-                    },
-                    text,
-                )
-            });
+    /// A built-in file is in a folder of its own and so refers to built-in files only; what it means does not depend on the
+    /// current folder.
+    fn find(&self, path: &Path, written: &Path) -> Result<(PathBuf, String), ReadError> {
+        if !path.starts_with(BUILTIN_FOLDER) {
+            match (self.read)(path) {
+                Err(ReadError::NotFound) => {}
+                read => return read.map(|text| (path.to_owned(), text)),
+            }
         }
         for path in [normalise(path), normalise(written)] {
-            if let Some(text) = path.to_str().and_then(files::builtin) {
-                return Ok((Place { path, builtin: true }, text.to_owned()));
+            let inside = path.strip_prefix(BUILTIN_FOLDER).unwrap_or(&path);
+            if let Some(text) = inside.to_str().and_then(files::builtin) {
+                return Ok((Path::new(BUILTIN_FOLDER).join(inside), text.to_owned()));
             }
         }
         Err(ReadError::NotFound)
     }
 
     /// The tree of one file, its parts and its base put in. `chain` holds the files that wait for this one.
-    fn file(&mut self, place: Place, text: String, parts: &[&str], chain: &mut Vec<PathBuf>) -> Option<Node> {
-        let shown = place.path.display();
-        let id = self.sources.add(
-            if place.builtin {
-                format!("{shown} (built in)")
-            } else {
-                shown.to_string()
-            },
-            text,
-        );
+    fn file(&mut self, path: PathBuf, text: String, parts: &[&str], chain: &mut Vec<PathBuf>) -> Option<Node> {
+        if text.len() > yaml::MAX_BYTES {
+            let (length, limit) = (text.len(), yaml::MAX_BYTES);
+            let message = format!("`{}` has {length} bytes, the limit is {limit}", path.display());
+            self.faults.push(Diagnostic::new(Code::LimitExceeded, message));
+            return None;
+        }
+        let id = self.sources.add(path.display().to_string(), text);
         let mut node = yaml::parse(self.sources, id, &mut self.nodes_left, &mut self.faults)?;
-        chain.push(place.path.clone());
-        self.places.push((id, place));
+        chain.push(path.clone());
+        self.files.push((id, path));
         if let Value::Map(entries) = &mut node.value {
             for (_, part) in entries.iter_mut().filter(|(key, _)| parts.contains(&key.text.as_str())) {
                 self.part(part, chain);
@@ -162,7 +134,7 @@ impl<'a> Composer<'a> {
         self.base(&mut node, parts, chain);
         chain.pop();
         node.whole = true;
-        Some(node)
+        (!matches!(node.value, Value::Absent)).then_some(node)
     }
 
     /// Replaces a path by the tree of its file, and puts the base into a part written in place. A part that cannot be had
@@ -172,34 +144,29 @@ impl<'a> Composer<'a> {
             Value::Map(_) => self.base(part, &[], chain),
             Value::Scalar { .. } if !part.is_null() => {
                 let span = part.span;
-                *part = self.referred(part, &[], chain).unwrap_or(Node {
-                    span,
-                    value: Value::Absent,
-                    whole: true,
-                });
+                *part = self
+                    .referred(part, &[], chain)
+                    .unwrap_or(Node::new(span, Value::Absent));
             }
             _ => {}
         }
     }
 
     fn referred(&mut self, node: &Node, parts: &[&str], chain: &mut Vec<PathBuf>) -> Option<Node> {
-        let (place, text) = self.refer(node)?;
-        if chain.contains(&place.path) || chain.len() == MAX_CHAIN {
+        let (path, text) = self.refer(node)?;
+        if chain.contains(&path) || chain.len() == MAX_CHAIN {
             let fault = if chain.len() == MAX_CHAIN {
                 Diagnostic::new(
                     Code::LimitExceeded,
                     format!("more than {MAX_CHAIN} files build on each other"),
                 )
             } else {
-                Diagnostic::new(
-                    Code::IncludeCycle,
-                    format!("`{}` builds on itself", place.path.display()),
-                )
+                Diagnostic::new(Code::IncludeCycle, format!("`{}` builds on itself", path.display()))
             };
             self.faults.push(fault.at(node.span, ""));
             return None;
         }
-        self.file(place, text, parts, chain)
+        self.file(path, text, parts, chain)
     }
 
     /// Takes the key `base` out and puts what it names under the other keys.

@@ -1,6 +1,7 @@
 //! Typed configurations from composed trees: what each key means and which values it takes.
 //!
-//! `configs/README.md` tells the same to users, key by key.
+//! `configs/README.md` tells the same to users, key by key. Whether a city can be built from the values, for example whether a
+//! street has room for its lanes, is asked of the city.
 
 use super::compose::{Composer, Read};
 use super::model::*;
@@ -16,10 +17,8 @@ use std::path::Path;
 const MAX_FAULTS: usize = 100;
 /// The most base predicates of a scenario.
 const MAX_PREDICATES: usize = 1000;
-/// The most agents of a split.
+/// The most agents of a split, with the concepts they carry.
 const MAX_AGENTS: u32 = 1_000_000;
-/// The most cells of a map.
-const MAX_CELLS: u64 = 100_000_000;
 /// The most blocks in a row or column of a map.
 const MAX_BLOCKS: u32 = 1000;
 /// The widest part of a map in cells.
@@ -28,8 +27,8 @@ const MAX_WIDTH: u32 = 1000;
 const MAX_VIEW: u32 = 10_000;
 /// The longest run in ticks.
 const MAX_TICKS: u32 = 1_000_000_000;
-/// The largest region; a map of [`MAX_CELLS`] may be a single long street.
-const MAX_REGION: u32 = MAX_CELLS as u32;
+/// The largest region in cells.
+const MAX_REGION: u32 = 1_000_000;
 
 const KINDS: [(&str, AgentKind); 2] = [
     (AgentKind::Car.name(), AgentKind::Car),
@@ -92,6 +91,7 @@ fn file_stem(path: &Path) -> String {
 
 fn scenario(composer: &mut Composer<'_>, tree: &Node, name: String) -> Option<Scenario> {
     let mut fields = Fields::open(tree, "a run configuration", &mut composer.faults)?;
+    fields.optional("base");
     let rules = fields
         .required("rules", &mut composer.faults)
         .and_then(|node| composer.locate(node).map(|value| Located { value, span: node.span }));
@@ -125,8 +125,8 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node, name: String) -> Option<Sc
     let ticks = fields
         .required("ticks", faults)
         .and_then(|node| integer(node, 1..=MAX_TICKS, faults));
-    fields.optional("base");
-    fields.close(faults);
+    let usual = "`base: configs/common.yaml` gives what is usual for every key but `rules` and `agents`";
+    fields.close_with(Some(usual), faults);
     let mut scenario = Scenario {
         name,
         map: map?,
@@ -154,6 +154,7 @@ fn hash(scenario: &Scenario) -> String {
 
 fn map(node: &Node, name: String, faults: &mut Vec<Diagnostic>) -> Option<MapConfig> {
     let mut fields = Fields::open(node, "a map", faults)?;
+    fields.optional("base");
     let blocks = fields.required("blocks", faults).and_then(|node| {
         let [rows, cols] = list(node, "two numbers: rows and columns of blocks", faults)? else {
             invalid(node, "two numbers: rows and columns of blocks", faults);
@@ -173,55 +174,24 @@ fn map(node: &Node, name: String, faults: &mut Vec<Diagnostic>) -> Option<MapCon
         let value = buildings(node, blocks.map(|blocks| blocks.value), faults)?;
         Some(Located { value, span: node.span })
     });
-    fields.optional("base");
     fields.close(faults);
-    let (blocks, widths) = (blocks?, widths?);
-    let side = |blocks: u32| {
-        let Widths {
-            street,
-            sidewalk,
-            building,
-            inner_sidewalk,
-        } = widths.value;
-        let period = street + 2 * (sidewalk + building) + inner_sidewalk;
-        u64::from(blocks) * u64::from(period) + u64::from(street)
-    };
-    let [rows, cols] = blocks.value.map(side);
-    if rows * cols > MAX_CELLS {
-        let message = format!("the map has {rows} x {cols} cells, the limit is {MAX_CELLS} in all");
-        let fault = Diagnostic::new(Code::LimitExceeded, message).at(blocks.span, "so many blocks");
-        faults.push(fault.also(widths.span, "of this size"));
-        return None;
-    }
     Some(MapConfig {
         name,
-        blocks,
-        widths,
+        blocks: blocks?,
+        widths: widths?,
         buildings: buildings?,
     })
 }
 
 fn widths(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Widths> {
     let mut fields = Fields::open(node, "the widths of a map", faults)?;
-    let street = fields.required("street", faults).and_then(|node| {
-        // Two lanes lie two cells from the mid line, which is one cell wide.
-        let width = integer(node, 5..=MAX_WIDTH, faults)?;
-        if width % 2 == 0 {
-            invalid(
-                node,
-                "an odd width, since the mid line of a street is one cell wide",
-                faults,
-            );
-            return None;
-        }
-        Some(width)
-    });
     let mut width = |key| {
         fields
             .required(key, faults)
-            .and_then(|node| integer(node, 1..=MAX_WIDTH, faults))
+            .and_then(|node| integer(node, 0..=MAX_WIDTH, faults))
     };
-    let [sidewalk, building, inner_sidewalk] = ["sidewalk", "building", "inner_sidewalk"].map(&mut width);
+    let [street, sidewalk, building, inner_sidewalk] =
+        ["street", "sidewalk", "building", "inner_sidewalk"].map(&mut width);
     fields.close(faults);
     Some(Widths {
         street: street?,
@@ -314,14 +284,6 @@ fn random_buildings(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Buildin
             .into_iter()
             .collect();
         fields.close(faults);
-        if weights
-            .as_ref()
-            .is_some_and(|weights| weights.iter().all(|&(_, weight)| weight == 0.0))
-        {
-            let fault = Diagnostic::new(Code::InvalidValue, "expected a weight above 0, found none");
-            faults.push(fault.at(node.span, ""));
-            return None;
-        }
         weights
     });
     fields.close(faults);
@@ -341,9 +303,9 @@ struct Predicates {
 fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
     let before = faults.len();
     let mut fields = Fields::open(node, "the predicates", faults)?;
+    fields.optional("base");
     let define = fields.required("define", faults);
     let selection = fields.optional("use");
-    fields.optional("base");
     fields.close(faults);
     let entries = entries(define?, "definitions of predicates", faults)?;
     if entries.len() > MAX_PREDICATES {
@@ -547,21 +509,17 @@ fn colliding(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
 
 /// The region of each split, in the order of [`Split::ALL`].
 fn regions(node: &Node, faults: &mut Vec<Diagnostic>) -> [Option<Located<u32>>; 3] {
-    let mut region = |node: &Node| {
+    let region = |node: &Node, faults: &mut Vec<Diagnostic>| {
         let value = integer(node, 1..=MAX_REGION, faults)?;
         Some(Located { value, span: node.span })
     };
     if !matches!(node.value, Value::Map(_)) {
-        return [region(node); 3];
+        return [region(node, faults); 3];
     }
     let Some(mut fields) = Fields::open(node, "the regions", faults) else {
         return [None; 3];
     };
-    let regions = Split::ALL.map(|split| {
-        let node = fields.optional(split.name())?;
-        let value = integer(node, 1..=MAX_REGION, faults)?;
-        Some(Located { value, span: node.span })
-    });
+    let regions = Split::ALL.map(|split| region(fields.optional(split.name())?, faults));
     fields.close(faults);
     regions
 }
@@ -575,6 +533,7 @@ fn splits(
     let before = faults.len();
     let concepts = predicates.map(Concepts::new);
     let mut fields = Fields::open(node, "the agent sets", faults)?;
+    fields.optional("base");
     let mut splits = Vec::new();
     for (split, region) in Split::ALL.into_iter().zip(regions) {
         if let Some(node) = fields.optional(split.name()) {
@@ -587,7 +546,6 @@ fn splits(
             splits.extend(set.map(|set| (split, set)));
         }
     }
-    fields.optional("base");
     fields.close(faults);
     if splits.is_empty() && faults.len() == before {
         let fault = Diagnostic::new(
@@ -664,63 +622,95 @@ fn agents(
 ) -> Option<Vec<AgentConfig>> {
     let before = faults.len();
     let mut fields = Fields::open(node, "the agents of a split", faults)?;
-    let mut cars = Vec::new();
-    let mut pedestrians = Vec::new();
-    for (key, kind, agents) in [
-        ("cars", AgentKind::Car, &mut cars),
-        ("pedestrians", AgentKind::Pedestrian, &mut pedestrians),
-    ] {
-        let Some(node) = fields.optional(key) else { continue };
-        for item in list(node, key, faults)? {
-            group(item, kind, agents, concepts, faults);
-            if faults.len() > MAX_FAULTS || agents.len() > MAX_AGENTS as usize {
-                break;
+    let lists = [("cars", AgentKind::Car), ("pedestrians", AgentKind::Pedestrian)];
+    let mut room = MAX_AGENTS;
+    let [cars, pedestrians] = lists.map(|(key, kind)| {
+        let mut agents = Vec::new();
+        for item in fields
+            .optional(key)
+            .and_then(|node| list(node, key, faults))
+            .unwrap_or_default()
+        {
+            if faults.len() <= MAX_FAULTS {
+                group(item, kind, &mut room, &mut agents, concepts, faults);
             }
         }
-    }
+        agents
+    });
     fields.close(faults);
-    let count = cars.len() + pedestrians.len();
-    if count > MAX_AGENTS as usize {
-        let message = format!("more than {MAX_AGENTS} agents in `{}`", split.name());
-        faults.push(Diagnostic::new(Code::LimitExceeded, message).at(node.span, ""));
-        return None;
-    }
-    if count == 0 && faults.len() == before {
+    if cars.is_empty() && pedestrians.is_empty() && faults.len() == before {
         let message = format!("the split `{}` has no agents", split.name());
-        faults.push(
-            Diagnostic::new(Code::InvalidValue, message)
-                .at(node.span, "")
-                .help("give it `cars` or `pedestrians`"),
-        );
-        return None;
+        let fault = Diagnostic::new(Code::InvalidValue, message).at(node.span, "");
+        faults.push(fault.help("give it `cars` or `pedestrians`"));
     }
     // The first car is the ego of a task and leads the list.
     let mut cars = cars.into_iter();
     Some(cars.next().into_iter().chain(pedestrians).chain(cars).collect())
 }
 
-/// Adds the agents of one entry of an agent list.
+/// Adds the agents of one entry of an agent list. `room` is what is left of [`MAX_AGENTS`]; a concept that an agent carries
+/// takes as much room as an agent.
 fn group(
     node: &Node,
     kind: AgentKind,
+    room: &mut u32,
     agents: &mut Vec<AgentConfig>,
     known: Option<&Concepts<'_>>,
     faults: &mut Vec<Diagnostic>,
-) {
+) -> Option<()> {
     let what = if kind == AgentKind::Car {
         "a car"
     } else {
         "a pedestrian"
     };
-    let Some(mut fields) = Fields::open(node, what, faults) else {
-        return;
-    };
-    let mut concepts: Vec<Located<String>> = Vec::new();
-    for item in fields
+    let mut fields = Fields::open(node, what, faults)?;
+    let concepts = fields
         .optional("concepts")
-        .and_then(|node| list(node, "concepts", faults))
-        .unwrap_or_default()
-    {
+        .map_or(Some(Vec::new()), |node| carried(node, kind, known, faults));
+    let priority = match kind {
+        AgentKind::Car => fields.required("priority", faults),
+        AgentKind::Pedestrian => fields.optional("priority"),
+    };
+    let priority = priority.map_or(Some(0), |node| integer(node, i32::MIN..=i32::MAX, faults));
+    let count = fields
+        .optional("count")
+        .map_or(Some(1), |node| integer(node, 1..=MAX_AGENTS, faults));
+    fields.close(faults);
+    let (concepts, priority, count) = (concepts?, priority?, count?);
+    let needed = u32::try_from(1 + concepts.len())
+        .ok()
+        .and_then(|each| each.checked_mul(count));
+    let Some(left) = needed.and_then(|needed| room.checked_sub(needed)) else {
+        let message = format!("more than {MAX_AGENTS} agents and concepts they carry in a split");
+        faults.push(Diagnostic::new(Code::LimitExceeded, message).at(node.span, "too many here"));
+        return None;
+    };
+    *room = left;
+    let first = agents.len() + 1;
+    agents.extend((first..first + count as usize).map(|number| AgentConfig {
+        name: format!("{}_{number}", kind.name()),
+        kind,
+        concepts: concepts.clone(),
+        priority,
+    }));
+    Some(())
+}
+
+/// The concepts of one entry of an agent list.
+fn carried(
+    node: &Node,
+    kind: AgentKind,
+    known: Option<&Concepts<'_>>,
+    faults: &mut Vec<Diagnostic>,
+) -> Option<Vec<Located<String>>> {
+    let items = list(node, "concepts", faults)?;
+    if items.len() > MAX_PREDICATES {
+        let message = format!("{} concepts, the limit is {MAX_PREDICATES}", items.len());
+        faults.push(Diagnostic::new(Code::LimitExceeded, message).at(node.span, ""));
+        return None;
+    }
+    let mut concepts: Vec<Located<String>> = Vec::new();
+    for item in items {
         let Some(concept) = name(item, "the name of a concept", faults) else {
             continue;
         };
@@ -732,33 +722,10 @@ fn group(
         if let Some(known) = known {
             known.check(concept, item.span, kind, faults);
         }
-        if faults.len() > MAX_FAULTS {
-            return;
-        }
-        concepts.push(Located {
-            value: concept.to_owned(),
-            span: item.span,
-        });
+        let (value, span) = (concept.to_owned(), item.span);
+        concepts.push(Located { value, span });
     }
-    let priority = match kind {
-        AgentKind::Car => fields.required("priority", faults),
-        AgentKind::Pedestrian => fields.optional("priority"),
-    };
-    let priority = priority.map_or(Some(0), |node| integer(node, i32::MIN..=i32::MAX, faults));
-    let count = fields
-        .optional("count")
-        .map_or(Some(1), |node| integer(node, 1..=MAX_AGENTS, faults));
-    fields.close(faults);
-    // A wrong entry still counts, so that the numbers of the others stay and an otherwise empty set is not called empty.
-    let first = agents.len() + 1;
-    for number in first..first + count.unwrap_or(1) as usize {
-        agents.push(AgentConfig {
-            name: format!("{}_{number}", kind.name()),
-            kind,
-            concepts: concepts.clone(),
-            priority: priority.unwrap_or(0),
-        });
-    }
+    Some(concepts)
 }
 
 fn actions(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<ActionsConfig> {

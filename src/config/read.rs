@@ -21,6 +21,7 @@ pub(super) struct Fields<'n> {
     span: Span,
     entries: &'n [(Key, Node)],
     allowed: Vec<&'static str>,
+    missing: Vec<&'static str>,
 }
 
 impl<'n> Fields<'n> {
@@ -30,6 +31,7 @@ impl<'n> Fields<'n> {
             span: node.span,
             entries: entries(node, what, faults)?,
             allowed: Vec::new(),
+            missing: Vec::new(),
         })
     }
 
@@ -45,27 +47,38 @@ impl<'n> Fields<'n> {
         if node.is_some() {
             return node;
         }
-        let fault = match self.find(key) {
-            Some((_, node)) if matches!(node.value, Value::Absent) => return None,
+        match self.find(key) {
+            None => self.missing.push(key),
+            Some((_, node)) if matches!(node.value, Value::Absent) => {}
             Some((given, _)) => {
                 let message = format!("the key `{key}` has no value in {}", self.what);
-                Diagnostic::new(Code::MissingKey, message).at(given.span, "")
+                faults.push(Diagnostic::new(Code::MissingKey, message).at(given.span, ""));
             }
-            None => {
-                let message = format!("the key `{key}` is missing in {}", self.what);
-                Diagnostic::new(Code::MissingKey, message).at(self.span, format!("needs `{key}`"))
-            }
-        };
-        faults.push(fault);
+        }
         None
+    }
+
+    /// [`Fields::close_with`] no help.
+    pub fn close(self, faults: &mut Vec<Diagnostic>) {
+        self.close_with(None, faults);
     }
 
     fn find(&self, key: &str) -> Option<&'n (Key, Node)> {
         self.entries.iter().find(|(given, _)| given.text == key)
     }
 
-    /// Says which keys were never asked for.
-    pub fn close(self, faults: &mut Vec<Diagnostic>) {
+    /// Says which required keys are missing and which keys were never asked for. The help goes with missing keys.
+    pub fn close_with(self, help: Option<&str>, faults: &mut Vec<Diagnostic>) {
+        let quoted: Vec<_> = self.missing.iter().map(|key| format!("`{key}`")).collect();
+        let quoted = quoted.join(", ");
+        if !self.missing.is_empty() {
+            let subject = if self.missing.len() == 1 { "the key" } else { "the keys" };
+            let verb = if self.missing.len() == 1 { "is" } else { "are" };
+            let message = format!("{subject} {quoted} {verb} missing in {}", self.what);
+            let mut fault = Diagnostic::new(Code::MissingKey, message).at(self.span, "");
+            fault.help.extend(help.map(str::to_owned));
+            faults.push(fault);
+        }
         for (key, _) in self.entries {
             if self.allowed.contains(&key.text.as_str()) {
                 continue;

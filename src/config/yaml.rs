@@ -10,8 +10,10 @@
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use serde_yaml::granit_parser::{ErrorKind, Event, Parser, ScalarStyle, Span as Mark, StructureStyle};
 use std::collections::HashMap;
+use std::ops::Range;
 
-/// The largest configuration file in bytes. A map of 1000 x 1000 blocks with every building given is half of it.
+/// The largest configuration file in bytes. A map of 1000 x 1000 blocks with every building given is half of it. The caller
+/// asks, so that a larger text is never looked through.
 pub(super) const MAX_BYTES: usize = 8 << 20;
 /// The deepest nesting of lists and mappings.
 pub(super) const MAX_DEPTH: usize = 64;
@@ -48,6 +50,11 @@ pub(super) struct Key {
 }
 
 impl Node {
+    pub fn new(span: Span, value: Value) -> Self {
+        let whole = false;
+        Node { span, value, whole }
+    }
+
     /// Whether this is YAML's null.
     pub fn is_null(&self) -> bool {
         matches!(&self.value, Value::Scalar { text, plain: true } if matches!(text.as_str(), "" | "~" | "null" | "Null" | "NULL"))
@@ -109,11 +116,6 @@ pub(super) fn parse(
 ) -> Option<Node> {
     let text = sources.text(source);
     let start = Span::new(source, 0..0);
-    if text.len() > MAX_BYTES {
-        let message = format!("the file has {} bytes, the limit is {MAX_BYTES}", text.len());
-        faults.push(Diagnostic::new(Code::LimitExceeded, message).at(start, ""));
-        return None;
-    }
     let mut options = serde_yaml::granit_parser::Options::default();
     options.set_emit_comments(false);
     options.flow_nesting_limit = MAX_DEPTH;
@@ -169,10 +171,13 @@ impl Builder<'_> {
 
     /// The range of an event, cut to its first line.
     fn span(&self, mark: &Mark) -> Span {
-        let range = mark.byte_range().unwrap_or(0..0);
-        let first_line = self.text.get(range.clone()).and_then(|text| text.lines().next());
-        let end = range.start + first_line.map_or(0, |line| line.trim_end().len());
-        Span::new(self.source, range.start..end)
+        self.first_line(mark.byte_range().unwrap_or(0..0))
+    }
+
+    fn first_line(&self, range: Range<usize>) -> Span {
+        let line = self.text.get(range.clone()).and_then(|text| text.lines().next());
+        let length = line.map_or(0, |line| line.trim_end().len());
+        Span::new(self.source, range.start..range.start + length)
     }
 
     fn spend(&mut self, nodes: usize, span: Span) -> Step {
@@ -195,11 +200,7 @@ impl Builder<'_> {
         }
         let mut open = |value, style, anchor| {
             self.open.push(Open {
-                node: Node {
-                    span,
-                    value,
-                    whole: false,
-                },
+                node: Node::new(span, value),
                 block: style == StructureStyle::Block,
                 anchor,
                 key: None,
@@ -208,60 +209,23 @@ impl Builder<'_> {
         match event {
             Event::Scalar(text, style, anchor, _) => {
                 self.spend(1, span)?;
-                let value = Value::Scalar {
-                    text: text.into_owned(),
-                    plain: style == ScalarStyle::Plain,
-                };
-                self.finished(
-                    Node {
-                        span,
-                        value,
-                        whole: false,
-                    },
-                    anchor,
-                )?;
+                let (text, plain) = (text.into_owned(), style == ScalarStyle::Plain);
+                self.finished(Node::new(span, Value::Scalar { text, plain }), anchor)?;
             }
             Event::SequenceStart(style, anchor, _) => open(Value::List(Vec::new()), style, anchor),
             Event::MappingStart(style, anchor, _) => open(Value::Map(Vec::new()), style, anchor),
             Event::SequenceEnd | Event::MappingEnd => {
-                if let Some(Open {
-                    mut node,
-                    block,
-                    anchor,
-                    ..
-                }) = self.open.pop()
-                {
-                    self.spend(1, node.span)?;
-                    if let Value::Map(entries) = &mut node.value {
-                        drop_duplicates(entries, self.faults);
-                    }
-                    if !block {
-                        // The event of the start covers only the bracket.
-                        let mut end = mark.byte_range().map_or(0, |range| range.end);
-                        if let Some(line) = self
-                            .text
-                            .get(node.span.range().start..end)
-                            .and_then(|text| text.lines().next())
-                        {
-                            end = node.span.range().start + line.trim_end().len();
-                        }
-                        node.span = Span::new(self.source, node.span.range().start..end);
-                    } else if let Some(Some(Some(key))) = self.open.last().map(|parent| &parent.key) {
-                        node.span = key.span;
-                    } else if let Value::Map(entries) = &node.value
-                        && let Some((first, _)) = entries.first()
-                    {
-                        node.span = first.span;
-                    }
-                    self.finished(node, anchor)?;
+                if let Some(open) = self.open.pop() {
+                    self.close(open, mark)?;
                 }
             }
             Event::Alias(anchor) => {
-                let Some((node, size)) = self.anchors.get(&anchor).cloned() else {
+                let Some((_, size)) = self.anchors.get(&anchor) else {
                     let fault = Diagnostic::new(Code::YamlSyntax, "an alias stands inside what it refers to");
                     return Err(Box::new(fault.at(span, "")));
                 };
-                self.spend(size, span)?;
+                self.spend(*size, span)?;
+                let node = self.anchors[&anchor].0.clone();
                 self.finished(node, 0)?;
             }
             Event::DocumentStart(..) if self.root.is_some() => {
@@ -274,6 +238,28 @@ impl Builder<'_> {
             return Err(Box::new(too_deep(span)));
         }
         Ok(())
+    }
+
+    fn close(&mut self, open: Open, end: &Mark) -> Step {
+        let Open {
+            mut node,
+            block,
+            anchor,
+            ..
+        } = open;
+        self.spend(1, node.span)?;
+        if let Value::Map(entries) = &mut node.value {
+            drop_duplicates(entries, self.faults);
+        }
+        let parent_key = self.open.last().and_then(|parent| parent.key.as_ref()?.as_ref());
+        node.span = match (&node.value, parent_key) {
+            // The event of the start covers only the bracket.
+            _ if !block => self.first_line(node.span.range().start..end.byte_range().map_or(0, |range| range.end)),
+            (_, Some(key)) => key.span,
+            (Value::Map(entries), None) => entries.first().map_or(node.span, |(key, _)| key.span),
+            _ => node.span,
+        };
+        self.finished(node, anchor)
     }
 
     /// Puts a complete value into the collection it belongs to.

@@ -1,7 +1,7 @@
 //! Diagnostics: the one type in which every fault in a user's file is told.
 //!
 //! A parser or checker *speaks at the fault* (it pushes a [`Diagnostic`] with spans into a list and goes on) and somebody
-//! else *draws elsewhere* ([`render`] for a terminal, [`to_json`] for machines). A [`Diagnostic`] passes through no stages:
+//! else *draws elsewhere* ([`render()`] for a terminal, [`to_json`] for machines). A [`Diagnostic`] passes through no stages:
 //! it is complete when it is made, and it refers to text through a [`Span`] into [`Sources`].
 //!
 //! This module refuses to know what a rule, a configuration or a city is.

@@ -1,8 +1,12 @@
 //! Draws diagnostics: for a terminal, and as JSON.
 
 use super::{Diagnostic, Label, Severity, Sources, Span};
-use annotate_snippets::{Annotation, AnnotationKind, Group, Level, Renderer, Snippet};
+use annotate_snippets::{Annotation, AnnotationKind, Group, Level, Origin, Renderer, Snippet};
 use serde_json::{Value, json};
+use std::ops::Range;
+
+/// A line with more bytes is named, not shown.
+const MAX_LINE: usize = 2000;
 
 /// Draws diagnostics as text with source lines and carets, one blank line between them. `colour` adds terminal styles.
 pub fn render(diagnostics: &[Diagnostic], sources: &Sources, colour: bool) -> String {
@@ -44,14 +48,33 @@ fn render_one(diagnostic: &Diagnostic, sources: &Sources, renderer: &Renderer) -
         }
     }
     for id in order {
-        let text = sources.text(id);
-        let mut snippet = Snippet::source(text)
-            .line_start(sources.first_line(id))
-            .path(sources.name(id));
-        for (kind, label) in labels.iter().filter(|(_, label)| label.span.source == id) {
-            snippet = snippet.annotation(annotation(*kind, label, text));
-        }
-        group = group.element(snippet);
+        let labels: Vec<(AnnotationKind, &Label)> = (labels.iter().copied())
+            .filter(|(_, label)| label.span.source == id)
+            .collect();
+        group = match excerpt(sources.text(id), &labels) {
+            Some((range, lines_before)) => {
+                let text = &sources.text(id)[range.clone()];
+                let snippet = Snippet::source(text)
+                    .line_start(sources.first_line(id) + lines_before)
+                    .path(sources.name(id));
+                let annotations = labels
+                    .iter()
+                    .map(|(kind, label)| annotation(*kind, label, text, range.start));
+                group.element(snippet.annotations(annotations))
+            }
+            None => labels.iter().fold(group, |group, (_, label)| {
+                let position = sources.position(label.span);
+                let place = Origin::path(sources.name(id))
+                    .line(position.line)
+                    .char_column(position.column);
+                let group = group.element(place);
+                if label.message.is_empty() {
+                    group
+                } else {
+                    group.element(Level::NOTE.message(printable(&label.message)))
+                }
+            }),
+        };
     }
     for note in &diagnostic.notes {
         group = group.element(Level::NOTE.message(printable(note)));
@@ -62,9 +85,38 @@ fn render_one(diagnostic: &Diagnostic, sources: &Sources, renderer: &Renderer) -
     renderer.render(&[group])
 }
 
-fn annotation<'a>(kind: AnnotationKind, label: &'a Label, text: &str) -> Annotation<'a> {
-    let mut start = label.span.range().start.min(text.len());
-    let mut end = label.span.range().end.clamp(start, text.len());
+/// The lines from the first label to the last, as a range of bytes and the number of lines before it. Whatever the size of the
+/// text, only these are drawn. `None` if one of them is too long to be shown to anybody.
+fn excerpt(text: &str, labels: &[(AnnotationKind, &Label)]) -> Option<(Range<usize>, usize)> {
+    let bytes = text.as_bytes();
+    let first = labels
+        .iter()
+        .map(|(_, label)| label.span.range().start)
+        .min()?
+        .min(bytes.len());
+    let last = labels
+        .iter()
+        .map(|(_, label)| label.span.range().end)
+        .max()?
+        .clamp(first, bytes.len());
+    let start = bytes[..first]
+        .iter()
+        .rposition(|&byte| byte == b'\n')
+        .map_or(0, |at| at + 1);
+    let end = bytes[last..]
+        .iter()
+        .position(|&byte| byte == b'\n')
+        .map_or(bytes.len(), |at| last + at);
+    let shown = &text[start..end];
+    let lines_before = bytes[..start].iter().filter(|&&byte| byte == b'\n').count();
+    (shown.lines().all(|line| line.len() <= MAX_LINE)).then_some((start..end, lines_before))
+}
+
+/// A label, in a part of the text that begins at byte `offset`.
+fn annotation<'a>(kind: AnnotationKind, label: &'a Label, text: &str, offset: usize) -> Annotation<'a> {
+    let inside = |byte: usize| byte.saturating_sub(offset).min(text.len());
+    let (mut start, mut end) = (inside(label.span.range().start), inside(label.span.range().end));
+    end = end.max(start);
     while !text.is_char_boundary(start) {
         start -= 1;
     }
@@ -119,4 +171,43 @@ pub fn to_json(diagnostics: &[Diagnostic], sources: &Sources) -> Value {
             })
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diag::Code;
+
+    fn fault(source: crate::diag::SourceId, range: Range<usize>) -> Diagnostic {
+        Diagnostic::new(Code::Syntax, "wrong").at(Span::new(source, range), "here")
+    }
+
+    #[test]
+    fn a_label_far_down_is_drawn_with_its_own_line_number() {
+        let mut sources = Sources::new();
+        let id = sources.add("a.dl", "x\n".repeat(1000) + "αβγ δ\nend");
+        let text = render(&[fault(id, 2000 + 7..2000 + 9)], &sources, false);
+        for part in ["error[syntax]: wrong", "a.dl:1001:5", "1001 | αβγ δ", "^ here"] {
+            assert!(text.contains(part), "{part} is missing in\n{text}");
+        }
+        assert!(!text.contains("end"));
+    }
+
+    #[test]
+    fn a_line_too_long_to_show_is_named() {
+        let mut sources = Sources::new();
+        let id = sources.add_from("a.json", "y".repeat(1 << 20), 7);
+        let text = render(&[fault(id, 99_999..100_000)], &sources, false);
+        assert!(text.contains("a.json:7:100000") && text.contains("here"), "{text}");
+        assert!(text.len() < 200, "{text}");
+    }
+
+    #[test]
+    fn spans_outside_of_the_text_or_inside_a_character_are_drawn_somewhere() {
+        let mut sources = Sources::new();
+        let id = sources.add("a.dl", "αβ\n");
+        for (start, end) in [(0, 0), (1, 3), (4, 5), (5, 5), (9, 99), (3, 1)] {
+            assert!(render(&[fault(id, start..end)], &sources, false).contains("a.dl:"));
+        }
+    }
 }

@@ -78,6 +78,7 @@ fn one(clause: &ast::Clause, scopes: &mut scope::Scopes, names: &mut Names, out:
         numbers: HashMap::new(),
         variables: Vec::new(),
         constant_bases: Vec::new(),
+        negated: Vec::new(),
         sound: true,
     };
     let head = check.head(&clause.head, clause.body.is_empty());
@@ -99,7 +100,7 @@ fn one(clause: &ast::Clause, scopes: &mut scope::Scopes, names: &mut Names, out:
         }
     }
     check.join_equals(&body);
-    check.types(head.as_ref(), &mut body);
+    check.types(clause, head.as_ref(), &mut body);
     check.bindings(clause);
     let Check { variables, sound, .. } = check;
     let Some(head) = head.filter(|_| body.len() == clause.body.len()) else {
@@ -179,6 +180,8 @@ struct Variable<'c> {
     constant: Option<(BaseType, Span)>,
     /// A negated atom it stands in and the column there, to suggest what could bind it.
     negated: Option<(TypeId, Span)>,
+    /// The type of what it is compared with, to the same end.
+    compared: Option<TypeId>,
 }
 
 /// The type of a variable as far as it is known.
@@ -213,6 +216,8 @@ struct Check<'a, 'c> {
     variables: Vec<Variable<'c>>,
     /// The bases of the constants of each comparison, left and right.
     constant_bases: Vec<[Option<BaseType>; 2]>,
+    /// The syntax of each negated atom.
+    negated: Vec<&'c ast::Atom>,
     sound: bool,
 }
 
@@ -238,6 +243,7 @@ impl<'c> Check<'_, 'c> {
                 narrowest: None,
                 constant: None,
                 negated: None,
+                compared: None,
             });
         }
         self.variables[id.index()].count += 1;
@@ -314,10 +320,13 @@ impl<'c> Check<'_, 'c> {
             };
             if self.names.base(ty) != base {
                 let wanted = self.names.type_name(ty).to_owned();
-                let fault = Diagnostic::new(Code::TypeMismatch, format!("expected a `{wanted}`, found {found}"))
-                    .at(term.place.0, found)
-                    .also(self.names.relation(relation).span, "declared here")
-                    .note(format!("the declaration is `{}`", self.names.signature_text(relation)));
+                let fault = Diagnostic::new(
+                    Code::TypeMismatch,
+                    format!("expected a value of type `{wanted}`, found {found}"),
+                )
+                .at(term.place.0, found)
+                .also(self.names.relation(relation).span, "declared here")
+                .note(format!("the declaration is `{}`", self.names.signature_text(relation)));
                 self.fault(fault);
             }
         }
@@ -368,6 +377,7 @@ impl<'c> Check<'_, 'c> {
                     }
                 }
                 Some(if *negated {
+                    self.negated.push(syntax);
                     Literal::Negative(atom)
                 } else {
                     Literal::Positive(atom)
@@ -533,18 +543,20 @@ impl<'c> Check<'_, 'c> {
     }
 
     /// Variables in heads, negated atoms and comparisons must fit what stands there.
-    fn types(&mut self, head: Option<&Atom>, body: &mut [Literal]) {
+    fn types(&mut self, clause: &ast::Clause, head: Option<&Atom>, body: &mut [Literal]) {
         if let Some(head) = head {
             for column in 0..head.terms.len() {
-                self.fits(head, column, true);
+                self.fits(head, column, clause.head.terms[column].place.0, true);
             }
         }
         let mut constant_bases = std::mem::take(&mut self.constant_bases).into_iter();
+        let mut negated = std::mem::take(&mut self.negated).into_iter();
         for literal in body {
             match literal {
                 Literal::Negative(atom) => {
-                    for column in 0..atom.terms.len() {
-                        self.fits(atom, column, false);
+                    let Some(syntax) = negated.next() else { continue };
+                    for (column, term) in syntax.terms.iter().enumerate() {
+                        self.fits(atom, column, term.place.0, false);
                     }
                 }
                 Literal::Compare {
@@ -558,6 +570,11 @@ impl<'c> Check<'_, 'c> {
                     let left_base = left_constant.or_else(|| self.base_of(*left));
                     let right_base = right_constant.or_else(|| self.base_of(*right));
                     *base = left_base.or(right_base).unwrap_or(BaseType::Symbol);
+                    for (term, other) in [(*left, right_base), (*right, left_base)] {
+                        if let (Term::Variable(id), Some(base)) = (term, other) {
+                            self.variables[id.index()].compared = Some(Names::base_type(base));
+                        }
+                    }
                     if let (Some(a), Some(b)) = (left_base, right_base)
                         && a != b
                     {
@@ -570,7 +587,7 @@ impl<'c> Check<'_, 'c> {
     }
 
     /// In a head the variable must be of a subtype of the column; in a negated atom of the same line.
-    fn fits(&mut self, atom: &Atom, column: usize, is_head: bool) {
+    fn fits(&mut self, atom: &Atom, column: usize, span: Span, is_head: bool) {
         let term = atom.terms[column];
         let Some(wanted) = self.column(atom.relation, column) else {
             return;
@@ -592,11 +609,10 @@ impl<'c> Check<'_, 'c> {
             _ => "symbol".to_owned(),
         };
         let wanted = self.names.type_name(wanted).to_owned();
-        let message = format!("expected a `{wanted}`, found `{name}`, which is a `{found}`");
-        let mut fault =
-            Diagnostic::new(Code::TypeMismatch, message).at(atom.span, format!("`{name}` must be a `{wanted}` here"));
+        let message = format!("expected a value of type `{wanted}`, found `{name}` of type `{found}`");
+        let mut fault = Diagnostic::new(Code::TypeMismatch, message).at(span, format!("must be of type `{wanted}`"));
         if let Some(origin) = self.origin(term) {
-            fault = fault.also(origin, format!("`{name}` is a `{found}` here"));
+            fault = fault.also(origin, format!("`{name}` is of type `{found}` here"));
         }
         let group = self.group(id.index());
         self.variables[group].excused = true;
@@ -627,6 +643,10 @@ impl<'c> Check<'_, 'c> {
 
     fn bindings(&mut self, clause: &ast::Clause) {
         for index in 0..self.variables.len() {
+            if self.faults.full() {
+                self.sound = false;
+                return;
+            }
             let group = self.group(index);
             if self.variables[group].bound || self.variables[group].excused || self.variables[index].excused {
                 continue;
@@ -659,7 +679,8 @@ impl<'c> Check<'_, 'c> {
     fn binder(&self, index: usize, clause: &ast::Clause) -> Option<String> {
         let head = &clause.head.predicate.text;
         let name = self.variables[index].name;
-        let wanted = self.variables[index].negated.map(|(ty, _)| ty).or_else(|| {
+        let Variable { negated, compared, .. } = self.variables[index];
+        let wanted = negated.map(|(ty, _)| ty).or(compared).or_else(|| {
             let relation = self.names.find(head)?;
             let column = clause
                 .head

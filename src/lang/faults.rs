@@ -2,50 +2,62 @@
 
 use crate::diag::{Code, Diagnostic, Severity};
 
-/// More faults than this are counted, not kept: a file of noise must not fill the memory or the screen.
+/// More errors, and more warnings, than this are not kept: a file of noise must not fill the memory or the screen.
 pub(super) const MAX_FAULTS: usize = 1000;
 
 /// The faults found so far.
 #[derive(Debug, Default)]
 pub(super) struct Faults {
-    list: Vec<Diagnostic>,
-    unlisted: usize,
-    failed: bool,
+    errors: Vec<Diagnostic>,
+    warnings: Vec<Diagnostic>,
+    hidden_warnings: usize,
 }
 
 impl Faults {
     pub(super) fn push(&mut self, fault: Diagnostic) {
-        self.failed |= fault.severity() == Severity::Error;
-        if self.list.len() < MAX_FAULTS {
-            self.list.push(fault);
-        } else {
-            self.unlisted += 1;
+        let list = match fault.severity() {
+            Severity::Error => &mut self.errors,
+            Severity::Warning => &mut self.warnings,
+        };
+        if list.len() < MAX_FAULTS {
+            list.push(fault);
+        } else if fault.severity() == Severity::Warning {
+            self.hidden_warnings += 1;
         }
     }
 
     /// Whether there is an error among them.
     pub(super) fn failed(&self) -> bool {
-        self.failed
+        !self.errors.is_empty()
     }
 
-    /// Whether no further fault will be kept.
+    /// Whether no further error will be kept.
     pub(super) fn full(&self) -> bool {
-        self.list.len() >= MAX_FAULTS
+        self.errors.len() >= MAX_FAULTS
     }
 
     /// All of them in the order of the text.
     pub(super) fn finish(mut self) -> Vec<Diagnostic> {
-        self.list.sort_by_key(|fault| {
+        let full = self.full();
+        let mut list = self.errors;
+        list.append(&mut self.warnings);
+        list.sort_by_key(|fault| {
             let span = fault.primary.as_ref().map(|label| label.span);
             (span.map(|span| (span.source, span.start, span.end)), fault.code)
         });
-        if self.unlisted > 0 {
-            // An error only if one of the uncounted may be one; `failed` is then set and the rules are refused anyway.
-            self.list.push(
-                Diagnostic::new(Code::LimitExceeded, format!("more than {MAX_FAULTS} faults"))
-                    .note(format!("{} more are not shown", self.unlisted)),
-            );
+        if full {
+            // The parser stops at the limit, so how many more there are is not known.
+            list.push(Diagnostic::new(
+                Code::LimitExceeded,
+                format!("{MAX_FAULTS} errors; further ones are not shown"),
+            ));
         }
-        self.list
+        if self.hidden_warnings > 0
+            && let Some(last) = list.last_mut()
+        {
+            last.notes
+                .push(format!("{} more warnings are not shown", self.hidden_warnings));
+        }
+        list
     }
 }

@@ -10,7 +10,7 @@ use super::faults::Faults;
 use super::parser;
 
 /// The folder under which [`super::load`] asks for a file that is not beside the one including it.
-pub const BUILTIN: &str = "<builtin>";
+pub use crate::files::BUILTIN_FOLDER as BUILTIN;
 
 /// A larger text is refused.
 const MAX_TEXT_BYTES: usize = 64 << 20;

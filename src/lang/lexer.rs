@@ -14,6 +14,8 @@ pub(super) enum Kind {
     Number,
     Float,
     Unsigned,
+    /// Digits and letters that make no number, or too long a name; reported.
+    Faulty,
     /// A text with both quotes.
     Text,
     /// A text whose closing quote is missing; reported.
@@ -243,7 +245,7 @@ impl Lexer<'_> {
                     "a number is written in decimal, or as `0x` or `0b` and digits; a name does not begin with a digit",
                 ),
         );
-        self.push(Kind::Number, length);
+        self.push(Kind::Faulty, length);
     }
 
     fn name(&mut self) {
@@ -254,6 +256,7 @@ impl Lexer<'_> {
                     .at(self.span(self.at, self.at + 1), "it begins here")
                     .note(format!("a name has at most {MAX_NAME_BYTES}")),
             );
+            return self.push(Kind::Faulty, length);
         }
         let kind = match &self.bytes[self.at..self.at + length] {
             b"_" => Kind::Underscore,

@@ -67,10 +67,11 @@ fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
     let checked = clause::check(&gathered.items, &mut names, faults);
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
+    // What could not be read might make a clause live, or tell two clauses apart.
     if syntax_is_good {
         lint::dead(&checked, &names, faults);
+        lint::redundant(&checked.clauses, faults);
     }
-    lint::redundant(&checked.clauses, faults);
     if faults.failed() {
         return None;
     }

@@ -15,7 +15,7 @@ const MAX_COLUMNS: usize = 64;
 const MAX_TYPE_DEPTH: usize = 64;
 
 /// For so many unknown names a similar one is looked for; beyond that the text is too strange for it to help.
-const MAX_SUGGESTIONS: usize = 100;
+const MAX_SUGGESTIONS: usize = 30;
 
 /// Of the places where an unknown name is used, so many are shown.
 const MAX_USES_SHOWN: usize = 4;
@@ -96,8 +96,21 @@ impl Names {
         self.relation_by_name.get(name).copied()
     }
 
+    /// Whether every declaration was read.
+    pub fn complete(&self) -> bool {
+        self.complete
+    }
+
     pub fn relation(&self, id: RelId) -> &Relation {
         &self.relations[id.index()]
+    }
+
+    /// `symbol` or `number` itself.
+    pub fn base_type(base: BaseType) -> TypeId {
+        match base {
+            BaseType::Symbol => TypeId(0),
+            BaseType::Number => TypeId(1),
+        }
     }
 
     pub fn type_name(&self, id: TypeId) -> &str {

@@ -137,7 +137,13 @@ impl<'a> Parser<'a> {
         if token.kind == Kind::End {
             return "the end of the file".into();
         }
-        let text = self.slice(token);
+        let mut text = self.slice(token);
+        if token.start == self.token().start && self.at_known_directive() {
+            text = self.slice(Token {
+                end: self.ahead(1).end,
+                ..token
+            });
+        }
         match text.char_indices().nth(40) {
             Some((cut, _)) => format!("`{}...`", &text[..cut]),
             None => format!("`{text}`"),
@@ -147,6 +153,9 @@ impl<'a> Parser<'a> {
     /// Something is missing before the present token.
     fn expected(&mut self, what: &str) -> Reported {
         let token = self.token();
+        if token.kind == Kind::Faulty {
+            return Reported;
+        }
         let message = format!("expected {what}, found {}", self.describe(token));
         // When the line is over, the fault is where something should have followed.
         let span = if self.at > 0 && (token.first_on_line || token.kind == Kind::End) {
@@ -157,6 +166,18 @@ impl<'a> Parser<'a> {
         };
         let fault = Diagnostic::new(Code::Syntax, message).at(span, format!("expected {what}"));
         self.faults.push(fault);
+        Reported
+    }
+
+    /// The present token cannot begin a clause or directive.
+    fn expected_item(&mut self, why: &str) -> Reported {
+        let token = self.token();
+        if token.kind == Kind::Faulty {
+            return Reported;
+        }
+        let message = format!("expected a clause or a directive{why}, found {}", self.describe(token));
+        self.faults
+            .push(Diagnostic::new(Code::Syntax, message).at(self.span(token), ""));
         Reported
     }
 
@@ -199,6 +220,7 @@ impl<'a> Parser<'a> {
                     if self.at > start
                         && token.first_on_line
                         && self.ahead(1).kind == Kind::LParen
+                        && self.indent(token) <= self.indent(self.tokens[start])
                         && !matches!(self.previous().kind, Kind::Comma | Kind::If | Kind::Bang | Kind::LParen) =>
                 {
                     return;
@@ -245,7 +267,7 @@ impl<'a> Parser<'a> {
                 }
             },
             Kind::Ident => self.clause(doc).map(|clause| Some(Item::Clause(clause))),
-            Kind::Bang => Err(self.expected("a clause or a directive (a head cannot be negated)")),
+            Kind::Bang => Err(self.expected_item(" (a head cannot be negated)")),
             Kind::Hash => {
                 self.bump();
                 while self.kind() != Kind::End && !self.token().first_on_line {
@@ -260,7 +282,7 @@ impl<'a> Parser<'a> {
                 Ok(None)
             }
             _ => {
-                let reported = self.expected("a clause or a directive");
+                let reported = self.expected_item("");
                 self.bump();
                 Err(reported)
             }
@@ -361,6 +383,8 @@ impl<'a> Parser<'a> {
             && !DIRECTIVES.contains(&self.slice(part));
         if qualified && self.ahead(2).kind == Kind::LParen {
             let span = self.span(token).to(self.span(part));
+            self.bump();
+            self.bump();
             return Err(self.unsupported(span, "names with a dot (components) are", ""));
         }
         Ok(Name {
@@ -526,7 +550,7 @@ impl<'a> Parser<'a> {
     fn clause(&mut self, doc: String) -> Parse<Clause> {
         let start = self.token();
         if matches!(self.slice(start), "Not" | "not") {
-            return Err(self.expected("a clause or a directive (a head cannot be negated)"));
+            return Err(self.expected_item(" (a head cannot be negated)"));
         }
         let head = self.atom("the arguments of the head: `(`")?;
         let mut body = Vec::new();
@@ -690,6 +714,7 @@ impl<'a> Parser<'a> {
             && self.ahead(3).kind == Kind::LParen
             && !next.first_on_line
         {
+            self.at += 3;
             let span = self.span(start).to(self.span(part));
             return Err(self.unsupported(span, "names with a dot (components) are", ""));
         }
@@ -697,6 +722,7 @@ impl<'a> Parser<'a> {
             Kind::Ident
             | Kind::Underscore
             | Kind::Number
+            | Kind::Faulty
             | Kind::Float
             | Kind::Unsigned
             | Kind::Text
@@ -790,6 +816,8 @@ impl<'a> Parser<'a> {
                 self.bump();
                 TermKind::Text(self.unescape(start))
             }
+            // Reported by the lexer.
+            Kind::Faulty => return Err(Reported),
             Kind::Float => return Err(self.unsupported(self.span(start), "floating-point numbers are", "")),
             Kind::Unsigned => {
                 return Err(self.unsupported(self.span(start), "unsigned numbers are", "write it without the `u`"));

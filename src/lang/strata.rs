@@ -30,6 +30,9 @@ pub(super) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
     let mut covered = vec![false; edges.len()];
     let mut reported = vec![0_usize; components];
     for (index, edge) in edges.iter().enumerate() {
+        if faults.full() {
+            return;
+        }
         let home = component[edge.from.index()];
         if !edge.negative || component[edge.to.index()] != home || covered[index] || reported[home] >= MAX_CYCLES {
             continue;
@@ -108,7 +111,7 @@ fn shortest(from: usize, to: usize, edges: &[Edge], out: &[Vec<usize>], componen
 
 /// The strongly connected components of a graph: for each node the number of its component, and how many there are. A
 /// component has a higher number than those it leads to.
-fn components(successors: &[Vec<usize>]) -> (Vec<usize>, usize) {
+pub(super) fn components(successors: &[Vec<usize>]) -> (Vec<usize>, usize) {
     const UNSEEN: usize = usize::MAX;
     let count = successors.len();
     let mut index = vec![UNSEEN; count];

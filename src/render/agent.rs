@@ -237,8 +237,8 @@ pub(super) fn sample_action(kind: AgentKind, action: Speed, x: i32, y: i32, fram
     .draw(Some(action), Size::LEGEND, frame);
 }
 
-/// A colour for each of the names, which are sorted: the one its name hashes to, or the next that is free. So a concept has
-/// the same colour wherever no other claims it, and two share one only when there are more concepts than colours.
+/// A colour for each of the names, which are sorted: the one its name hashes to, or the next that is free. So a concept
+/// has the same colour wherever no other claims it, and two share one only when there are more concepts than colours.
 fn colours<'a>(names: &[&'a str]) -> Vec<(&'a str, Ink)> {
     let mut taken = [false; Ink::OTHER.len()];
     names
@@ -281,13 +281,16 @@ impl Size {
         length * self.unit / 8
     }
 
-    /// How far any figure reaches from its middle, in pixels: ahead or behind, and to the sides.
+    /// How far a figure reaches from its middle, in pixels: to left and right, and up and down.
     pub(super) fn reach(self, sprite: &Sprite<'_>) -> (i32, i32) {
-        let looks = Look::all(sprite);
-        let (along, across) = self.half(looks[0], sprite.heading);
+        let (length, width) = self.half(Look::all(sprite)[0], sprite.heading);
+        let along = match (sprite.kind, sprite.heading) {
+            (AgentKind::Pedestrian, Some(_)) => length + 2 * nose(length),
+            _ => length,
+        };
         match sprite.heading {
-            Some(Heading::Up | Heading::Down) => (across, along),
-            _ => (along, across),
+            Some(Heading::Up | Heading::Down) => (width, along),
+            _ => (along, width),
         }
     }
 
@@ -301,6 +304,11 @@ impl Size {
             (AgentKind::Car, ..) => (self.scale(8), self.scale(5)),
         }
     }
+}
+
+/// Half the length of what shows where a pedestrian of that radius heads.
+fn nose(radius: i32) -> i32 {
+    (radius / 3).max(1)
 }
 
 /// An agent that is ready to be drawn.
@@ -323,8 +331,8 @@ impl Figure<'_> {
         }
     }
 
-    /// Fills a rectangle given in the figure's own axes, ends included: `along` grows ahead, `across` to its right. Without a
-    /// heading it looks right.
+    /// Fills a rectangle given in the figure's own axes, ends included: `along` grows ahead, `across` to its right.
+    /// Without a heading it looks right.
     fn fill(&self, frame: &mut Frame, along: (i32, i32), across: (i32, i32), ink: Ink) {
         let (dr, dc) = self.heading.unwrap_or(Heading::Right).delta();
         let place = |along: i32, across: i32| (self.x + along * dc - across * dr, self.y + along * dr + across * dc);
@@ -459,7 +467,7 @@ impl Figure<'_> {
         let stopped = action == Some(Speed::Stop);
         let ink = if stopped { Ink::SIGNAL_RED } else { Ink::OUTLINE };
         if self.heading.is_some() {
-            let nose = (radius / 3).max(1);
+            let nose = nose(radius);
             self.fill(frame, (radius, radius + nose), (-nose, nose), ink);
             self.fill(frame, (radius + nose, radius + 2 * nose), (0, 0), ink);
         }
@@ -476,5 +484,24 @@ impl Figure<'_> {
             Ink::HEAD
         };
         frame.disc(self.x, self.y, (radius - 1) / 2, self.second.unwrap_or(head));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unknown_concepts_have_distinct_stable_colours() {
+        let names = ["cyclist", "delivery", "drone", "jogger", "taxi", "tram", "truck", "van"];
+        let all = colours(&names);
+        for (position, (_, ink)) in all.iter().enumerate() {
+            assert!(all[..position].iter().all(|(_, other)| other != ink));
+        }
+        assert_eq!(colours(&["taxi"]), colours(&["taxi"]));
+        // More names than colours: all get one.
+        let many: Vec<String> = (10..40).map(|number| number.to_string()).collect();
+        let many: Vec<&str> = many.iter().map(String::as_str).collect();
+        assert_eq!(colours(&many).len(), many.len());
     }
 }

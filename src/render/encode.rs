@@ -8,6 +8,9 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 /// Writes a frame as an indexed PNG.
+///
+/// # Errors
+/// Those of the output.
 pub fn write_png(frame: &Frame, out: impl Write) -> io::Result<()> {
     let mut encoder = png::Encoder::new(out, frame.width().into(), frame.height().into());
     encoder.set_color(png::ColorType::Indexed);
@@ -16,10 +19,14 @@ pub fn write_png(frame: &Frame, out: impl Write) -> io::Result<()> {
     // Neighbouring palette indices are unrelated numbers: a filter only hides the repetition from the compressor.
     encoder.set_compression(png::Compression::Balanced);
     encoder.set_filter(png::Filter::NoFilter);
-    let mut writer = encoder.write_header()?;
-    writer.write_image_data(frame.pixels())?;
-    writer.finish()?;
-    Ok(())
+    let written = encoder.write_header().and_then(|mut writer| {
+        writer.write_image_data(frame.pixels())?;
+        writer.finish()
+    });
+    written.map_err(|error| match error {
+        png::EncodingError::IoError(error) => error,
+        other => io::Error::other(other),
+    })
 }
 
 /// A GIF being written; it repeats for ever.
@@ -36,8 +43,8 @@ pub struct Animation<W: Write> {
 }
 
 impl<W: Write> Animation<W> {
-    /// Begins an animation of the frames of a painter, each shown for `frame_delay`: GIF rounds it to hundredths of a second,
-    /// at most 655.35 s. Many viewers slow delays under 0.02 s down to 0.1 s.
+    /// Begins an animation of the frames of a painter, each shown for `frame_delay`: GIF rounds it to hundredths of a
+    /// second, at most 655.35 s. Many viewers slow delays under 0.02 s down to 0.1 s.
     pub fn new(out: W, painter: &Painter, frame_delay: Duration) -> io::Result<Animation<W>> {
         let size = painter.size();
         let mut encoder = gif::Encoder::new(out, size.0, size.1, PALETTE.as_flattened()).map_err(to_io)?;
@@ -51,7 +58,10 @@ impl<W: Write> Animation<W> {
         })
     }
 
-    /// Appends a frame, which must have the size of the painter's.
+    /// Appends a frame.
+    ///
+    /// # Errors
+    /// Those of the output, and `InvalidInput` for a frame of another size than the painter's.
     pub fn push(&mut self, frame: &Frame) -> io::Result<()> {
         if (frame.width(), frame.height()) != self.size {
             return Err(io::Error::new(
@@ -83,8 +93,8 @@ impl<W: Write> Animation<W> {
     }
 }
 
-/// What turns the pixels `old` into `new`, both of this width and one height. Without a difference: one transparent pixel, since a GIF frame is
-/// never empty.
+/// What turns the pixels `old` into `new`, both of this width and one height. Without a difference: one transparent
+/// pixel, since a GIF frame is never empty.
 fn difference(old: &[u8], new: &[u8], width: usize) -> gif::Frame<'static> {
     let mut rows = 0..0;
     let mut columns = width..0;

@@ -8,7 +8,8 @@ use embedded_graphics::mono_font::MonoFont;
 use embedded_graphics::mono_font::iso_8859_1::{FONT_5X8, FONT_6X13_BOLD, FONT_9X18_BOLD, FONT_10X20};
 use embedded_graphics::text::Alignment;
 
-/// How cells become pixels. One of the two numbers is 1: a cell is a square of pixels, or a pixel samples a square of cells.
+/// How cells become pixels. One of the two numbers is 1: a cell is a square of pixels, or a pixel samples a square of
+/// cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Zoom {
     /// Side of a cell in pixels.

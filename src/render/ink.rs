@@ -80,6 +80,9 @@ inks! {
     OTHER_9 = 0xffaccb,
 }
 
+// GIF codes take 6 bits a pixel at first; one colour more would make it 7.
+const _: () = assert!(PALETTE.len() <= 64);
+
 impl Ink {
     /// For concepts that have no colour of their own.
     pub(super) const OTHER: [Ink; 10] = [

@@ -24,13 +24,13 @@ pub(super) struct Area {
 
 impl Area {
     /// The common part's size in square pixels.
-    fn overlap(self, other: Area) -> i32 {
+    pub(super) fn overlap(self, other: Area) -> i32 {
         let common =
             |a: i32, a_length: i32, b: i32, b_length: i32| ((a + a_length).min(b + b_length) - a.max(b)).max(0);
         common(self.left, self.width, other.left, other.width) * common(self.top, self.height, other.top, other.height)
     }
 
-    fn contains(self, other: Area) -> bool {
+    pub(super) fn contains(self, other: Area) -> bool {
         self.overlap(other) == other.width * other.height
     }
 }
@@ -60,12 +60,15 @@ pub(super) fn one_line(text: &str, most: usize) -> String {
     line
 }
 
-/// Finds room inside `bounds` for the label of each sprite, whose figure covers the area next to it. A label avoids figures if
-/// it can and other labels always: one without room is left out.
+/// Finds room inside `bounds` for the label of each sprite, whose figure covers the area next to it. A label avoids
+/// figures if it can and other labels always: one without room is left out.
 pub(super) fn place(sprites: &[(Sprite<'_>, Area)], bounds: Area) -> Vec<(String, Area)> {
     let mut placed: Vec<(String, Area)> = Vec::new();
     for (sprite, figure) in sprites.iter().take(MOST) {
         let text = short(sprite);
+        if text.is_empty() {
+            continue;
+        }
         // A character is 6 wide and 10 high, and the plate has a margin.
         let (width, height) = (6 * text.chars().count() as i32 + 3, 11);
         let free = candidates(*figure, sprite.heading, width, height)

@@ -175,7 +175,8 @@ pub(super) fn draw_title(name: &str, frame: &mut Frame, left: i32, middle: i32) 
     );
 }
 
-/// Draws the line above the map, from `left` to the right: all that changes from tick to tick besides the agents themselves.
+/// Draws the line above the map, from `left` to the right: all that changes from tick to tick besides the agents
+/// themselves.
 pub(super) fn draw_status(tick: u64, agents: &[Sprite<'_>], off_map: usize, frame: &mut Frame, left: i32, middle: i32) {
     let count = |action: Speed| agents.iter().filter(|sprite| sprite.action == Some(action)).count();
     let (slow, normal, fast, stop) = (

@@ -4,21 +4,26 @@ use super::ground::{Chance, Entity, Facts, ground};
 use super::scene::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
 use super::vocabulary::Vocabulary;
 use crate::city::CityMap;
-use crate::config::{Definition, Scenario, Speed};
-use crate::diag::{Diagnostic, SourceId, Sources};
+use crate::config::{Definition, Scenario, Speed, load_map};
+use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::engine::{EvalError, Program, Session};
+use crate::files::ReadError;
 use crate::lang::{RelId, Value};
 use crate::rng::{Purpose, RngExt, Seed};
 use serde_json::{Map, json};
 use std::collections::HashMap;
+use std::path::Path;
 use std::sync::Arc;
+
+/// How a map file that a scene asks for is read.
+type ReadFile = dyn Fn(&Path) -> Result<String, ReadError> + Send + Sync;
 
 /// Answers scenes under one scenario and one program. Maps are kept by name once they have been loaded.
 pub struct Inference {
     scenario: Scenario,
     program: Program,
     vocabulary: Vocabulary,
-    load_map: Box<dyn FnMut(&str) -> Result<CityMap, Vec<Diagnostic>> + Send + Sync>,
+    read: Box<ReadFile>,
     maps: HashMap<String, Arc<CityMap>>,
     seed: Seed,
 }
@@ -100,7 +105,8 @@ impl Answer {
 }
 
 impl Inference {
-    /// Binds a scenario to a program. `load_map` makes the map of a name that scenes use.
+    /// Binds a scenario to a program. `read` reads map files that scenes ask for; built-in maps need no
+    /// file.
     ///
     /// # Errors
     /// As [`Vocabulary::bind`].
@@ -108,13 +114,13 @@ impl Inference {
         scenario: Scenario,
         program: Program,
         seed: Seed,
-        load_map: impl FnMut(&str) -> Result<CityMap, Vec<Diagnostic>> + Send + Sync + 'static,
+        read: impl Fn(&Path) -> Result<String, ReadError> + Send + Sync + 'static,
     ) -> Result<Self, Vec<Diagnostic>> {
         Ok(Inference {
             vocabulary: Vocabulary::bind(&scenario, &program)?,
             scenario,
             program,
-            load_map: Box::new(load_map),
+            read: Box::new(read),
             maps: HashMap::new(),
             seed,
         })
@@ -143,22 +149,7 @@ impl Inference {
     }
 
     fn geometric(&mut self, scene: &GeometricScene, number: u64) -> Result<Answer, InferError> {
-        let map = match self.maps.get(&scene.map) {
-            Some(map) => Arc::clone(map),
-            None => {
-                let map = (self.load_map)(&scene.map).map_err(|mut faults| {
-                    for fault in &mut faults {
-                        if fault.primary.is_none() {
-                            *fault = fault.clone().at(scene.map_span, "the scene asks for this map");
-                        }
-                    }
-                    InferError::Scene(faults)
-                })?;
-                let map = Arc::new(map);
-                self.maps.insert(scene.map.clone(), Arc::clone(&map));
-                map
-            }
-        };
+        let map = self.map(scene)?;
         scene.check_cells(&map)?;
         let entities: Vec<Entity<'_>> = scene
             .agents
@@ -190,6 +181,32 @@ impl Inference {
         }
         let names: Vec<&str> = scene.agents.iter().map(|agent| agent.id.as_str()).collect();
         self.decide(&names, &scene.egos, &facts)
+    }
+
+    fn map(&mut self, scene: &GeometricScene) -> Result<Arc<CityMap>, Diagnostic> {
+        if let Some(map) = self.maps.get(&scene.map) {
+            return Ok(Arc::clone(map));
+        }
+        let mut sources = Sources::new();
+        let made = load_map(&mut sources, Path::new(&scene.map), &self.read)
+            .and_then(|config| CityMap::generate(&config).map_err(|fault| vec![fault]));
+        match made {
+            Ok(map) => {
+                let map = Arc::new(map);
+                self.maps.insert(scene.map.clone(), Arc::clone(&map));
+                Ok(map)
+            }
+            // The texts of the map are not those of the scene, so its faults are told in words.
+            Err(faults) => {
+                let fault = Diagnostic::new(Code::InvalidScene, format!("the map `{}` cannot be used", scene.map));
+                Err(faults
+                    .iter()
+                    .fold(fault.at(scene.map_span, "asked for here"), |fault, cause| {
+                        let place = cause.primary.as_ref().map(|label| sources.locate(label.span) + ": ");
+                        fault.note(format!("{}{}", place.unwrap_or_default(), cause.message))
+                    }))
+            }
+        }
     }
 
     fn symbolic(&self, scene: &SymbolicScene) -> Result<Answer, InferError> {

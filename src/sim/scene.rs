@@ -58,8 +58,6 @@ pub struct GivenPredicate {
     pub name: String,
     /// Rows of positions in the scene's agents or entities, sorted.
     pub rows: Vec<Vec<usize>>,
-    /// Where the rows stand in the text.
-    pub span: Span,
 }
 
 /// Entities and facts.
@@ -288,7 +286,7 @@ impl<'a> Reader<'a> {
         let mut spans = Vec::new();
         for (index, (name, span)) in list.enumerate() {
             if let Some(first) = names.insert(name.to_owned(), index) {
-                let fault = Diagnostic::new(Code::InvalidScene, format!("two agents have the name `{name}`"));
+                let fault = Diagnostic::new(Code::InvalidScene, format!("the name `{name}` is given twice"));
                 return Err(fault.at(span, "again here").also(spans[first], "first here"));
             }
             spans.push(span);
@@ -332,11 +330,7 @@ impl<'a> Reader<'a> {
                 .collect::<Result<Vec<_>, _>>()?;
             rows.sort_unstable();
             rows.dedup();
-            given.push(GivenPredicate {
-                name,
-                rows,
-                span: self.span(raw),
-            });
+            given.push(GivenPredicate { name, rows });
         }
         Ok(given)
     }
