@@ -208,5 +208,83 @@ fn ticks(c: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, fixpoints, ticks);
+/// The expert rules over 10,000 agents that see few others each: about 30,000 unary and 280,000 binary facts.
+fn large_city(c: &mut Criterion) {
+    let program = program(".include \"expert.dl\"");
+    let inputs: Vec<RelId> = (program.rules().relations.iter().zip((0..).map(RelId)))
+        .filter_map(|(relation, rel)| relation.input.then_some(rel))
+        .collect();
+    let (unary, binary): (Vec<RelId>, Vec<RelId>) = inputs
+        .iter()
+        .partition(|rel| program.rules().relations[rel.index()].arity() == 1);
+    let mut session = program.session();
+    let agents: Vec<Value> = (0..10_000).map(|agent| session.intern(&format!("a{agent}"))).collect();
+    let mut random = generator(3);
+    let mut facts: Vec<Fact> = Vec::new();
+    for (position, &x) in agents.iter().enumerate() {
+        facts.extend(
+            unary
+                .iter()
+                .filter(|_| random().is_multiple_of(4))
+                .map(|&rel| (rel, vec![x])),
+        );
+        for _ in 0..14 {
+            // Those seen are near, and near agents have near numbers.
+            let y = agents[(position + random() as usize % 60) % agents.len()];
+            let related = binary
+                .iter()
+                .filter(|&&rel| rel == binary[binary.len() - 1] || random().is_multiple_of(6));
+            facts.extend(related.map(|&rel| (rel, vec![x, y])));
+        }
+    }
+    let moving: Vec<Fact> = facts
+        .iter()
+        .filter(|(rel, _)| binary.contains(rel))
+        .step_by(100)
+        .cloned()
+        .collect();
+    facts
+        .iter()
+        .for_each(|(rel, row)| session.insert(*rel, row).expect("a base relation"));
+    session.commit().expect("within the limit");
+    let actions = ["Stop", "Slow", "Fast"].map(|name| session.len(program.relation(name).expect("the program has it")));
+    assert_eq!(
+        (facts.len(), moving.len(), actions),
+        (307_867, 2_806, [5_407, 876, 2_010])
+    );
+
+    let mut group = c.benchmark_group("expert_10k_agents");
+    group.sample_size(20);
+    let mut present = true;
+    group.bench_function("tick_1_percent_changed", |b| {
+        b.iter(|| {
+            present = !present;
+            for (rel, row) in &moving {
+                if present {
+                    session.insert(*rel, row)
+                } else {
+                    session.retract(*rel, row)
+                }
+                .expect("a base relation");
+            }
+            session.commit()
+        });
+    });
+    group.bench_function("first_commit", |b| {
+        let fresh = || {
+            let mut session = program.session();
+            agents
+                .iter()
+                .zip(0..)
+                .for_each(|(_, agent)| _ = session.intern(&format!("a{agent}")));
+            facts
+                .iter()
+                .for_each(|(rel, row)| session.insert(*rel, row).expect("a base relation"));
+            session
+        };
+        b.iter_batched(fresh, |mut session| session.commit(), BatchSize::LargeInput);
+    });
+}
+
+criterion_group!(benches, fixpoints, ticks, large_city);
 criterion_main!(benches);

@@ -7,7 +7,7 @@ use logicity::diag::{Code, Sources};
 use logicity::engine::{EvalError, Program, RowError, Session, StratumWork, facts, naive};
 use logicity::lang::{ClauseId, Literal, RelId, Rules, Value};
 use proptest::prelude::*;
-use random_program::{Genome, genomes};
+use random_program::{Genome, genomes, recursive_genomes};
 use std::collections::BTreeSet;
 use written_program::program;
 
@@ -91,6 +91,11 @@ proptest! {
 
     #[test]
     fn commits_agree_with_naive(genome in genomes(1..5)) {
+        check_script(&genome)?;
+    }
+
+    #[test]
+    fn recursive_commits_agree_with_naive(genome in recursive_genomes(1..4)) {
         check_script(&genome)?;
     }
 }
@@ -349,6 +354,41 @@ fn rows_that_do_not_fit_are_refused() {
     assert_eq!(session.insert(RelId(7), &[]), Err(RowError::UnknownRelation));
     assert!(!session.contains(RelId(7), &[]) && !session.contains(base, &[]));
     assert_eq!(session.rows(RelId(7)).count(), 0);
+}
+
+#[test]
+fn rows_may_have_any_number_of_columns_up_to_the_widest() {
+    for arity in 1..=32 {
+        let list = |name: &str| {
+            (0..arity)
+                .map(|column| format!("{name}{column}"))
+                .collect::<Vec<_>>()
+                .join(", ")
+        };
+        let declared = (0..arity)
+            .map(|column| format!("x{column}: number"))
+            .collect::<Vec<_>>()
+            .join(", ");
+        let turned = (0..arity)
+            .map(|column| format!("x{}", (column + 1) % arity))
+            .collect::<Vec<_>>()
+            .join(", ");
+        let program = program(&format!(
+            ".decl Base({declared})
+            .decl Turned({declared})
+            Turned({0}) :- Base({0}).
+            Turned({turned}) :- Turned({0}).",
+            list("x")
+        ));
+        let mut session = program.session();
+        let row: Vec<i32> = (0..arity).collect();
+        insert(&mut session, "Base", &[&row]);
+        session.commit().unwrap();
+        let turned = program.relation("Turned").unwrap();
+        assert_eq!(session.len(turned), arity as usize);
+        let last: Vec<i32> = (0..arity).map(|column| (column + arity - 1) % arity).collect();
+        assert!(session.contains(turned, &numbers(&last)));
+    }
 }
 
 #[test]

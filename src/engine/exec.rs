@@ -123,12 +123,23 @@ impl<const W: usize> State<W> {
         }
 
         let mut log = WorkLog::default();
+        // Rows derived by the strata so far. A limit that is passed by a sum of these is passed whatever was there before.
+        let mut derived = 0;
         for stratum in &plans.strata {
             if self.committed && !stratum.inputs.iter().any(|input| undo.changed[input.index()]) {
                 log.strata.push(StratumWork::Skipped);
+                derived += stratum
+                    .members
+                    .iter()
+                    .map(|&relation| self.len(relation))
+                    .sum::<usize>();
                 continue;
             }
-            let (results, work) = self.evaluate(compiled, symbols, stratum, limit)?;
+            let room = limit.saturating_sub(derived);
+            let (results, work) = self
+                .evaluate(compiled, symbols, stratum, room)
+                .map_err(|clause| EvalError::TooManyRows { limit, clause })?;
+            derived += results.iter().map(|(_, rows)| rows.len()).sum::<usize>();
             log.strata.push(work);
             for (relation, rows) in results {
                 let old = &self.relations[relation.index()];
@@ -164,38 +175,29 @@ impl<const W: usize> State<W> {
         undo.changed[relation.index()] = true;
     }
 
-    /// The rows of the stratum's derived relations, from scratch.
+    /// The rows of the stratum's derived relations, from scratch. If there are more than `room`, a clause that derives them.
     fn evaluate(
         &self,
         compiled: &Compiled,
         symbols: &Symbols,
         stratum: &StratumPlan,
-        limit: usize,
-    ) -> Result<(Vec<Evaluated<W>>, StratumWork), EvalError> {
-        let Compiled { rules, plans } = compiled;
+        room: usize,
+    ) -> Result<(Vec<Evaluated<W>>, StratumWork), ClauseId> {
+        let plans = &compiled.plans;
         let members = &stratum.members;
-        let elsewhere = rules
-            .relations
-            .iter()
-            .zip((0..).map(RelId))
-            .filter(|(relation, _)| relation.derived);
-        let elsewhere = elsewhere.filter(|(_, rel)| !members.contains(rel));
-        let elsewhere: usize = elsewhere.map(|(_, rel)| self.relations[rel.index()].len()).sum();
-        let room = limit.saturating_sub(elsewhere);
-        let too_many = |clause: ClauseId| EvalError::TooManyRows { limit, clause };
 
         let mut outputs: Vec<Output<W>> = members.iter().map(|_| Output::new(room)).collect();
         let mut scratch = Vec::new();
         for &clause in &stratum.clauses {
             let plan = &plans.clauses[clause.index()];
-            let Some(member) = members.iter().position(|&member| member == plan.complete.head) else {
+            let Some(member) = plans.member[plan.complete.head.index()] else {
                 continue;
             };
             // A clause over the stratum itself derives nothing before there is something.
             if plan.deltas.is_empty() {
                 let views = self.complete_views(plans, &plan.complete);
                 join::run(&plan.complete, &views, symbols, &mut scratch, &mut outputs[member])
-                    .map_err(|Overflow| too_many(clause))?;
+                    .map_err(|Overflow| clause)?;
             }
         }
 
@@ -211,7 +213,7 @@ impl<const W: usize> State<W> {
                 .collect();
             let total: usize = rows.iter().map(|(_, rows)| rows.len()).sum();
             if let (true, Some(&clause)) = (total > room, stratum.clauses.last()) {
-                return Err(too_many(clause));
+                return Err(clause);
             }
             let considered = outputs.iter().map(|output| output.pushed).sum();
             return Ok((rows, StratumWork::Evaluated { rounds: 1, considered }));
@@ -233,11 +235,10 @@ impl<const W: usize> State<W> {
             let total: usize = held.iter().map(Held::len).sum();
             for &clause in &stratum.clauses {
                 if total > room {
-                    return Err(too_many(clause));
+                    return Err(clause);
                 }
                 for (over, plan) in &plans.clauses[clause.index()].deltas {
-                    let position = |relation| members.iter().position(|&member| member == relation);
-                    let (Some(over), Some(head)) = (position(*over), position(plan.head)) else {
+                    let (Some(over), Some(head)) = (plans.member[over.index()], plans.member[plan.head.index()]) else {
                         continue;
                     };
                     if held[over].new.is_empty() {
@@ -249,8 +250,7 @@ impl<const W: usize> State<W> {
                         Some(source) => recursion.view(&held, plans, source),
                     };
                     let views: Vec<View<'_, W>> = plan.steps.iter().map(view).collect();
-                    join::run(plan, &views, symbols, &mut scratch, &mut outputs[head])
-                        .map_err(|Overflow| too_many(clause))?;
+                    join::run(plan, &views, symbols, &mut scratch, &mut outputs[head]).map_err(|Overflow| clause)?;
                 }
             }
         }
@@ -438,8 +438,9 @@ impl<const W: usize> Recursion<W> {
             .flat_map(|clause| &plans.clauses[clause.index()].deltas);
         for source in deltas.flat_map(|(_, plan)| &plan.steps).filter_map(Step::source) {
             let relation = plans.indexes[source.index.index()].relation;
-            let known = plans.is_own(source.index) || grown.iter().any(|grown| grown.id == source.index);
-            if let (false, Some(member)) = (known, members.iter().position(|&member| member == relation)) {
+            let known = source.version == Version::Complete || plans.is_own(source.index);
+            let known = known || grown.iter().any(|grown| grown.id == source.index);
+            if let (false, Some(member)) = (known, plans.member[relation.index()]) {
                 grown.push(Grown {
                     id: source.index,
                     member,
@@ -494,7 +495,7 @@ impl<const W: usize> Recursion<W> {
             batches.extend(with_new.then(|| Batch::plain(&grown.new)));
         } else {
             let relation = plans.indexes[source.index.index()].relation;
-            if let Some(member) = self.members.iter().position(|&member| member == relation) {
+            if let Some(member) = plans.member[relation.index()] {
                 let Held { stable, new } = &held[member];
                 batches.extend(stable.iter().filter(|_| with_old).map(|rows| Batch::plain(rows)));
                 batches.extend(with_new.then(|| Batch::plain(new)));

@@ -135,6 +135,8 @@ pub(super) struct Plans {
     pub(super) indexes_of: Vec<Vec<IndexId>>,
     /// By position in [`Rules::strata`].
     pub(super) strata: Vec<StratumPlan>,
+    /// By [`RelId`]: the position of a derived relation among the members of its stratum.
+    pub(super) member: Vec<Option<usize>>,
     /// One of [`WIDTHS`].
     pub(super) width: usize,
 }
@@ -175,6 +177,10 @@ impl Plans {
             .iter()
             .map(|stratum| plan_stratum(rules, stratum))
             .collect();
+        let mut member = vec![None; rules.relations.len()];
+        for (position, relation) in strata.iter().flat_map(|stratum| stratum.members.iter().enumerate()) {
+            member[relation.index()] = Some(position);
+        }
         let mut computed_with: Vec<&[RelId]> = vec![&[]; rules.clauses.len()];
         for stratum in &strata {
             for &clause in &stratum.clauses {
@@ -188,6 +194,7 @@ impl Plans {
         Ok(Plans {
             clauses,
             strata,
+            member,
             indexes: indexer.specs,
             indexes_of: indexer.of,
             width,

@@ -17,7 +17,7 @@ use proptest::prelude::*;
 /// The symbols of the domain; their order of interning is not that of their texts.
 pub const TEXTS: [&str; 5] = ["m", "b", "", "é", "a"];
 /// The numbers of the domain.
-pub const NUMBERS: [i32; 5] = [0, 1, -1, i32::MIN, 7];
+pub const NUMBERS: [i32; 8] = [0, 1, -1, i32::MIN, 7, 2, 3, i32::MAX];
 
 /// Variables of a clause: the even ones hold symbols, the odd ones numbers.
 const VARIABLES: usize = 8;
@@ -79,6 +79,30 @@ pub fn genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value = Genome>
         strata,
         script,
     })
+}
+
+/// Programs that are mostly recursion over pairs: everything joins with everything, and the way to the fixpoint is long.
+pub fn recursive_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value = Genome> {
+    let pairs = |count| vec(Just(vec![true; 2]), count);
+    // Variables only.
+    let terms = || prop::array::uniform5(0..192u8);
+    let literal = || {
+        (prop_oneof![20 => 0..150u8, 1 => 150..=255u8], any::<u8>(), terms())
+            .prop_map(|(kind, relation, terms)| LiteralGene { kind, relation, terms })
+    };
+    let clause = || {
+        (any::<u8>(), terms(), vec(literal(), 1..4)).prop_map(|(relation, head, body)| ClauseGene {
+            relation,
+            head,
+            body,
+        })
+    };
+    let stratum = (pairs(1..=2), vec(clause(), 2..6));
+    let script = vec(
+        vec((prop::bool::weighted(0.8), any::<u8>(), any::<[u8; 5]>()), 3..12),
+        batches,
+    );
+    (pairs(1..=2), vec(stratum, 1..=2), script).prop_map(|(base, strata, script)| Genome { base, strata, script })
 }
 
 impl Genome {
