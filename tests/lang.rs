@@ -35,7 +35,9 @@ fn load_clean(name: &str, text: &str) -> Rules {
         "{}",
         render(&loaded.diagnostics, &sources, false)
     );
-    loaded.rules.expect("no diagnostic, so there are rules")
+    let rules = loaded.rules.expect("no diagnostic, so there are rules");
+    check_promises(&rules);
+    rules
 }
 
 fn load_rule_file(name: &str) -> Rules {
@@ -588,6 +590,7 @@ fn survives(text: &str) {
     );
     if text.len() < 10_000 {
         render(&loaded.diagnostics, &sources, false);
+        loaded.rules.iter().for_each(check_promises);
     }
 }
 
@@ -873,7 +876,7 @@ fn random_clause() -> impl Strategy<Value = String> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(512))]
+    #![proptest_config(ProptestConfig::with_cases(2048))]
     #[test]
     fn no_clause_is_called_redundant_that_is_not(
         clauses in proptest::collection::vec(random_clause(), 2..5),
@@ -910,4 +913,194 @@ proptest! {
             }
         }
     }
+}
+
+// --- what the engine may rely on
+
+/// The promises of [`Rules`].
+fn check_promises(rules: &Rules) {
+    let mut stratum_of = vec![None; rules.relations.len()];
+    for (number, stratum) in rules.strata.iter().enumerate() {
+        assert!(!stratum.relations.is_empty() && !stratum.clauses.is_empty());
+        for id in &stratum.relations {
+            assert_eq!(
+                stratum_of[id.index()].replace(number),
+                None,
+                "a predicate is in one stratum"
+            );
+        }
+    }
+    let hidden_from = rules
+        .relations
+        .iter()
+        .position(|relation| relation.hidden)
+        .unwrap_or(rules.relations.len());
+    for (index, relation) in rules.relations.iter().enumerate() {
+        assert_eq!(relation.hidden, index >= hidden_from, "hidden predicates come last");
+        assert_eq!(relation.hidden, relation.name.starts_with('+'));
+        assert!(!(relation.input && relation.derived));
+        let heads = || {
+            rules
+                .clauses
+                .iter()
+                .filter(|clause| clause.head.relation.index() == index)
+        };
+        assert_eq!(relation.derived, heads().any(|clause| !clause.body.is_empty()));
+        assert_eq!(
+            stratum_of[index].is_some(),
+            heads().next().is_some(),
+            "a stratum holds predicates with clauses"
+        );
+        for column in &relation.columns {
+            assert_eq!(column.base, rules.types[column.ty.0 as usize].base);
+        }
+    }
+    for (index, clause) in rules.clauses.iter().enumerate() {
+        let home = stratum_of[clause.head.relation.index()].expect("checked above");
+        let stratum = &rules.strata[home];
+        assert_eq!(stratum.clauses.iter().filter(|id| id.index() == index).count(), 1);
+        let mut bound = vec![false; clause.variables.len()];
+        let mut used = bound.clone();
+        let mut mark = |term: &Term| {
+            if let Term::Variable(id) = term {
+                used[id.index()] = true;
+            }
+        };
+        let fits = |atom: &Atom| assert_eq!(atom.terms.len(), rules.relations[atom.relation.index()].arity());
+        fits(&clause.head);
+        assert!(!clause.head.terms.contains(&Term::Wildcard));
+        clause.head.terms.iter().for_each(&mut mark);
+        for literal in &clause.body {
+            match literal {
+                Literal::Positive(atom) | Literal::Guard(atom) => {
+                    fits(atom);
+                    atom.terms.iter().for_each(&mut mark);
+                    assert!(stratum_of[atom.relation.index()].is_none_or(|other| other <= home));
+                    assert!(stratum_of[atom.relation.index()] != Some(home) || stratum.recursive);
+                    for term in &atom.terms {
+                        if let Term::Variable(id) = term {
+                            bound[id.index()] = true;
+                        }
+                    }
+                }
+                Literal::Negative(atom) => {
+                    fits(atom);
+                    atom.terms.iter().for_each(&mut mark);
+                    assert!(stratum_of[atom.relation.index()].is_none_or(|other| other < home));
+                }
+                Literal::Compare { left, right, .. } => {
+                    [left, right].into_iter().for_each(&mut mark);
+                    assert!(*left != Term::Wildcard && *right != Term::Wildcard);
+                }
+            }
+        }
+        for _ in 0..clause.body.len() {
+            for literal in &clause.body {
+                let Literal::Compare {
+                    op: Comparison::Equal,
+                    left,
+                    right,
+                    ..
+                } = literal
+                else {
+                    continue;
+                };
+                let known = |term: &Term, bound: &[bool]| match term {
+                    Term::Variable(id) => bound[id.index()],
+                    _ => true,
+                };
+                for (from, to) in [(left, right), (right, left)] {
+                    if let (true, Term::Variable(id)) = (known(from, &bound), to) {
+                        bound[id.index()] = true;
+                    }
+                }
+            }
+        }
+        assert!(bound.iter().all(|&bound| bound), "every variable is bound");
+        assert!(used.iter().all(|&used| used), "every variable occurs");
+    }
+}
+
+proptest! {
+    #[test]
+    fn rules_keep_their_promises(
+        clauses in proptest::collection::vec((random_clause(), 0_usize..4, 0_usize..4), 1..6),
+        scoped: bool,
+    ) {
+        let mut text = ".decl A(x: symbol)\n.decl B(x: symbol, y: symbol)\n.decl V(x: symbol, n: number)\n\
+                        .input A, B, V\n.decl P0, P1, P2, P3(x: symbol)\n".to_owned();
+        text.push_str(if scoped { ".scope B\n" } else { "" });
+        for (clause, head, other) in clauses {
+            let negated = if other < head { "!" } else { "" };
+            text.push_str(&clause.replacen("P(", &format!("P{head}("), 1).replace("A(x).", &format!("A(x), {negated}P{other}(x).\n")));
+        }
+        let (_, loaded) = load_text("random.dl", &text);
+        if let Some(rules) = loaded.rules {
+            check_promises(&rules);
+        }
+    }
+}
+
+#[test]
+fn strata_follow_dependence_and_then_declaration() {
+    let rules = load_clean(
+        "main.dl",
+        "
+        .decl E(x: symbol, y: symbol)
+        .decl Last, First(x: symbol)
+        .decl Even, Odd(x: symbol)
+        .decl Loose(x: symbol)
+        .input E
+        .output Last, Loose
+        Last(x) :- E(x, _), !Even(x), First(x).
+        Even(x) :- E(x, x).
+        Even(x) :- E(y, x), Odd(y).
+        Odd(x) :- E(y, x), Even(y).
+        First(x) :- E(_, x).
+        Loose(\"a\").
+        ",
+    );
+    let names: Vec<&[&str]> = vec![&["First"], &["Even", "Odd"], &["Last"], &["Loose"]];
+    assert_eq!(strata(&rules), names);
+    let recursive: Vec<bool> = rules.strata.iter().map(|stratum| stratum.recursive).collect();
+    assert_eq!(recursive, [false, true, false, false]);
+}
+
+#[test]
+fn includes_are_found_beside_the_including_file_and_read_once() {
+    let files = [
+        (
+            "rules/main.dl",
+            ".include \"sub/a.dl\"\n.include \"c.dl\"\nR(x) :- C(x).\n.output R",
+        ),
+        (
+            "rules/sub/a.dl",
+            ".include \"b.dl\"\n.include \"../c.dl\"\nR(x) :- B(x).",
+        ),
+        ("rules/sub/b.dl", ".decl B, R(x: symbol)\n.input B"),
+        ("rules/c.dl", ".decl C(x: symbol)\n.input C"),
+    ]
+    .map(|(name, text)| (name.to_owned(), text.to_owned()));
+    let asked = std::cell::RefCell::new(Vec::new());
+    let read_one = |path: &Path| {
+        asked.borrow_mut().push(path.display().to_string());
+        let path = path.to_string_lossy().replace("sub/../", "");
+        files
+            .iter()
+            .find(|(name, _)| *name == path)
+            .map(|(_, text)| text.clone())
+            .ok_or(ReadError::NotFound)
+    };
+    let mut sources = Sources::new();
+    let entry = sources.add(files[0].0.as_str(), files[0].1.as_str());
+    let loaded = load(&mut sources, entry, &read_one);
+    assert!(
+        loaded.diagnostics.is_empty(),
+        "{}",
+        render(&loaded.diagnostics, &sources, false)
+    );
+    assert_eq!(
+        asked.into_inner(),
+        ["rules/sub/a.dl", "rules/sub/b.dl", "rules/sub/../c.dl"]
+    );
 }
