@@ -112,6 +112,10 @@ impl<'a> Parser<'a> {
         Place(self.span(start).to(self.span(self.previous())))
     }
 
+    fn is_arithmetic(&self, token: Token) -> bool {
+        token.kind == Kind::Operator && self.slice(token) != "&"
+    }
+
     fn indent(&self, token: Token) -> usize {
         let before = &self.text[..token.start as usize];
         before.len() - before.rfind('\n').map_or(0, |newline| newline + 1)
@@ -164,9 +168,25 @@ impl<'a> Parser<'a> {
         } else {
             self.span(token)
         };
-        let fault = Diagnostic::new(Code::Syntax, message).at(span, format!("expected {what}"));
+        let mut fault = Diagnostic::new(Code::Syntax, message).at(span, format!("expected {what}"));
+        if let Some(help) = self.habit() {
+            fault = fault.help(help);
+        }
         self.faults.push(fault);
         Reported
+    }
+
+    /// What to write instead of a present token that other languages have at such a place.
+    fn habit(&self) -> Option<&'static str> {
+        let (token, next) = (self.token(), self.ahead(1));
+        match self.slice(token) {
+            "and" | "&" => Some("literals are separated by commas, which mean \"and\""),
+            "or" | "|" => Some("write a clause for each alternative"),
+            "if" => Some("head and body are separated by `:-`"),
+            "<" | ":" if next.kind == Kind::Minus => Some("head and body are separated by `:-`"),
+            "=" if self.at > 0 && self.previous().kind == Kind::Equal => Some("equality is written `=`"),
+            _ => None,
+        }
     }
 
     /// The present token cannot begin a clause or directive.
@@ -552,6 +572,10 @@ impl<'a> Parser<'a> {
         if matches!(self.slice(start), "Not" | "not") {
             return Err(self.expected_item(" (a head cannot be negated)"));
         }
+        if self.slice(start) == "?" && self.ahead(1).kind == Kind::Minus {
+            let help = "mark a predicate as a result with `.output`";
+            return Err(self.unsupported(self.span(start), "queries (`?-`) are", help));
+        }
         let head = self.atom("the arguments of the head: `(`")?;
         let mut body = Vec::new();
         match self.kind() {
@@ -696,7 +720,7 @@ impl<'a> Parser<'a> {
         if start.kind == Kind::Ident && next.kind == Kind::LParen && self.slice(start) != "as" {
             let atom = self.atom("`(`")?;
             let after = self.token();
-            if comparison(after.kind).is_some() || matches!(after.kind, Kind::Operator | Kind::Minus) {
+            if comparison(after.kind).is_some() || after.kind == Kind::Minus || self.is_arithmetic(after) {
                 return Err(self.unsupported(
                     atom.place.0,
                     "functors are",
@@ -739,9 +763,15 @@ impl<'a> Parser<'a> {
                 if matches!(name.as_str(), "true" | "false") {
                     return Err(self.unsupported(left.place.0, &format!("the literal `{name}` is"), ""));
                 }
+                let help = match op_token.kind {
+                    Kind::Ident | Kind::Underscore => {
+                        format!("arguments stand in parentheses: `{name}({})`", self.slice(op_token))
+                    }
+                    _ => format!("a predicate without arguments is written `{name}()`"),
+                };
                 let fault = Diagnostic::new(Code::Syntax, format!("`{}` is not a literal", self.slice(start)))
                     .at(left.place.0, "expected an atom or a comparison")
-                    .help(format!("a predicate without arguments is written `{name}()`"));
+                    .help(help);
                 self.faults.push(fault);
                 return Err(Reported);
             }
@@ -836,7 +866,7 @@ impl<'a> Parser<'a> {
                 self.slice(after),
                 "band" | "bor" | "bxor" | "bshl" | "bshr" | "bshru" | "land" | "lor" | "lxor"
             );
-        if matches!(after.kind, Kind::Operator | Kind::Minus) || word_operator {
+        if after.kind == Kind::Minus || self.is_arithmetic(after) || word_operator {
             return Err(self.unsupported(self.span(after), "arithmetic is", ""));
         }
         Ok(Term { kind, place })

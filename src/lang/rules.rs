@@ -2,7 +2,7 @@
 //!
 //! A [`Rules`] is made by [`super::load`] from parsed text once every check has passed, and never changes afterwards. In it every name is
 //! resolved, `.scope` guards are written out as ordinary atoms, every clause is safe (each variable is bound by a positive
-//! atom) and the predicates are stratified.
+//! atom; in the clause of a hidden predicate by a positive atom or a guard) and the predicates are stratified.
 
 use crate::diag::Span;
 use crate::symbol::Symbols;
