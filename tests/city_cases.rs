@@ -198,7 +198,7 @@ fn the_road_graph_is_that_of_the_paper() {
         .map(|(from, to)| (lanes[from].end, lanes[to].start))
         .collect();
     assert_eq!(connectors.len(), 416);
-    let near = |from: &Lane, to: &Lane| (from.end.distance_squared(to.start) as f64).sqrt() <= 25.6;
+    let near = |from: &Lane, to: &Lane| from.end.distance(to.start) <= 25.6;
     let within_reach: BTreeSet<(Cell, Cell)> = (lanes.iter())
         .flat_map(|from| {
             lanes
