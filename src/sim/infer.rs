@@ -361,7 +361,8 @@ impl GroundState {
         }
     }
 
-    /// Makes `facts` the true ones: inserts and retracts the difference from those before, and commits.
+    /// Makes `facts` the true ones: inserts and retracts the difference from those before, and commits. If that fails, all is
+    /// as before.
     pub fn set(&mut self, facts: &Facts) -> Result<(), EvalError> {
         for (index, relation) in self.relations.iter().enumerate() {
             let Some((relation, arity)) = *relation else { continue };
@@ -380,7 +381,10 @@ impl GroundState {
                     .expect("bound relations fit");
             }
         }
-        self.session.commit()?;
+        if let Err(error) = self.session.commit() {
+            self.session.rollback();
+            return Err(error);
+        }
         self.facts.clone_from(facts);
         Ok(())
     }
@@ -401,5 +405,41 @@ impl GroundState {
     /// The position of the entity that a value stands for.
     pub fn entity(&self, value: Value) -> Option<usize> {
         self.positions.get(&value).copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::load_scenario;
+
+    #[test]
+    fn facts_that_derive_too_much_leave_no_trace() {
+        let missing = |_: &Path| Err(ReadError::NotFound);
+        let mut sources = Sources::new();
+        let scenario = load_scenario(&mut sources, Path::new("expert"), &missing).expect("built in");
+        let rules = sources.add("test.dl", ".include \"vocabulary.dl\"\nStop(X) :- IsBus(X).");
+        let loaded = crate::lang::load(&mut sources, rules, &crate::files::read_or_builtin);
+        let program = Program::new(loaded.rules.expect("no errors")).expect("within limits");
+        let vocabulary = Vocabulary::bind(&scenario, &program).expect("they fit");
+        let bus = vocabulary
+            .predicates
+            .iter()
+            .position(|predicate| predicate.name == "IsBus")
+            .expect("it is in use");
+        let nothing = Facts {
+            rows: vec![Vec::new(); vocabulary.predicates.len()],
+        };
+        let mut one_bus = nothing.clone();
+        one_bus.rows[bus].push([0, 0]);
+
+        let mut state = GroundState::new(&program, &vocabulary, ["Car_1"].into_iter());
+        state.session.set_limit(0);
+        assert!(state.set(&one_bus).is_err());
+        state.set(&nothing).expect("it derives nothing");
+        state.session.set_limit(10);
+        assert_eq!(state.derived(&vocabulary, 0), []);
+        state.set(&one_bus).expect("within the limit");
+        assert_eq!(state.derived(&vocabulary, 0), [Speed::Stop]);
     }
 }
