@@ -88,6 +88,9 @@ impl std::fmt::Display for ReadError {
 impl std::error::Error for ReadError {}
 
 /// Reads a text file.
+///
+/// # Errors
+/// Why the file cannot be read.
 pub fn read_text(path: &Path) -> Result<String, ReadError> {
     let fail = |error: io::Error| match error.kind() {
         io::ErrorKind::NotFound => ReadError::NotFound,
@@ -136,26 +139,36 @@ pub struct Output {
 
 impl Output {
     /// Begins to write the file at `path`, whose folder must exist.
+    ///
+    /// # Errors
+    /// Those of the system, and `InvalidInput` if `path` is a folder, a device or the like: it would be replaced.
     pub fn create(path: &Path) -> io::Result<Output> {
+        if std::fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a regular file"));
+        }
         let folder = match path.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder,
             _ => Path::new("."),
         };
+        let mut builder = tempfile::Builder::new();
+        #[cfg(unix)]
+        {
+            // Temporary files are private; an output is as readable as any file its user makes.
+            use std::os::unix::fs::PermissionsExt;
+            builder.permissions(std::fs::Permissions::from_mode(0o666));
+        }
         Ok(Output {
-            file: io::BufWriter::new(tempfile::NamedTempFile::new_in(folder)?),
+            file: io::BufWriter::new(builder.tempfile_in(folder)?),
             path: path.to_owned(),
         })
     }
 
     /// Gives the complete file its name.
+    ///
+    /// # Errors
+    /// Those of the system; then the file of that name, if there is one, is as before.
     pub fn finish(self) -> io::Result<()> {
         let file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
-        #[cfg(unix)]
-        {
-            // Temporary files are private; an output is as readable as any file its user makes.
-            use std::os::unix::fs::PermissionsExt;
-            file.as_file().set_permissions(std::fs::Permissions::from_mode(0o644))?;
-        }
         file.persist(&self.path).map_err(|error| error.error)?;
         Ok(())
     }
@@ -168,5 +181,27 @@ impl Write for Output {
 
     fn flush(&mut self) -> io::Result<()> {
         self.file.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_regular_files_are_replaced() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("out");
+        for text in ["first", "second"] {
+            let mut output = Output::create(&path).expect("the folder exists");
+            output.write_all(text.as_bytes()).expect("there is room");
+            output.finish().expect("it can be renamed");
+            assert_eq!(read_text(&path).as_deref(), Ok(text));
+        }
+        drop(Output::create(&path).expect("the folder exists"));
+        assert_eq!(read_text(&path).as_deref(), Ok("second"));
+        let refused = Output::create(folder.path()).err().map(|error| error.kind());
+        assert_eq!(refused, Some(io::ErrorKind::InvalidInput));
+        assert_eq!(std::fs::read_dir(folder.path()).expect("it is there").count(), 1);
     }
 }
