@@ -477,6 +477,17 @@ fn survive(text: &str) -> String {
 }
 
 #[test]
+fn what_an_alias_stands_for_counts_in_the_nesting() {
+    let (open, close) = ("[".repeat(40), "]".repeat(40));
+    let twice = format!("base: configs/expert.yaml\na: &a {open}x{close}\nb: {open}*a{close}\n");
+    let told = bad(&[("main.yaml", &twice)]);
+    assert!(
+        told.contains("nested more than 64 deep") && told.contains("main.yaml:3:"),
+        "{told}"
+    );
+}
+
+#[test]
 fn hostile_files_fail_fast() {
     let mut laughs = String::from("a0: &a0 [x, x, x, x, x, x, x, x, x]\n");
     for level in 1..30 {
