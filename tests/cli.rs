@@ -253,6 +253,7 @@ fn wrong_usage_exits_with_2() {
         2,
         &["out"],
     );
+    fails(&logicity(["run", "configs/easy.yaml", "--ticks", "0"]), 2, &["--ticks"]);
     fails(&logicity(["infer", "no/such.jsonl"]), 2, &["no/such.jsonl"]);
     fails(&logicity(["query", "no/such.dl"]), 2, &["no/such.dl"]);
     fails(
@@ -370,6 +371,44 @@ fn a_faulty_scene_keeps_answers_in_step() {
     }
     let deep = "[".repeat(100_000);
     fails(&with_input(["infer"], deep.as_bytes()), 1, &["invalid-scene"]);
+}
+
+#[test]
+fn scenes_beyond_the_limits_are_told_and_the_next_one_is_answered() {
+    let scene = r#"{"entities":["e0"],"ego":"e0"}"#;
+    let names: Vec<String> = (0..2001).map(|number| format!("\"e{number}\"")).collect();
+    let crowd = format!(r#"{{"entities":[{}],"ego":"e0"}}"#, names.join(","));
+    let long = format!("{scene}{}", " ".repeat(70 << 20));
+    let keys: String = (0..100_000).map(|number| format!("\"k{number}\":0,")).collect();
+    let keys = format!("{{{keys}\"k\":0}}");
+    for (line, code) in [
+        (crowd, "limit-exceeded"),
+        (long, "limit-exceeded"),
+        (keys, "invalid-scene"),
+    ] {
+        let output = with_input(["infer"], format!("{line}\n{scene}\n").as_bytes());
+        fails(&output, 1, &[code]);
+        let answers: Vec<Value> = out(&output)
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
+        assert_eq!(
+            (answers.len(), &answers[0]["error"][0]["code"]),
+            (2, &Value::from(code))
+        );
+        assert_eq!(answers[1]["egos"]["e0"]["action"], "Normal");
+    }
+}
+
+/// What `check` accepts can be evaluated.
+#[test]
+fn check_tells_what_is_too_large_to_evaluate() {
+    let folder = tempfile::tempdir().unwrap();
+    let columns: Vec<String> = (0..40).map(|number| format!("c{number}: number")).collect();
+    let text = format!(".decl wide({})\n.output wide\n", columns.join(", "));
+    let file = write(folder.path(), "wide.dl", text);
+    fails(&logicity(["check", &file]), 1, &["limit-exceeded", "wide.dl:1"]);
+    fails(&logicity(["query", &file]), 1, &["limit-exceeded", "wide.dl:1"]);
 }
 
 #[test]

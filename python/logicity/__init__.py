@@ -128,7 +128,8 @@ class Inference:
     """Answers what the rules decide in scenes.
 
     `config` is a run configuration: a path, or a built-in one such as `configs/expert.yaml`. `rules` is a rule file
-    instead of the configuration's. `seed` is for predicates that hold with a probability and are not given.
+    instead of the configuration's. `seed`, from 0 to 2**64 - 1, is for predicates that hold with a probability and are
+    not given.
 
     Raises `InputError` for a faulty configuration or rule file and `OSError` for one that cannot be read.
     """
@@ -146,7 +147,7 @@ class Inference:
             raise _input_error(error) from None
 
     def answer(self, scene: Scene | SymbolicScene) -> Answer:
-        """Decide a scene. Raises `InputError` if the scene is faulty."""
+        """Decide a scene. Raises `InputError` if it is faulty or too large, or the rules derive too much from it."""
         try:
             return cast(Answer, json.loads(self._inference.answer(json.dumps(scene))))
         except _logicity.InputError as error:

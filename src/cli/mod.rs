@@ -13,7 +13,6 @@ use crate::config::{MapConfig, Scenario, load_map, load_scenario};
 use crate::diag::{Code, Diagnostic, Sources, render};
 use crate::engine::Program;
 use crate::files::{self, ReadError};
-use crate::lang;
 use clap::{CommandFactory, Parser, Subcommand};
 use std::io::{self, IsTerminal, Write};
 use std::path::Path;
@@ -156,14 +155,14 @@ fn read(path: &Path) -> Result<String, Failure> {
     })
 }
 
-/// Reads and checks a rule file. Warnings are returned beside the rules.
-fn load_rules(sources: &mut Sources, path: &Path) -> Result<(lang::Rules, Vec<Diagnostic>), Failure> {
+/// Reads, checks and plans a rule file. Warnings are returned beside the program.
+fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diagnostic>), Failure> {
     let text = read(path)?;
     let entry = sources.add(path.display().to_string(), text);
-    let loaded = lang::load(sources, entry, &files::read_or_builtin);
-    match loaded.rules {
-        Some(rules) => Ok((rules, loaded.diagnostics)),
-        None => Err(loaded.diagnostics.into()),
+    let (program, diagnostics) = Program::load(sources, entry, &files::read_or_builtin);
+    match program {
+        Some(program) => Ok((program, diagnostics)),
+        None => Err(diagnostics.into()),
     }
 }
 
@@ -186,15 +185,4 @@ fn missing_is_usage(faults: Vec<Diagnostic>) -> Failure {
         }
         _ => faults.into(),
     }
-}
-
-/// The rules that a configuration names, or those given instead.
-fn load_program(
-    sources: &mut Sources,
-    scenario: &Scenario,
-    instead: Option<&Path>,
-) -> Result<(Program, Vec<Diagnostic>), Failure> {
-    let path = instead.unwrap_or(&scenario.rules.value);
-    let (rules, warnings) = load_rules(sources, path)?;
-    Ok((Program::new(rules)?, warnings))
 }

@@ -1,6 +1,6 @@
 //! `logicity query`
 
-use super::{Failure, load_rules, report};
+use super::{Failure, load_program, report};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::{Program, Session, facts};
 use crate::files::{self, Output, ReadError};
@@ -21,14 +21,11 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let (rules, warnings) = load_rules(sources, &arguments.rules)?;
+    let (program, warnings) = load_program(sources, &arguments.rules)?;
     report(&warnings, sources);
-    let program = Program::new(rules)?;
     let mut session = program.session();
     load_inputs(&arguments.facts, &mut session, sources)?;
-    session
-        .commit()
-        .map_err(|error| Diagnostic::new(Code::LimitExceeded, error.to_string()))?;
+    session.commit().map_err(Diagnostic::from)?;
 
     let mut out = anstream::stdout();
     for (id, relation) in relations(&program) {

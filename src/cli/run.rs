@@ -25,8 +25,8 @@ const FRAME_DELAY: Duration = Duration::from_millis(100);
 pub struct Arguments {
     /// Run configuration
     config: PathBuf,
-    /// How long, in ticks; the configuration's `ticks` unless given
-    #[arg(long)]
+    /// How long, in ticks, at least 1; the configuration's `ticks` unless given
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     ticks: Option<u64>,
     /// Seed of everything random in the run
     #[arg(long, default_value_t = 0)]
@@ -72,7 +72,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     };
     let scenario = load_config(sources, &arguments.config)?;
     let first_rule_file = sources.ids().count();
-    let (program, warnings) = load_program(sources, &scenario, arguments.rules.as_deref())?;
+    let (program, warnings) = load_program(sources, arguments.rules.as_ref().unwrap_or(&scenario.rules.value))?;
     report(&warnings, sources);
     let rule_files: Vec<_> = sources.ids().skip(first_rule_file).collect();
     let rules_hash = hash_sources(sources, &rule_files);
@@ -109,9 +109,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     };
     for _ in 0..ticks {
         let begin = Instant::now();
-        let tick = simulation
-            .tick(&[])
-            .map_err(|error| Diagnostic::new(Code::LimitExceeded, error.to_string()))?;
+        let tick = simulation.tick(&[]).map_err(Diagnostic::from)?;
         tally.deciding += begin.elapsed();
         tally.add(&simulation, &tick);
         trace.tick(&simulation, &tick).map_err(writing("trace.jsonl"))?;
@@ -167,9 +165,9 @@ impl Tally {
             };
             self.actions[kind][agent.action as usize] += 1;
             self.overlaps += u64::from(agent.derived.len() > 1);
-            self.goals += u64::from(agent.moved.replanned);
             if agent.moved.from != agent.moved.to {
                 self.last_move[index] = self.ticks;
+                self.goals += u64::from(simulation.agents()[index].at_goal());
             }
         }
         for (sum, fired) in self.firings.iter_mut().zip(&tick.firings) {

@@ -5,7 +5,7 @@ use super::scene::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, 
 use super::vocabulary::Vocabulary;
 use crate::city::CityMap;
 use crate::config::{Definition, Scenario, Speed, load_map};
-use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::engine::{EvalError, Program, Session};
 use crate::files::ReadError;
 use crate::lang::{RelId, Value};
@@ -26,27 +26,6 @@ pub struct Inference {
     read: Box<ReadFile>,
     maps: HashMap<String, Arc<CityMap>>,
     seed: Seed,
-}
-
-/// Why a scene has no answer.
-#[derive(Clone, Debug)]
-pub enum InferError {
-    /// The scene is at fault.
-    Scene(Vec<Diagnostic>),
-    /// The rules derived too much.
-    Eval(EvalError),
-}
-
-impl From<Diagnostic> for InferError {
-    fn from(fault: Diagnostic) -> Self {
-        InferError::Scene(vec![fault])
-    }
-}
-
-impl From<EvalError> for InferError {
-    fn from(error: EvalError) -> Self {
-        InferError::Eval(error)
-    }
 }
 
 /// What the rules decide for the egos of a scene.
@@ -129,8 +108,8 @@ impl Inference {
     /// Answers the scene in `source`. `number` tells apart the random draws of different scenes.
     ///
     /// # Errors
-    /// A faulty scene, or rules that derive more than the limit.
-    pub fn answer(&mut self, sources: &Sources, source: SourceId, number: u64) -> Result<Answer, InferError> {
+    /// `invalid-scene`; `limit-exceeded` for too large a scene, or rules that derive too much from it.
+    pub fn answer(&mut self, sources: &Sources, source: SourceId, number: u64) -> Result<Answer, Diagnostic> {
         let terms = Terms {
             predicates: (self.vocabulary.predicates.iter())
                 .map(|predicate| (predicate.name.as_str(), predicate.arity))
@@ -142,13 +121,18 @@ impl Inference {
                 })
                 .collect(),
         };
-        match parse_scene(sources, source, &terms)? {
+        let answer = match parse_scene(sources, source, &terms)? {
             Scene::Geometric(scene) => self.geometric(&scene, number),
             Scene::Symbolic(scene) => self.symbolic(&scene),
-        }
+        };
+        // What the rules derive stands in no text; it follows from the scene as a whole.
+        answer.map_err(|fault| match fault.primary {
+            Some(_) => fault,
+            None => fault.at(Span::new(source, 0..sources.text(source).len()), "in this scene"),
+        })
     }
 
-    fn geometric(&mut self, scene: &GeometricScene, number: u64) -> Result<Answer, InferError> {
+    fn geometric(&mut self, scene: &GeometricScene, number: u64) -> Result<Answer, Diagnostic> {
         let map = self.map(scene)?;
         scene.check_cells(&map)?;
         let entities: Vec<Entity<'_>> = scene
@@ -209,7 +193,7 @@ impl Inference {
         }
     }
 
-    fn symbolic(&self, scene: &SymbolicScene) -> Result<Answer, InferError> {
+    fn symbolic(&self, scene: &SymbolicScene) -> Result<Answer, Diagnostic> {
         let names: Vec<&str> = scene.entities.iter().map(String::as_str).collect();
         let mut facts = Facts {
             rows: (0..self.vocabulary.predicates.len())
@@ -227,7 +211,7 @@ impl Inference {
         self.decide(&names, &[scene.ego], &facts)
     }
 
-    fn decide(&self, names: &[&str], egos: &[usize], facts: &Facts) -> Result<Answer, InferError> {
+    fn decide(&self, names: &[&str], egos: &[usize], facts: &Facts) -> Result<Answer, Diagnostic> {
         let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
         state.set(facts)?;
         let egos = egos

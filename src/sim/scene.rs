@@ -3,10 +3,15 @@
 use crate::city::{Cell, CityMap, Heading};
 use crate::config::AgentKind;
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
+use indexmap::IndexMap;
+use indexmap::map::Entry;
 use serde::Deserialize;
 use serde::de::{self, Deserializer, MapAccess, Visitor};
 use serde_json::value::RawValue;
 use std::collections::HashMap;
+
+/// The most agents or entities of a scene: facts about pairs of them take memory in the square of their number.
+pub const MAX_ENTITIES: usize = 2000;
 
 /// A scene.
 #[derive(Clone, Debug)]
@@ -113,7 +118,7 @@ struct RawSymbolic<'a> {
 
 /// A JSON object in the order of the text, whose values are read later.
 #[derive(Default)]
-struct Entries<'a>(Vec<(String, &'a RawValue)>);
+struct Entries<'a>(IndexMap<String, &'a RawValue>);
 
 impl<'de: 'a, 'a> Deserialize<'de> for Entries<'a> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -126,12 +131,14 @@ impl<'de: 'a, 'a> Deserialize<'de> for Entries<'a> {
             }
 
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
-                let mut entries: Vec<(String, &RawValue)> = Vec::new();
+                let mut entries: IndexMap<String, &RawValue> = IndexMap::new();
                 while let Some((key, value)) = map.next_entry::<String, &RawValue>()? {
-                    if entries.iter().any(|(other, _)| *other == key) {
-                        return Err(de::Error::custom(format!("`{key}` is given twice")));
+                    match entries.entry(key) {
+                        Entry::Vacant(entry) => drop(entry.insert(value)),
+                        Entry::Occupied(entry) => {
+                            return Err(de::Error::custom(format!("`{}` is given twice", entry.key())));
+                        }
                     }
-                    entries.push((key, value));
                 }
                 Ok(Entries(entries))
             }
@@ -151,7 +158,7 @@ pub struct Terms<'a> {
 /// Reads a scene.
 ///
 /// # Errors
-/// `invalid-scene`, at the place of the fault.
+/// `invalid-scene` at the place of the fault, `limit-exceeded` for more than [`MAX_ENTITIES`].
 pub fn parse_scene(sources: &Sources, source: SourceId, terms: &Terms<'_>) -> Result<Scene, Diagnostic> {
     let reader = Reader {
         source,
@@ -171,7 +178,7 @@ impl<'a> Reader<'a> {
     fn scene(&self) -> Result<Scene, Diagnostic> {
         let whole: &RawValue = self.read(self.text, 0)?;
         let Entries(keys) = self.read(whole.get(), self.offset(whole))?;
-        if keys.iter().any(|(key, _)| key == "entities") {
+        if keys.contains_key("entities") {
             self.symbolic(whole).map(Scene::Symbolic)
         } else {
             self.geometric(whole).map(Scene::Geometric)
@@ -180,6 +187,7 @@ impl<'a> Reader<'a> {
 
     fn geometric(&self, whole: &'a RawValue) -> Result<GeometricScene, Diagnostic> {
         let raw: RawGeometric<'a> = self.read(whole.get(), self.offset(whole))?;
+        self.bounded(&raw.agents, "agents")?;
         let agents = raw
             .agents
             .iter()
@@ -204,17 +212,12 @@ impl<'a> Reader<'a> {
 
     fn agent(&self, raw: &'a RawValue) -> Result<SceneAgent, Diagnostic> {
         let agent: RawAgent<'a> = self.value(raw)?;
-        let kind = match self.value::<String>(agent.kind)?.as_str() {
-            "Car" => AgentKind::Car,
-            "Pedestrian" => AgentKind::Pedestrian,
-            other => {
-                return Err(self.fault(
-                    agent.kind,
-                    format!("`{other}` is not a type of agent"),
-                    "expected \"Car\" or \"Pedestrian\"",
-                ));
-            }
-        };
+        let name: String = self.value(agent.kind)?;
+        let kind = AgentKind::ALL.into_iter().find(|kind| kind.name() == name);
+        let kind = kind.ok_or_else(|| {
+            let message = format!("`{name}` is not a type of agent");
+            self.fault(agent.kind, message, "expected \"Car\" or \"Pedestrian\"")
+        })?;
         let heading = match agent.heading {
             None => None,
             Some(raw) => {
@@ -266,6 +269,7 @@ impl<'a> Reader<'a> {
 
     fn symbolic(&self, whole: &'a RawValue) -> Result<SymbolicScene, Diagnostic> {
         let raw: RawSymbolic<'a> = self.read(whole.get(), self.offset(whole))?;
+        self.bounded(&raw.entities, "entities")?;
         let entities = raw
             .entities
             .iter()
@@ -278,6 +282,17 @@ impl<'a> Reader<'a> {
             facts: self.rows(raw.facts, &names, "entity")?,
             entities,
         })
+    }
+
+    fn bounded(&self, list: &[&'a RawValue], what: &str) -> Result<(), Diagnostic> {
+        match list.get(MAX_ENTITIES) {
+            None => Ok(()),
+            Some(first) => {
+                let message = format!("a scene with {} {what}, the limit is {MAX_ENTITIES}", list.len());
+                let fault = Diagnostic::new(Code::LimitExceeded, message);
+                Err(fault.at(self.span(first), "the first that is too many"))
+            }
+        }
     }
 
     /// Positions by name.

@@ -5,7 +5,7 @@ use super::infer::{Draws, GroundState, before_default};
 use super::world::World;
 use crate::city::{Agent, Cell, Heading, Moved, Places, Surroundings, advance, place_agents};
 use crate::config::{Speed, Split};
-use crate::diag::{Code, Diagnostic, did_you_mean};
+use crate::diag::{Code, Diagnostic};
 use crate::engine::EvalError;
 use crate::lang::ClauseId;
 use crate::rng::Seed;
@@ -62,18 +62,11 @@ impl Simulation {
     /// `unknown-split`, `no-start-cell`, `no-route`.
     pub fn new(world: Arc<World>, split: Split, seed: Seed) -> Result<Simulation, Diagnostic> {
         let scenario = &world.scenario;
-        let Some((_, set)) = scenario.splits.iter().find(|(name, _)| *name == split) else {
-            let known: Vec<&str> = scenario.splits.iter().map(|(name, _)| name.name()).collect();
-            let fault = Diagnostic::new(
-                Code::UnknownSplit,
-                format!("the configuration `{}` has no split `{}`", scenario.name, split.name()),
-            );
-            let near = did_you_mean(split.name(), known.iter().copied());
-            return Err(fault.help(match near {
-                Some(name) => format!("did you mean `{name}`?"),
-                None => format!("it has: {}", known.join(", ")),
-            }));
-        };
+        let set = scenario.agent_set(split).ok_or_else(|| {
+            let message = format!("the configuration `{}` has no split `{}`", scenario.name, split.name());
+            let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
+            Diagnostic::new(Code::UnknownSplit, message).help(format!("it has: {}", known.join(", ")))
+        })?;
         let places = Places::new(&world.router, set.region.map(|region| region.value));
         let agents = place_agents(set, &world.router, &places, seed)?;
         let state = GroundState::new(
