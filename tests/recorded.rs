@@ -1,28 +1,13 @@
 //! Decisions are those of the published program: every ego of every tick of the recorded traces goes through `logicity infer`.
-//!
-//! The recorded cases are not part of the repository. They are looked for in the folder that the environment variable
-//! `LOGICITY_CASES` names, else in `../shared/cases`; without them the test says so and checks nothing.
+
+mod recorded_cases;
 
 use flate2::read::GzDecoder;
 use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
-use std::path::PathBuf;
 use std::process::{Command, Stdio};
-
-fn cases() -> Option<PathBuf> {
-    let folder = match std::env::var_os("LOGICITY_CASES") {
-        Some(folder) => PathBuf::from(folder),
-        None => PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/cases")),
-    };
-    if folder.is_dir() {
-        Some(folder)
-    } else {
-        eprintln!("SKIPPED: there are no recorded cases in {}", folder.display());
-        None
-    }
-}
 
 /// What was recorded of one ego in one tick.
 struct Recorded {
@@ -44,7 +29,7 @@ fn hard() {
 }
 
 fn check(mode: &str) {
-    let Some(folder) = cases() else { return };
+    let Some(folder) = recorded_cases::folder() else { return };
     let trace = GzDecoder::new(File::open(folder.join(format!("trace_{mode}.jsonl.gz"))).unwrap());
     let mut scenes = Vec::new();
     let mut expected = Vec::new();
