@@ -4,7 +4,7 @@
 //! and renamed when complete, so a reader never sees half a file and a failed write leaves the old one.
 
 use std::io::{self, Read, Write};
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 
 /// Declares the built-in files by their path in the repository. A list and not a search at compile time, so that the program
 /// is built from what the text of the source says; a test compares the list with the folders.
@@ -113,6 +113,22 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
     })
 }
 
+/// A path without `.` and, where the text allows it, without `..`: by it two names of one file are known to be the same. The disk
+/// is not asked.
+pub fn normalise(path: &Path) -> PathBuf {
+    let mut out = PathBuf::new();
+    for component in path.components() {
+        match component {
+            Component::CurDir => {}
+            Component::ParentDir if matches!(out.components().next_back(), Some(Component::Normal(_))) => {
+                out.pop();
+            }
+            component => out.push(component),
+        }
+    }
+    out
+}
+
 /// Reads a text file, or, if there is none, the built-in file of that path. Under [`BUILTIN_FOLDER`] nothing is on disk, and the
 /// folder `rules/` may be left out: a rule file anywhere can include `vocabulary.dl`.
 ///
@@ -134,7 +150,7 @@ pub fn read_or_builtin(path: &Path) -> Result<String, ReadError> {
 /// A file being written under a temporary name; [`Output::finish`] gives it its own. Dropped unfinished, it leaves nothing.
 pub struct Output {
     file: io::BufWriter<tempfile::NamedTempFile>,
-    path: std::path::PathBuf,
+    path: PathBuf,
 }
 
 impl Output {
