@@ -223,7 +223,7 @@ impl Inference {
                     id: names[ego].to_owned(),
                     sees: sees.iter().map(|&index| names[index].to_owned()).collect(),
                     atoms: atoms_over(&self.vocabulary, facts, &sees, names),
-                    action: self.vocabulary.decide(|speed| derived.contains(&speed)),
+                    action: self.vocabulary.decide(&derived),
                     derived: before_default(&self.vocabulary, derived),
                 }
             })

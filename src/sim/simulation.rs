@@ -167,10 +167,7 @@ impl Simulation {
         for (index, agent) in self.agents.iter_mut().enumerate() {
             let derived = self.state.derived(vocabulary, index);
             let control = controls.iter().rev().find(|(controlled, _)| *controlled == index);
-            let action = control.map_or_else(
-                || vocabulary.decide(|speed| derived.contains(&speed)),
-                |(_, action)| *action,
-            );
+            let action = control.map_or_else(|| vocabulary.decide(&derived), |(_, action)| *action);
             agents.push(AgentTick {
                 at: agent.cell,
                 heading: agent.heading,
