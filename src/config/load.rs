@@ -48,7 +48,7 @@ pub fn load_scenario(sources: &mut Sources, path: &Path, read: Read<'_>) -> Resu
     let mut composer = Composer::new(sources, read);
     let scenario = composer
         .root(path, "configs", &["map", "agents", "predicates"])
-        .and_then(|tree| scenario(&mut composer, &tree, file_stem(path)));
+        .and_then(|tree| scenario(&mut composer, &tree));
     finish(scenario, composer.faults)
 }
 
@@ -59,7 +59,7 @@ pub fn load_map(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Ma
     let mut composer = Composer::new(sources, read);
     let map = composer
         .root(path, "configs/maps", &[])
-        .and_then(|tree| map(&tree, file_stem(path), &mut composer.faults));
+        .and_then(|tree| map(&tree, composer.name_of(&tree), &mut composer.faults));
     finish(map, composer.faults)
 }
 
@@ -78,13 +78,7 @@ fn finish<T>(value: Option<T>, mut faults: Vec<Diagnostic>) -> Result<T, Vec<Dia
     }
 }
 
-fn file_stem(path: &Path) -> String {
-    path.file_stem()
-        .map(|stem| stem.to_string_lossy().into_owned())
-        .unwrap_or_default()
-}
-
-fn scenario(composer: &mut Composer<'_>, tree: &Node, name: String) -> Option<Scenario> {
+fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
     let mut fields = Fields::open(tree, "a run configuration", &mut composer.faults)?;
     fields.optional("base");
     let rules = fields
@@ -119,7 +113,7 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node, name: String) -> Option<Sc
     let usual = "`base: configs/common.yaml` gives what is usual for every key but `rules` and `agents`";
     fields.close_with(Some(usual), faults);
     let mut scenario = Scenario {
-        name,
+        name: composer.name_of(tree),
         map: map?,
         rules: rules?,
         splits: splits?,
