@@ -13,6 +13,7 @@ use crate::config::{MapConfig, Scenario, load_map, load_scenario};
 use crate::diag::{Code, Diagnostic, Sources, render};
 use crate::engine::Program;
 use crate::files::{self, ReadError};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, Parser, Subcommand};
 use std::io::{self, IsTerminal, Write};
 use std::path::Path;
@@ -143,6 +144,17 @@ fn count(errors: usize, warnings: usize) -> String {
         (0, warnings) => plural(warnings, "warning"),
         (errors, warnings) => format!("{}, {}", plural(errors, "error"), plural(warnings, "warning")),
     }
+}
+
+/// Parses one of a few values by its name.
+fn one_of<T: Copy + Send + Sync + 'static>(
+    all: &'static [T],
+    name: fn(T) -> &'static str,
+) -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(all.iter().map(|&value| name(value))).map(move |text| {
+        let found = all.iter().find(|value| name(**value) == text);
+        *found.expect("no other text is possible")
+    })
 }
 
 /// Reads a file that the user named on the command line.

@@ -1,6 +1,6 @@
 //! `logicity run`
 
-use super::{Failure, load_config, load_program, report};
+use super::{Failure, load_config, load_program, one_of, report};
 use crate::config::{AgentKind, Speed, Split};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::Output;
@@ -32,8 +32,8 @@ pub struct Arguments {
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Which agent set of the configuration
-    #[arg(long, value_enum, default_value = "test")]
-    split: Choice,
+    #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test")]
+    split: Split,
     /// Folder for trace.jsonl, city.gif and last.png; made if it does not exist
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
@@ -43,13 +43,6 @@ pub struct Arguments {
     /// Write the trace only
     #[arg(long)]
     no_pictures: bool,
-}
-
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Choice {
-    Train,
-    Val,
-    Test,
 }
 
 /// What the summary counts.
@@ -65,11 +58,6 @@ struct Tally {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let split = match arguments.split {
-        Choice::Train => Split::Train,
-        Choice::Val => Split::Val,
-        Choice::Test => Split::Test,
-    };
     let scenario = load_config(sources, &arguments.config)?;
     let first_rule_file = sources.ids().count();
     let (program, warnings) = load_program(sources, arguments.rules.as_ref().unwrap_or(&scenario.rules.value))?;
@@ -77,7 +65,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let rule_files: Vec<_> = sources.ids().skip(first_rule_file).collect();
     let rules_hash = hash_sources(sources, &rule_files);
     let ticks = arguments.ticks.unwrap_or(u64::from(scenario.ticks));
-    let mut simulation = Simulation::new(Arc::new(World::new(scenario, program)?), split, Seed(arguments.seed))?;
+    let mut simulation = Simulation::new(
+        Arc::new(World::new(scenario, program)?),
+        arguments.split,
+        Seed(arguments.seed),
+    )?;
 
     let folder = &arguments.out;
     std::fs::create_dir_all(folder).map_err(|error| Failure::file("make the folder", folder, error))?;
