@@ -9,6 +9,7 @@ use crate::diag::{Code, Diagnostic};
 use crate::engine::EvalError;
 use crate::lang::ClauseId;
 use crate::rng::Seed;
+use ndarray::Array3;
 use std::sync::Arc;
 
 /// A city in motion. The same world, split and seed give the same ticks.
@@ -114,6 +115,14 @@ impl Simulation {
     /// The agents in list order, as they are now.
     pub fn agents(&self) -> &[Agent] {
         &self.agents
+    }
+
+    /// The layered semantic map of the present state; [`CityMap::semantic`] documents shape and layers.
+    ///
+    /// [`CityMap::semantic`]: crate::city::CityMap::semantic
+    pub fn semantic_map(&self) -> Array3<f32> {
+        let cells: Vec<Cell> = self.agents.iter().map(|agent| agent.cell).collect();
+        self.world.map().semantic(&cells)
     }
 
     /// How many ticks have passed.
