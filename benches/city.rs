@@ -50,7 +50,7 @@ fn infer(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("infer");
     group.throughput(Throughput::Elements(1));
     group.bench_function("geometric", |bencher| {
-        bencher.iter(|| inference.answer(&sources, scene, 1).expect("a scene"));
+        bencher.iter(|| inference.answer(&sources, scene).expect("a scene"));
     });
     group.finish();
 }

@@ -63,10 +63,12 @@ pub const MAX_BYTES: u64 = 1 << 30;
 pub enum ReadError {
     /// There is no such file.
     NotFound,
-    /// Its bytes are not UTF-8; the line (from 1) of the first bad byte.
+    /// Its bytes are not UTF-8.
     NotText {
-        /// Line of the first byte that is not UTF-8.
+        /// Line of the first byte that is not UTF-8, from 1.
         line: usize,
+        /// Its column in characters, from 1.
+        column: usize,
     },
     /// It is larger than [`MAX_BYTES`].
     TooLarge,
@@ -78,7 +80,9 @@ impl std::fmt::Display for ReadError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             ReadError::NotFound => write!(f, "no such file"),
-            ReadError::NotText { line } => write!(f, "not UTF-8 text (first bad byte in line {line})"),
+            ReadError::NotText { line, column } => {
+                write!(f, "not UTF-8 text (first bad byte in line {line}, column {column})")
+            }
             ReadError::TooLarge => write!(f, "larger than {} MiB", MAX_BYTES >> 20),
             ReadError::Io(message) => write!(f, "{message}"),
         }
@@ -105,11 +109,20 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
     if bytes.len() as u64 > MAX_BYTES {
         return Err(ReadError::TooLarge);
     }
-    String::from_utf8(bytes).map_err(|error| ReadError::NotText {
-        line: 1 + error.as_bytes()[..error.utf8_error().valid_up_to()]
-            .iter()
-            .filter(|&&byte| byte == b'\n')
-            .count(),
+    to_text(bytes)
+}
+
+/// The text that bytes are.
+///
+/// # Errors
+/// [`ReadError::NotText`].
+pub fn to_text(bytes: Vec<u8>) -> Result<String, ReadError> {
+    String::from_utf8(bytes).map_err(|error| {
+        let good = String::from_utf8_lossy(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
+        ReadError::NotText {
+            line: 1 + good.matches('\n').count(),
+            column: 1 + good.rsplit('\n').next().unwrap_or_default().chars().count(),
+        }
     })
 }
 

@@ -69,13 +69,15 @@ class Agent(TypedDict):
 class Scene(TypedDict):
     """Agents on a map.
 
-    `egos` are the agents to decide for (default: all); `given` replaces the computed atoms of a predicate.
+    `egos` are the agents to decide for (default: all); `given` replaces the computed atoms of a predicate; `tick`
+    (default 0) tells apart the random draws of one seed.
     """
 
     map: str
     agents: list[Agent]
     egos: NotRequired[list[str]]
     given: NotRequired[dict[str, list[Any]]]
+    tick: NotRequired[int]
 
 
 class SymbolicScene(TypedDict):

@@ -44,10 +44,7 @@ fn check(text: &str, name: &str) -> String {
 
 /// Answers scenes.
 #[pyclass(name = "Inference")]
-struct PyInference {
-    inference: Inference,
-    answered: u64,
-}
+struct PyInference(Inference);
 
 #[pymethods]
 impl PyInference {
@@ -67,17 +64,16 @@ impl PyInference {
         let program = program.ok_or_else(|| input_error(&diagnostics, &sources))?;
         let inference = Inference::new(scenario, program, Seed(seed), read_text)
             .map_err(|faults| input_error(&faults, &sources))?;
-        Ok(PyInference { inference, answered: 0 })
+        Ok(PyInference(inference))
     }
 
     /// The answer to a scene, both as JSON.
     fn answer(&mut self, scene: &str) -> PyResult<String> {
         let mut sources = Sources::new();
         let source = sources.add("<scene>", scene);
-        self.answered += 1;
-        match self.inference.answer(&sources, source, self.answered) {
+        match self.0.answer(&sources, source) {
             Ok(answer) => Ok(answer.to_json().to_string()),
-            Err(fault) => Err(input_error(&[fault], &sources)),
+            Err(faults) => Err(input_error(&faults, &sources)),
         }
     }
 }

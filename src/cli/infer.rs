@@ -1,8 +1,8 @@
 //! `logicity infer`
 
-use super::{Failure, load_config, load_program, report};
+use super::{Failure, load_city, report};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
-use crate::files::{self, Output};
+use crate::files::{self, Output, ReadError};
 use crate::rng::Seed;
 use crate::sim::Inference;
 use serde_json::json;
@@ -25,7 +25,7 @@ pub struct Arguments {
     #[arg(long)]
     rules: Option<PathBuf>,
     /// Seed of the predicates that hold with a probability and are not given by the scene
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
     /// Where to write the answers; standard output unless given
     #[arg(long)]
@@ -33,9 +33,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let scenario = load_config(sources, &arguments.config)?;
-    let (program, warnings) = load_program(sources, arguments.rules.as_ref().unwrap_or(&scenario.rules.value))?;
-    report(&warnings, sources);
+    let (scenario, program, _) = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
     let mut inference = Inference::new(scenario, program, Seed(arguments.seed), files::read_text)?;
 
     let (input, name): (Box<dyn Read>, _) = if arguments.file == Path::new("-") {
@@ -89,7 +87,12 @@ fn answer_all(
             break;
         }
         let mut sources = Sources::new();
-        let fault = |code, what: &str| Err(Diagnostic::new(code, format!("line {number} of `{name}` is {what}")));
+        let fault = |code, what: &str| {
+            Err(vec![Diagnostic::new(
+                code,
+                format!("line {number} of `{name}` is {what}"),
+            )])
+        };
         let answer = if bytes.len() as u64 == MAX_SCENE && !bytes.ends_with(b"\n") {
             scenes.skip_until(b'\n').map_err(unreadable)?;
             fault(
@@ -97,20 +100,23 @@ fn answer_all(
                 &format!("too long a scene: the limit is {} MiB", MAX_SCENE >> 20),
             )
         } else {
-            match std::str::from_utf8(&bytes) {
-                Err(_) => fault(Code::NotText, "not UTF-8 text"),
+            match files::to_text(std::mem::take(&mut bytes)) {
                 Ok(line) if line.trim().is_empty() => continue,
                 Ok(line) => {
                     let source = sources.add_from(name, line.trim_end_matches(['\n', '\r']), number);
-                    inference.answer(&sources, source, number as u64)
+                    inference.answer(&sources, source)
                 }
+                Err(ReadError::NotText { column, .. }) => fault(
+                    Code::NotText,
+                    &format!("not UTF-8 text (first bad byte in column {column})"),
+                ),
+                Err(error) => return Err(Failure::file("read", path, error)),
             }
         };
         match answer {
             Ok(answer) => write(answer.to_json())?,
-            Err(fault) => {
+            Err(faults) => {
                 faulty = true;
-                let faults = [fault];
                 write(json!({ "error": to_json(&faults, &sources) }))?;
                 report(&faults, &sources);
             }

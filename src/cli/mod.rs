@@ -9,8 +9,8 @@ mod query;
 mod route;
 mod run;
 
-use crate::config::{MapConfig, Scenario, load_map, load_scenario};
-use crate::diag::{Code, Diagnostic, Sources, render};
+use crate::config::{Located, MapConfig, Scenario, load_map, load_scenario};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, render};
 use crate::engine::Program;
 use crate::files::{self, ReadError};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -54,6 +54,8 @@ enum Failure {
     Told,
     /// Wrong usage, or a file that cannot be read or written. Exit code 2.
     Usage(String),
+    /// The user ended the command early; what was done has been written. Exit code 130, as shells have it.
+    Interrupted,
     /// Whoever reads standard output has gone; there is nobody to tell.
     Closed,
 }
@@ -115,6 +117,7 @@ pub fn main() -> ExitCode {
             ExitCode::from(1)
         }
         Err(Failure::Told) => ExitCode::from(1),
+        Err(Failure::Interrupted) => ExitCode::from(130),
         Err(Failure::Usage(message)) => {
             let _ = writeln!(io::stderr(), "error: {message}");
             ExitCode::from(2)
@@ -178,6 +181,27 @@ fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diag
     }
 }
 
+/// A configuration and its rules, or those of the file that is given instead. Warnings have been told; the texts of the rules are
+/// the last of `sources`, from the one returned on.
+fn load_city(
+    sources: &mut Sources,
+    config: &Path,
+    rules: Option<&Path>,
+) -> Result<(Scenario, Program, SourceId), Failure> {
+    let mut scenario = load_config(sources, config)?;
+    let path = rules.unwrap_or(&scenario.rules.value).to_owned();
+    let texts = sources.ids().count();
+    let (program, warnings) = load_program(sources, &path)?;
+    report(&warnings, sources);
+    let entry = sources.ids().nth(texts).expect("the rules have been read");
+    if rules.is_some() {
+        // What does not fit is to be shown in the file that was given, not in the configuration.
+        let span = Span::new(entry, 0..0);
+        scenario.rules = Located { value: path, span };
+    }
+    Ok((scenario, program, entry))
+}
+
 /// Reads a run configuration and all its parts.
 fn load_config(sources: &mut Sources, path: &Path) -> Result<Scenario, Failure> {
     load_scenario(sources, path, &files::read_text).map_err(missing_is_usage)
@@ -197,4 +221,16 @@ fn missing_is_usage(faults: Vec<Diagnostic>) -> Failure {
         }
         _ => faults.into(),
     }
+}
+
+/// Makes a folder for results, and those it lies in.
+fn make_folder(path: &Path) -> Result<(), Failure> {
+    std::fs::create_dir_all(path).map_err(|error| match error.kind() {
+        io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory => Failure::file(
+            "make the folder",
+            path,
+            "there is a file of that name, or of a folder it lies in",
+        ),
+        _ => Failure::file("make the folder", path, error),
+    })
 }

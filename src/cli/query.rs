@@ -1,6 +1,6 @@
 //! `logicity query`
 
-use super::{Failure, load_program, report};
+use super::{Failure, load_program, make_folder, report};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::{Program, Session, facts};
 use crate::files::{self, Output, ReadError};
@@ -71,10 +71,12 @@ fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> R
                     faults.extend(found);
                 }
             }
-            Err(ReadError::NotText { line }) => faults.push(Diagnostic::new(
-                Code::NotText,
-                format!("line {line} of `{}` is not UTF-8 text", path.display()),
-            )),
+            Err(error @ ReadError::NotText { .. }) => {
+                faults.push(Diagnostic::new(
+                    Code::NotText,
+                    format!("`{}` is {error}", path.display()),
+                ));
+            }
             Err(error) => {
                 return Err(Failure::Usage(format!(
                     "cannot read the facts of `{}` from `{}`: {error}",
@@ -88,7 +90,7 @@ fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> R
 }
 
 fn write_relation(folder: &Path, name: &str, text: &str) -> Result<(), Failure> {
-    std::fs::create_dir_all(folder).map_err(|error| Failure::file("make the folder", folder, error))?;
+    make_folder(folder)?;
     let path = folder.join(format!("{name}.csv"));
     let fail = |error: std::io::Error| Failure::file("write", &path, error);
     let mut file = Output::create(&path).map_err(fail)?;

@@ -59,7 +59,8 @@ fn render_one(diagnostic: &Diagnostic, sources: &Sources, renderer: &Renderer) -
         let start = sources.line_range(*source, *lines.start()).start;
         let end = sources.line_range(*source, *lines.end()).end;
         let text = &sources.text(*source)[start..end];
-        let snippet = Snippet::source(text)
+        // A carriage return before a line feed belongs to the end of the line.
+        let snippet = Snippet::source(text.replace('\r', " "))
             .line_start(sources.first_line(*source) + lines.start())
             .path(name);
         let annotations = labels.iter().map(|(kind, label)| annotation(*kind, label, text, start));

@@ -105,11 +105,12 @@ impl Inference {
         })
     }
 
-    /// Answers the scene in `source`. `number` tells apart the random draws of different scenes.
+    /// Answers the scene in `source`. The same scene always gets the same answer: predicates that hold with a probability and are
+    /// not given are drawn by seed, the scene's `tick` and the positions of the two agents.
     ///
     /// # Errors
-    /// `invalid-scene`; `limit-exceeded` for too large a scene, or rules that derive too much from it.
-    pub fn answer(&mut self, sources: &Sources, source: SourceId, number: u64) -> Result<Answer, Diagnostic> {
+    /// All faults of the scene: `invalid-scene`, or `limit-exceeded` if it is too large or the rules derive too much from it.
+    pub fn answer(&mut self, sources: &Sources, source: SourceId) -> Result<Answer, Vec<Diagnostic>> {
         let terms = Terms {
             predicates: (self.vocabulary.predicates.iter())
                 .map(|predicate| (predicate.name.as_str(), predicate.arity))
@@ -122,18 +123,16 @@ impl Inference {
                 .collect(),
         };
         let answer = match parse_scene(sources, source, &terms)? {
-            Scene::Geometric(scene) => self.geometric(&scene, number),
+            Scene::Geometric(scene) => self.geometric(&scene)?,
             Scene::Symbolic(scene) => self.symbolic(&scene),
         };
         // What the rules derive stands in no text; it follows from the scene as a whole.
-        answer.map_err(|fault| match fault.primary {
-            Some(_) => fault,
-            None => fault.at(Span::new(source, 0..sources.text(source).len()), "in this scene"),
-        })
+        answer.map_err(|fault| vec![fault.at(Span::new(source, 0..sources.text(source).len()), "in this scene")])
     }
 
-    fn geometric(&mut self, scene: &GeometricScene, number: u64) -> Result<Answer, Diagnostic> {
-        let map = self.map(scene)?;
+    /// The outer error is the scene's, the inner one what follows from it.
+    fn geometric(&mut self, scene: &GeometricScene) -> Result<Result<Answer, Diagnostic>, Vec<Diagnostic>> {
+        let map = self.map(scene).map_err(|fault| vec![fault])?;
         scene.check_cells(&map)?;
         let entities: Vec<Entity<'_>> = scene
             .agents
@@ -154,7 +153,7 @@ impl Inference {
             &entities,
             &mut Draws {
                 seed: self.seed,
-                time: number,
+                time: scene.tick,
             },
             |index| given(index).is_some(),
         );
@@ -164,7 +163,7 @@ impl Inference {
             }
         }
         let names: Vec<&str> = scene.agents.iter().map(|agent| agent.id.as_str()).collect();
-        self.decide(&names, &scene.egos, &facts)
+        Ok(self.decide(&names, &scene.egos, &facts))
     }
 
     fn map(&mut self, scene: &GeometricScene) -> Result<Arc<CityMap>, Diagnostic> {

@@ -2,6 +2,7 @@
 
 use super::ground::{Entity, Facts, ground};
 use super::infer::{Draws, GroundState, before_default};
+use super::scene::MAX_ENTITIES;
 use super::world::World;
 use crate::city::{Agent, Cell, Heading, Moved, Places, Surroundings, advance, place_agents};
 use crate::config::{Speed, Split};
@@ -60,7 +61,8 @@ impl Simulation {
     /// Places the agents of a split.
     ///
     /// # Errors
-    /// `unknown-split`, `no-start-cell`, `no-route`.
+    /// `unknown-split`, `no-start-cell`, `no-route`; `limit-exceeded` for more than [`MAX_ENTITIES`] agents, since facts about pairs of
+    /// them take memory in the square of their number.
     pub fn new(world: Arc<World>, split: Split, seed: Seed) -> Result<Simulation, Diagnostic> {
         let scenario = &world.scenario;
         let set = scenario.agent_set(split).ok_or_else(|| {
@@ -68,6 +70,11 @@ impl Simulation {
             let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
             Diagnostic::new(Code::UnknownSplit, message).help(format!("it has: {}", known.join(", ")))
         })?;
+        if set.agents.len() > MAX_ENTITIES {
+            let message = format!("{} agents, the limit is {MAX_ENTITIES}", set.agents.len());
+            let fault = Diagnostic::new(Code::LimitExceeded, message);
+            return Err(fault.at(set.span, "in this agent set"));
+        }
         let places = Places::new(&world.router, set.region.map(|region| region.value));
         let agents = place_agents(set, &world.router, &places, seed)?;
         let state = GroundState::new(
