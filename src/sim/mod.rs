@@ -14,6 +14,7 @@ mod world;
 
 pub use ground::{Chance, Entity, Facts, ground};
 pub use infer::{Answer, EgoAnswer, Inference};
+pub use scene::MAX_ENTITIES;
 pub use simulation::{AgentTick, Simulation, TickReport};
 pub use trace::{TRACE_VERSION, TraceWriter, hash_sources};
 pub use vocabulary::{Predicate, Vocabulary};
