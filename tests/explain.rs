@@ -4,15 +4,21 @@
 mod random_program;
 mod written_program;
 
+use logicity::config::{Speed, Split, load_scenario};
 use logicity::diag::Sources;
 use logicity::engine::provenance::{
     ExplainError, Explainer, Explanation, FailureKind, Node, Obstacle, Origin, Premise, Reason, Teller,
 };
 use logicity::engine::{Program, Session, naive};
-use logicity::lang::{Atom, ClauseId, Literal, RelId, Rules, Term, Value};
+use logicity::files;
+use logicity::lang::{self, Atom, ClauseId, Literal, RelId, Rules, Term, Value};
+use logicity::rng::Seed;
+use logicity::sim::{Simulation, World};
 use proptest::prelude::*;
 use random_program::{Genome, NUMBERS, TEXTS, genomes, recursive_genomes};
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::sync::Arc;
 use written_program::program;
 
 fn database(session: &Session) -> naive::Database {
@@ -464,5 +470,70 @@ lone(7)  by lone(x) :- big(x), !path(x, _).  [rules.dl:12]
             ├─ path(7, y) does not hold  (see above)
             └─ edge(y, 9) does not hold
 "
+    );
+}
+
+/// The simulation of a configuration.
+fn city(config: &str) -> Simulation {
+    let mut sources = Sources::new();
+    let scenario = load_scenario(&mut sources, Path::new(config), &files::read_or_builtin).unwrap();
+    let rules = &scenario.rules.value;
+    let entry = sources.add(rules.display().to_string(), files::read_or_builtin(rules).unwrap());
+    let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
+    let program = Program::new(loaded.rules.unwrap()).unwrap();
+    let world = World::new(scenario, program).unwrap();
+    Simulation::new(Arc::new(world), Split::Test, Seed(0)).unwrap()
+}
+
+/// For every decision of the paper's expert city: the proof of each derived action can be replayed and its leaves alone suffice
+/// to derive the action; every literal that is said to keep another action away is false.
+#[test]
+fn every_decision_of_an_expert_run_is_explained() {
+    let mut simulation = city("configs/expert.yaml");
+    let (mut proofs, mut absences) = (0, 0);
+    for _ in 0..300 {
+        let report = simulation.tick(&[]).unwrap();
+        let session = simulation.session();
+        let rules = session.program().rules();
+        let model = database(session);
+        let mut explainer = Explainer::new(session);
+        for (position, agent) in report.agents.iter().enumerate() {
+            let mut held = Vec::new();
+            for action in Speed::ALL {
+                let relation = simulation.world().vocabulary.action(action).unwrap();
+                let row = [simulation.value(position)];
+                let explanation = match explainer.explain(relation, &row).unwrap() {
+                    Some(proof) => {
+                        held.push(action);
+                        proofs += 1;
+                        let leaves = proof.nodes().iter().filter_map(|node| match node {
+                            Node::Fact(fact) if fact.origin == Origin::Input => {
+                                assert!(rules.relations[fact.relation.index()].input);
+                                Some((fact.relation, fact.row.clone()))
+                            }
+                            _ => None,
+                        });
+                        let derived = naive::evaluate(rules, session.symbols(), leaves);
+                        assert!(derived[relation.index()].contains(&row[..]));
+                        proof
+                    }
+                    None => {
+                        absences += 1;
+                        let wanted = [Some(row[0])];
+                        explainer
+                            .explain_absence(relation, &wanted)
+                            .unwrap()
+                            .expect("it does not hold")
+                    }
+                };
+                check(session, &model, &explanation);
+            }
+            assert!(held.contains(&agent.action), "{held:?}");
+        }
+    }
+    assert_eq!(
+        (proofs, proofs + absences),
+        (5_400, 4 * 5_400),
+        "one action for each decision"
     );
 }

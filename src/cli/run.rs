@@ -87,8 +87,15 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         move |error: io::Error| Failure::file("write", &path, error)
     };
     let trace_file = Output::create(&path("trace.jsonl")).map_err(writing("trace.jsonl"))?;
-    let mut trace = TraceWriter::new(trace_file, &simulation, sources, rule_files[0], &rules_hash)
-        .map_err(writing("trace.jsonl"))?;
+    let mut trace = TraceWriter::new(
+        trace_file,
+        &simulation,
+        sources,
+        &arguments.config.to_string_lossy(),
+        rule_files[0],
+        &rules_hash,
+    )
+    .map_err(writing("trace.jsonl"))?;
     let mut pictures = if arguments.no_pictures {
         None
     } else {

@@ -6,6 +6,7 @@
 
 mod ground;
 mod infer;
+mod replay;
 mod scene;
 mod simulation;
 mod trace;
@@ -14,6 +15,7 @@ mod world;
 
 pub use ground::{Chance, Entity, Facts, ground};
 pub use infer::{Answer, EgoAnswer, InferError, Inference};
+pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};
 pub use simulation::{AgentTick, Simulation, TickReport};
 pub use trace::{TRACE_VERSION, TraceWriter, hash_sources};
 pub use vocabulary::{Predicate, Vocabulary};
