@@ -3,10 +3,11 @@
 use super::{Failure, load_config, load_program, report};
 use crate::config::{AgentKind, Speed, Split};
 use crate::diag::{Code, Diagnostic, Sources};
+use crate::engine::provenance::Teller;
 use crate::files::Output;
 use crate::render::{Animation, Painter, Sprite, write_png};
 use crate::rng::Seed;
-use crate::sim::{Simulation, TickReport, TraceWriter, World, hash_sources};
+use crate::sim::{Simulation, Standstill, TickReport, TraceWriter, Wait, World, hash_sources, standstill, waits};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
@@ -14,8 +15,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// An agent that has not moved in this many ticks is called stuck.
+/// An agent that has not moved in this many ticks is called stuck; a circle of stuck agents that wait for each other is a deadlock.
 const STUCK_TICKS: u64 = 50;
+/// At most this many of those that a stuck agent waits for are named.
+const REASONS_MAX: usize = 5;
 /// The animation ends after this many ticks, to stay of a size that viewers open.
 const MAX_FRAMES: u64 = 1000;
 /// How long the animation shows a tick.
@@ -240,18 +243,7 @@ fn summary(simulation: &Simulation, tally: &Tally, sources: &Sources, written: &
         let _ = writeln!(text, "{fired:>10}  {head:<8}{place:<20}{title}");
     }
     if tally.ticks >= STUCK_TICKS {
-        let stuck: Vec<&str> = agents
-            .iter()
-            .zip(&tally.last_move)
-            .filter(|&(_, &last)| tally.ticks - last >= STUCK_TICKS)
-            .map(|(agent, _)| &*agent.name)
-            .collect();
-        let names = if stuck.is_empty() {
-            "none".to_owned()
-        } else {
-            stuck.join(", ")
-        };
-        let _ = writeln!(text, "\nstuck (no move in the last {STUCK_TICKS} ticks): {names}");
+        stuck(simulation, tally, sources, &mut text);
     }
     if tally.ticks > MAX_FRAMES && written.len() > 1 {
         let _ = writeln!(text, "the animation shows the first {MAX_FRAMES} ticks");
@@ -259,4 +251,68 @@ fn summary(simulation: &Simulation, tally: &Tally, sources: &Sources, written: &
     let written: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
     let _ = writeln!(text, "wrote {}", written.join(", "));
     text
+}
+
+/// Which agents are stuck, and why: who waits for whom in the state of the last tick.
+fn stuck(simulation: &Simulation, tally: &Tally, sources: &Sources, text: &mut String) {
+    let agents = simulation.agents();
+    let still = |agent: &usize| tally.ticks - tally.last_move[*agent] >= STUCK_TICKS;
+    let stuck: Vec<usize> = (0..agents.len()).filter(still).collect();
+    let name = |agent: usize| &*agents[agent].name;
+    let names: Vec<&str> = stuck.iter().map(|&agent| name(agent)).collect();
+    let names = if names.is_empty() {
+        "none".to_owned()
+    } else {
+        names.join(", ")
+    };
+    let _ = writeln!(text, "\nstuck (no move in the last {STUCK_TICKS} ticks): {names}");
+
+    let waits = match waits(simulation, &stuck) {
+        Ok(waits) => waits,
+        Err(error) => {
+            let _ = writeln!(text, "  why is not known: {error}");
+            return;
+        }
+    };
+    let session = simulation.session();
+    let teller = Teller::new(session.program().rules(), session.symbols(), sources);
+    // `Car_3 (S2) -> Car_7 (S1) -> ..`: who waits, by which clause, and for whom.
+    let chain = |way: &[Wait]| {
+        let links: String = (way.iter())
+            .map(|wait| format!("{} ({}) -> ", name(wait.agent), teller.label(wait.clause)))
+            .collect();
+        links + way.last().map_or("", |wait| name(wait.on))
+    };
+    let Standstill {
+        deadlocks,
+        behind,
+        others,
+    } = standstill(&stuck, &waits);
+    for circle in &deadlocks {
+        let since = circle.iter().map(|wait| tally.last_move[wait.agent]).max().unwrap_or(0);
+        let _ = writeln!(text, "  deadlock since tick {since}: {}", chain(circle));
+    }
+    for way in &behind {
+        let _ = writeln!(text, "  behind a deadlock: {}", chain(way));
+    }
+    for (agent, waits) in &others {
+        let mut reasons: Vec<String> = Vec::new();
+        for wait in waits {
+            let reason = format!("{} ({})", name(wait.on), teller.label(wait.clause));
+            if !reasons.contains(&reason) {
+                reasons.push(reason);
+            }
+        }
+        let more = reasons.len().saturating_sub(REASONS_MAX);
+        reasons.truncate(REASONS_MAX);
+        if more > 0 {
+            reasons.push(format!("{more} more"));
+        }
+        let why = if reasons.is_empty() {
+            "was not told to stop in the last tick".to_owned()
+        } else {
+            format!("waited in the last tick for {}", reasons.join(", "))
+        };
+        let _ = writeln!(text, "  no deadlock: {} {why}", name(*agent));
+    }
 }

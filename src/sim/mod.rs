@@ -4,6 +4,7 @@
 //! *difference* from the facts of the tick before, reads one action for every agent from the derived facts
 //! ([`Vocabulary::decide`]) and lets the agents move. [`Inference`] does the same for single scenes that come from outside.
 
+mod deadlock;
 mod ground;
 mod infer;
 mod replay;
@@ -13,6 +14,7 @@ mod trace;
 mod vocabulary;
 mod world;
 
+pub use deadlock::{Standstill, Wait, standstill, waits};
 pub use ground::{Chance, Entity, Facts, ground};
 pub use infer::{Answer, EgoAnswer, InferError, Inference};
 pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};

@@ -489,9 +489,15 @@ impl Drawing<'_> {
         let nearest = if nearest.is_empty() {
             String::new()
         } else {
-            format!("nearest {}: ", nearest.join(", "))
+            format!("nearest {}", nearest.join(", "))
         };
-        (failures.iter())
+        // One failure stands on the line of its binding, several below it.
+        let inline = if nearest.is_empty() || failures.len() > 1 {
+            String::new()
+        } else {
+            format!("{nearest}: ")
+        };
+        let items: Vec<Item> = (failures.iter())
             .map(|failure| {
                 let literal = &clause.body[failure.literal];
                 let text = self.teller.literal(clause, literal, binding);
@@ -502,7 +508,7 @@ impl Drawing<'_> {
                     (FailureKind::Holds(node), _) => (format!("{text} fails"), Some(*node)),
                     (FailureKind::Comparison { .. }, _) => (format!("{text} fails"), None),
                 };
-                let mut item = Item::leaf(format!("{nearest}{text}"));
+                let mut item = Item::leaf(format!("{inline}{text}"));
                 if let Some(id) = node {
                     match self.explanation.node(id) {
                         // The text says it already.
@@ -518,7 +524,15 @@ impl Drawing<'_> {
                 }
                 item
             })
-            .collect()
+            .collect();
+        if nearest.is_empty() || items.len() == 1 {
+            items
+        } else {
+            vec![Item {
+                text: nearest,
+                children: items,
+            }]
+        }
     }
 
     /// Why a positive literal does not hold, below the line that says so.
