@@ -5,10 +5,12 @@ use crate::config::{AgentKind, Speed, Split};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::provenance::Teller;
 use crate::files::Output;
+use crate::lang::ClauseId;
 use crate::render::{Animation, Painter, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{Simulation, Standstill, TickReport, TraceWriter, Wait, World, hash_sources, standstill, waits};
 use indicatif::{ProgressBar, ProgressStyle};
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -17,8 +19,8 @@ use std::time::{Duration, Instant};
 
 /// An agent that has not moved in this many ticks is called stuck; a circle of stuck agents that wait for each other is a deadlock.
 const STUCK_TICKS: u64 = 50;
-/// At most this many of those that a stuck agent waits for are named.
-const REASONS_MAX: usize = 5;
+/// How often it is noted for whom agents wait that have not moved since it was noted last.
+const LOOK_TICKS: u64 = 10;
 /// The animation ends after this many ticks, to stay of a size that viewers open.
 const MAX_FRAMES: u64 = 1000;
 /// How long the animation shows a tick.
@@ -65,6 +67,8 @@ struct Tally {
     firings: Vec<u64>,
     goals: u64,
     last_move: Vec<u64>,
+    /// For each agent that stands still, whom it waited for when it was looked at, and by which clause.
+    waited: Vec<BTreeSet<(usize, ClauseId)>>,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -114,6 +118,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     );
     let mut tally = Tally {
         last_move: vec![0; simulation.agents().len()],
+        waited: vec![BTreeSet::new(); simulation.agents().len()],
         firings: vec![0; simulation.clauses().len()],
         ..Tally::default()
     };
@@ -180,6 +185,15 @@ impl Tally {
             self.goals += u64::from(agent.moved.replanned);
             if agent.moved.from != agent.moved.to {
                 self.last_move[index] = self.ticks;
+                self.waited[index].clear();
+            }
+        }
+        if self.ticks.is_multiple_of(LOOK_TICKS) {
+            let still = |agent: &usize| self.ticks - self.last_move[*agent] >= LOOK_TICKS;
+            let still: Vec<usize> = (0..tick.agents.len()).filter(still).collect();
+            // Waits that are too many to look at are told in the summary.
+            for wait in waits(simulation, &still).unwrap_or_default() {
+                self.waited[wait.agent].insert((wait.on, wait.clause));
             }
         }
         for (sum, fired) in self.firings.iter_mut().zip(&tick.firings) {
@@ -286,33 +300,35 @@ fn stuck(simulation: &Simulation, tally: &Tally, sources: &Sources, text: &mut S
     let Standstill {
         deadlocks,
         behind,
-        others,
+        starving,
     } = standstill(&stuck, &waits);
     for circle in &deadlocks {
         let since = circle.iter().map(|wait| tally.last_move[wait.agent]).max().unwrap_or(0);
         let _ = writeln!(text, "  deadlock since tick {since}: {}", chain(circle));
     }
-    for way in &behind {
-        let _ = writeln!(text, "  behind a deadlock: {}", chain(way));
-    }
-    for (agent, waits) in &others {
-        let mut reasons: Vec<String> = Vec::new();
-        for wait in waits {
-            let reason = format!("{} ({})", name(wait.on), teller.label(wait.clause));
-            if !reasons.contains(&reason) {
-                reasons.push(reason);
+    for agent in starving {
+        let (mut names, mut labels): (Vec<&str>, Vec<String>) = Default::default();
+        for &(on, clause) in &tally.waited[agent] {
+            let (one, label) = (name(on), teller.label(clause));
+            if !names.contains(&one) {
+                names.push(one);
+            }
+            if !labels.contains(&label) {
+                labels.push(label);
             }
         }
-        let more = reasons.len().saturating_sub(REASONS_MAX);
-        reasons.truncate(REASONS_MAX);
-        if more > 0 {
-            reasons.push(format!("{more} more"));
-        }
-        let why = if reasons.is_empty() {
-            "was not told to stop in the last tick".to_owned()
+        let _ = if names.is_empty() {
+            writeln!(text, "  not held: {} waits for nobody", name(agent))
         } else {
-            format!("waited in the last tick for {}", reasons.join(", "))
+            let (names, labels) = (names.join(", "), labels.join(", "));
+            writeln!(
+                text,
+                "  starving: {} ({labels}) gives way in turn to {names}",
+                name(agent)
+            )
         };
-        let _ = writeln!(text, "  no deadlock: {} {why}", name(*agent));
+    }
+    for way in &behind {
+        let _ = writeln!(text, "  behind: {}", chain(way));
     }
 }

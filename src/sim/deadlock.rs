@@ -26,10 +26,10 @@ pub struct Wait {
 pub struct Standstill {
     /// Deadlocks: in each, a wait for every agent of a shortest circle, in order.
     pub deadlocks: Vec<Vec<Wait>>,
-    /// Agents outside of the circles that wait for one of them, directly or through each other: the way to the circle.
+    /// Stuck agents that wait for no stuck agent: for those that pass by, or for nobody.
+    pub starving: Vec<usize>,
+    /// The others: each waits for an agent of a deadlock or, if for none, for a starving one. The way there.
     pub behind: Vec<Vec<Wait>>,
-    /// The others, with those they wait for; none if nothing tells them to stop.
-    pub others: Vec<(usize, Vec<Wait>)>,
 }
 
 /// For whom each of `agents` waits in the state of the last tick, sorted.
@@ -110,15 +110,20 @@ pub fn standstill(stuck: &[usize], waits: &[Wait]) -> Standstill {
         in_circle.extend(members.drain(..));
         result.deadlocks.push(circle);
     }
-    for &agent in stuck.iter().filter(|agent| !in_circle.contains(agent)) {
-        match way(&among, agent, |other| in_circle.contains(&other)) {
-            Some(way) => result.behind.push(way),
-            None => {
-                let own = waits.iter().copied().filter(|wait| wait.agent == agent);
-                result.others.push((agent, own.collect()));
-            }
-        }
+    let rest: Vec<usize> = stuck
+        .iter()
+        .copied()
+        .filter(|agent| !in_circle.contains(agent))
+        .collect();
+    let (waiting, starving): (Vec<usize>, Vec<usize>) =
+        (rest.into_iter()).partition(|agent| among.iter().any(|wait| wait.agent == *agent));
+    for agent in waiting {
+        let to_circle = way(&among, agent, |other| in_circle.contains(&other));
+        result
+            .behind
+            .extend(to_circle.or_else(|| way(&among, agent, |other| starving.contains(&other))));
     }
+    result.starving = starving;
     result
 }
 
@@ -167,24 +172,29 @@ mod tests {
 
     #[test]
     fn circles_those_behind_them_and_the_others_are_told_apart() {
-        // 1 <-> 2; 1 -> 4 -> 1 is no shorter; 3 waits for 4; 5 for 6, which moves; 7 for nobody; 8 -> 9 -> 10 -> 8.
-        let waits = waits(&[(1, 2), (2, 1), (1, 4), (4, 1), (3, 4), (5, 6), (8, 9), (9, 10), (10, 8)]);
-        let found = standstill(&[1, 2, 3, 4, 5, 7, 8, 9, 10], &waits);
-        assert_eq!(
-            found.deadlocks.iter().map(|circle| agents(circle)).collect::<Vec<_>>(),
-            [vec![1, 2], vec![8, 9, 10]]
-        );
-        assert_eq!(
-            found.behind.iter().map(|way| agents(way)).collect::<Vec<_>>(),
-            [vec![3, 4], vec![4]]
-        );
-        assert_eq!(found.others.iter().map(|(agent, _)| *agent).collect::<Vec<_>>(), [5, 7]);
-        assert_eq!(found.others[0].1.len(), 1);
+        // 1 <-> 2; 1 -> 4 -> 1 is no shorter; 3 waits for 4; 5 for 6, which moves; 7 for nobody; 8 -> 9 -> 10 -> 8; 11 for 5.
+        let pairs = [
+            (1, 2),
+            (2, 1),
+            (1, 4),
+            (4, 1),
+            (3, 4),
+            (5, 6),
+            (8, 9),
+            (9, 10),
+            (10, 8),
+            (11, 5),
+        ];
+        let found = standstill(&[1, 2, 3, 4, 5, 7, 8, 9, 10, 11], &waits(&pairs));
+        let lists = |list: &[Vec<Wait>]| list.iter().map(|way| agents(way)).collect::<Vec<_>>();
+        assert_eq!(lists(&found.deadlocks), [vec![1, 2], vec![8, 9, 10]]);
+        assert_eq!(lists(&found.behind), [vec![3, 4], vec![4], vec![11]]);
+        assert_eq!(found.starving, [5, 7]);
     }
 
     #[test]
     fn a_circle_of_those_that_move_is_none() {
         let found = standstill(&[1], &waits(&[(1, 2), (2, 1)]));
-        assert!(found.deadlocks.is_empty() && found.others.len() == 1);
+        assert!(found.deadlocks.is_empty() && found.starving == [1]);
     }
 }
