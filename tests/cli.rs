@@ -352,6 +352,93 @@ fn check_prints_the_strata() {
 }
 
 #[test]
+fn check_tells_conflicts() {
+    let output = logicity(["check", "rules/expert.dl"]);
+    assert!(out(&output).ends_with("  conflicts: none\n"), "{}", out(&output));
+    let output = logicity(["check", "rules/vap-hard.dl"]);
+    assert_eq!((code(&output), err(&output).as_str()), (0, ""));
+    assert!(
+        out(&output).contains("conflicts: Slow and Fast can be derived together"),
+        "{}",
+        out(&output)
+    );
+    let output = logicity(["check", "--json", "rules/vap-hard.dl"]);
+    let line: Value = serde_json::from_str(&out(&output)).unwrap();
+    let together: Vec<&Value> = (line["conflicts"].as_array().unwrap().iter())
+        .filter(|conflict| conflict["finding"] == "together")
+        .collect();
+    assert_eq!(together.len(), 1);
+    assert_eq!(together[0]["scene"]["ego"], "e0");
+    assert!(together[0]["clauses"][1]["doc"].as_str().unwrap().starts_with("VF4"));
+    // Programs without actions have nothing to say.
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "a.dl",
+        ".decl a(x: number)\n.input a\n.decl b(x: number)\nb(x) :- a(x).\n",
+    );
+    assert!(!out(&logicity(["check", &rules])).contains("conflicts"));
+}
+
+#[test]
+fn check_tells_what_a_run_covers() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let output = logicity([
+        "run",
+        "configs/easy.yaml",
+        "--no-pictures",
+        "--ticks",
+        "60",
+        "--out",
+        target,
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let summary = out(&output);
+    let trace = folder.path().join("trace.jsonl");
+    let trace = trace.to_str().unwrap();
+    let output = logicity(["check", "--coverage", trace]);
+    assert_eq!((code(&output), err(&output).as_str()), (0, ""));
+    assert!(out(&output).contains("coverage: 60 ticks of"), "{}", out(&output));
+    let output = logicity(["check", "--json", "--coverage", trace]);
+    let line: Value = serde_json::from_str(&out(&output)).unwrap();
+    let clauses = line["coverage"]["clauses"].as_array().unwrap();
+    // The summary of the run counts the same firings.
+    for (clause, told) in clauses
+        .iter()
+        .zip(summary.lines().skip_while(|line| !line.contains("fired")).skip(1))
+    {
+        assert_eq!(told.split_whitespace().next().unwrap(), clause["fired"].to_string());
+    }
+
+    // Of two literals that say the same, neither matters.
+    let rules = write(
+        folder.path(),
+        "mine.dl",
+        ".include \"vocabulary.dl\"\nStop(X) :- IsCar(X), Not(IsPedestrian(X)), IsAtInter(X), CollidingClose(Y, X), Y != X.\n",
+    );
+    let output = logicity(["check", "--json", "--coverage", trace, &rules]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let line: Value = serde_json::from_str(&out(&output)).unwrap();
+    let clause = &line["coverage"]["clauses"][1];
+    assert!(clause["clause"]["file"].as_str().unwrap().ends_with("mine.dl"));
+    let idle = clause["never_mattered"].as_array().unwrap();
+    assert!(idle.contains(&Value::from("Y != X")), "{idle:?}");
+    assert!(!idle.contains(&Value::from("IsAtInter(X)")), "{idle:?}");
+    fails(
+        &logicity(["check", "--coverage", trace, "--config", "configs/hard.yaml"]),
+        1,
+        &["trace-mismatch"],
+    );
+    fails(
+        &logicity(["check", "--coverage", "no/such.jsonl"]),
+        2,
+        &["no/such.jsonl"],
+    );
+    fails(&logicity(["check"]), 2, &["RULES"]);
+}
+
+#[test]
 fn all_rule_files_of_all_modes_are_clean() {
     for file in fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/rules")).unwrap() {
         let path = file.unwrap().path();

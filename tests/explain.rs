@@ -301,12 +301,41 @@ fn check_genome(genome: &Genome) {
     }
 }
 
+/// A literal matters if the clause without it, asked of all that holds, derives something new.
+fn check_matters(genome: &Genome) {
+    let rules = genome.rules();
+    let mut session = Program::new(rules.clone()).unwrap().session();
+    for (present, rel, row) in genome.batch(&rules, 0).into_iter().filter(|(present, ..)| *present) {
+        assert!(present);
+        session.insert(rel, &row).unwrap();
+    }
+    session.commit().unwrap();
+    let model = database(&session);
+    let mut explainer = Explainer::new(&session);
+    for (clause, id) in rules.clauses.iter().zip(0..) {
+        for literal in 0..clause.body.len() {
+            let Some(matters) = explainer.matters(ClauseId(id), literal).unwrap() else {
+                continue;
+            };
+            let mut less = clause.clone();
+            less.body.remove(literal);
+            let derived = naive::consequences(&less, session.symbols(), &model);
+            assert_eq!(matters, !derived.is_subset(&model[clause.head.relation.index()]));
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { max_shrink_iters: 2_000, ..ProptestConfig::with_cases(96) })]
 
     #[test]
     fn random_programs_are_explained(genome in genomes(1..3)) {
         check_genome(&genome);
+    }
+
+    #[test]
+    fn literals_that_matter_are_known(genome in genomes(1..2)) {
+        check_matters(&genome);
     }
 
     #[test]

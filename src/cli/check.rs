@@ -6,7 +6,7 @@ use crate::diag::{Code, Diagnostic, Sources, to_json};
 use crate::engine::Program;
 use crate::engine::provenance::Teller;
 use crate::lang::{ClauseId, RelId, Rules};
-use crate::sim::{Coverage, Finding, Overlap, conflicts};
+use crate::sim::{Coverage, ENTITIES_MAX, Finding, Overlap, conflicts};
 use serde_json::json;
 use std::collections::HashSet;
 use std::io::{self, Write};
@@ -101,14 +101,13 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if faulty { Err(Failure::Told) } else { Ok(()) }
 }
 
-/// The names of the predicates of each stratum, in the order in which they are computed.
+/// The names of the predicates of each stratum, hidden ones left out, in the order in which they are computed.
 fn strata(rules: &Rules) -> Vec<Vec<&str>> {
+    let shown = |relation: &&RelId| !rules.relations[relation.index()].hidden;
     let name = |relation: &RelId| rules.relations[relation.index()].name.as_str();
-    rules
-        .strata
-        .iter()
-        .map(|stratum| stratum.relations.iter().map(name).collect())
-        .collect()
+    let strata = rules.strata.iter();
+    let strata = strata.map(|stratum| stratum.relations.iter().filter(shown).map(name).collect::<Vec<_>>());
+    strata.filter(|names| !names.is_empty()).collect()
 }
 
 /// Nothing for programs that have fewer than two actions.
@@ -131,10 +130,8 @@ fn tell_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sour
             }
             Finding::NotFound { scenes, all } => {
                 let bound = if *all { "" } else { "; the search was cut short" };
-                writeln!(
-                    out,
-                    "  conflicts: none of {first} and {second} in {scenes} scenes{bound}"
-                )?;
+                let bound = format!("{scenes} scenes of up to {ENTITIES_MAX} agents{bound}");
+                writeln!(out, "  conflicts: none found for {first} and {second} in {bound}")?;
                 told = true;
             }
         }

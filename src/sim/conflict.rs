@@ -2,21 +2,24 @@
 //!
 //! For every pair of clauses of two actions the literals of both are put into one scene: every way to let their variables stand for
 //! the same or for different entities, smallest first, with nothing but the facts that the two clauses ask for. The engine decides whether
-//! both actions follow. Positive literals over derived predicates are unfolded to what they rest on.
+//! both actions follow. Positive literals over derived predicates are unfolded to what they rest on, and where a clause negates a
+//! derived predicate, what keeps that from holding may be added once. What is found is true; what is not found may exist all the same.
 
 use crate::config::Speed;
 use crate::engine::{Program, Session};
-use crate::lang::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Rules, Term, Value};
+use crate::lang::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Relation, Rules, Term, Value};
 use crate::symbol::Symbol;
 use serde_json::{Map, json};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// The most entities of a scene.
 pub const ENTITIES_MAX: usize = 4;
 /// The most scenes that are tried for a pair of actions.
-pub const SCENES_MAX: usize = 5_000;
-/// The most scenes that are put up for a pair of actions, and the most ways to unfold one pair of clauses.
-const CANDIDATES_MAX: usize = 50_000;
+pub const SCENES_MAX: usize = 2_000;
+/// The most literals that are looked at to put up the scenes of a pair of actions, and the most ways to unfold one pair of clauses.
+const STEPS_MAX: usize = 300_000;
+/// The most pairs of clauses that are looked at for a pair of actions.
+const PAIRS_MAX: usize = 2_000;
 const UNFOLDINGS_MAX: usize = 100;
 /// How many times derived predicates are unfolded in one scene.
 const UNFOLD_MAX: usize = 12;
@@ -39,7 +42,7 @@ pub enum Finding {
     Excluded,
     /// Yes.
     Together {
-        /// A clause of each, in the order of the actions.
+        /// The first clause of each that derives it there, in the order of the actions.
         clauses: [ClauseId; 2],
         /// A scene in which both hold.
         scene: Example,
@@ -48,7 +51,7 @@ pub enum Finding {
     NotFound {
         /// How many were tried.
         scenes: usize,
-        /// Whether these are all of up to [`ENTITIES_MAX`] entities that this search knows of.
+        /// Whether these are all of up to [`ENTITIES_MAX`] entities that this search knows of, and no bound cut it short.
         all: bool,
     },
 }
@@ -117,7 +120,6 @@ struct Candidate {
     entities: usize,
     count: usize,
     facts: BTreeSet<(RelId, Vec<usize>)>,
-    clauses: [ClauseId; 2],
     /// Names of the entities that are constants of the rules.
     constants: Vec<Option<Symbol>>,
 }
@@ -136,6 +138,8 @@ struct Body {
     positive: Vec<(RelId, Vec<Place>)>,
     /// Negated base atoms without `_`: a scene with such a fact need not be tried.
     negative: Vec<(RelId, Vec<Place>)>,
+    /// Negated derived atoms.
+    blocked: Vec<(RelId, Vec<Place>)>,
     equal: Vec<(Place, Place)>,
     unfolded: usize,
 }
@@ -145,6 +149,8 @@ struct Search<'p> {
     session: Session,
     /// Predicates that guard a scope.
     guards: BTreeSet<RelId>,
+    /// Literals that may still be looked at.
+    left: usize,
 }
 
 impl<'p> Search<'p> {
@@ -158,21 +164,41 @@ impl<'p> Search<'p> {
             .collect();
         let mut session = program.session();
         session.set_limit(ROWS_MAX);
-        Search { rules, session, guards }
+        Search {
+            rules,
+            session,
+            guards,
+            left: 0,
+        }
+    }
+
+    /// Counts work; whether there may be more.
+    fn step(&mut self, literals: usize) -> bool {
+        self.left = self.left.saturating_sub(1 + literals);
+        self.left > 0
     }
 
     fn pair(&mut self, one: &(RelId, Vec<ClauseId>), other: &(RelId, Vec<ClauseId>)) -> Finding {
         let mut candidates = BTreeSet::new();
         let mut excluded = true;
         let mut all = true;
-        for &a in &one.1 {
+        let mut pairs: Vec<[ClauseId; 2]> = Vec::new();
+        'pairs: for &a in &one.1 {
             for &b in &other.1 {
                 if self.excludes(a, other.0) || self.excludes(b, one.0) {
                     continue;
                 }
                 excluded = false;
-                all &= self.candidates([a, b], &mut candidates);
+                if pairs.len() == PAIRS_MAX {
+                    all = false;
+                    break 'pairs;
+                }
+                pairs.push([a, b]);
             }
+        }
+        for &pair in &pairs {
+            self.left = STEPS_MAX / pairs.len();
+            all &= self.candidates(pair, &mut candidates);
         }
         if excluded {
             return Finding::Excluded;
@@ -184,11 +210,8 @@ impl<'p> Search<'p> {
                 break;
             }
             scenes += 1;
-            if let Some(scene) = self.shows(candidate, [one.0, other.0]) {
-                return Finding::Together {
-                    clauses: candidate.clauses,
-                    scene,
-                };
+            if let Some((clauses, scene)) = self.shows(candidate, [one.0, other.0]) {
+                return Finding::Together { clauses, scene };
             }
         }
         Finding::NotFound { scenes, all }
@@ -202,7 +225,7 @@ impl<'p> Search<'p> {
     }
 
     /// Puts up the scenes of a pair of clauses; whether these are all.
-    fn candidates(&self, clauses: [ClauseId; 2], candidates: &mut BTreeSet<Candidate>) -> bool {
+    fn candidates(&mut self, clauses: [ClauseId; 2], candidates: &mut BTreeSet<Candidate>) -> bool {
         let mut body = Body {
             variables: 1,
             ..Body::default()
@@ -212,37 +235,71 @@ impl<'p> Search<'p> {
             body.add(clause, &[Place::Variable(0)], self.rules);
         }
         let mut all = true;
-        let mut open = vec![body];
-        let mut closed = Vec::new();
-        while let Some(body) = open.pop() {
+        // Those with the fewest literals come first, since recursion has no end.
+        let mut open = VecDeque::from(self.helped(&body));
+        open.push_front(body);
+        let mut closed = 0;
+        while let Some(mut body) = open.pop_front() {
+            if !self.step(body.positive.len()) {
+                return false;
+            }
             let derived = |(rel, _): &(RelId, Vec<Place>)| self.rules.relations[rel.index()].derived;
             let Some(at) = body.positive.iter().position(derived) else {
-                closed.push(body);
+                closed += 1;
+                all &= self.identify(&body, candidates);
                 continue;
             };
-            if body.unfolded == UNFOLD_MAX || open.len() + closed.len() > UNFOLDINGS_MAX {
+            if body.unfolded == UNFOLD_MAX {
                 all = false;
                 continue;
             }
-            let mut rest = body;
-            let (rel, places) = rest.positive.remove(at);
-            rest.unfolded += 1;
-            for clause in self.rules.clauses.iter().filter(|clause| clause.head.relation == rel) {
-                let mut unfolded = rest.clone();
+            let (rel, places) = body.positive.remove(at);
+            body.unfolded += 1;
+            for clause in (self.rules.clauses.iter()).filter(|clause| clause.head.relation == rel) {
+                if open.len() + closed >= UNFOLDINGS_MAX {
+                    all = false;
+                    break;
+                }
+                let mut unfolded = body.clone();
                 unfolded.add(clause, &places, self.rules);
-                open.push(unfolded);
+                open.push_back(unfolded);
             }
-        }
-        for body in &closed {
-            all &= self.identify(body, clauses, candidates);
         }
         all
     }
 
+    /// The body with one atom more, which keeps a clause of what it negates from holding: of `A :- Not(B)` and `B :- Not(C)`, with `C`.
+    fn helped(&self, body: &Body) -> Vec<Body> {
+        let mut helped = Vec::new();
+        for (rel, places) in &body.blocked {
+            for clause in self.rules.clauses.iter().filter(|clause| clause.head.relation == *rel) {
+                let mut probe = Body {
+                    variables: body.variables,
+                    ..Body::default()
+                };
+                probe.add(clause, places, self.rules);
+                for atom in probe.blocked {
+                    if helped.len() == UNFOLDINGS_MAX / 2 {
+                        return helped;
+                    }
+                    let mut more = body.clone();
+                    more.variables = probe.variables;
+                    more.equal.extend(&probe.equal);
+                    more.positive.push(atom);
+                    helped.push(more);
+                }
+            }
+        }
+        helped
+    }
+
     /// Lets the variables of a body stand for entities, in every way. Whether all ways were put up.
-    fn identify(&self, body: &Body, clauses: [ClauseId; 2], candidates: &mut BTreeSet<Candidate>) -> bool {
+    fn identify(&mut self, body: &Body, candidates: &mut BTreeSet<Candidate>) -> bool {
         let Some(classes) = body.classes() else { return true };
-        if body.speaks_of_numbers(self.rules) {
+        let relations = || body.positive.iter().map(|(rel, _)| &self.rules.relations[rel.index()]);
+        let numbers = |relation: &Relation| relation.columns.iter().any(|column| column.base == BaseType::Number);
+        // Scenes have entities only, and facts of what is input only.
+        if relations().any(|relation| numbers(relation) || !relation.input) {
             return false;
         }
         // Constants are entities of their own; the agent is entity 0.
@@ -270,7 +327,7 @@ impl<'p> Search<'p> {
         // Each free class stands for an entity that is there already, or for the next new one.
         let mut choice = vec![0; free.len()];
         loop {
-            if candidates.len() >= CANDIDATES_MAX {
+            if !self.step(body.positive.len() + body.negative.len()) {
                 return false;
             }
             let entity = |place: &Place| match place {
@@ -283,7 +340,7 @@ impl<'p> Search<'p> {
                 }
                 Place::Constant(value) => constants.iter().position(|name| *name == Some(Symbol(value.0))),
             };
-            if let Some(candidate) = self.candidate(body, clauses, &constants, &choice, entity) {
+            if let Some(candidate) = self.candidate(body, &constants, &choice, entity) {
                 candidates.insert(candidate);
             }
             // The next choice in which no number is skipped.
@@ -311,7 +368,6 @@ impl<'p> Search<'p> {
     fn candidate(
         &self,
         body: &Body,
-        clauses: [ClauseId; 2],
         constants: &[Option<Symbol>],
         choice: &[usize],
         entity: impl Fn(&Place) -> Option<usize>,
@@ -339,13 +395,12 @@ impl<'p> Search<'p> {
             entities,
             count: facts.iter().filter(|(rel, _)| !self.guards.contains(rel)).count(),
             facts,
-            clauses,
             constants,
         })
     }
 
     /// The candidate as a scene, if both actions follow in it for the first entity.
-    fn shows(&mut self, candidate: &Candidate, actions: [RelId; 2]) -> Option<Example> {
+    fn shows(&mut self, candidate: &Candidate, actions: [RelId; 2]) -> Option<([ClauseId; 2], Example)> {
         let texts: Vec<Option<&str>> = (candidate.constants.iter())
             .map(|symbol| symbol.and_then(|symbol| self.rules.symbols.text(symbol)))
             .collect();
@@ -367,43 +422,94 @@ impl<'p> Search<'p> {
                     facts.extend(seen.map(|y| (guard, vec![x, y])));
                 }
             }
-            if self.follow(&names, &facts, actions) {
-                let taken_for_granted = |rel: &RelId| full && self.rules.relations[rel.index()].name == "Sees";
-                let mut rows: BTreeMap<String, Vec<Vec<usize>>> = BTreeMap::new();
-                for (rel, row) in facts.into_iter().filter(|(rel, _)| !taken_for_granted(rel)) {
-                    let name = self.rules.relations[rel.index()].name.clone();
-                    rows.entry(name).or_default().push(row);
-                }
-                return Some(Example {
-                    entities: names,
-                    facts: rows,
-                });
+            if !self.follow(&names, &facts, actions) {
+                continue;
             }
+            // Other clauses may hold than those it was put up for, with fewer facts.
+            let own: Vec<_> = facts
+                .iter()
+                .filter(|(rel, _)| !self.guards.contains(rel))
+                .cloned()
+                .collect();
+            for fact in own {
+                facts.remove(&fact);
+                if !self.follow(&names, &facts, actions) {
+                    facts.insert(fact);
+                }
+            }
+            let clauses = self.firing(&names, &facts, actions)?;
+            let taken_for_granted = |rel: &RelId| full && self.rules.relations[rel.index()].name == "Sees";
+            let mut rows: BTreeMap<String, Vec<Vec<usize>>> = BTreeMap::new();
+            for (rel, row) in facts.into_iter().filter(|(rel, _)| !taken_for_granted(rel)) {
+                let name = self.rules.relations[rel.index()].name.clone();
+                rows.entry(name).or_default().push(row);
+            }
+            let scene = Example {
+                entities: names,
+                facts: rows,
+            };
+            return Some((clauses, scene));
         }
         None
     }
 
+    /// The first clause of each action that derives it for the first entity.
+    fn firing(
+        &mut self,
+        names: &[String],
+        facts: &BTreeSet<(RelId, Vec<usize>)>,
+        actions: [RelId; 2],
+    ) -> Option<[ClauseId; 2]> {
+        let rules = self.rules;
+        let ego = self.session.intern(names.first()?);
+        self.with(names, facts, |session| {
+            let first = |action: RelId| {
+                let mut clauses = rules
+                    .clauses
+                    .iter()
+                    .zip(0..)
+                    .filter(|(clause, _)| clause.head.relation == action);
+                let fires = |id| session.fired(ClauseId(id)).iter().any(|row| row[..] == [ego]);
+                clauses.find_map(|(_, id)| fires(id).then_some(ClauseId(id)))
+            };
+            Some([first(actions[0])?, first(actions[1])?])
+        })?
+    }
+
     /// Whether both actions follow from the facts for the first entity.
     fn follow(&mut self, names: &[String], facts: &BTreeSet<(RelId, Vec<usize>)>, actions: [RelId; 2]) -> bool {
+        let Some(ego) = names.first().map(|name| self.session.intern(name)) else {
+            return false;
+        };
+        let both = self.with(names, facts, |session| {
+            actions.iter().all(|action| session.contains(*action, &[ego]))
+        });
+        both.unwrap_or(false)
+    }
+
+    /// Asks a session that holds the facts; `None` if it cannot hold them.
+    fn with<T>(
+        &mut self,
+        names: &[String],
+        facts: &BTreeSet<(RelId, Vec<usize>)>,
+        ask: impl FnOnce(&Session) -> T,
+    ) -> Option<T> {
         let values: Vec<Value> = names.iter().map(|name| self.session.intern(name)).collect();
         let rows: Vec<(RelId, Vec<Value>)> = (facts.iter())
             .map(|(rel, row)| (*rel, row.iter().map(|&entity| values[entity]).collect()))
             .collect();
         let inserted = rows.iter().all(|(rel, row)| self.session.insert(*rel, row).is_ok());
-        let mut both = false;
-        if inserted && self.session.commit().is_ok() {
-            both = actions
-                .iter()
-                .all(|action| self.session.contains(*action, &values[..1]));
-            for (rel, row) in &rows {
-                // What could be inserted can be taken back.
-                let _ = self.session.retract(*rel, row);
-            }
-            let _ = self.session.commit();
-        } else {
+        if !inserted || self.session.commit().is_err() {
             self.session.rollback();
+            return None;
         }
-        both
+        let answer = ask(&self.session);
+        for (rel, row) in &rows {
+            // What could be inserted can be taken back.
+            let _ = self.session.retract(*rel, row);
+        }
+        let _ = self.session.commit();
+        Some(answer)
     }
 }
 
@@ -450,7 +556,11 @@ impl Body {
                     right,
                     ..
                 } => self.equal.extend(known(left).zip(known(right))),
-                Literal::Negative(_) | Literal::Compare { .. } => {}
+                Literal::Negative(atom) => {
+                    let places: Option<Vec<Place>> = atom.terms.iter().map(known).collect();
+                    self.blocked.extend(places.map(|places| (atom.relation, places)));
+                }
+                Literal::Compare { .. } => {}
             }
         }
     }
@@ -512,11 +622,5 @@ impl Body {
                 .for_each(|class| *class = agent);
         }
         Some(Classes { of, constant })
-    }
-
-    /// Whether a positive literal has a column of numbers: scenes have entities only.
-    fn speaks_of_numbers(&self, rules: &Rules) -> bool {
-        let mut columns = (self.positive.iter()).flat_map(|(rel, _)| &rules.relations[rel.index()].columns);
-        columns.any(|column| column.base == BaseType::Number)
     }
 }
