@@ -502,6 +502,60 @@ lone(7)  by lone(x) :- big(x), !path(x, _).  [rules.dl:12]
     );
 }
 
+#[test]
+fn views_are_told_and_hidden_predicates_are_not() {
+    let text = "
+.decl sees(x: number, y: number)
+.decl near(x: number, y: number)
+.decl car(x: number)
+.decl free(x: number)
+.decl go(x: number)
+.input sees, near, car
+.scope sees
+/// F: nobody in view is near
+free(X) :- car(X), !near(X, _).
+/// G: somebody in view is free
+go(X) :- car(X), free(Y).
+";
+    let facts: &[(&str, &[&[i32]])] = &[
+        ("car", &[&[1], &[2], &[3]]),
+        ("near", &[&[1, 2], &[2, 3]]),
+        ("sees", &[&[1, 1], &[1, 2], &[2, 2], &[3, 1], &[3, 3]]),
+    ];
+    // 2 is near to 3, but does not see it.
+    assert_eq!(
+        told(text, facts, "go", &[1]),
+        "\
+go(1)  by G: somebody in view is free  [rules.dl:12]
+├─ car(1)
+├─ free(2)  by F: nobody in view is near  [rules.dl:10]
+│  ├─ car(2)
+│  └─ Not(near(2, _) in view)
+│     └─ not in view: sees(2, 3)
+└─ in view: sees(1, 2)
+"
+    );
+    assert_eq!(
+        told(text, facts, "free", &[1]),
+        "\
+Not(free(1)): no clause of free holds
+└─ F: nobody in view is near  [rules.dl:10]
+   └─ Not(near(1, _) in view) fails
+      └─ near(1, _) in view
+         ├─ near(1, 2)
+         └─ in view: sees(1, 2)
+"
+    );
+    assert_eq!(
+        told(text, &[facts[0], facts[1]], "go", &[1]),
+        "\
+Not(go(1)): no clause of go holds
+└─ G: somebody in view is free  [rules.dl:12]
+   └─ nearest Y = 2: not in view: sees(1, 2)
+"
+    );
+}
+
 /// The simulation of a configuration.
 fn city(config: &str) -> Simulation {
     let mut sources = Sources::new();

@@ -190,6 +190,9 @@ fn tell(
     } else if derived.is_empty() && explanations.len() > 1 {
         writeln!(out, "no action was derived, so the default was taken")?;
     }
+    if let Some(action) = arguments.why_not.filter(|action| derived.contains(action)) {
+        writeln!(out, "{} was derived, and this is why", action.name())?;
+    }
     for (action, explanation) in &explanations {
         match explanation {
             Some(explanation) => write!(out, "\n{}", teller.tree(explanation))?,

@@ -167,9 +167,9 @@ pub enum Obstacle {
         /// The nearest binding, by variable of the clause. A variable may be open: nothing says what it could be.
         ///
         /// If literals fail that speak of the head's variables alone, those are the failures and nothing else is bound. Else the
-        /// nearest binding is one with the fewest literals that fail; among those, one for which it is not a guard that fails;
-        /// then one that gives different values to different variables; then one whose first failure comes late; then the one with
-        /// the smallest words.
+        /// nearest binding is one with the fewest literals that fail; among those, one that gives different values to different
+        /// variables; then one for which it is not a guard that fails; then one whose first failure comes late; then the one with
+        /// the smallest words. Should that take too many steps, it is one that satisfies the most literals from the front.
         binding: Pattern,
         /// The literals that fail under it; at least one.
         failures: Vec<Failure>,

@@ -445,8 +445,8 @@ impl<'s> Search<'s> {
                     .iter()
                     .filter(|&&literal| matches!(clause.body[literal], Literal::Guard(_)));
                 let key = (
-                    guards.count(),
                     coincidences(solution.binding),
+                    guards.count(),
                     Reverse(failing.first().copied()),
                     solution.binding.to_vec(),
                 );
