@@ -11,9 +11,15 @@ pub(super) struct Heights {
     text: HashMap<(RelId, Vec<Value>), ClauseId>,
     /// By [`RelId`]: position of the stratum of a derived relation.
     stratum: Vec<Option<usize>>,
-    /// By position of the stratum.
+    /// Heights of derived facts that some goal rests on, by relation and position of the row.
+    relevant: HashMap<(RelId, u32), u32>,
+    /// By position of the stratum: heights of all its facts, where what is relevant was too much.
     progress: HashMap<usize, Progress>,
 }
+
+/// How much may be relevant to a goal: instances of clauses, and steps to find them.
+const INSTANCES_MAX: usize = 500_000;
+const RELEVANT_STEPS: u64 = 5_000_000;
 
 /// A stratum whose facts are being given their heights, in ascending order.
 #[derive(Default)]
@@ -64,6 +70,7 @@ impl Heights {
         Heights {
             text,
             stratum,
+            relevant: HashMap::new(),
             progress: HashMap::new(),
         }
     }
@@ -73,6 +80,9 @@ impl Heights {
         let Some(stratum) = self.stratum[rel.index()] else {
             return Some(0);
         };
+        if let Some(&height) = self.relevant.get(&(rel, position)) {
+            return Some(height);
+        }
         let height = self.progress.get(&stratum)?.heights.get(&rel)?[position as usize];
         height.settled.then_some(height.height)
     }
@@ -98,8 +108,11 @@ impl Search<'_> {
         };
         let rules = self.rules();
         let clauses = self.clauses_of(rel);
-        if rules.strata[stratum].recursive {
-            let goal = self.position(rel, row).map(|position| (rel, position));
+        let goal = self.position(rel, row).map(|position| (rel, position));
+        let known = goal.is_some_and(|(rel, position)| self.heights.of(rel, position).is_some());
+        if known || goal.is_some_and(|goal| self.settle_relevant(goal)) {
+            // Then all that the fact could rest on is known too.
+        } else if rules.strata[stratum].recursive {
             self.settle_below(&rules.strata[stratum].clauses)?;
             self.settle(stratum, goal)?;
         } else {
@@ -143,6 +156,103 @@ impl Search<'_> {
         });
         let rows = rows.collect();
         Ok((height, Best::Derived { clause, binding, rows }))
+    }
+
+    /// Gives its height to everything that a derivation of the goal could rest on: first all instances of clauses are collected
+    /// backwards from the goal, then heights go forwards through them. `false`, and nothing is settled, if that is too much.
+    fn settle_relevant(&mut self, goal: (RelId, u32)) -> bool {
+        let outer = self.left();
+        let inner = RELEVANT_STEPS.min(outer / 2);
+        self.set_left(inner);
+        let found = self.relevant(goal);
+        self.set_left(outer - (inner - self.left()));
+        match found {
+            Ok(Some(heights)) => {
+                self.heights.relevant.extend(heights);
+                true
+            }
+            Ok(None) | Err(_) => false,
+        }
+    }
+
+    fn relevant(&self, goal: (RelId, u32)) -> Result<Option<Vec<((RelId, u32), u32)>>, ExplainError> {
+        let rules = self.rules();
+        let mut facts = vec![goal];
+        let mut ids = HashMap::from([(goal, 0)]);
+        // By instance: what it derives, and how many facts that it needs are not settled yet.
+        let mut instances: Vec<(usize, usize)> = Vec::new();
+        // By fact: the instances that need it.
+        let mut users: Vec<Vec<usize>> = vec![Vec::new()];
+        let mut queue: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+        let mut next = 0;
+        while let Some(&(rel, position)) = facts.get(next) {
+            let head = next;
+            next += 1;
+            let row = self.row(rel, position);
+            if let Some(height) = self.heights.of(rel, position) {
+                queue.entry(height).or_default().push(head);
+                continue;
+            }
+            if self.heights.text.contains_key(&(rel, row.to_vec())) {
+                queue.entry(0).or_default().push(head);
+                continue;
+            }
+            let pattern: Vec<_> = row.iter().copied().map(Some).collect();
+            for id in self.clauses_of(rel) {
+                let clause = &rules.clauses[id.index()];
+                let mut binding: Binding = vec![None; clause.variables.len()];
+                if clause.body.is_empty() || bind_head(clause, &pattern, &mut binding).is_err() {
+                    continue;
+                }
+                let mut attempt = Attempt::new(clause, &vec![true; clause.body.len()], binding, 0);
+                self.advance(&mut attempt, &|_, _| true, &mut |solution| {
+                    let mut needed: Vec<usize> = Vec::new();
+                    for (literal, atom) in positive(clause) {
+                        let derived = self.heights.stratum[atom.relation.index()].is_some();
+                        if let (true, Some(position)) = (derived, solution.rows[literal]) {
+                            let fact = (atom.relation, position);
+                            let id = *ids.entry(fact).or_insert_with(|| {
+                                facts.push(fact);
+                                users.push(Vec::new());
+                                facts.len() - 1
+                            });
+                            if !needed.contains(&id) {
+                                needed.push(id);
+                            }
+                        }
+                    }
+                    needed.iter().for_each(|&id| users[id].push(instances.len()));
+                    if needed.is_empty() {
+                        queue.entry(1).or_default().push(head);
+                    }
+                    instances.push((head, needed.len()));
+                    instances.len() < INSTANCES_MAX
+                })?;
+                if instances.len() >= INSTANCES_MAX {
+                    return Ok(None);
+                }
+            }
+        }
+        let mut heights: Vec<Option<u32>> = vec![None; facts.len()];
+        while let Some((height, ready)) = queue.pop_first() {
+            for fact in ready {
+                if heights[fact].is_some() {
+                    continue;
+                }
+                heights[fact] = Some(height);
+                for &instance in &users[fact] {
+                    let (head, missing) = &mut instances[instance];
+                    *missing -= 1;
+                    if *missing == 0 {
+                        queue.entry(height + 1).or_default().push(*head);
+                    }
+                }
+            }
+        }
+        let settled = facts.into_iter().zip(heights);
+        Ok(Some(
+            settled.filter_map(|(fact, height)| Some((fact, height?))).collect(),
+        ))
     }
 
     /// Settles all facts of the strata below that the clauses need to hold, directly or through others.
@@ -310,4 +420,73 @@ fn highest(clause: &Clause, rows: &[Option<u32>], of: impl Fn(RelId, u32) -> Opt
         .filter_map(|(literal, atom)| of(atom.relation, rows[literal]?))
         .max()
         .unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diag::Sources;
+    use crate::engine::Program;
+    use crate::files;
+    use crate::lang;
+
+    #[test]
+    fn both_ways_to_find_heights_agree() {
+        let text = ".decl edge(x: number, y: number)
+            .input edge
+            .decl hop, path(x: number, y: number)
+            .decl round(x: number)
+            hop(x, y) :- edge(x, y).
+            hop(x, x) :- edge(x, _), !edge(_, x).
+            path(3, 9).
+            path(x, y) :- hop(x, y).
+            path(x, z) :- path(x, y), path(y, z).
+            round(x) :- path(x, x).";
+        let mut sources = Sources::new();
+        let entry = sources.add("heights.dl", text);
+        let rules = lang::load(&mut sources, entry, &files::read_or_builtin)
+            .rules
+            .expect("no errors");
+        let program = Program::new(rules).expect("within limits");
+        let mut session = program.session();
+        let edge = program.relation("edge").expect("declared");
+        for [x, y] in [
+            [0, 1],
+            [1, 2],
+            [2, 3],
+            [3, 4],
+            [4, 5],
+            [5, 6],
+            [6, 1],
+            [9, 2],
+            [7, 0],
+            [8, 7],
+        ] {
+            session
+                .insert(edge, &[Value::number(x), Value::number(y)])
+                .expect("a row that fits");
+        }
+        session.commit().expect("few rows");
+        let mut forwards = Search::new(&session);
+        forwards.refill(1_000_000);
+        for stratum in 0..program.rules().strata.len() {
+            forwards.settle(stratum, None).expect("few rows");
+        }
+        let mut count = 0;
+        for name in ["hop", "path", "round"] {
+            let rel = program.relation(name).expect("declared");
+            for position in 0..u32::try_from(session.len(rel)).expect("few rows") {
+                let mut backwards = Search::new(&session);
+                backwards.refill(1_000_000);
+                assert!(backwards.settle_relevant((rel, position)));
+                let height = forwards.heights.of(rel, position);
+                assert!(height.is_some());
+                assert_eq!(height, backwards.heights.of(rel, position));
+                let (least, _) = forwards.origin(rel, forwards.row(rel, position)).expect("few rows");
+                assert_eq!(height, Some(least));
+                count += 1;
+            }
+        }
+        assert!(count > 50);
+    }
 }

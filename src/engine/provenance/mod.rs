@@ -8,10 +8,11 @@
 //! ```
 //!
 //! **A proof is shortest by height.** A fact that was inserted or stands in the text has height 0; a derived one has 1 more than
-//! the highest fact its derivation needs. Negated literals and comparisons add nothing. In a stratum without recursion heights
-//! are the least over all ways to derive a fact; in a recursive one they are settled in ascending order, as Knuth generalised
-//! Dijkstra's algorithm. Of derivations equally high the first clause of the text is taken, of one clause's the one whose
-//! variables have the smallest words (for symbols: interned first). So a proof never rests on itself and is always the same.
+//! the highest fact its derivation needs. Negated literals and comparisons add nothing. To know the height of a fact, all instances
+//! of clauses that it could rest on are collected backwards, and heights go forwards through them in ascending order, as Knuth
+//! generalised Dijkstra's algorithm; if too much is relevant, whole strata are settled in that order until the fact is reached. Of
+//! derivations equally high the first clause of the text is taken, of one clause's the one whose variables have the smallest words
+//! (for symbols: interned first). So a proof never rests on itself and is always the same.
 //!
 //! **What does not hold** is told clause by clause: the literals that fail under the nearest binding. See [`Miss`].
 //!

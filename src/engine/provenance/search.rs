@@ -141,6 +141,16 @@ impl<'s> Search<'s> {
         self.left.set(steps);
     }
 
+    /// How many steps are left.
+    pub(super) fn left(&self) -> u64 {
+        self.left.get()
+    }
+
+    /// Sets how many steps are left.
+    pub(super) fn set_left(&self, steps: u64) {
+        self.left.set(steps);
+    }
+
     /// Counts a step.
     pub(super) fn step(&self) -> Result<(), ExplainError> {
         match self.left.get().checked_sub(1) {
