@@ -224,10 +224,257 @@ fn a_trace_can_be_replayed_through_infer() {
 }
 
 #[test]
+fn explain_tells_why_and_why_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let output = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--no-pictures",
+        "--ticks",
+        "30",
+        "--out",
+        target,
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let trace = folder.path().join("trace.jsonl");
+    let trace = trace.to_str().unwrap();
+
+    let output = logicity(["explain", trace, "--tick", "5", "--agent", "Car_3"]);
+    assert_eq!((code(&output), err(&output).as_str()), (0, ""));
+    assert!(out(&output).starts_with("tick 5: Car_3 at [53, 41], heading Right: Stop\n\nStop(Car_3)  by S1: "));
+    let output = logicity(["explain", trace, "--agent", "Car_3", "--why-not", "Normal", "--json"]);
+    let told: Value = serde_json::from_str(&out(&output)).unwrap();
+    assert_eq!(
+        (&told["tick"], &told["agent"]),
+        (&Value::from(29), &Value::from("Car_3"))
+    );
+    let node = &told["explanations"][0]["nodes"][0];
+    assert!(
+        node["holds"] == "Normal(Car_3)" || node["absent"] == "Normal(Car_3)",
+        "{told}"
+    );
+
+    fails(
+        &logicity(["explain", trace, "--tick", "30", "--agent", "Car_3"]),
+        2,
+        &["no tick 30", "0 to 29"],
+    );
+    fails(
+        &logicity(["explain", trace, "--agent", "Car3"]),
+        2,
+        &["no agent `Car3`", "did you mean `Car_3`", "Pedestrian_8"],
+    );
+    fails(
+        &logicity(["explain", trace, "--agent", "Car_3", "--why-not", "Fly"]),
+        2,
+        &["Slow, Normal, Fast or Stop"],
+    );
+    fails(
+        &logicity(["explain", "no/such.jsonl", "--agent", "Car_3"]),
+        2,
+        &["no/such.jsonl"],
+    );
+    fails(
+        &logicity(["explain", trace, "--agent", "Car_3", "--config", "configs/easy.yaml"]),
+        1,
+        &["trace-mismatch", "configs/easy.yaml", "--config"],
+    );
+    fails(
+        &logicity(["explain", trace, "--agent", "Car_3", "--rules", "rules/hard.dl"]),
+        1,
+        &["trace-mismatch", "rules/hard.dl", "--rules"],
+    );
+}
+
+#[test]
+fn hostile_traces_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let output = logicity([
+        "run",
+        "configs/easy.yaml",
+        "--no-pictures",
+        "--ticks",
+        "1",
+        "--out",
+        target,
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let good = fs::read_to_string(folder.path().join("trace.jsonl")).unwrap();
+    let (header, tick) = good.split_once('\n').unwrap();
+    let at = |cell: &str| {
+        let mut tick: Value = serde_json::from_str(tick).unwrap();
+        tick["agents"][0]["at"] = serde_json::from_str(cell).unwrap();
+        format!("{header}\n{tick}\n")
+    };
+    let moved = {
+        let mut tick: Value = serde_json::from_str(tick).unwrap();
+        tick["agents"][0]["derived"] = serde_json::json!(["Slow"]);
+        format!("{header}\n{tick}\n")
+    };
+    let drawn = {
+        let mut tick: Value = serde_json::from_str(tick).unwrap();
+        tick["given"] = serde_json::json!({ "CollidingClose": [["nobody", "Car_1"]] });
+        format!("{header}\n{tick}\n")
+    };
+    for (text, words) in [
+        (String::new(), ["empty", ""]),
+        ("[".repeat(100_000), ["bad.jsonl:1", "not the header"]),
+        (format!("{header}\n{{\"tick\":0"), ["bad.jsonl:2", "not a tick"]),
+        (
+            format!("{header}\n{{\"tick\":0,\"agents\":[]}}"),
+            ["bad.jsonl:2", "0 agents"],
+        ),
+        (at("[-1, 5]"), ["bad.jsonl:2", "not on the map"]),
+        (at("[1, 99999999999]"), ["bad.jsonl:2", "not a tick"]),
+        (
+            header.replace("\"Pedestrian_2\"", "\"Car_1\""),
+            ["bad.jsonl:1", "twice"],
+        ),
+        (header.replace("\"Pedestrian\"", "\"Bird\""), ["bad.jsonl:1", "Bird"]),
+        (
+            header.replace("\"version\":1", "\"version\":9"),
+            ["bad.jsonl:1", "version 9"],
+        ),
+        (drawn, ["bad.jsonl:2", "CollidingClose"]),
+        (moved, ["bad.jsonl:2", "trace-mismatch"]),
+    ] {
+        let path = write(folder.path(), "bad.jsonl", &text);
+        fails(&logicity(["explain", &path, "--agent", "Car_1"]), 1, &words);
+    }
+    let path = write(folder.path(), "bad.jsonl", format!("{header}\n"));
+    fails(&logicity(["explain", &path, "--agent", "Car_1"]), 2, &["no ticks"]);
+    let path = write(folder.path(), "bad.jsonl", [header.as_bytes(), b"\n\xff\n"].concat());
+    fails(&logicity(["explain", &path, "--agent", "Car_1"]), 1, &["not-text"]);
+}
+
+#[test]
+fn the_summary_tells_deadlocks() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let run = |ticks: &str, seed: &str| {
+        let output = logicity([
+            "run",
+            "configs/expert.yaml",
+            "--no-pictures",
+            "--ticks",
+            ticks,
+            "--seed",
+            seed,
+            "--out",
+            target,
+        ]);
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        out(&output)
+    };
+    let summary = run("300", "0");
+    let stuck = "stuck (no move in the last 50 ticks): Car_3, Car_4, Car_6, Car_7, Car_8, Car_9, Car_10";
+    for words in [
+        stuck,
+        "starving: Car_6 (S1, S2)",
+        "behind: Car_3 (S7) -> Car_9 (S7) -> Car_10 (S2) -> Car_6",
+    ] {
+        assert!(summary.contains(words), "`{words}` is missing in:\n{summary}");
+    }
+    assert!(!summary.contains("deadlock"), "{summary}");
+    let summary = run("1200", "5");
+    let words = "deadlock since tick 1137: Car_5 (S7) -> Car_9 (S2) -> Car_5";
+    assert!(summary.contains(words), "`{words}` is missing in:\n{summary}");
+}
+
+#[test]
 fn check_prints_the_strata() {
     let output = logicity(["check", "rules/expert.dl"]);
     assert_eq!((code(&output), err(&output).as_str()), (0, ""));
     assert!(out(&output).contains("Stop < Slow < Fast < Normal"), "{}", out(&output));
+}
+
+#[test]
+fn check_tells_conflicts() {
+    let output = logicity(["check", "rules/expert.dl"]);
+    assert!(out(&output).ends_with("  conflicts: none\n"), "{}", out(&output));
+    let output = logicity(["check", "rules/vap-hard.dl"]);
+    assert_eq!((code(&output), err(&output).as_str()), (0, ""));
+    assert!(
+        out(&output).contains("conflicts: Slow and Fast can be derived together"),
+        "{}",
+        out(&output)
+    );
+    let output = logicity(["check", "--json", "rules/vap-hard.dl"]);
+    let line: Value = serde_json::from_str(&out(&output)).unwrap();
+    let together: Vec<&Value> = (line["conflicts"].as_array().unwrap().iter())
+        .filter(|conflict| conflict["finding"] == "together")
+        .collect();
+    assert_eq!(together.len(), 1);
+    assert_eq!(together[0]["scene"]["ego"], "e0");
+    assert!(together[0]["clauses"][1]["doc"].as_str().unwrap().starts_with("VF4"));
+    // Programs without actions have nothing to say.
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "a.dl",
+        ".decl a(x: number)\n.input a\n.decl b(x: number)\nb(x) :- a(x).\n",
+    );
+    assert!(!out(&logicity(["check", &rules])).contains("conflicts"));
+}
+
+#[test]
+fn check_tells_what_a_run_covers() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let output = logicity([
+        "run",
+        "configs/easy.yaml",
+        "--no-pictures",
+        "--ticks",
+        "60",
+        "--out",
+        target,
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let summary = out(&output);
+    let trace = folder.path().join("trace.jsonl");
+    let trace = trace.to_str().unwrap();
+    let output = logicity(["check", "--coverage", trace]);
+    assert_eq!((code(&output), err(&output).as_str()), (0, ""));
+    assert!(out(&output).contains("coverage: 60 ticks of"), "{}", out(&output));
+    let output = logicity(["check", "--json", "--coverage", trace]);
+    let line: Value = serde_json::from_str(&out(&output)).unwrap();
+    let clauses = line["coverage"]["clauses"].as_array().unwrap();
+    // The summary of the run counts the same firings.
+    for (clause, told) in clauses
+        .iter()
+        .zip(summary.lines().skip_while(|line| !line.contains("fired")).skip(1))
+    {
+        assert_eq!(told.split_whitespace().next().unwrap(), clause["fired"].to_string());
+    }
+
+    // Of two literals that say the same, neither matters.
+    let rules = write(
+        folder.path(),
+        "mine.dl",
+        ".include \"vocabulary.dl\"\nStop(X) :- IsCar(X), Not(IsPedestrian(X)), IsAtInter(X), CollidingClose(Y, X), Y != X.\n",
+    );
+    let output = logicity(["check", "--json", "--coverage", trace, &rules]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let line: Value = serde_json::from_str(&out(&output)).unwrap();
+    let clause = &line["coverage"]["clauses"][1];
+    assert!(clause["clause"]["file"].as_str().unwrap().ends_with("mine.dl"));
+    let idle = clause["never_mattered"].as_array().unwrap();
+    assert!(idle.contains(&Value::from("Y != X")), "{idle:?}");
+    assert!(!idle.contains(&Value::from("IsAtInter(X)")), "{idle:?}");
+    fails(
+        &logicity(["check", "--coverage", trace, "--config", "configs/hard.yaml"]),
+        1,
+        &["trace-mismatch"],
+    );
+    fails(
+        &logicity(["check", "--coverage", "no/such.jsonl"]),
+        2,
+        &["no/such.jsonl"],
+    );
+    fails(&logicity(["check"]), 2, &["RULES"]);
 }
 
 #[test]

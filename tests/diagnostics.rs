@@ -115,6 +115,17 @@ fn scenes_and_facts_fail_as_their_fixtures_say() {
     }
 }
 
+#[test]
+fn traces_fail_as_their_fixtures_say() {
+    for code in ["invalid-trace", "trace-mismatch"] {
+        let path = fixtures().join(code).with_extension("jsonl");
+        let output = logicity(&["explain", path.to_str().unwrap(), "--agent", "Car_1"]);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        assert!(said.contains(&format!("error[{code}]")), "{said}");
+    }
+}
+
 /// The scenes in the reference are answered; the ones that stand for faults are refused.
 #[test]
 fn the_scenes_of_the_reference_do_what_it_says() {

@@ -4,10 +4,12 @@
 //! input; 2: wrong usage, or a file that cannot be read or written.
 
 mod check;
+mod explain;
 mod infer;
 mod query;
 mod route;
 mod run;
+mod trace;
 
 use crate::config::{Located, MapConfig, Scenario, load_map, load_scenario};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, render};
@@ -37,6 +39,8 @@ enum Command {
     Query(query::Arguments),
     /// Decide scenes: one JSON scene a line in, one JSON answer a line out
     Infer(infer::Arguments),
+    /// Tell why an agent did what it did in a run, or why it did not do something else
+    Explain(explain::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
     /// Print a completion script for a shell
@@ -104,6 +108,7 @@ pub fn main() -> ExitCode {
         Command::Check(arguments) => check::run(&arguments, &mut sources),
         Command::Query(arguments) => query::run(&arguments, &mut sources),
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
+        Command::Explain(arguments) => explain::run(&arguments, &mut sources),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
         Command::Completions { shell } => {
             clap_complete::generate(shell, &mut Arguments::command(), "logicity", &mut io::stdout());

@@ -3,12 +3,14 @@
 use super::{Failure, load_city, make_folder, one_of};
 use crate::config::{AgentKind, Speed, Split};
 use crate::diag::{Code, Diagnostic, Sources};
+use crate::engine::provenance::Teller;
 use crate::files::Output;
-use crate::lang::Clause;
+use crate::lang::{Clause, ClauseId};
 use crate::render::{Animation, Painter, Sprite, write_png};
 use crate::rng::Seed;
-use crate::sim::{Simulation, TickReport, TraceWriter, World, hash_sources};
+use crate::sim::{Simulation, Standstill, TickReport, TraceWriter, Wait, World, hash_sources, standstill, waits};
 use indicatif::{ProgressBar, ProgressStyle};
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -16,8 +18,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// An agent that has not moved in this many ticks is called stuck.
+/// An agent that has not moved in this many ticks is called stuck; a circle of stuck agents that wait for each other is a deadlock.
 const STUCK_TICKS: u64 = 50;
+/// How often it is noted for whom agents wait that have not moved since it was noted last.
+const LOOK_TICKS: u64 = 10;
 /// The animation ends after this many ticks, to stay of a size that viewers open.
 const MAX_FRAMES: u64 = 1000;
 /// How long the animation shows a tick.
@@ -57,6 +61,8 @@ struct Tally {
     firings: Vec<u64>,
     goals: u64,
     last_move: Vec<u64>,
+    /// For each agent that stands still, whom it waited for when it was looked at, and by which clause.
+    waited: Vec<BTreeSet<(usize, ClauseId)>>,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -79,8 +85,15 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         move |error: io::Error| Failure::file("write", &path, error)
     };
     let trace_file = Output::create(&path("trace.jsonl")).map_err(writing("trace.jsonl"))?;
-    let mut trace =
-        TraceWriter::new(trace_file, &simulation, sources, rule_file, &rules_hash).map_err(writing("trace.jsonl"))?;
+    let mut trace = TraceWriter::new(
+        trace_file,
+        &simulation,
+        sources,
+        &arguments.config.to_string_lossy(),
+        rule_file,
+        &rules_hash,
+    )
+    .map_err(writing("trace.jsonl"))?;
     let mut pictures = if arguments.no_pictures {
         None
     } else {
@@ -96,6 +109,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     );
     let mut tally = Tally {
         last_move: vec![0; simulation.agents().len()],
+        waited: vec![BTreeSet::new(); simulation.agents().len()],
         firings: vec![0; simulation.clauses().len()],
         ..Tally::default()
     };
@@ -180,6 +194,15 @@ impl Tally {
             if agent.moved.from != agent.moved.to {
                 self.last_move[index] = self.ticks;
                 self.goals += u64::from(simulation.agents()[index].at_goal());
+                self.waited[index].clear();
+            }
+        }
+        if self.ticks.is_multiple_of(LOOK_TICKS) {
+            let still = |agent: &usize| self.ticks - self.last_move[*agent] >= LOOK_TICKS;
+            let still: Vec<usize> = (0..tick.agents.len()).filter(still).collect();
+            // Waits that are too many to look at are told in the summary.
+            for wait in waits(simulation, &still).unwrap_or_default() {
+                self.waited[wait.agent].insert((wait.on, wait.clause));
             }
         }
         for (sum, fired) in self.firings.iter_mut().zip(&tick.firings) {
@@ -258,18 +281,7 @@ fn summary(simulation: &Simulation, tally: &Tally, sources: &Sources, written: &
         let _ = writeln!(text, "{fired:>10}  {head:<heads$}  {place:<places$}  {title}");
     }
     if tally.ticks >= STUCK_TICKS {
-        let stuck: Vec<&str> = agents
-            .iter()
-            .zip(&tally.last_move)
-            .filter(|&(_, &last)| tally.ticks - last >= STUCK_TICKS)
-            .map(|(agent, _)| &*agent.name)
-            .collect();
-        let names = if stuck.is_empty() {
-            "none".to_owned()
-        } else {
-            stuck.join(", ")
-        };
-        let _ = writeln!(text, "\nstuck (no move in the last {STUCK_TICKS} ticks): {names}");
+        stuck(simulation, tally, sources, &mut text);
     }
     if tally.ticks > MAX_FRAMES && written.len() > 1 {
         let _ = writeln!(text, "the animation shows the first {MAX_FRAMES} ticks");
@@ -277,4 +289,70 @@ fn summary(simulation: &Simulation, tally: &Tally, sources: &Sources, written: &
     let written: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
     let _ = writeln!(text, "wrote {}", written.join(", "));
     text
+}
+
+/// Which agents are stuck, and why: who waits for whom in the state of the last tick.
+fn stuck(simulation: &Simulation, tally: &Tally, sources: &Sources, text: &mut String) {
+    let agents = simulation.agents();
+    let still = |agent: &usize| tally.ticks - tally.last_move[*agent] >= STUCK_TICKS;
+    let stuck: Vec<usize> = (0..agents.len()).filter(still).collect();
+    let name = |agent: usize| &*agents[agent].name;
+    let names: Vec<&str> = stuck.iter().map(|&agent| name(agent)).collect();
+    let names = if names.is_empty() {
+        "none".to_owned()
+    } else {
+        names.join(", ")
+    };
+    let _ = writeln!(text, "\nstuck (no move in the last {STUCK_TICKS} ticks): {names}");
+
+    let waits = match waits(simulation, &stuck) {
+        Ok(waits) => waits,
+        Err(error) => {
+            let _ = writeln!(text, "  why is not known: {error}");
+            return;
+        }
+    };
+    let session = simulation.session();
+    let teller = Teller::new(session.program().rules(), session.symbols(), sources);
+    // `Car_3 (S2) -> Car_7 (S1) -> ..`: who waits, by which clause, and for whom.
+    let chain = |way: &[Wait]| {
+        let links: String = (way.iter())
+            .map(|wait| format!("{} ({}) -> ", name(wait.agent), teller.label(wait.clause)))
+            .collect();
+        links + way.last().map_or("", |wait| name(wait.on))
+    };
+    let Standstill {
+        deadlocks,
+        behind,
+        starving,
+    } = standstill(&stuck, &waits);
+    for circle in &deadlocks {
+        let since = circle.iter().map(|wait| tally.last_move[wait.agent]).max().unwrap_or(0);
+        let _ = writeln!(text, "  deadlock since tick {since}: {}", chain(circle));
+    }
+    for agent in starving {
+        let (mut names, mut labels): (Vec<&str>, Vec<String>) = Default::default();
+        for &(on, clause) in &tally.waited[agent] {
+            let (one, label) = (name(on), teller.label(clause));
+            if !names.contains(&one) {
+                names.push(one);
+            }
+            if !labels.contains(&label) {
+                labels.push(label);
+            }
+        }
+        let _ = if names.is_empty() {
+            writeln!(text, "  not held: {} waits for nobody", name(agent))
+        } else {
+            let (names, labels) = (names.join(", "), labels.join(", "));
+            writeln!(
+                text,
+                "  starving: {} ({labels}) gives way in turn to {names}",
+                name(agent)
+            )
+        };
+    }
+    for way in &behind {
+        let _ = writeln!(text, "  behind: {}", chain(way));
+    }
 }

@@ -106,4 +106,10 @@ codes! {
     // --- scenes
     /// A scene that is not JSON or does not follow the scene format.
     InvalidScene = "invalid-scene", Error;
+
+    // --- traces
+    /// A trace that is not JSON or does not follow the trace format.
+    InvalidTrace = "invalid-trace", Error;
+    /// A trace of another configuration or of other rules.
+    TraceMismatch = "trace-mismatch", Error;
 }

@@ -23,6 +23,7 @@ pub mod facts;
 mod join;
 pub mod naive;
 mod plan;
+pub mod provenance;
 mod row;
 
 use crate::diag::{Code, Diagnostic, SourceId, Sources};

@@ -385,6 +385,11 @@ impl GroundState {
         &self.session
     }
 
+    /// The value that stands for an entity.
+    pub fn value(&self, entity: usize) -> Value {
+        self.entities[entity]
+    }
+
     /// The position of the entity that a value stands for.
     pub fn entity(&self, value: Value) -> Option<usize> {
         self.positions.get(&value).copied()

@@ -4,16 +4,24 @@
 //! *difference* from the facts of the tick before, reads one action for every agent from the derived facts
 //! ([`Vocabulary::decide`]) and lets the agents move. [`Inference`] does the same for single scenes that come from outside.
 
+mod conflict;
+mod coverage;
+mod deadlock;
 mod ground;
 mod infer;
+mod replay;
 mod scene;
 mod simulation;
 mod trace;
 mod vocabulary;
 mod world;
 
+pub use conflict::{ENTITIES_MAX, Example, Finding, Overlap, SCENES_MAX, conflicts};
+pub use coverage::{ClauseCoverage, Coverage};
+pub use deadlock::{Standstill, Wait, standstill, waits};
 pub use ground::{Chance, Entity, Facts, ground};
 pub use infer::{Answer, EgoAnswer, Inference};
+pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};
 pub use scene::MAX_ENTITIES;
 pub use simulation::{AgentTick, Simulation, TickReport};
 pub use trace::{TRACE_VERSION, TraceWriter, hash_sources};

@@ -7,8 +7,8 @@ use super::world::World;
 use crate::city::{Agent, Cell, Heading, Moved, Places, Surroundings, advance, place_agents};
 use crate::config::{Speed, Split};
 use crate::diag::{Code, Diagnostic};
-use crate::engine::EvalError;
-use crate::lang::ClauseId;
+use crate::engine::{EvalError, Session};
+use crate::lang::{ClauseId, Value};
 use crate::rng::Seed;
 use ndarray::Array3;
 use std::sync::Arc;
@@ -140,6 +140,21 @@ impl Simulation {
     /// The base facts on which the last tick was decided.
     pub fn facts(&self) -> &Facts {
         &self.facts
+    }
+
+    /// What the rules derived from those facts.
+    pub fn session(&self) -> &Session {
+        self.state.session()
+    }
+
+    /// The value that stands for an agent, by its position in the list, in the session.
+    pub fn value(&self, agent: usize) -> Value {
+        self.state.value(agent)
+    }
+
+    /// The position in the list of the agent that a value of the session stands for.
+    pub fn agent(&self, value: Value) -> Option<usize> {
+        self.state.entity(value)
     }
 
     /// The clauses whose firings are counted, in the order of the text.

@@ -19,7 +19,8 @@ pub struct TraceWriter<W: Write> {
 }
 
 impl<W: Write> TraceWriter<W> {
-    /// Writes the header. `rule_file` is the file of the rules and `rules_hash` stands for it and all it includes.
+    /// Writes the header. `config_file` and `rule_file` are the files of configuration and rules, and `rules_hash` stands for
+    /// the rules and all they include.
     ///
     /// # Errors
     /// Whatever `out` reports.
@@ -27,6 +28,7 @@ impl<W: Write> TraceWriter<W> {
         mut out: W,
         simulation: &Simulation,
         sources: &Sources,
+        config_file: &str,
         rule_file: SourceId,
         rules_hash: &str,
     ) -> io::Result<Self> {
@@ -63,6 +65,7 @@ impl<W: Write> TraceWriter<W> {
             "trace": "logicity",
             "version": TRACE_VERSION,
             "config": world.scenario.name,
+            "config_file": config_file,
             "config_hash": world.scenario.hash,
             "rules": sources.name(rule_file),
             "rules_hash": rules_hash,

@@ -1,0 +1,136 @@
+//! Traces as input: found with the configuration and rules they were made with.
+
+use super::{Failure, load_config, load_program};
+use crate::diag::{Code, Diagnostic, Sources};
+use crate::files::MAX_BYTES;
+use crate::sim::{Replay, TraceHeader, TraceTick, World, hash_sources};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// A trace open for reading, past its header.
+pub struct TraceReader {
+    path: PathBuf,
+    lines: BufReader<File>,
+    number: usize,
+    /// The header.
+    pub header: TraceHeader,
+}
+
+impl TraceReader {
+    pub fn open(path: &Path) -> Result<TraceReader, Failure> {
+        let file = File::open(path).map_err(|error| Failure::file("read", path, error))?;
+        let mut lines = BufReader::new(file);
+        let mut number = 0;
+        let Some(line) = next_line(&mut lines, path, &mut number)? else {
+            let message = format!("`{}` is empty", path.display());
+            return Err(Diagnostic::new(Code::InvalidTrace, message).into());
+        };
+        Ok(TraceReader {
+            header: TraceHeader::read(&line).map_err(|fault| placed(fault, path, number))?,
+            path: path.to_owned(),
+            lines,
+            number,
+        })
+    }
+
+    /// The next tick, if there is one.
+    pub fn tick(&mut self) -> Result<Option<TraceTick>, Failure> {
+        let line = next_line(&mut self.lines, &self.path, &mut self.number)?;
+        line.map(|line| TraceTick::read(&line).map_err(|fault| self.placed(fault)))
+            .transpose()
+    }
+
+    /// A fault of the line that was read last.
+    pub fn placed(&self, fault: Diagnostic) -> Failure {
+        placed(fault, &self.path, self.number)
+    }
+
+    /// The replay under the configuration and rules of the run, or those given instead. A configuration of other content is
+    /// refused; other rules are if `strict`.
+    pub fn replay(
+        &self,
+        sources: &mut Sources,
+        config: Option<&Path>,
+        rules: Option<&Path>,
+        strict: bool,
+    ) -> Result<Replay, Failure> {
+        let named = self.header.config_file.as_ref().unwrap_or(&self.header.config);
+        let path = config.unwrap_or(Path::new(named));
+        let scenario = load_config(sources, path)
+            .map_err(|failure| hint(failure, config, "give the configuration of the run with --config"))?;
+        let hashes = [&scenario.hash, &self.header.config_hash];
+        matching("configuration", path, hashes, &self.path, "--config")?;
+
+        let path = rules.unwrap_or(Path::new(&self.header.rules));
+        let first_rule_file = sources.ids().count();
+        let (program, _) = load_program(sources, path)
+            .map_err(|failure| hint(failure, rules, "give the rules of the run with --rules"))?;
+        if strict {
+            let files: Vec<_> = sources.ids().skip(first_rule_file).collect();
+            let hashes = [&hash_sources(sources, &files), &self.header.rules_hash];
+            matching("rules", path, hashes, &self.path, "--rules")?;
+        }
+        let world = World::new(scenario, program)?;
+        Replay::new(Arc::new(world), &self.header).map_err(|fault| placed(fault, &self.path, 1))
+    }
+}
+
+fn placed(mut fault: Diagnostic, path: &Path, number: usize) -> Failure {
+    fault.message = format!("{}:{number}: {}", path.display(), fault.message);
+    fault.into()
+}
+
+/// The next line, however many blank ones there are before it.
+fn next_line(lines: &mut BufReader<File>, path: &Path, number: &mut usize) -> Result<Option<String>, Failure> {
+    loop {
+        let mut bytes = Vec::new();
+        let read = lines.by_ref().take(MAX_BYTES).read_until(b'\n', &mut bytes);
+        if read.map_err(|error| Failure::file("read", path, error))? == 0 {
+            return Ok(None);
+        }
+        *number += 1;
+        let line = String::from_utf8(bytes).map_err(|_| {
+            let fault = Diagnostic::new(Code::NotText, "not UTF-8 text");
+            placed(fault, path, *number)
+        })?;
+        if !line.trim().is_empty() {
+            return Ok(Some(line));
+        }
+    }
+}
+
+/// What else to do if a file that only the trace names cannot be read.
+fn hint(failure: Failure, given: Option<&Path>, help: &str) -> Failure {
+    match failure {
+        Failure::Usage(message) if given.is_none() => Failure::Usage(format!("{message}\nhelp: {help}")),
+        other => other,
+    }
+}
+
+fn matching(what: &str, path: &Path, [found, wanted]: [&String; 2], trace: &Path, option: &str) -> Result<(), Failure> {
+    if found == wanted {
+        return Ok(());
+    }
+    let short = |hash: &str| hash.chars().take(12).collect::<String>();
+    let is = if what == "rules" {
+        "are not those"
+    } else {
+        "is not that"
+    };
+    let message = format!(
+        "the {what} `{}` {is} of the run in `{}`",
+        path.display(),
+        trace.display()
+    );
+    let note = format!(
+        "the hash of its content is {}..., the trace has {}...",
+        short(found),
+        short(wanted)
+    );
+    Err(Diagnostic::new(Code::TraceMismatch, message)
+        .note(note)
+        .help(format!("give the file as it was with {option}, or run again"))
+        .into())
+}

@@ -1,0 +1,200 @@
+//! Who waits for whom, and who waits for ever.
+//!
+//! An agent waits for another if a clause of `Stop` holds for it under a binding that names the other. Every way to derive `Stop`
+//! counts, not one proof: an agent moves again only when all of them are gone. So if agents that do not move wait for each other in a
+//! circle, none of them will move before somebody else does something for them: a deadlock.
+
+use super::simulation::Simulation;
+use crate::config::Speed;
+use crate::engine::provenance::{ExplainError, Explainer};
+use crate::lang::{BaseType, Clause, ClauseId, Literal, Rules, Term};
+use std::collections::{BTreeSet, VecDeque};
+
+/// One agent stops, and the clause that says so names another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Wait {
+    /// Who waits: position in the list of agents.
+    pub agent: usize,
+    /// For whom.
+    pub on: usize,
+    /// The clause.
+    pub clause: ClauseId,
+}
+
+/// Why agents that have not moved for long stand still.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Standstill {
+    /// Deadlocks: in each, a wait for every agent of a shortest circle, in order.
+    pub deadlocks: Vec<Vec<Wait>>,
+    /// Stuck agents that wait for no stuck agent: for those that pass by, or for nobody.
+    pub starving: Vec<usize>,
+    /// The others: each waits for an agent of a deadlock or, if for none, for a starving one. The way there.
+    pub behind: Vec<Vec<Wait>>,
+}
+
+/// For whom each of `agents` waits in the state of the last tick, sorted.
+///
+/// # Errors
+/// If the ways to derive `Stop` are too many to look at.
+pub fn waits(simulation: &Simulation, agents: &[usize]) -> Result<Vec<Wait>, ExplainError> {
+    let Some(stop) = simulation.world().vocabulary.action(Speed::Stop) else {
+        return Ok(Vec::new());
+    };
+    let session = simulation.session();
+    let rules = session.program().rules();
+    let mut explainer = Explainer::new(session);
+    let mut waits = BTreeSet::new();
+    for &agent in agents {
+        for (clause, binding) in explainer.derivations(stop, &[simulation.value(agent)])? {
+            let named = symbols(rules, &rules.clauses[clause.index()]);
+            let values = binding
+                .iter()
+                .enumerate()
+                .filter(|(variable, _)| named.contains(variable));
+            for on in values.filter_map(|(_, value)| simulation.agent((*value)?)) {
+                if on != agent {
+                    waits.insert(Wait { agent, on, clause });
+                }
+            }
+        }
+    }
+    Ok(waits.into_iter().collect())
+}
+
+/// The variables of a clause that stand for symbols.
+fn symbols(rules: &Rules, clause: &Clause) -> BTreeSet<usize> {
+    let mut found = BTreeSet::new();
+    for literal in &clause.body {
+        if let Literal::Positive(atom) | Literal::Guard(atom) = literal {
+            let columns = &rules.relations[atom.relation.index()].columns;
+            for (term, column) in atom.terms.iter().zip(columns) {
+                if let (Term::Variable(variable), BaseType::Symbol) = (term, column.base) {
+                    found.insert(variable.index());
+                }
+            }
+        }
+    }
+    found
+}
+
+/// Sorts out why `stuck` agents stand still, given for whom they wait. Sorted, and the same for the same input.
+pub fn standstill(stuck: &[usize], waits: &[Wait]) -> Standstill {
+    let among: Vec<Wait> = (waits.iter().copied())
+        .filter(|wait| stuck.contains(&wait.agent) && stuck.contains(&wait.on))
+        .collect();
+    let mut result = Standstill::default();
+    let mut in_circle = BTreeSet::new();
+    for &agent in stuck {
+        if in_circle.contains(&agent) {
+            continue;
+        }
+        // The shortest way back to the agent, if there is one, is the shortest circle through it.
+        let Some(circle) = way(&among, agent, |other| other == agent) else {
+            continue;
+        };
+        // Of circles that share an agent the shortest is told.
+        let shortest = (circle.iter())
+            .filter_map(|wait| way(&among, wait.agent, |other| other == wait.agent))
+            .min_by_key(Vec::len)
+            .unwrap_or(circle);
+        let mut members: Vec<usize> = shortest.iter().map(|wait| wait.agent).collect();
+        if members.iter().any(|member| in_circle.contains(member)) {
+            continue;
+        }
+        let first = members
+            .iter()
+            .min()
+            .and_then(|least| members.iter().position(|member| member == least));
+        let mut circle = shortest;
+        circle.rotate_left(first.unwrap_or(0));
+        in_circle.extend(members.drain(..));
+        result.deadlocks.push(circle);
+    }
+    let rest: Vec<usize> = stuck
+        .iter()
+        .copied()
+        .filter(|agent| !in_circle.contains(agent))
+        .collect();
+    let (waiting, starving): (Vec<usize>, Vec<usize>) =
+        (rest.into_iter()).partition(|agent| among.iter().any(|wait| wait.agent == *agent));
+    for agent in waiting {
+        let to_circle = way(&among, agent, |other| in_circle.contains(&other));
+        result
+            .behind
+            .extend(to_circle.or_else(|| way(&among, agent, |other| starving.contains(&other))));
+    }
+    result.starving = starving;
+    result
+}
+
+/// A shortest way of at least one wait from an agent to one that is looked for.
+fn way(waits: &[Wait], from: usize, found: impl Fn(usize) -> bool) -> Option<Vec<Wait>> {
+    // The wait by which each agent was reached.
+    let mut reached: Vec<Wait> = Vec::new();
+    let mut queue = VecDeque::from([from]);
+    while let Some(agent) = queue.pop_front() {
+        let first = waits.partition_point(|wait| wait.agent < agent);
+        for &wait in waits[first..].iter().take_while(|wait| wait.agent == agent) {
+            if found(wait.on) {
+                let mut way = vec![wait];
+                let mut at = agent;
+                while at != from {
+                    let before = reached.iter().find(|wait| wait.on == at)?;
+                    way.push(*before);
+                    at = before.agent;
+                }
+                way.reverse();
+                return Some(way);
+            }
+            if wait.on != from && reached.iter().all(|other| other.on != wait.on) {
+                reached.push(wait);
+                queue.push_back(wait.on);
+            }
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn waits(pairs: &[(usize, usize)]) -> Vec<Wait> {
+        let clause = ClauseId(0);
+        let mut waits: Vec<Wait> = pairs.iter().map(|&(agent, on)| Wait { agent, on, clause }).collect();
+        waits.sort_unstable();
+        waits
+    }
+
+    fn agents(waits: &[Wait]) -> Vec<usize> {
+        waits.iter().map(|wait| wait.agent).collect()
+    }
+
+    #[test]
+    fn circles_those_behind_them_and_the_others_are_told_apart() {
+        // 1 <-> 2; 1 -> 4 -> 1 is no shorter; 3 waits for 4; 5 for 6, which moves; 7 for nobody; 8 -> 9 -> 10 -> 8; 11 for 5.
+        let pairs = [
+            (1, 2),
+            (2, 1),
+            (1, 4),
+            (4, 1),
+            (3, 4),
+            (5, 6),
+            (8, 9),
+            (9, 10),
+            (10, 8),
+            (11, 5),
+        ];
+        let found = standstill(&[1, 2, 3, 4, 5, 7, 8, 9, 10, 11], &waits(&pairs));
+        let lists = |list: &[Vec<Wait>]| list.iter().map(|way| agents(way)).collect::<Vec<_>>();
+        assert_eq!(lists(&found.deadlocks), [vec![1, 2], vec![8, 9, 10]]);
+        assert_eq!(lists(&found.behind), [vec![3, 4], vec![4], vec![11]]);
+        assert_eq!(found.starving, [5, 7]);
+    }
+
+    #[test]
+    fn a_circle_of_those_that_move_is_none() {
+        let found = standstill(&[1], &waits(&[(1, 2), (2, 1)]));
+        assert!(found.deadlocks.is_empty() && found.starving == [1]);
+    }
+}

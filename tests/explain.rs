@@ -1,0 +1,622 @@
+//! Explanations against the specification: every proof can be replayed and is of least height, every literal that is said to
+//! fail is false.
+
+mod random_program;
+mod written_program;
+
+use logicity::config::{Speed, Split, load_scenario};
+use logicity::diag::Sources;
+use logicity::engine::provenance::{
+    ExplainError, Explainer, Explanation, FailureKind, Node, Obstacle, Origin, Premise, Reason, Teller,
+};
+use logicity::engine::{Program, Session, naive};
+use logicity::files;
+use logicity::lang::{self, Atom, ClauseId, Literal, RelId, Rules, Term, Value};
+use logicity::rng::Seed;
+use logicity::sim::{Simulation, World};
+use proptest::prelude::*;
+use random_program::{Genome, NUMBERS, TEXTS, genomes, recursive_genomes};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::sync::Arc;
+use written_program::program;
+
+fn database(session: &Session) -> naive::Database {
+    let relations = session.program().rules().relations.len();
+    (0..relations as u32)
+        .map(|rel| session.rows(RelId(rel)).map(<[Value]>::to_vec).collect())
+        .collect()
+}
+
+/// What the atom says under the binding.
+fn pattern(atom: &Atom, binding: &[Option<Value>]) -> Vec<Option<Value>> {
+    let value = |term: &Term| match *term {
+        Term::Constant(value) => Some(value),
+        Term::Variable(variable) => binding[variable.index()],
+        Term::Wildcard => None,
+    };
+    atom.terms.iter().map(value).collect()
+}
+
+fn matches(row: &[Value], pattern: &[Option<Value>]) -> bool {
+    row.iter()
+        .zip(pattern)
+        .all(|(value, wanted)| wanted.is_none_or(|wanted| wanted == *value))
+}
+
+/// Checks every node of an explanation against all that holds.
+fn check(session: &Session, model: &naive::Database, explanation: &Explanation) {
+    let rules = session.program().rules();
+    for node in explanation.nodes() {
+        match node {
+            Node::Fact(fact) => {
+                assert!(model[fact.relation.index()].contains(&fact.row));
+                match &fact.origin {
+                    Origin::Input => assert!(!rules.relations[fact.relation.index()].derived),
+                    Origin::Text(clause) => assert!(rules.clauses[clause.index()].body.is_empty()),
+                    Origin::Derived(derivation) => {
+                        let clause = &rules.clauses[derivation.clause.index()];
+                        assert_eq!(clause.head.relation, fact.relation);
+                        assert_eq!(clause.body.len(), derivation.premises.len());
+                        // Only what the proof names holds; of what is negated, all that holds does.
+                        let mut little: naive::Database = vec![BTreeSet::new(); rules.relations.len()];
+                        let mut highest = 0;
+                        for (literal, premise) in clause.body.iter().zip(&derivation.premises) {
+                            match (literal, premise) {
+                                (Literal::Positive(atom) | Literal::Guard(atom), Premise::Fact(node)) => {
+                                    let Node::Fact(premise) = explanation.node(*node) else {
+                                        panic!()
+                                    };
+                                    assert_eq!(premise.relation, atom.relation);
+                                    assert!(matches(&premise.row, &pattern(atom, &derivation.binding)));
+                                    little[atom.relation.index()].insert(premise.row.clone());
+                                    highest = highest.max(premise.height);
+                                }
+                                (Literal::Negative(atom), Premise::Absence(node)) => {
+                                    let Node::Absence(absence) = explanation.node(*node) else {
+                                        panic!()
+                                    };
+                                    assert_eq!(absence.relation, atom.relation);
+                                    assert_eq!(absence.pattern, pattern(atom, &derivation.binding));
+                                    little[atom.relation.index()] = model[atom.relation.index()].clone();
+                                }
+                                (Literal::Compare { .. }, Premise::Comparison { .. }) => {}
+                                other => panic!("{other:?}"),
+                            }
+                        }
+                        assert_eq!(fact.height, highest + 1);
+                        assert!(naive::consequences(clause, session.symbols(), &little).contains(&fact.row));
+                    }
+                }
+            }
+            Node::Absence(absence) => {
+                let mut rows = model[absence.relation.index()].iter();
+                assert!(!rows.any(|row| matches(row, &absence.pattern)));
+                match &absence.reason {
+                    Reason::NotAFact => assert!(!rules.relations[absence.relation.index()].derived),
+                    Reason::NotLookedInto => assert!(explanation.nodes().len() >= Explainer::ABSENCES_MAX),
+                    Reason::NoClause(misses) => {
+                        let clauses = (0..rules.clauses.len() as u32).map(ClauseId).filter(|clause| {
+                            let clause = &rules.clauses[clause.index()];
+                            clause.head.relation == absence.relation && !clause.body.is_empty()
+                        });
+                        assert!(misses.iter().map(|miss| miss.clause).eq(clauses));
+                        for miss in misses {
+                            check_miss(
+                                rules,
+                                model,
+                                explanation,
+                                absence.pattern.as_slice(),
+                                miss.clause,
+                                &miss.obstacle,
+                            );
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn check_miss(
+    rules: &Rules,
+    model: &naive::Database,
+    explanation: &Explanation,
+    wanted: &[Option<Value>],
+    clause: ClauseId,
+    obstacle: &Obstacle,
+) {
+    let clause = &rules.clauses[clause.index()];
+    let Obstacle::Body { binding, failures } = obstacle else {
+        // Either a constant is another one, or a variable would have to be two things.
+        let mut known: BTreeMap<u32, Value> = BTreeMap::new();
+        let clash = clause
+            .head
+            .terms
+            .iter()
+            .zip(wanted)
+            .any(|(term, value)| match (term, value) {
+                (_, None) => false,
+                (Term::Constant(constant), Some(value)) => constant != value,
+                (Term::Variable(variable), Some(value)) => *known.entry(variable.0).or_insert(*value) != *value,
+                (Term::Wildcard, _) => false,
+            });
+        assert!(clash);
+        return;
+    };
+    assert!(!failures.is_empty());
+    for failure in failures {
+        match (&clause.body[failure.literal], &failure.kind) {
+            (Literal::Positive(atom) | Literal::Guard(atom), FailureKind::Absent(node)) => {
+                let Node::Absence(absence) = explanation.node(*node) else {
+                    panic!()
+                };
+                assert_eq!(absence.pattern, pattern(atom, binding));
+                let mut rows = model[atom.relation.index()].iter();
+                assert!(!rows.any(|row| matches(row, &absence.pattern)));
+            }
+            (Literal::Positive(atom) | Literal::Guard(atom), FailureKind::AbsentTwice) => {
+                let mut clause = clause.clone();
+                clause.head.terms.clear();
+                clause.body = vec![Literal::Positive(atom.clone())];
+                for literal in clause.body.iter_mut() {
+                    if let Literal::Positive(atom) = literal {
+                        for term in &mut atom.terms {
+                            if let Term::Variable(variable) = *term {
+                                *term = binding[variable.index()].map_or(*term, Term::Constant);
+                            }
+                        }
+                    }
+                }
+                assert!(naive::consequences(&clause, &rules.symbols, model).is_empty());
+            }
+            (Literal::Negative(atom), FailureKind::Holds(node)) => {
+                let Node::Fact(fact) = explanation.node(*node) else {
+                    panic!()
+                };
+                assert!(matches(&fact.row, &pattern(atom, binding)));
+            }
+            (Literal::Compare { .. }, FailureKind::Comparison { .. }) => {}
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+/// The height of every fact: the round in which it appears if each round fires every clause once on what the rounds before
+/// derived, negated atoms being asked of the finished model.
+fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTreeMap<Vec<Value>, u32>> {
+    let count = rules.relations.len();
+    let clauses: Vec<_> = rules
+        .clauses
+        .iter()
+        .map(|clause| {
+            let mut clause = clause.clone();
+            for literal in &mut clause.body {
+                if let Literal::Negative(atom) = literal {
+                    atom.relation = RelId(atom.relation.0 + count as u32);
+                }
+            }
+            clause
+        })
+        .collect();
+    let mut known: naive::Database = vec![BTreeSet::new(); count];
+    let mut heights = vec![BTreeMap::new(); count];
+    for (rel, rows) in model
+        .iter()
+        .enumerate()
+        .filter(|(rel, _)| !rules.relations[*rel].derived)
+    {
+        heights[rel].extend(rows.iter().map(|row| (row.clone(), 0)));
+        known[rel].clone_from(rows);
+    }
+    for clause in clauses.iter().filter(|clause| clause.body.is_empty()) {
+        for row in naive::consequences(clause, session.symbols(), &known) {
+            heights[clause.head.relation.index()].insert(row.clone(), 0);
+            known[clause.head.relation.index()].insert(row);
+        }
+    }
+    for round in 1.. {
+        let mut all = known.clone();
+        all.extend(model.iter().cloned());
+        for clause in &clauses {
+            for row in naive::consequences(clause, session.symbols(), &all) {
+                let rel = clause.head.relation.index();
+                if known[rel].insert(row.clone()) {
+                    heights[rel].insert(row, round);
+                }
+            }
+        }
+        if known[..] == all[..count] {
+            break;
+        }
+    }
+    assert_eq!(&known, model);
+    heights
+}
+
+/// Every row over the domain, for narrow relations.
+fn domain(rules: &Rules, rel: usize) -> Vec<Vec<Value>> {
+    let mut rows: Vec<Vec<Value>> = vec![Vec::new()];
+    for column in &rules.relations[rel].columns {
+        let values: Vec<Value> = match column.base {
+            logicity::lang::BaseType::Symbol => (0..TEXTS.len() as u32).map(Value).collect(),
+            logicity::lang::BaseType::Number => NUMBERS[..3].iter().copied().map(Value::number).collect(),
+        };
+        rows = rows
+            .iter()
+            .flat_map(|row| values.iter().map(move |value| [row.as_slice(), &[*value]].concat()))
+            .take(50)
+            .collect();
+    }
+    rows
+}
+
+fn check_genome(genome: &Genome) {
+    let rules = genome.rules();
+    let program = Program::new(rules.clone()).unwrap();
+    let mut session = program.session();
+    for batch in 0..genome.script.len() {
+        for (present, rel, row) in genome.batch(&rules, batch) {
+            if present {
+                session.insert(rel, &row).unwrap();
+            } else {
+                session.retract(rel, &row).unwrap();
+            }
+        }
+    }
+    session.commit().unwrap();
+    let model = database(&session);
+    let heights = heights(&rules, &session, &model);
+    let mut explainer = Explainer::new(&session);
+    for (rel, rows) in model.iter().enumerate() {
+        for row in rows.iter().take(30) {
+            let explanation = explainer.explain(RelId(rel as u32), row).unwrap().expect("it holds");
+            let Node::Fact(fact) = &explanation.nodes()[0] else {
+                panic!()
+            };
+            assert_eq!((fact.relation.index(), &fact.row), (rel, row));
+            for node in explanation.nodes() {
+                if let Node::Fact(fact) = node {
+                    assert_eq!(fact.height, heights[fact.relation.index()][&fact.row]);
+                }
+            }
+            check(&session, &model, &explanation);
+            // A fresh explainer, which has settled nothing yet, says the same.
+            if row[..] == rows.first().unwrap()[..] {
+                assert_eq!(
+                    session.explain(RelId(rel as u32), row).unwrap().as_ref(),
+                    Some(&explanation)
+                );
+            }
+        }
+        for row in domain(&rules, rel) {
+            let wanted: Vec<Option<Value>> = row.iter().copied().map(Some).collect();
+            let explanation = explainer.explain_absence(RelId(rel as u32), &wanted).unwrap();
+            assert_eq!(explanation.is_none(), rows.contains(&row));
+            if let Some(explanation) = explanation {
+                check(&session, &model, &explanation);
+                assert!(explainer.explain(RelId(rel as u32), &row).unwrap().is_none());
+            }
+        }
+    }
+}
+
+/// A literal matters if the clause without it, asked of all that holds, derives something new.
+fn check_matters(genome: &Genome) {
+    let rules = genome.rules();
+    let mut session = Program::new(rules.clone()).unwrap().session();
+    for (present, rel, row) in genome.batch(&rules, 0).into_iter().filter(|(present, ..)| *present) {
+        assert!(present);
+        session.insert(rel, &row).unwrap();
+    }
+    session.commit().unwrap();
+    let model = database(&session);
+    let mut explainer = Explainer::new(&session);
+    for (clause, id) in rules.clauses.iter().zip(0..) {
+        for literal in 0..clause.body.len() {
+            let Some(matters) = explainer.matters(ClauseId(id), literal).unwrap() else {
+                continue;
+            };
+            let mut less = clause.clone();
+            less.body.remove(literal);
+            let derived = naive::consequences(&less, session.symbols(), &model);
+            assert_eq!(matters, !derived.is_subset(&model[clause.head.relation.index()]));
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { max_shrink_iters: 2_000, ..ProptestConfig::with_cases(96) })]
+
+    #[test]
+    fn random_programs_are_explained(genome in genomes(1..3)) {
+        check_genome(&genome);
+    }
+
+    #[test]
+    fn literals_that_matter_are_known(genome in genomes(1..2)) {
+        check_matters(&genome);
+    }
+
+    #[test]
+    fn random_recursion_is_explained(genome in recursive_genomes(1..2)) {
+        check_genome(&genome);
+    }
+}
+
+fn numbers(row: &[i32]) -> Vec<Value> {
+    row.iter().copied().map(Value::number).collect()
+}
+
+/// A session with these numbers in these relations.
+fn session(text: &str, facts: &[(&str, &[&[i32]])]) -> Session {
+    let program = program(text);
+    let mut session = program.session();
+    for (name, rows) in facts {
+        let rel = program.relation(name).unwrap();
+        rows.iter().for_each(|row| session.insert(rel, &numbers(row)).unwrap());
+    }
+    session.commit().unwrap();
+    session
+}
+
+const PATHS: &str = ".decl edge(x: number, y: number)
+    .input edge
+    .decl path(x: number, y: number)
+    path(x, y) :- edge(x, y).
+    path(x, z) :- path(x, y), path(y, z).";
+
+#[test]
+fn a_long_chain_has_a_proof_of_logarithmic_height() {
+    let edges: Vec<Vec<i32>> = (0..64).map(|at| vec![at, at + 1]).collect();
+    let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
+    let session = session(PATHS, &[("edge", &edges)]);
+    let path = session.program().relation("path").unwrap();
+    let proof = session.explain(path, &numbers(&[0, 64])).unwrap().unwrap();
+    let Node::Fact(fact) = &proof.nodes()[0] else { panic!() };
+    assert_eq!(fact.height, 7);
+    check(&session, &database(&session), &proof);
+}
+
+#[test]
+fn a_proof_may_be_deep() {
+    let text = PATHS.replace("path(y, z)", "edge(y, z)");
+    let edges: Vec<Vec<i32>> = (0..1_000).map(|at| vec![at, at + 1]).collect();
+    let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
+    let session = session(&text, &[("edge", &edges)]);
+    let path = session.program().relation("path").unwrap();
+    let proof = session.explain(path, &numbers(&[0, 1_000])).unwrap().unwrap();
+    assert_eq!(proof.nodes().len(), 2_000);
+}
+
+#[test]
+fn too_much_work_is_said_and_leaves_nothing_half_done() {
+    let edges: Vec<Vec<i32>> = (0..40).map(|at| vec![at, at + 1]).collect();
+    let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
+    let session = session(PATHS, &[("edge", &edges)]);
+    let path = session.program().relation("path").unwrap();
+    let expected = session.explain(path, &numbers(&[0, 40])).unwrap();
+    let mut explainer = Explainer::new(&session);
+    for limit in [0, 1, 10, 100, 1_000, 5_000] {
+        explainer.set_limit(limit);
+        let error = explainer.explain(path, &numbers(&[0, 40])).unwrap_err();
+        assert_eq!(error, ExplainError::TooMuchWork { limit });
+        assert!(error.to_string().contains(&limit.to_string()));
+    }
+    explainer.set_limit(Explainer::LIMIT);
+    assert_eq!(explainer.explain(path, &numbers(&[0, 40])).unwrap(), expected);
+}
+
+#[test]
+fn questions_that_make_no_sense_have_no_answer() {
+    let session = session(PATHS, &[("edge", &[&[1, 2]])]);
+    let path = session.program().relation("path").unwrap();
+    assert!(session.explain(RelId(9), &[]).unwrap().is_none());
+    assert!(session.explain(path, &numbers(&[1])).unwrap().is_none());
+    assert!(session.explain_absence(RelId(9), &[]).unwrap().is_none());
+    assert!(session.explain_absence(path, &[None]).unwrap().is_none());
+    assert!(session.explain_absence(path, &[None, None]).unwrap().is_none());
+    assert!(Explainer::new(&session).matters(ClauseId(9), 0).unwrap().is_none());
+    assert!(Explainer::new(&session).matters(ClauseId(0), 9).unwrap().is_some());
+}
+
+/// A program, its facts, what is asked, and how the answer reads.
+fn told(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -> String {
+    let mut sources = Sources::new();
+    let entry = sources.add("rules.dl", text);
+    let rules = logicity::lang::load(&mut sources, entry, &logicity::files::read_or_builtin)
+        .rules
+        .unwrap();
+    let program = Program::new(rules).unwrap();
+    let mut session = program.session();
+    for (name, rows) in facts {
+        let rel = program.relation(name).unwrap();
+        rows.iter().for_each(|row| session.insert(rel, &numbers(row)).unwrap());
+    }
+    session.commit().unwrap();
+    let rel = program.relation(name).unwrap();
+    let wanted: Vec<Option<Value>> = numbers(row).into_iter().map(Some).collect();
+    let explanation = match session.explain(rel, &numbers(row)).unwrap() {
+        Some(proof) => proof,
+        None => session.explain_absence(rel, &wanted).unwrap().unwrap(),
+    };
+    let teller = Teller::new(program.rules(), session.symbols(), &sources);
+    let json = teller.json(&explanation);
+    assert_eq!(json["nodes"].as_array().unwrap().len(), explanation.nodes().len());
+    assert!(!json.to_string().contains('+'), "a hidden predicate is shown by name");
+    teller.tree(&explanation)
+}
+
+#[test]
+fn trees_read_well() {
+    let text = "
+.decl edge(x: number, y: number)
+.decl big(x: number)
+.decl path(x: number, y: number)
+.decl lone(x: number)
+.input edge, big
+/// E: an edge is a path
+path(x, y) :- edge(x, y).
+/// P: and so is one after another
+path(x, z) :- path(x, y), edge(y, z), x < 9.
+big(7).
+lone(x) :- big(x), !path(x, _).
+";
+    let edges: &[(&str, &[&[i32]])] = &[("edge", &[&[1, 2], &[2, 3], &[9, 1]])];
+    assert_eq!(
+        told(text, edges, "path", &[1, 3]),
+        "\
+path(1, 3)  by P: and so is one after another  [rules.dl:10]
+├─ path(1, 2)  by E: an edge is a path  [rules.dl:8]
+│  └─ edge(1, 2)
+├─ edge(2, 3)
+└─ 1 < 9
+"
+    );
+    assert_eq!(
+        told(text, edges, "path", &[9, 2]),
+        "\
+Not(path(9, 2)): no clause of path holds
+├─ E: an edge is a path  [rules.dl:8]
+│  └─ edge(9, 2) does not hold
+└─ P: and so is one after another  [rules.dl:10]
+   └─ 9 < 9 fails
+"
+    );
+    assert_eq!(
+        told(text, edges, "lone", &[7]),
+        "\
+lone(7)  by lone(x) :- big(x), !path(x, _).  [rules.dl:12]
+├─ big(7)  [rules.dl:11]
+└─ Not(path(7, _)): no clause of path holds
+   ├─ E: an edge is a path  [rules.dl:8]
+   │  └─ edge(7, y) does not hold
+   └─ P: and so is one after another  [rules.dl:10]
+      └─ nearest y = 9: path(7, 9) does not hold
+         ├─ E: an edge is a path  [rules.dl:8]
+         │  └─ edge(7, 9) does not hold
+         └─ P: and so is one after another  [rules.dl:10]
+            ├─ path(7, y) does not hold  (see above)
+            └─ edge(y, 9) does not hold
+"
+    );
+}
+
+#[test]
+fn views_are_told_and_hidden_predicates_are_not() {
+    let text = "
+.decl sees(x: number, y: number)
+.decl near(x: number, y: number)
+.decl car(x: number)
+.decl free(x: number)
+.decl go(x: number)
+.input sees, near, car
+.scope sees
+/// F: nobody in view is near
+free(X) :- car(X), !near(X, _).
+/// G: somebody in view is free
+go(X) :- car(X), free(Y).
+";
+    let facts: &[(&str, &[&[i32]])] = &[
+        ("car", &[&[1], &[2], &[3]]),
+        ("near", &[&[1, 2], &[2, 3]]),
+        ("sees", &[&[1, 1], &[1, 2], &[2, 2], &[3, 1], &[3, 3]]),
+    ];
+    // 2 is near to 3, but does not see it.
+    assert_eq!(
+        told(text, facts, "go", &[1]),
+        "\
+go(1)  by G: somebody in view is free  [rules.dl:12]
+├─ car(1)
+├─ free(2)  by F: nobody in view is near  [rules.dl:10]
+│  ├─ car(2)
+│  └─ Not(near(2, _) in view)
+│     └─ not in view: sees(2, 3)
+└─ in view: sees(1, 2)
+"
+    );
+    assert_eq!(
+        told(text, facts, "free", &[1]),
+        "\
+Not(free(1)): no clause of free holds
+└─ F: nobody in view is near  [rules.dl:10]
+   └─ Not(near(1, _) in view) fails
+      └─ near(1, _) in view
+         ├─ near(1, 2)
+         └─ in view: sees(1, 2)
+"
+    );
+    assert_eq!(
+        told(text, &[facts[0], facts[1]], "go", &[1]),
+        "\
+Not(go(1)): no clause of go holds
+└─ G: somebody in view is free  [rules.dl:12]
+   └─ nearest Y = 2: not in view: sees(1, 2)
+"
+    );
+}
+
+/// The simulation of a configuration.
+fn city(config: &str) -> Simulation {
+    let mut sources = Sources::new();
+    let scenario = load_scenario(&mut sources, Path::new(config), &files::read_or_builtin).unwrap();
+    let rules = &scenario.rules.value;
+    let entry = sources.add(rules.display().to_string(), files::read_or_builtin(rules).unwrap());
+    let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
+    let program = Program::new(loaded.rules.unwrap()).unwrap();
+    let world = World::new(scenario, program).unwrap();
+    Simulation::new(Arc::new(world), Split::Test, Seed(0)).unwrap()
+}
+
+/// For every decision of the paper's expert city: the proof of each derived action can be replayed and its leaves alone suffice
+/// to derive the action; every literal that is said to keep another action away is false.
+#[test]
+fn every_decision_of_an_expert_run_is_explained() {
+    let mut simulation = city("configs/expert.yaml");
+    let (mut proofs, mut absences) = (0, 0);
+    for _ in 0..300 {
+        let report = simulation.tick(&[]).unwrap();
+        let session = simulation.session();
+        let rules = session.program().rules();
+        let model = database(session);
+        let mut explainer = Explainer::new(session);
+        for (position, agent) in report.agents.iter().enumerate() {
+            let mut held = Vec::new();
+            for action in Speed::ALL {
+                let relation = simulation.world().vocabulary.action(action).unwrap();
+                let row = [simulation.value(position)];
+                let explanation = match explainer.explain(relation, &row).unwrap() {
+                    Some(proof) => {
+                        held.push(action);
+                        proofs += 1;
+                        let leaves = proof.nodes().iter().filter_map(|node| match node {
+                            Node::Fact(fact) if fact.origin == Origin::Input => {
+                                assert!(rules.relations[fact.relation.index()].input);
+                                Some((fact.relation, fact.row.clone()))
+                            }
+                            _ => None,
+                        });
+                        let derived = naive::evaluate(rules, session.symbols(), leaves);
+                        assert!(derived[relation.index()].contains(&row[..]));
+                        proof
+                    }
+                    None => {
+                        absences += 1;
+                        let wanted = [Some(row[0])];
+                        explainer
+                            .explain_absence(relation, &wanted)
+                            .unwrap()
+                            .expect("it does not hold")
+                    }
+                };
+                check(session, &model, &explanation);
+            }
+            assert!(held.contains(&agent.action), "{held:?}");
+        }
+    }
+    assert_eq!(
+        (proofs, proofs + absences),
+        (5_400, 4 * 5_400),
+        "one action for each decision"
+    );
+}
