@@ -17,6 +17,9 @@ pub(super) struct Heights {
     progress: HashMap<usize, Progress>,
 }
 
+/// Facts by relation and position, and their heights.
+type Settled = Vec<((RelId, u32), u32)>;
+
 /// How much may be relevant to a goal: instances of clauses, and steps to find them.
 const INSTANCES_MAX: usize = 500_000;
 const RELEVANT_STEPS: u64 = 5_000_000;
@@ -175,7 +178,7 @@ impl Search<'_> {
         }
     }
 
-    fn relevant(&self, goal: (RelId, u32)) -> Result<Option<Vec<((RelId, u32), u32)>>, ExplainError> {
+    fn relevant(&self, goal: (RelId, u32)) -> Result<Option<Settled>, ExplainError> {
         let rules = self.rules();
         let mut facts = vec![goal];
         let mut ids = HashMap::from([(goal, 0)]);

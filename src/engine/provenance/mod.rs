@@ -230,13 +230,13 @@ impl Session {
     /// Why a fact holds: a shortest proof down to inserted facts and facts of the text. `None` if it does not hold.
     ///
     /// ```
-    /// # use logicity::{diag::Sources, engine::{Program, provenance::{Node, Origin}}, files, lang};
+    /// # use logicity::{diag::Sources, engine::{Program, provenance::Node}, files, lang};
     /// # let mut sources = Sources::new();
     /// # let text = ".decl e(x: number, y: number) .input e .decl p(x: number, y: number)
     /// #     p(x, y) :- e(x, y). p(x, z) :- p(x, y), e(y, z).";
     /// # let entry = sources.add("path.dl", text);
     /// # let rules = lang::load(&mut sources, entry, &files::read_or_builtin).rules.unwrap();
-    /// # let program = Program::new(rules)?;
+    /// # let program = Program::new(rules).expect("within limits");
     /// # let (e, p) = (program.relation("e").unwrap(), program.relation("p").unwrap());
     /// # let [a, b, c] = [1, 2, 3].map(lang::Value::number);
     /// let mut session = program.session();      // p(x, y) :- e(x, y).   p(x, z) :- p(x, y), e(y, z).
