@@ -115,6 +115,25 @@ fn scenes_and_facts_fail_as_their_fixtures_say() {
     }
 }
 
+#[test]
+fn facts_that_break_promises_are_refused() {
+    let folder = fixtures().join("broken-promise");
+    let folder = folder.to_str().unwrap();
+    let output = logicity(&["query", &format!("{folder}/main.dl"), "-F", folder, "-D", "-"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(output.stdout.is_empty());
+    for part in [
+        "error[broken-promise]: both `Car(\"b\")` and `Walker(\"b\")` hold",
+        "`Bus(\"c\")` holds, `Car(\"c\")` does not",
+        "`Near(\"b\", \"b\")` holds",
+        "`Near(\"a\", \"b\")` holds, `Near(\"b\", \"a\")` does not",
+        "main.dl:7:1",
+    ] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+}
+
 /// The scenes in the reference are answered; the ones that stand for faults are refused.
 #[test]
 fn the_scenes_of_the_reference_do_what_it_says() {

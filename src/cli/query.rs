@@ -2,7 +2,7 @@
 
 use super::{Failure, load_rules, report};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::engine::{Program, Session, facts};
+use crate::engine::{Program, Session, facts, promise};
 use crate::files::{self, Output, ReadError};
 use crate::lang::RelId;
 use std::io::Write;
@@ -29,6 +29,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     session
         .commit()
         .map_err(|error| Diagnostic::new(Code::LimitExceeded, error.to_string()))?;
+
+    let broken = promise::broken(&session);
+    if !broken.is_empty() {
+        return Err(broken.into());
+    }
 
     let mut out = anstream::stdout();
     for (id, relation) in relations(&program) {

@@ -23,6 +23,7 @@ pub mod facts;
 mod join;
 pub mod naive;
 mod plan;
+pub mod promise;
 mod row;
 
 use crate::diag::Diagnostic;

@@ -4,8 +4,8 @@
 //! file. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names.
 //!
 //! The stages, each in its own file: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
-//! list of items), `names` (types and predicates), `clause` (one clause: names, types, safety), `scope` (guards), `strata`
-//! (order of evaluation), `lint` (warnings that need all clauses). None stops at the first fault.
+//! list of items), `names` (types and predicates), `clause` (one clause: names, types, safety), `scope` (guards), `promise` (what
+//! is promised of facts), `strata` (order of evaluation), `lint` (warnings that need all clauses). None stops at the first fault.
 //!
 //! This room refuses to know what a city is, how rules are evaluated, and where texts come from: the caller reads the files.
 
@@ -23,6 +23,7 @@ mod lint;
 mod names;
 mod parser;
 mod print;
+mod promise;
 mod rules;
 mod scope;
 mod strata;
@@ -30,8 +31,8 @@ mod strata;
 pub use include::BUILTIN;
 pub use print::print;
 pub use rules::{
-    Atom, BaseType, Clause, ClauseId, Column, Comparison, Literal, RelId, Relation, Rules, Stratum, Term, Type, TypeId,
-    Value, VarId,
+    Atom, BaseType, Clause, ClauseId, Column, Comparison, Constraint, Literal, Promise, RelId, Relation, Rules,
+    Stratum, Term, Type, TypeId, Value, VarId,
 };
 
 use faults::Faults;
@@ -65,6 +66,7 @@ fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
     let syntax_is_good = !faults.failed();
     let mut names = names::declare(&gathered.items, gathered.complete, faults);
     let checked = clause::check(&gathered.items, &mut names, faults);
+    let promises = promise::check(&gathered.items, &mut names, faults);
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
     // What could not be read might make a clause live, or tell two clauses apart.
@@ -85,6 +87,7 @@ fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
         relations,
         clauses,
         symbols: checked.symbols,
+        promises,
     })
 }
 

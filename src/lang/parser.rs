@@ -7,8 +7,8 @@
 use crate::diag::{Code, Diagnostic, SourceId, Span, did_you_mean};
 
 use super::ast::{
-    Atom, Clause, ColumnDecl, Decl, File, Include, Item, Literal, Mark, MarkKind, Name, Place, Scope, Term, TermKind,
-    TypeDecl, TypeDefinition,
+    Atom, Clause, ColumnDecl, Decl, File, Include, Item, Literal, Mark, MarkKind, Name, Place, Promise, PromiseKind,
+    Scope, Term, TermKind, TypeDecl, TypeDefinition,
 };
 use super::faults::Faults;
 use super::lexer::{self, DocLine, Kind, Token};
@@ -18,7 +18,19 @@ use super::rules::Comparison;
 const MAX_NESTING: usize = 64;
 
 /// Every directive, for suggestions.
-const DIRECTIVES: &[&str] = &["decl", "type", "input", "output", "printsize", "include", "scope"];
+const DIRECTIVES: &[&str] = &[
+    "decl",
+    "type",
+    "input",
+    "output",
+    "printsize",
+    "include",
+    "scope",
+    "disjoint",
+    "implies",
+    "irreflexive",
+    "symmetric",
+];
 
 /// Souffle's directives that this language does not have.
 const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
@@ -319,6 +331,10 @@ impl<'a> Parser<'a> {
             "input" => self.mark(MarkKind::Input).map(|mark| Some(Item::Mark(mark))),
             "output" => self.mark(MarkKind::Output).map(|mark| Some(Item::Mark(mark))),
             "printsize" => self.mark(MarkKind::PrintSize).map(|mark| Some(Item::Mark(mark))),
+            "disjoint" => self.promise(PromiseKind::Disjoint, dot),
+            "implies" => self.promise(PromiseKind::Implies, dot),
+            "irreflexive" => self.promise(PromiseKind::Irreflexive, dot),
+            "symmetric" => self.promise(PromiseKind::Symmetric, dot),
             "include" => {
                 if !matches!(self.kind(), Kind::Text | Kind::OpenText) {
                     return Err(self.expected("the file's name in quotes"));
@@ -442,6 +458,27 @@ impl<'a> Parser<'a> {
                 return Ok(Mark { kind, names });
             }
         }
+    }
+
+    /// Names with or without commas between them; a name before a parenthesis begins a clause.
+    fn promise(&mut self, kind: PromiseKind, dot: Token) -> Parse<Option<Item>> {
+        let mut names = vec![self.name("a predicate")?];
+        while self.eat(Kind::Comma) || (self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen) {
+            names.push(self.name("a predicate")?);
+        }
+        let place = self.place_from(dot);
+        let (good, wanted) = match kind {
+            PromiseKind::Disjoint => (names.len() >= 2, "two predicates or more"),
+            PromiseKind::Implies => (names.len() == 2, "two predicates: what holds, and what then holds too"),
+            PromiseKind::Irreflexive | PromiseKind::Symmetric => (true, ""),
+        };
+        if !good {
+            let message = format!("`.{}` names {wanted}", kind.name());
+            self.faults
+                .push(Diagnostic::new(Code::Syntax, message).at(place.0, format!("{} here", names.len())));
+            return Ok(None);
+        }
+        Ok(Some(Item::Promise(Promise { kind, names, place })))
     }
 
     fn decl(&mut self, doc: String) -> Parse<Decl> {
