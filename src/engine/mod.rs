@@ -18,6 +18,7 @@
 //!
 //! This module refuses to know what a city, an agent or an ego is. It does no I/O and is deterministic.
 
+pub mod diff;
 mod exec;
 pub mod facts;
 mod join;

@@ -72,11 +72,10 @@ pub(super) struct Solver {
 
 impl Solver {
     pub(super) fn new() -> Solver {
-        Solver { bump: 1.0, ..Solver::default() }
-    }
-
-    pub(super) fn variables(&self) -> usize {
-        self.value.len()
+        Solver {
+            bump: 1.0,
+            ..Solver::default()
+        }
     }
 
     pub(super) fn fresh(&mut self) -> Lit {
@@ -99,7 +98,9 @@ impl Solver {
 
     /// Whether the literal is true in the model found last.
     pub(super) fn is_true(&self, lit: Lit) -> bool {
-        self.model.get(lit.variable()).is_some_and(|&value| value != lit.is_negated())
+        self.model
+            .get(lit.variable())
+            .is_some_and(|&value| value != lit.is_negated())
     }
 
     /// Adds a clause: one of the literals holds.
@@ -142,7 +143,9 @@ impl Solver {
     }
 
     fn undo(&mut self, level: usize) {
-        let Some(&length) = self.decisions.get(level) else { return };
+        let Some(&length) = self.decisions.get(level) else {
+            return;
+        };
         for lit in self.trail.drain(length..) {
             let variable = lit.variable();
             self.saved[variable] = self.value[variable] == Some(true);
@@ -283,7 +286,11 @@ impl Solver {
                 let (learnt, back) = self.analyse(conflict);
                 self.undo(back);
                 let first = learnt[0];
-                let reason = if learnt.len() == 1 { NO_REASON } else { self.attach(learnt) };
+                let reason = if learnt.len() == 1 {
+                    NO_REASON
+                } else {
+                    self.attach(learnt)
+                };
                 self.assign(first, reason);
                 continue;
             }
