@@ -139,7 +139,11 @@ fn recursion_and_numbers_are_searched_and_not_proved() {
     );
     let steps = rules(&format!("{base} Path(x, z) :- Edge(x, y), Edge(y, z)."));
     let found = difference(&left, &steps);
-    assert_eq!((found.entities.len(), found.facts[0].1.len()), (3, 3), "a circle of three");
+    assert_eq!(
+        (found.entities.len(), found.facts[0].1.len()),
+        (3, 3),
+        "a circle of three"
+    );
 
     let speed = |rule: &str| {
         rules(&format!(

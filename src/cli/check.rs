@@ -1,7 +1,8 @@
 //! `logicity check`
 
 use super::{Failure, load_rules, report};
-use crate::diag::{Diagnostic, Sources, to_json};
+use crate::diag::{Code, Diagnostic, Sources, to_json};
+use crate::engine::optimize;
 use crate::lang::{RelId, Rules};
 use serde_json::json;
 use std::collections::HashSet;
@@ -16,6 +17,9 @@ pub struct Arguments {
     /// Print one JSON object a file instead: `file`, `ok`, `strata`, `diagnostics`
     #[arg(long)]
     json: bool,
+    /// Also tell literals and clauses that are true and needless
+    #[arg(long)]
+    lints: bool,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -24,7 +28,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let mut diagnostics: Vec<Diagnostic> = Vec::new();
     let mut unreadable = Vec::new();
     for path in &arguments.rules {
-        let (rules, found) = match load_rules(sources, path) {
+        let (rules, mut found) = match load_rules(sources, path) {
             Ok((rules, warnings)) => (Some(rules), warnings),
             Err(Failure::Input(faults)) => (None, faults),
             Err(Failure::Usage(message)) => {
@@ -33,6 +37,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             }
             Err(other) => return Err(other),
         };
+        if let Some(rules) = &rules {
+            let lints = optimize::lints(rules).into_iter();
+            // What is needless may be there for the reader.
+            found.extend(lints.filter(|lint| arguments.lints || lint.code == Code::ContradictoryBody));
+        }
         if arguments.json {
             let line = json!({
                 "file": path.display().to_string(),

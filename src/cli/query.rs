@@ -2,7 +2,7 @@
 
 use super::{Failure, load_rules, report};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::engine::{Program, Session, facts, promise};
+use crate::engine::{Options, Program, Session, facts, promise};
 use crate::files::{self, Output, ReadError};
 use crate::lang::RelId;
 use std::io::Write;
@@ -23,7 +23,12 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let (rules, warnings) = load_rules(sources, &arguments.rules)?;
     report(&warnings, sources);
-    let program = Program::new(rules)?;
+    // The facts are checked below, before anybody sees an answer.
+    let options = Options {
+        promises: true,
+        ..Options::default()
+    };
+    let program = Program::with(rules, options)?;
     let mut session = program.session();
     load_inputs(&arguments.facts, &mut session, sources)?;
     session

@@ -75,6 +75,11 @@ codes! {
     /// A clause that can never fire, since a predicate it needs is always empty.
     DeadClause = "dead-clause", Warning;
 
+    /// A body two literals of which never hold together.
+    ContradictoryBody = "contradictory-body", Warning;
+    /// A literal that others imply.
+    RedundantLiteral = "redundant-literal", Warning;
+
     // --- facts
     /// A row of a facts file that does not fit its predicate's declaration.
     InvalidFact = "invalid-fact", Error;
