@@ -5,6 +5,7 @@
 
 mod check;
 mod diff;
+mod fmt;
 mod infer;
 mod query;
 mod route;
@@ -34,6 +35,8 @@ enum Command {
     Run(run::Arguments),
     /// Check rule files: report every fault, print the strata
     Check(check::Arguments),
+    /// Lay rule files out in one style; comments stay
+    Fmt(fmt::Arguments),
     /// Compare two rule sets: are they equal, and if not, in which smallest scene do they differ?
     Diff(diff::Arguments),
     /// Run any Datalog program on facts files, as Souffle does
@@ -103,6 +106,7 @@ pub fn main() -> ExitCode {
     let result = match arguments.command {
         Command::Run(arguments) => run::run(&arguments, &mut sources),
         Command::Check(arguments) => check::run(&arguments, &mut sources),
+        Command::Fmt(arguments) => fmt::run(&arguments, &mut sources),
         Command::Diff(arguments) => {
             return match diff::run(&arguments, &mut sources) {
                 Ok(code) => code,

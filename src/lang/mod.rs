@@ -1,7 +1,8 @@
 //! From text to checked rules.
 //!
 //! [`load`] is the door: it reads a rule file and all it includes and gives the checked [`Rules`], or every fault of every
-//! file. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names.
+//! file. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names; [`format`](fn@format) lays a
+//! text out and keeps its comments.
 //!
 //! The stages, each in its own file: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
 //! list of items), `names` (types and predicates), `clause` (one clause: names, types, safety), `scope` (guards), `promise` (what
@@ -17,6 +18,7 @@ use crate::files::ReadError;
 pub mod ast;
 mod clause;
 mod faults;
+mod format;
 mod include;
 mod lexer;
 mod lint;
@@ -28,6 +30,7 @@ mod rules;
 mod scope;
 mod strata;
 
+pub use format::format;
 pub use include::BUILTIN;
 pub use print::print;
 pub use rules::{

@@ -11,7 +11,7 @@ use super::ast::{
     Scope, Term, TermKind, TypeDecl, TypeDefinition,
 };
 use super::faults::Faults;
-use super::lexer::{self, DocLine, Kind, Token};
+use super::lexer::{self, DocLine, Kind, Lexed, Token};
 use super::rules::Comparison;
 
 /// More negations and parentheses than this around one literal are refused.
@@ -51,6 +51,11 @@ const AGGREGATES: &[&str] = &["count", "sum", "min", "max", "mean", "range"];
 /// The tree of one text.
 pub(super) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
     let lexed = lexer::lex(source, text, faults);
+    parse_tokens(source, text, &lexed, faults).0
+}
+
+/// The tree of a text that is lexed already, and the number of each item's first token.
+pub(super) fn parse_tokens(source: SourceId, text: &str, lexed: &Lexed, faults: &mut Faults) -> (File, Vec<usize>) {
     let mut parser = Parser {
         source,
         text,
@@ -58,9 +63,11 @@ pub(super) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
         docs: &lexed.docs,
         next_doc: 0,
         at: 0,
+        starts: Vec::new(),
         faults,
     };
-    parser.file()
+    let file = parser.file();
+    (file, parser.starts)
 }
 
 /// The fault has been reported; the caller leaves what it was reading.
@@ -75,6 +82,8 @@ struct Parser<'a> {
     docs: &'a [DocLine],
     next_doc: usize,
     at: usize,
+    /// Where items begin.
+    starts: Vec<usize>,
     faults: &'a mut Faults,
 }
 
@@ -228,6 +237,7 @@ impl<'a> Parser<'a> {
         let mut file = File::default();
         while self.kind() != Kind::End && !self.faults.full() {
             let start = self.at;
+            self.starts.push(start);
             match self.item() {
                 Ok(item) => file.items.extend(item),
                 Err(Reported) => self.recover(start),
