@@ -84,7 +84,7 @@ fn everything_in_its_place() {
     let text = "// top\n\n\n\n.decl   A( x :number,y: symbol )   // trailing\n.decl B(x:number).input A\n\
         /// doc\nB(x):-A(x,_),!B( x ),Not  (B(x)) , not B(x),x<-7,x!=  3 . // end\n\
         A(1,\"a,  b\").A(2,\"/* no */\"). /* both */ A(3 , \"c\").\n\n\n// last\n";
-    let expected = "// top\n\n.decl A(x: number, y: symbol)     // trailing\n.decl B(x: number)\n.input A\n\
+    let expected = "// top\n\n.decl A(x: number, y: symbol)      // trailing\n.decl B(x: number)\n.input A\n\
         /// doc\nB(x) :- A(x, _), !B(x), Not(B(x)), not B(x), x < -7, x != 3. // end\n\
         A(1, \"a,  b\"). A(2, \"/* no */\"). /* both */\nA(3, \"c\").\n\n// last\n";
     assert_eq!(check(text), expected);
