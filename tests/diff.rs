@@ -176,6 +176,30 @@ fn what_does_not_fit_is_refused() {
     assert!(diff(&left, &left, &options).is_err());
 }
 
+/// Nothing in a text makes the comparison crash or run on for ever.
+#[test]
+fn large_programs_are_given_up_in_time() {
+    let mut chain = ".decl P0(x: symbol) .input P0\n".to_owned();
+    for number in 1..5000 {
+        chain += &format!(".decl P{number}(x: symbol) P{number}(x) :- P{}(x).\n", number - 1);
+    }
+    chain += ".output P4999";
+    let chain = rules(&chain);
+    assert!(matches!(
+        verdict(&chain, &chain),
+        Verdict::NoneFound { entities: 0, .. }
+    ));
+    let wide: Vec<String> = (0..60).map(|number| format!("E(v{number}, v{})", number + 1)).collect();
+    let wide = |more: &str| {
+        rules(&format!(
+            ".decl E(x: symbol, y: symbol) .input E .decl P(x: symbol) .output P P(v0) :- {}{more}.",
+            wide.join(", ")
+        ))
+    };
+    let found = verdict(&wide(""), &wide(", v3 != v5"));
+    assert!(matches!(found, Verdict::Different(_)), "{found:?}");
+}
+
 // --- against trying everything
 
 /// A program over A, B (unary) and R (binary), of P and then S and T from small numbers.

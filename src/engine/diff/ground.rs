@@ -34,7 +34,12 @@ pub(super) struct Circuit<'a> {
     derived: HashMap<(usize, RelId, Vec<usize>, usize), Lit>,
     /// How many more literals may be looked at.
     room: usize,
+    /// How many derived facts are being taken apart, each for the one before.
+    depth: usize,
 }
+
+/// Longer chains of derived facts, and clauses with more variables, are not looked at: both are walked by recursion.
+const DEPTH_MAX: usize = 64;
 
 impl<'a> Circuit<'a> {
     pub(super) fn new(sides: [&'a Side<'a>; 2], individuals: &'a [Individual], view: View, room: usize) -> Self {
@@ -51,6 +56,7 @@ impl<'a> Circuit<'a> {
             atoms: BTreeMap::new(),
             derived: HashMap::new(),
             room,
+            depth: 0,
         }
     }
 
@@ -119,6 +125,7 @@ impl<'a> Circuit<'a> {
         }
         let stratum = program.stratum[relation.index()];
         let recursive = stratum.is_some_and(|stratum| program.rules.strata[stratum].recursive);
+        let round_given = matches!((stratum, round), (Some(own), Some((other, _))) if own == other);
         let round = match (stratum, round) {
             (Some(own), Some((stratum, round))) if own == stratum => round,
             (Some(stratum), _) if recursive => self.rounds(side, stratum)?,
@@ -132,13 +139,44 @@ impl<'a> Circuit<'a> {
             return Ok(known);
         }
         let inner = stratum.filter(|_| recursive).map(|stratum| (stratum, round - 1));
+        if let (Some((stratum, before)), false) = (inner, round_given) {
+            self.unroll(side, stratum, before)?;
+        }
+        self.depth += 1;
+        if self.depth > DEPTH_MAX {
+            return Err(TooLarge);
+        }
         let mut ways = Vec::new();
         for &clause in &program.clauses[relation.index()] {
             self.ways(side, clause, row, inner, &mut ways)?;
         }
+        self.depth -= 1;
         let gate = self.any(ways);
         self.derived.insert(key, gate);
         Ok(gate)
+    }
+
+    /// The facts of the first rounds of a recursive stratum, round by round, so that none waits for more than the one before.
+    fn unroll(&mut self, side: usize, stratum: usize, rounds: usize) -> Result<(), TooLarge> {
+        let sides = self.sides;
+        let rules = sides[side].rules;
+        for round in 1..=rounds {
+            for &relation in &rules.strata[stratum].relations {
+                let mut rows: Vec<Vec<usize>> = vec![Vec::new()];
+                for column in &rules.relations[relation.index()].columns {
+                    rows = (rows.iter())
+                        .flat_map(|row| {
+                            self.of(column.base)
+                                .map(move |value| row.iter().copied().chain([value]).collect())
+                        })
+                        .collect();
+                }
+                for row in rows {
+                    self.holds(side, relation, &row, Some((stratum, round)))?;
+                }
+            }
+        }
+        Ok(())
     }
 
     /// As many rounds as the stratum has possible facts: each but the last adds one.
@@ -192,6 +230,9 @@ impl<'a> Circuit<'a> {
         round: Option<(usize, usize)>,
         ways: &mut Vec<Lit>,
     ) -> Result<(), TooLarge> {
+        if clause.variables.len() > DEPTH_MAX {
+            return Err(TooLarge);
+        }
         let mut bound: Vec<Option<usize>> = vec![None; clause.variables.len()];
         let columns = &self.sides[side].rules.relations[clause.head.relation.index()].columns;
         for ((term, column), &value) in clause.head.terms.iter().zip(columns).zip(row) {

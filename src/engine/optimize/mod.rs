@@ -17,7 +17,7 @@ use crate::lang::{
 };
 use crate::symbol::Symbol;
 use saturate::Knowledge;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use theory::{Arg, Fact, Theory, covers, facts};
 
 /// Longer bodies are left as they are.
@@ -255,12 +255,14 @@ fn find(rules: &Rules, theory: &Theory) -> Vec<Finding> {
 /// Finds clauses whose rows another clause of the predicate derives: some substitution makes the heads equal and every literal of the
 /// other one implied by one of this.
 fn subsumed(rules: &Rules, theory: &Theory, findings: &mut Vec<Finding>) {
+    let contradictory = |finding: &Finding| match finding {
+        Finding::Contradictory { clause, .. } => Some(clause.index()),
+        _ => None,
+    };
+    let never: BTreeSet<usize> = findings.iter().filter_map(contradictory).collect();
     let mut by_head: BTreeMap<RelId, Vec<usize>> = BTreeMap::new();
     for (index, clause) in rules.clauses.iter().enumerate() {
-        let never = findings
-            .iter()
-            .any(|finding| matches!(finding, Finding::Contradictory { clause, .. } if clause.index() == index));
-        if !clause.body.is_empty() && clause.body.len() <= LITERALS_MAX && !never {
+        if !clause.body.is_empty() && clause.body.len() <= LITERALS_MAX && !never.contains(&index) {
             by_head.entry(clause.head.relation).or_default().push(index);
         }
     }
