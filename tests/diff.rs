@@ -176,6 +176,37 @@ fn what_does_not_fit_is_refused() {
     assert!(diff(&left, &left, &options).is_err());
 }
 
+/// "Everybody has a successor" depends on whom it is asked of, so the size of a scene with a difference is not bounded by the number of
+/// variables: here labels go round in a circle of five.
+#[test]
+fn for_all_there_is_is_not_taken_for_proved() {
+    let base = ".decl A, D(x: symbol) .decl L0, L1, L2, L3, L4(x: symbol) .decl R(x: symbol, y: symbol)
+        .input A, D, L0, L1, L2, L3, L4, R .disjoint L0, L1, L2, L3, L4
+        .decl Next(x: symbol) .decl P(x: symbol) .output P
+        Next(y) :- R(y, _z).";
+    let left = rules(&format!("{base} P(x) :- A(x)."));
+    let mut right = format!(
+        "{base} P(x) :- A(x), !D(x). P(x) :- A(x), D(y), !Next(y). P(x) :- A(x), R(_, z), !D(z).
+        P(x) :- A(x), D(y), !L0(y), !L1(y), !L2(y), !L3(y), !L4(y).\n"
+    );
+    for label in 0..5 {
+        right += &format!("P(x) :- A(x), R(y, z), L{label}(y), !L{}(z).\n", (label + 1) % 5);
+    }
+    let right = rules(&right);
+    let few = Options {
+        entities_max: 4,
+        ..Options::default()
+    };
+    assert_eq!(
+        diff(&left, &right, &few).unwrap(),
+        Verdict::NoneFound {
+            entities: 4,
+            proof: None
+        }
+    );
+    assert_eq!(difference(&left, &right).entities.len(), 5);
+}
+
 /// Nothing in a text makes the comparison crash or run on for ever.
 #[test]
 fn large_programs_are_given_up_in_time() {

@@ -204,6 +204,31 @@ proptest! {
     }
 }
 
+/// All pairs of comparisons of two values, either way round, and of a value with a number.
+#[test]
+fn comparisons_are_understood() {
+    let ops = ["=", "!=", "<", "<=", ">", ">="];
+    let mut text = ".decl N(x: number) .input N .decl P(x: number, y: number) .output P\n".to_owned();
+    for one in ops {
+        for other in ops {
+            for sides in [
+                "x {1} y, x {2} y",
+                "x {1} y, y {2} x",
+                "x {1} 1, y {2} 1",
+                "x {1} 1, 1 {2} x",
+                "1 {1} 2, x {2} y",
+            ] {
+                let body = sides.replace("{1}", one).replace("{2}", other);
+                text += &format!("P(x, y) :- N(x), N(y), {body}.\n");
+            }
+        }
+    }
+    let (_, rules) = rules(&text);
+    let number = rules.relation("N").unwrap();
+    let facts = [0, 1, 2].map(|value| (number, vec![Value::number(value)])).into();
+    check(&rules, &facts, true).unwrap();
+}
+
 // --- what is found
 
 fn lints(text: &str) -> Vec<Diagnostic> {
