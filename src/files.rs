@@ -4,7 +4,7 @@
 //! and renamed when complete, so a reader never sees half a file and a failed write leaves the old one.
 
 use std::io::{self, Read, Write};
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 
 /// Declares the built-in files by their path in the repository. A list and not a search at compile time, so that the program
 /// is built from what the text of the source says; a test compares the list with the folders.
@@ -63,10 +63,12 @@ pub const MAX_BYTES: u64 = 1 << 30;
 pub enum ReadError {
     /// There is no such file.
     NotFound,
-    /// Its bytes are not UTF-8; the line (from 1) of the first bad byte.
+    /// Its bytes are not UTF-8.
     NotText {
-        /// Line of the first byte that is not UTF-8.
+        /// Line of the first byte that is not UTF-8, from 1.
         line: usize,
+        /// Its column in characters, from 1.
+        column: usize,
     },
     /// It is larger than [`MAX_BYTES`].
     TooLarge,
@@ -78,7 +80,9 @@ impl std::fmt::Display for ReadError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             ReadError::NotFound => write!(f, "no such file"),
-            ReadError::NotText { line } => write!(f, "not UTF-8 text (first bad byte in line {line})"),
+            ReadError::NotText { line, column } => {
+                write!(f, "not UTF-8 text (first bad byte in line {line}, column {column})")
+            }
             ReadError::TooLarge => write!(f, "larger than {} MiB", MAX_BYTES >> 20),
             ReadError::Io(message) => write!(f, "{message}"),
         }
@@ -88,6 +92,9 @@ impl std::fmt::Display for ReadError {
 impl std::error::Error for ReadError {}
 
 /// Reads a text file.
+///
+/// # Errors
+/// Why the file cannot be read.
 pub fn read_text(path: &Path) -> Result<String, ReadError> {
     let fail = |error: io::Error| match error.kind() {
         io::ErrorKind::NotFound => ReadError::NotFound,
@@ -102,12 +109,37 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
     if bytes.len() as u64 > MAX_BYTES {
         return Err(ReadError::TooLarge);
     }
-    String::from_utf8(bytes).map_err(|error| ReadError::NotText {
-        line: 1 + error.as_bytes()[..error.utf8_error().valid_up_to()]
-            .iter()
-            .filter(|&&byte| byte == b'\n')
-            .count(),
+    to_text(bytes)
+}
+
+/// The text that bytes are.
+///
+/// # Errors
+/// [`ReadError::NotText`].
+pub fn to_text(bytes: Vec<u8>) -> Result<String, ReadError> {
+    String::from_utf8(bytes).map_err(|error| {
+        let good = String::from_utf8_lossy(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
+        ReadError::NotText {
+            line: 1 + good.matches('\n').count(),
+            column: 1 + good.rsplit('\n').next().unwrap_or_default().chars().count(),
+        }
     })
+}
+
+/// A path without `.` and, where the text allows it, without `..`: by it two names of one file are known to be the same. The disk
+/// is not asked.
+pub fn normalise(path: &Path) -> PathBuf {
+    let mut out = PathBuf::new();
+    for component in path.components() {
+        match component {
+            Component::CurDir => {}
+            Component::ParentDir if matches!(out.components().next_back(), Some(Component::Normal(_))) => {
+                out.pop();
+            }
+            component => out.push(component),
+        }
+    }
+    out
 }
 
 /// Reads a text file, or, if there is none, the built-in file of that path. Under [`BUILTIN_FOLDER`] nothing is on disk, and the
@@ -131,31 +163,41 @@ pub fn read_or_builtin(path: &Path) -> Result<String, ReadError> {
 /// A file being written under a temporary name; [`Output::finish`] gives it its own. Dropped unfinished, it leaves nothing.
 pub struct Output {
     file: io::BufWriter<tempfile::NamedTempFile>,
-    path: std::path::PathBuf,
+    path: PathBuf,
 }
 
 impl Output {
     /// Begins to write the file at `path`, whose folder must exist.
+    ///
+    /// # Errors
+    /// Those of the system, and `InvalidInput` if `path` is a folder, a device or the like: it would be replaced.
     pub fn create(path: &Path) -> io::Result<Output> {
+        if std::fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a regular file"));
+        }
         let folder = match path.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder,
             _ => Path::new("."),
         };
+        let mut builder = tempfile::Builder::new();
+        #[cfg(unix)]
+        {
+            // Temporary files are private; an output is as readable as any file its user makes.
+            use std::os::unix::fs::PermissionsExt;
+            builder.permissions(std::fs::Permissions::from_mode(0o666));
+        }
         Ok(Output {
-            file: io::BufWriter::new(tempfile::NamedTempFile::new_in(folder)?),
+            file: io::BufWriter::new(builder.tempfile_in(folder)?),
             path: path.to_owned(),
         })
     }
 
     /// Gives the complete file its name.
+    ///
+    /// # Errors
+    /// Those of the system; then the file of that name, if there is one, is as before.
     pub fn finish(self) -> io::Result<()> {
         let file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
-        #[cfg(unix)]
-        {
-            // Temporary files are private; an output is as readable as any file its user makes.
-            use std::os::unix::fs::PermissionsExt;
-            file.as_file().set_permissions(std::fs::Permissions::from_mode(0o644))?;
-        }
         file.persist(&self.path).map_err(|error| error.error)?;
         Ok(())
     }
@@ -168,5 +210,27 @@ impl Write for Output {
 
     fn flush(&mut self) -> io::Result<()> {
         self.file.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_regular_files_are_replaced() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("out");
+        for text in ["first", "second"] {
+            let mut output = Output::create(&path).expect("the folder exists");
+            output.write_all(text.as_bytes()).expect("there is room");
+            output.finish().expect("it can be renamed");
+            assert_eq!(read_text(&path).as_deref(), Ok(text));
+        }
+        drop(Output::create(&path).expect("the folder exists"));
+        assert_eq!(read_text(&path).as_deref(), Ok("second"));
+        let refused = Output::create(folder.path()).err().map(|error| error.kind());
+        assert_eq!(refused, Some(io::ErrorKind::InvalidInput));
+        assert_eq!(std::fs::read_dir(folder.path()).expect("it is there").count(), 1);
     }
 }

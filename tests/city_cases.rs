@@ -1,87 +1,34 @@
 //! The city against recorded runs of the published simulator.
-//!
-//! The recorded cases are large and not part of the repository. They are looked for in the folder that the environment variable
-//! `LOGICITY_CASES` names, else in `../shared/cases` beside the repository; without them each check says that it was skipped.
+
+mod recorded_cases;
 
 use flate2::read::GzDecoder;
 use logicity::city::{
     Agent, Cell, CityMap, Ground, Heading, Lane, Places, Reason, Rest, Route, Router, Surroundings, advance,
     field_of_view, possible_cells, speed_cells,
 };
-use logicity::config::{AgentConfig, AgentKind, Building, Buildings, Located, MapConfig, Routing, Speed, Widths};
-use logicity::diag::{Sources, Span};
+use logicity::config::{AgentConfig, AgentKind, Building, Routing, Speed, load_map};
+use logicity::diag::Sources;
+use logicity::files::read_text;
 use logicity::rng::Seed;
 use ndarray::{Array2, Array3, Axis};
 use ndarray_npy::NpzReader;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::io::{BufRead, BufReader, Write};
-use std::path::{Path, PathBuf};
+use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::sync::Arc;
-
-/// The folder of recorded cases, if there is one.
-fn cases() -> Option<PathBuf> {
-    let folder = std::env::var_os("LOGICITY_CASES").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/cases"),
-        PathBuf::from,
-    );
-    if folder.join("map_square_5x5.npz").is_file() {
-        return Some(folder);
-    }
-    // Not `eprintln!`, whose output is hidden when a test passes.
-    let _ = writeln!(
-        std::io::stderr(),
-        "SKIPPED: no recorded cases in {} (the environment variable LOGICITY_CASES names another folder)",
-        folder.display()
-    );
-    None
-}
 
 /// The map of the paper.
 fn square_5x5() -> CityMap {
-    let letters = [
-        "OSHHOHSAHS",
-        "GASHHOSHHS",
-        "SASOOASOGH",
-        "HOHSOHHHHS",
-        "SOHSSSGHGO",
-        "SSOAASASHH",
-        "SASOASGOOO",
-        "HOOHOHOSAO",
-        "OASSOSSSSO",
-        "OHOSAHSOSO",
-    ];
-    let building = |letter| match letter {
-        'H' => Building::House,
-        'O' => Building::Office,
-        'A' => Building::Garage,
-        'S' => Building::Store,
-        _ => Building::GasStation,
-    };
-    let mut sources = Sources::new();
-    let span = Span::new(sources.add("map", ""), 0..0);
-    let widths = Widths {
-        street: 11,
-        sidewalk: 5,
-        building: 10,
-        inner_sidewalk: 5,
-    };
-    let config = MapConfig {
-        name: "square-5x5".into(),
-        blocks: Located { value: [5, 5], span },
-        widths: Located { value: widths, span },
-        buildings: Located {
-            value: Buildings::Fixed(letters.map(|row| row.chars().map(building).collect()).to_vec()),
-            span,
-        },
-    };
+    let config = load_map(&mut Sources::new(), Path::new("square-5x5"), &read_text).expect("a built-in map");
     CityMap::generate(&config).expect("the map of the paper can be generated")
 }
 
 #[test]
 fn the_map_is_the_recorded_one_in_every_layer() {
-    let Some(folder) = cases() else { return };
+    let Some(folder) = recorded_cases::folder() else { return };
     let map = square_5x5();
     let mut npz = NpzReader::new(File::open(folder.join("map_square_5x5.npz")).unwrap()).unwrap();
     let street: Array2<f32> = npz.by_name("street").unwrap();
@@ -198,7 +145,7 @@ fn the_road_graph_is_that_of_the_paper() {
         .map(|(from, to)| (lanes[from].end, lanes[to].start))
         .collect();
     assert_eq!(connectors.len(), 416);
-    let near = |from: &Lane, to: &Lane| (from.end.distance_squared(to.start) as f64).sqrt() <= 25.6;
+    let near = |from: &Lane, to: &Lane| from.end.distance(to.start) <= 25.6;
     let within_reach: BTreeSet<(Cell, Cell)> = (lanes.iter())
         .flat_map(|from| {
             lanes
@@ -212,7 +159,7 @@ fn the_road_graph_is_that_of_the_paper() {
 
 #[test]
 fn routes_are_the_recorded_ones() {
-    let Some(folder) = cases() else { return };
+    let Some(folder) = recorded_cases::folder() else { return };
     let router = Router::new(Arc::new(square_5x5()), Routing::Hops);
     let weighted = Router::new(router.map().clone(), Routing::Weighted);
     let places = Places::new(&router, Some(REGION));
@@ -278,7 +225,7 @@ impl Step<'_> {
 
 #[test]
 fn what_agents_see_is_recorded() {
-    let Some(folder) = cases() else { return };
+    let Some(folder) = recorded_cases::folder() else { return };
     let map = square_5x5();
     let mut egos = 0;
     for mode in ["easy", "hard"] {
@@ -307,7 +254,7 @@ fn what_agents_see_is_recorded() {
 
 #[test]
 fn agents_move_as_recorded() {
-    let Some(folder) = cases() else { return };
+    let Some(folder) = recorded_cases::folder() else { return };
     let router = Router::new(Arc::new(square_5x5()), Routing::Hops);
     let places = Places::new(&router, Some(REGION));
     let mut planned: BTreeMap<(&str, u64, u64, i64), Route> = BTreeMap::new();
@@ -411,7 +358,7 @@ fn agents_move_as_recorded() {
 
 #[test]
 fn the_controlled_car_moves_as_recorded() {
-    let Some(folder) = cases() else { return };
+    let Some(folder) = recorded_cases::folder() else { return };
     let router = Router::new(Arc::new(square_5x5()), Routing::Hops);
     let (mut routes, mut moves, mut drawn) = (0, 0, 0);
     for mode in ["easy", "hard"] {

@@ -104,6 +104,39 @@ fn run_leaves_a_trace_an_animation_and_a_picture() {
     assert_eq!(fs::read_dir(&target).unwrap().count(), 3, "no temporary file is left");
 }
 
+#[cfg(unix)]
+#[test]
+fn an_interrupted_run_keeps_what_was_done() {
+    let folder = tempfile::tempdir().unwrap();
+    let process = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .args(["run", "expert", "--ticks", "1000000000", "--out"])
+        .arg(folder.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // The files are begun before the first tick, and whoever sees them can interrupt.
+    while fs::read_dir(folder.path()).unwrap().count() < 2 {
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    let kill = Command::new("kill")
+        .args(["-INT", &process.id().to_string()])
+        .status()
+        .unwrap();
+    assert!(kill.success());
+    let output = process.wait_with_output().unwrap();
+    assert_eq!(code(&output), 130, "{}", err(&output));
+    assert!(out(&output).contains("interrupted"), "{}", out(&output));
+    let mut names: Vec<_> = fs::read_dir(folder.path())
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name())
+        .collect();
+    names.sort();
+    assert_eq!(names, ["city.gif", "last.png", "trace.jsonl"]);
+    let trace = fs::read_to_string(folder.path().join("trace.jsonl")).unwrap();
+    assert!(trace.lines().all(|line| serde_json::from_str::<Value>(line).is_ok()));
+}
+
 #[test]
 fn the_same_seed_gives_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
@@ -162,15 +195,21 @@ fn a_trace_can_be_replayed_through_infer() {
                 agent["at"] = state["at"].clone();
                 agent["heading"] = state["heading"].clone();
             }
-            let scene = serde_json::json!({ "map": header["map"], "agents": agents, "given": tick["given"] });
-            format!("{scene}\n")
+            // Once with what was drawn, once to be drawn again.
+            let given = serde_json::json!({ "map": header["map"], "agents": agents, "given": tick["given"] });
+            let drawn = serde_json::json!({ "map": header["map"], "agents": agents, "tick": tick["tick"] });
+            format!("{given}\n{drawn}\n")
         })
         .collect();
-    let output = with_input(["infer", "--config", "configs/expert.yaml"], scenes.as_bytes());
+    let output = with_input(
+        ["infer", "--config", "configs/expert.yaml", "--seed", "3"],
+        scenes.as_bytes(),
+    );
     assert_eq!(code(&output), 0, "{}", err(&output));
     let text = out(&output);
-    assert_eq!(text.lines().count(), ticks.len());
-    for (answer, tick) in text.lines().zip(&ticks) {
+    assert_eq!(text.lines().count(), 2 * ticks.len());
+    let twice = ticks.iter().flat_map(|tick| [tick, tick]);
+    for (answer, tick) in text.lines().zip(twice) {
         let answer: Value = serde_json::from_str(answer).unwrap();
         for (agent, state) in header["agents"]
             .as_array()
@@ -253,6 +292,7 @@ fn wrong_usage_exits_with_2() {
         2,
         &["out"],
     );
+    fails(&logicity(["run", "configs/easy.yaml", "--ticks", "0"]), 2, &["--ticks"]);
     fails(&logicity(["infer", "no/such.jsonl"]), 2, &["no/such.jsonl"]);
     fails(&logicity(["query", "no/such.dl"]), 2, &["no/such.dl"]);
     fails(
@@ -261,6 +301,13 @@ fn wrong_usage_exits_with_2() {
         &["row and column"],
     );
     fails(&logicity(["fly"]), 2, &["fly"]);
+    for ticks in ["0", "-1", "1000000001", "many"] {
+        fails(
+            &logicity(["run", "expert", "--ticks", ticks, "--out", &inside]),
+            2,
+            &["--ticks"],
+        );
+    }
 }
 
 #[test]
@@ -368,8 +415,51 @@ fn a_faulty_scene_keeps_answers_in_step() {
         assert_eq!(answers[0]["egos"]["e0"]["action"], "Normal");
         assert_eq!(answers[1]["error"][0]["code"], "invalid-scene", "{line}");
     }
+    let many = r#"{"map":"/etc/hosts","agents":[{"id":"a","type":"Lorry","at":[1],"priority":"x"},{"id":"b","type":"Car","at":[1,1],"heading":"North"}]}"#;
+    let output = with_input(["infer"], many.as_bytes());
+    fails(&output, 1, &["not a map", "`Lorry`", "`North`", "5 errors"]);
+    fails(&with_input(["infer"], b"{}"), 1, &["\"agents\"", "\"entities\""]);
+    fails(&with_input(["infer"], b"5"), 1, &["a scene is a JSON object"]);
     let deep = "[".repeat(100_000);
     fails(&with_input(["infer"], deep.as_bytes()), 1, &["invalid-scene"]);
+}
+
+#[test]
+fn scenes_beyond_the_limits_are_told_and_the_next_one_is_answered() {
+    let scene = r#"{"entities":["e0"],"ego":"e0"}"#;
+    let names: Vec<String> = (0..2001).map(|number| format!("\"e{number}\"")).collect();
+    let crowd = format!(r#"{{"entities":[{}],"ego":"e0"}}"#, names.join(","));
+    let long = format!("{scene}{}", " ".repeat(70 << 20));
+    let keys: String = (0..100_000).map(|number| format!("\"k{number}\":0,")).collect();
+    let keys = format!("{{{keys}\"k\":0}}");
+    for (line, code) in [
+        (crowd, "limit-exceeded"),
+        (long, "limit-exceeded"),
+        (keys, "invalid-scene"),
+    ] {
+        let output = with_input(["infer"], format!("{line}\n{scene}\n").as_bytes());
+        fails(&output, 1, &[code]);
+        let answers: Vec<Value> = out(&output)
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
+        assert_eq!(
+            (answers.len(), &answers[0]["error"][0]["code"]),
+            (2, &Value::from(code))
+        );
+        assert_eq!(answers[1]["egos"]["e0"]["action"], "Normal");
+    }
+}
+
+/// What `check` accepts can be evaluated.
+#[test]
+fn check_tells_what_is_too_large_to_evaluate() {
+    let folder = tempfile::tempdir().unwrap();
+    let columns: Vec<String> = (0..40).map(|number| format!("c{number}: number")).collect();
+    let text = format!(".decl wide({})\n.output wide\n", columns.join(", "));
+    let file = write(folder.path(), "wide.dl", text);
+    fails(&logicity(["check", &file]), 1, &["limit-exceeded", "wide.dl:1"]);
+    fails(&logicity(["query", &file]), 1, &["limit-exceeded", "wide.dl:1"]);
 }
 
 #[test]
@@ -424,6 +514,12 @@ fn cities_that_cannot_be_are_told() {
     let huge = "map: {blocks: [1000000000, 1000000000], buildings: {random: {seed: 1}}}\n";
     let output = logicity(["run", &config(huge)]);
     fails(&output, 1, &["mine.yaml:2"]);
-    let many = agents("[{priority: 1, count: 100000}]");
+    let many = agents("[{priority: 1, count: 1000}]");
     fails(&logicity(["run", &config(&many)]), 1, &["no-start-cell"]);
+    let crowd = agents("[{priority: 1, count: 100000}]");
+    fails(
+        &logicity(["run", &config(&crowd)]),
+        1,
+        &["limit-exceeded", "mine.yaml:3"],
+    );
 }

@@ -468,12 +468,21 @@ fn survive(text: &str) -> String {
     for (sources, faults) in [(&sources, &map), (&scenario_sources, &scenario)] {
         assert!(faults.len() <= 100);
         to_json(faults, sources);
-        // A few are enough: drawing all hundred faults of one endless line takes seconds.
-        out.push_str(&told(sources, &faults[..faults.len().min(3)]));
-        out.push_str(&told(sources, &faults[faults.len().saturating_sub(1)..]));
+        out.push_str(&told(sources, faults));
     }
     assert!(start.elapsed() < Duration::from_secs(20), "took {:?}", start.elapsed());
     out
+}
+
+#[test]
+fn what_an_alias_stands_for_counts_in_the_nesting() {
+    let (open, close) = ("[".repeat(40), "]".repeat(40));
+    let twice = format!("base: configs/expert.yaml\na: &a {open}x{close}\nb: {open}*a{close}\n");
+    let told = bad(&[("main.yaml", &twice)]);
+    assert!(
+        told.contains("nested more than 64 deep") && told.contains("main.yaml:3:"),
+        "{told}"
+    );
 }
 
 #[test]

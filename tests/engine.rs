@@ -484,7 +484,7 @@ fn faulty_facts_are_located_and_nothing_is_inserted() {
             "2:3 column `n` of `R` holds numbers",
             "3:1 a row of `R` has 2 values, not 1",
             "4:1 a row of `R` has 2 values, not 3",
-            "5:1 a row of `R` has 2 values, not 1",
+            "5:1 an empty line where a row of `R` was expected",
             "6:3 column `n` of `R` holds numbers",
         ]
     );

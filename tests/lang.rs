@@ -4,17 +4,17 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
-use logicity::files::{ReadError, read_text};
-use logicity::lang::{Atom, BUILTIN, Clause, Comparison, Literal, Loaded, Rules, Term, ast, load, parse, print};
+use logicity::files::{BUILTIN_FOLDER, ReadError, read_text};
+use logicity::lang::{Atom, Clause, Comparison, Literal, Loaded, Rules, Term, ast, load, parse, print};
 use proptest::prelude::*;
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Reads files; under [`BUILTIN`] those of `rules/`.
+/// Reads files; under [`BUILTIN_FOLDER`] those of `rules/`.
 fn read(path: &Path) -> Result<String, ReadError> {
-    match path.strip_prefix(BUILTIN) {
+    match path.strip_prefix(BUILTIN_FOLDER) {
         Ok(name) => read_text(&root().join("rules").join(name)),
         Err(_) => read_text(path),
     }
@@ -729,7 +729,7 @@ fn large_texts_take_time_in_proportion() {
 #[test]
 fn includes_end() {
     // Every file includes a further one.
-    let endless = |path: &Path| match path.starts_with(BUILTIN) {
+    let endless = |path: &Path| match path.starts_with(BUILTIN_FOLDER) {
         true => Err(ReadError::NotFound),
         false => Ok(format!(
             ".include \"{}x\"",

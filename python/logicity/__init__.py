@@ -69,13 +69,15 @@ class Agent(TypedDict):
 class Scene(TypedDict):
     """Agents on a map.
 
-    `egos` are the agents to decide for (default: all); `given` replaces the computed atoms of a predicate.
+    `egos` are the agents to decide for (default: all); `given` replaces the computed atoms of a predicate; `tick`
+    (default 0) tells apart the random draws of one seed.
     """
 
     map: str
     agents: list[Agent]
     egos: NotRequired[list[str]]
     given: NotRequired[dict[str, list[Any]]]
+    tick: NotRequired[int]
 
 
 class SymbolicScene(TypedDict):
@@ -128,7 +130,8 @@ class Inference:
     """Answers what the rules decide in scenes.
 
     `config` is a run configuration: a path, or a built-in one such as `configs/expert.yaml`. `rules` is a rule file
-    instead of the configuration's. `seed` is for predicates that hold with a probability and are not given.
+    instead of the configuration's. `seed`, from 0 to 2**64 - 1, is for predicates that hold with a probability and are
+    not given.
 
     Raises `InputError` for a faulty configuration or rule file and `OSError` for one that cannot be read.
     """
@@ -146,7 +149,7 @@ class Inference:
             raise _input_error(error) from None
 
     def answer(self, scene: Scene | SymbolicScene) -> Answer:
-        """Decide a scene. Raises `InputError` if the scene is faulty."""
+        """Decide a scene. Raises `InputError` if it is faulty or too large, or the rules derive too much from it."""
         try:
             return cast(Answer, json.loads(self._inference.answer(json.dumps(scene))))
         except _logicity.InputError as error:

@@ -6,7 +6,7 @@ use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::engine::Program;
 use logicity::files::{ReadError, read_or_builtin, read_text};
 use logicity::rng::Seed;
-use logicity::sim::{InferError, Inference};
+use logicity::sim::Inference;
 use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
@@ -27,7 +27,7 @@ fn read(path: &Path) -> PyResult<String> {
         let message = format!("cannot read `{}`: {error}", path.display());
         match error {
             ReadError::NotFound => PyFileNotFoundError::new_err(message),
-            ReadError::NotText { .. } => PyValueError::new_err(message),
+            ReadError::NotText { .. } => input_error(&[Diagnostic::new(Code::NotText, message)], &Sources::new()),
             ReadError::TooLarge | ReadError::Io(_) => PyOSError::new_err(message),
         }
     })
@@ -38,16 +38,13 @@ fn read(path: &Path) -> PyResult<String> {
 fn check(text: &str, name: &str) -> String {
     let mut sources = Sources::new();
     let entry = sources.add(name, text);
-    let loaded = logicity::lang::load(&mut sources, entry, &read_or_builtin);
-    to_json(&loaded.diagnostics, &sources).to_string()
+    let (_, diagnostics) = Program::load(&mut sources, entry, &read_or_builtin);
+    to_json(&diagnostics, &sources).to_string()
 }
 
 /// Answers scenes.
 #[pyclass(name = "Inference")]
-struct PyInference {
-    inference: Inference,
-    answered: u64,
-}
+struct PyInference(Inference);
 
 #[pymethods]
 impl PyInference {
@@ -63,23 +60,20 @@ impl PyInference {
         })?;
         let rules = rules.unwrap_or_else(|| scenario.rules.value.clone());
         let entry = sources.add(rules.display().to_string(), read(&rules)?);
-        let loaded = logicity::lang::load(&mut sources, entry, &read_or_builtin);
-        let checked = loaded.rules.ok_or_else(|| input_error(&loaded.diagnostics, &sources))?;
-        let program = Program::new(checked).map_err(|fault| input_error(&[fault], &sources))?;
+        let (program, diagnostics) = Program::load(&mut sources, entry, &read_or_builtin);
+        let program = program.ok_or_else(|| input_error(&diagnostics, &sources))?;
         let inference = Inference::new(scenario, program, Seed(seed), read_text)
             .map_err(|faults| input_error(&faults, &sources))?;
-        Ok(PyInference { inference, answered: 0 })
+        Ok(PyInference(inference))
     }
 
     /// The answer to a scene, both as JSON.
     fn answer(&mut self, scene: &str) -> PyResult<String> {
         let mut sources = Sources::new();
         let source = sources.add("<scene>", scene);
-        self.answered += 1;
-        match self.inference.answer(&sources, source, self.answered) {
+        match self.0.answer(&sources, source) {
             Ok(answer) => Ok(answer.to_json().to_string()),
-            Err(InferError::Scene(faults)) => Err(input_error(&faults, &sources)),
-            Err(InferError::Eval(error)) => Err(PyValueError::new_err(error.to_string())),
+            Err(faults) => Err(input_error(&faults, &sources)),
         }
     }
 }

@@ -1,5 +1,7 @@
 //! Cells and directions.
 
+use std::cmp::Ordering;
+
 /// A cell of the map, counted from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Cell {
@@ -15,16 +17,25 @@ impl Cell {
         Cell { row, col }
     }
 
-    /// The cell `cells` further in the direction of `heading`.
+    /// The cell `cells` further in the direction of `heading`; where coordinates end, the last one.
     pub fn ahead(self, heading: Heading, cells: i32) -> Cell {
         let (dr, dc) = heading.delta();
-        Cell::new(self.row + dr * cells, self.col + dc * cells)
+        let add = |at: i32, step: i32| at.saturating_add(step.saturating_mul(cells));
+        Cell::new(add(self.row, dr), add(self.col, dc))
     }
 
-    /// Squared Euclidean distance in cells.
-    pub fn distance_squared(self, other: Cell) -> i64 {
-        let (dr, dc) = (i64::from(self.row - other.row), i64::from(self.col - other.col));
-        dr * dr + dc * dc
+    /// The way from another cell: (rows, columns), which both fit 33 bits.
+    pub fn offset_from(self, other: Cell) -> (i64, i64) {
+        let difference = |a: i32, b: i32| i64::from(a) - i64::from(b);
+        (difference(self.row, other.row), difference(self.col, other.col))
+    }
+
+    /// Euclidean distance in cells: the square root of a whole number, which is exact on any map.
+    #[allow(clippy::cast_precision_loss)]
+    pub fn distance(self, other: Cell) -> f64 {
+        let (dr, dc) = self.offset_from(other);
+        let (dr, dc) = (dr as f64, dc as f64);
+        (dr * dr + dc * dc).sqrt()
     }
 }
 
@@ -72,12 +83,27 @@ impl Heading {
 
     /// The direction from one cell to another in the same row or column; `None` if they are equal or on no common line.
     pub fn between(from: Cell, to: Cell) -> Option<Heading> {
-        match ((to.row - from.row).signum(), (to.col - from.col).signum()) {
-            (0, -1) => Some(Heading::Left),
-            (0, 1) => Some(Heading::Right),
-            (-1, 0) => Some(Heading::Up),
-            (1, 0) => Some(Heading::Down),
+        match (to.row.cmp(&from.row), to.col.cmp(&from.col)) {
+            (Ordering::Equal, Ordering::Less) => Some(Heading::Left),
+            (Ordering::Equal, Ordering::Greater) => Some(Heading::Right),
+            (Ordering::Less, Ordering::Equal) => Some(Heading::Up),
+            (Ordering::Greater, Ordering::Equal) => Some(Heading::Down),
             _ => None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_farthest_cells_have_distances_and_directions() {
+        let (first, last) = (Cell::new(i32::MIN, 0), Cell::new(i32::MAX, 0));
+        assert_eq!(last.distance(first), f64::from(u32::MAX));
+        assert_eq!(Heading::between(first, last), Some(Heading::Down));
+        assert_eq!(last.ahead(Heading::Down, i32::MAX), last);
+        assert_eq!(first.ahead(Heading::Up, i32::MAX), first);
+        assert_eq!(Cell::new(3, 0).distance(Cell::new(0, 4)), 5.0);
     }
 }

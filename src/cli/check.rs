@@ -1,8 +1,8 @@
 //! `logicity check`
 
-use super::{Failure, load_rules, report};
+use super::{Failure, load_program, report};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
-use crate::engine::optimize;
+use crate::engine::{Program, optimize};
 use crate::lang::{RelId, Rules};
 use serde_json::json;
 use std::collections::HashSet;
@@ -28,8 +28,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let mut diagnostics: Vec<Diagnostic> = Vec::new();
     let mut unreadable = Vec::new();
     for path in &arguments.rules {
-        let (rules, mut found) = match load_rules(sources, path) {
-            Ok((rules, warnings)) => (Some(rules), warnings),
+        let (program, mut found) = match load_program(sources, path) {
+            Ok((program, warnings)) => (Some(program), warnings),
             Err(Failure::Input(faults)) => (None, faults),
             Err(Failure::Usage(message)) => {
                 unreadable.push(message);
@@ -37,7 +37,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             }
             Err(other) => return Err(other),
         };
-        if let Some(rules) = &rules {
+        let rules = program.as_ref().map(Program::rules);
+        if let Some(rules) = rules {
             let lints = optimize::lints(rules).into_iter();
             // What is needless may be there for the reader.
             found.extend(lints.filter(|lint| arguments.lints || lint.code == Code::ContradictoryBody));
@@ -46,11 +47,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             let line = json!({
                 "file": path.display().to_string(),
                 "ok": rules.is_some(),
-                "strata": rules.as_ref().map(strata),
+                "strata": rules.map(strata),
                 "diagnostics": to_json(&found, sources),
             });
             writeln!(out, "{line}")?;
-        } else if let Some(rules) = &rules {
+        } else if let Some(rules) = rules {
             let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
             writeln!(out, "{}: {} clauses", path.display(), rules.clauses.len())?;
             writeln!(out, "  strata: {}", strata.join(" < "))?;

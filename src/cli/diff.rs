@@ -1,6 +1,6 @@
 //! `logicity diff`
 
-use super::{Failure, load_rules, report};
+use super::{Failure, load_program, report};
 use crate::diag::Sources;
 use crate::engine::diff::{Difference, Options, Verdict, diff};
 use serde_json::{Map, Value, json};
@@ -33,8 +33,8 @@ pub struct Arguments {
 
 /// Exit code 0: no difference; 1: a difference.
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<ExitCode, Failure> {
-    let (left, mut warnings) = load_rules(sources, &arguments.left)?;
-    let (right, more) = load_rules(sources, &arguments.right)?;
+    let (left, mut warnings) = load_program(sources, &arguments.left)?;
+    let (right, more) = load_program(sources, &arguments.right)?;
     warnings.extend(more);
     report(&warnings, sources);
     let options = Options {
@@ -42,7 +42,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<ExitCode, Fai
         entities_max: arguments.entities,
         conflicts_max: arguments.effort,
     };
-    let verdict = diff(&left, &right, &options)?;
+    let verdict = diff(left.rules(), right.rules(), &options)?;
 
     let mut out = anstream::stdout();
     let names = [&arguments.left, &arguments.right].map(|path| path.display().to_string());

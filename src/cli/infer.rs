@@ -1,13 +1,17 @@
 //! `logicity infer`
 
-use super::{Failure, load_config, load_program, report};
+use super::{Failure, load_city, report};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
-use crate::files::{self, MAX_BYTES, Output};
+use crate::files::{self, Output, ReadError};
 use crate::rng::Seed;
-use crate::sim::{InferError, Inference};
+use crate::sim::Inference;
 use serde_json::json;
+use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
+
+/// The longest scene in bytes: 64 MiB.
+const MAX_SCENE: u64 = 1 << 26;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -21,7 +25,7 @@ pub struct Arguments {
     #[arg(long)]
     rules: Option<PathBuf>,
     /// Seed of the predicates that hold with a probability and are not given by the scene
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
     /// Where to write the answers; standard output unless given
     #[arg(long)]
@@ -29,22 +33,14 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let scenario = load_config(sources, &arguments.config)?;
-    let (program, warnings) = load_program(sources, &scenario, arguments.rules.as_deref())?;
-    report(&warnings, sources);
+    let (scenario, program, _) = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
     let mut inference = Inference::new(scenario, program, Seed(arguments.seed), files::read_text)?;
 
-    let input: Box<dyn Read> = if arguments.file == Path::new("-") {
-        Box::new(io::stdin().lock())
+    let (input, name): (Box<dyn Read>, _) = if arguments.file == Path::new("-") {
+        (Box::new(io::stdin().lock()), "<stdin>".to_owned())
     } else {
-        let file =
-            std::fs::File::open(&arguments.file).map_err(|error| Failure::file("read", &arguments.file, error))?;
-        Box::new(file)
-    };
-    let name = if arguments.file == Path::new("-") {
-        "<stdin>".to_owned()
-    } else {
-        arguments.file.display().to_string()
+        let file = File::open(&arguments.file).map_err(|error| Failure::file("read", &arguments.file, error))?;
+        (Box::new(file), arguments.file.display().to_string())
     };
     let scenes = BufReader::new(input);
     match &arguments.out {
@@ -85,36 +81,42 @@ fn answer_all(
     let mut bytes = Vec::new();
     for number in 1.. {
         bytes.clear();
-        let read = scenes.by_ref().take(MAX_BYTES).read_until(b'\n', &mut bytes);
-        if read.map_err(|error| Failure::file("read", path, error))? == 0 {
+        let unreadable = |error| Failure::file("read", path, error);
+        let read = scenes.by_ref().take(MAX_SCENE).read_until(b'\n', &mut bytes);
+        if read.map_err(unreadable)? == 0 {
             break;
         }
         let mut sources = Sources::new();
-        let text = String::from_utf8_lossy(&bytes);
-        let line = text.trim_end_matches(['\n', '\r']);
-        if line.trim().is_empty() {
-            continue;
-        }
-        let source = sources.add_from(name, line, number);
-        let answer = if text.contains('\u{fffd}') && std::str::from_utf8(&bytes).is_err() {
-            let fault = Diagnostic::new(Code::NotText, format!("line {number} of `{name}` is not UTF-8 text"));
-            Err(InferError::Scene(vec![fault]))
+        let fault = |code, what: &str| {
+            Err(vec![Diagnostic::new(
+                code,
+                format!("line {number} of `{name}` is {what}"),
+            )])
+        };
+        let answer = if bytes.len() as u64 == MAX_SCENE && !bytes.ends_with(b"\n") {
+            scenes.skip_until(b'\n').map_err(unreadable)?;
+            fault(
+                Code::LimitExceeded,
+                &format!("too long a scene: the limit is {} MiB", MAX_SCENE >> 20),
+            )
         } else {
-            inference.answer(&sources, source, number as u64)
+            match files::to_text(std::mem::take(&mut bytes)) {
+                Ok(line) if line.trim().is_empty() => continue,
+                Ok(line) => {
+                    let source = sources.add_from(name, line.trim_end_matches(['\n', '\r']), number);
+                    inference.answer(&sources, source)
+                }
+                Err(ReadError::NotText { column, .. }) => fault(
+                    Code::NotText,
+                    &format!("not UTF-8 text (first bad byte in column {column})"),
+                ),
+                Err(error) => return Err(Failure::file("read", path, error)),
+            }
         };
         match answer {
             Ok(answer) => write(answer.to_json())?,
-            Err(error) => {
+            Err(faults) => {
                 faulty = true;
-                let faults = match error {
-                    InferError::Scene(faults) => faults,
-                    InferError::Eval(error) => {
-                        vec![Diagnostic::new(
-                            Code::LimitExceeded,
-                            format!("{name}:{number}: {error}"),
-                        )]
-                    }
-                };
                 write(json!({ "error": to_json(&faults, &sources) }))?;
                 report(&faults, &sources);
             }

@@ -11,11 +11,11 @@ mod query;
 mod route;
 mod run;
 
-use crate::config::{MapConfig, Scenario, load_map, load_scenario};
-use crate::diag::{Code, Diagnostic, Sources, render};
+use crate::config::{Located, MapConfig, Scenario, load_map, load_scenario};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, render};
 use crate::engine::Program;
 use crate::files::{self, ReadError};
-use crate::lang;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, Parser, Subcommand};
 use std::io::{self, IsTerminal, Write};
 use std::path::Path;
@@ -60,6 +60,8 @@ enum Failure {
     Told,
     /// Wrong usage, or a file that cannot be read or written. Exit code 2.
     Usage(String),
+    /// The user ended the command early; what was done has been written. Exit code 130, as shells have it.
+    Interrupted,
     /// Whoever reads standard output has gone; there is nobody to tell.
     Closed,
 }
@@ -136,6 +138,7 @@ fn exit(failure: Failure, sources: &Sources) -> ExitCode {
             ExitCode::from(1)
         }
         Failure::Told => ExitCode::from(1),
+        Failure::Interrupted => ExitCode::from(130),
         Failure::Usage(message) => {
             let _ = writeln!(io::stderr(), "error: {message}");
             ExitCode::from(2)
@@ -167,6 +170,17 @@ fn count(errors: usize, warnings: usize) -> String {
     }
 }
 
+/// Parses one of a few values by its name.
+fn one_of<T: Copy + Send + Sync + 'static>(
+    all: &'static [T],
+    name: fn(T) -> &'static str,
+) -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(all.iter().map(|&value| name(value))).map(move |text| {
+        let found = all.iter().find(|value| name(**value) == text);
+        *found.expect("no other text is possible")
+    })
+}
+
 /// Reads a file that the user named on the command line.
 fn read(path: &Path) -> Result<String, Failure> {
     files::read_or_builtin(path).map_err(|error| match error {
@@ -177,15 +191,36 @@ fn read(path: &Path) -> Result<String, Failure> {
     })
 }
 
-/// Reads and checks a rule file. Warnings are returned beside the rules.
-fn load_rules(sources: &mut Sources, path: &Path) -> Result<(lang::Rules, Vec<Diagnostic>), Failure> {
+/// Reads, checks and plans a rule file. Warnings are returned beside the program.
+fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diagnostic>), Failure> {
     let text = read(path)?;
     let entry = sources.add(path.display().to_string(), text);
-    let loaded = lang::load(sources, entry, &files::read_or_builtin);
-    match loaded.rules {
-        Some(rules) => Ok((rules, loaded.diagnostics)),
-        None => Err(loaded.diagnostics.into()),
+    let (program, diagnostics) = Program::load(sources, entry, &files::read_or_builtin);
+    match program {
+        Some(program) => Ok((program, diagnostics)),
+        None => Err(diagnostics.into()),
     }
+}
+
+/// A configuration and its rules, or those of the file that is given instead. Warnings have been told; the texts of the rules are
+/// the last of `sources`, from the one returned on.
+fn load_city(
+    sources: &mut Sources,
+    config: &Path,
+    rules: Option<&Path>,
+) -> Result<(Scenario, Program, SourceId), Failure> {
+    let mut scenario = load_config(sources, config)?;
+    let path = rules.unwrap_or(&scenario.rules.value).to_owned();
+    let texts = sources.ids().count();
+    let (program, warnings) = load_program(sources, &path)?;
+    report(&warnings, sources);
+    let entry = sources.ids().nth(texts).expect("the rules have been read");
+    if rules.is_some() {
+        // What does not fit is to be shown in the file that was given, not in the configuration.
+        let span = Span::new(entry, 0..0);
+        scenario.rules = Located { value: path, span };
+    }
+    Ok((scenario, program, entry))
 }
 
 /// Reads a run configuration and all its parts.
@@ -209,13 +244,14 @@ fn missing_is_usage(faults: Vec<Diagnostic>) -> Failure {
     }
 }
 
-/// The rules that a configuration names, or those given instead.
-fn load_program(
-    sources: &mut Sources,
-    scenario: &Scenario,
-    instead: Option<&Path>,
-) -> Result<(Program, Vec<Diagnostic>), Failure> {
-    let path = instead.unwrap_or(&scenario.rules.value);
-    let (rules, warnings) = load_rules(sources, path)?;
-    Ok((Program::new(rules)?, warnings))
+/// Makes a folder for results, and those it lies in.
+fn make_folder(path: &Path) -> Result<(), Failure> {
+    std::fs::create_dir_all(path).map_err(|error| match error.kind() {
+        io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory => Failure::file(
+            "make the folder",
+            path,
+            "there is a file of that name, or of a folder it lies in",
+        ),
+        _ => Failure::file("make the folder", path, error),
+    })
 }

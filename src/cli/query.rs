@@ -1,6 +1,6 @@
 //! `logicity query`
 
-use super::{Failure, load_rules, report};
+use super::{Failure, load_program, make_folder, report};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::{Options, Program, Session, facts, promise};
 use crate::files::{self, Output, ReadError};
@@ -21,19 +21,20 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let (rules, warnings) = load_rules(sources, &arguments.rules)?;
+    let (program, warnings) = load_program(sources, &arguments.rules)?;
     report(&warnings, sources);
     // The facts are checked below, before anybody sees an answer.
     let options = Options {
         promises: true,
         ..Options::default()
     };
-    let program = Program::with(rules, options)?;
+    let program = match program.rules().promises.is_empty() {
+        true => program,
+        false => Program::with(program.rules().clone(), options)?,
+    };
     let mut session = program.session();
     load_inputs(&arguments.facts, &mut session, sources)?;
-    session
-        .commit()
-        .map_err(|error| Diagnostic::new(Code::LimitExceeded, error.to_string()))?;
+    session.commit().map_err(Diagnostic::from)?;
 
     let broken = promise::broken(&session);
     if !broken.is_empty() {
@@ -84,10 +85,12 @@ fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> R
                     faults.extend(found);
                 }
             }
-            Err(ReadError::NotText { line }) => faults.push(Diagnostic::new(
-                Code::NotText,
-                format!("line {line} of `{}` is not UTF-8 text", path.display()),
-            )),
+            Err(error @ ReadError::NotText { .. }) => {
+                faults.push(Diagnostic::new(
+                    Code::NotText,
+                    format!("`{}` is {error}", path.display()),
+                ));
+            }
             Err(error) => {
                 return Err(Failure::Usage(format!(
                     "cannot read the facts of `{}` from `{}`: {error}",
@@ -101,7 +104,7 @@ fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> R
 }
 
 fn write_relation(folder: &Path, name: &str, text: &str) -> Result<(), Failure> {
-    std::fs::create_dir_all(folder).map_err(|error| Failure::file("make the folder", folder, error))?;
+    make_folder(folder)?;
     let path = folder.join(format!("{name}.csv"));
     let fail = |error: std::io::Error| Failure::file("write", &path, error);
     let mut file = Output::create(&path).map_err(fail)?;

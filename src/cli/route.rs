@@ -1,10 +1,9 @@
 //! `logicity route`
 
-use super::{Failure, find_map};
+use super::{Failure, find_map, one_of};
 use crate::city::{Cell, CityMap, NoRoute, Router};
 use crate::config::{AgentKind, Routing};
 use crate::diag::{Code, Diagnostic, Sources};
-use clap::ValueEnum;
 use std::io::{self, BufWriter, Write};
 use std::sync::Arc;
 
@@ -14,8 +13,8 @@ pub struct Arguments {
     #[arg(long, default_value = "square-5x5")]
     map: String,
     /// Who travels
-    #[arg(long = "type", value_enum)]
-    kind: Traveller,
+    #[arg(long = "type", value_parser = one_of(&AgentKind::ALL, traveller))]
+    kind: AgentKind,
     /// First cell
     #[arg(long, value_name = "ROW,COL", value_parser = cell)]
     from: Cell,
@@ -23,20 +22,15 @@ pub struct Arguments {
     #[arg(long, value_name = "ROW,COL", value_parser = cell)]
     to: Cell,
     /// How cars choose: least weighted length (the paper), or fewest nodes of the road graph (the published program)
-    #[arg(long, value_enum, default_value = "weighted")]
-    routing: Choice,
+    #[arg(long, value_parser = one_of(&Routing::ALL, Routing::name), default_value = "weighted")]
+    routing: Routing,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum Traveller {
-    Car,
-    Pedestrian,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Choice {
-    Weighted,
-    Hops,
+fn traveller(kind: AgentKind) -> &'static str {
+    match kind {
+        AgentKind::Car => "car",
+        AgentKind::Pedestrian => "pedestrian",
+    }
 }
 
 fn cell(text: &str) -> Result<Cell, String> {
@@ -49,20 +43,13 @@ fn cell(text: &str) -> Result<Cell, String> {
 /// Prints one `row,col` a line, from the first cell to the last.
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let map = CityMap::generate(&find_map(sources, &arguments.map)?)?;
-    let kind = match arguments.kind {
-        Traveller::Car => AgentKind::Car,
-        Traveller::Pedestrian => AgentKind::Pedestrian,
-    };
-    let routing = match arguments.routing {
-        Choice::Weighted => Routing::Weighted,
-        Choice::Hops => Routing::Hops,
-    };
-    let router = Router::new(Arc::new(map), routing);
+    let kind = arguments.kind;
+    let router = Router::new(Arc::new(map), arguments.routing);
     let (from, to) = (arguments.from, arguments.to);
     let map = router.map();
     let route = router.plan(kind, from, to).map_err(|reason| {
         let place = |cell: Cell| format!("[{}, {}]", cell.row, cell.col);
-        let what = kind.name().to_lowercase();
+        let what = traveller(kind);
         let outside = |cell: Cell| {
             let bounds = format!("rows 0 to {}, columns 0 to {}", map.rows() - 1, map.cols() - 1);
             (!map.contains(cell)).then(|| format!("{} is not on the map: it has {bounds}", place(cell)))

@@ -1,9 +1,10 @@
 //! `logicity run`
 
-use super::{Failure, load_config, load_program, report};
+use super::{Failure, load_city, make_folder, one_of};
 use crate::config::{AgentKind, Speed, Split};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::Output;
+use crate::lang::Clause;
 use crate::render::{Animation, Painter, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{Simulation, TickReport, TraceWriter, World, hash_sources};
@@ -12,6 +13,7 @@ use std::fmt::Write as _;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// An agent that has not moved in this many ticks is called stuck.
@@ -25,15 +27,15 @@ const FRAME_DELAY: Duration = Duration::from_millis(100);
 pub struct Arguments {
     /// Run configuration
     config: PathBuf,
-    /// How long, in ticks; the configuration's `ticks` unless given
-    #[arg(long)]
+    /// How long, in ticks, 1 to 1000000000; the configuration's `ticks` unless given
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..=1_000_000_000), allow_negative_numbers = true)]
     ticks: Option<u64>,
     /// Seed of everything random in the run
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
     /// Which agent set of the configuration
-    #[arg(long, value_enum, default_value = "test")]
-    split: Choice,
+    #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test")]
+    split: Split,
     /// Folder for trace.jsonl, city.gif and last.png; made if it does not exist
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
@@ -43,13 +45,6 @@ pub struct Arguments {
     /// Write the trace only
     #[arg(long)]
     no_pictures: bool,
-}
-
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Choice {
-    Train,
-    Val,
-    Test,
 }
 
 /// What the summary counts.
@@ -65,30 +60,27 @@ struct Tally {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let split = match arguments.split {
-        Choice::Train => Split::Train,
-        Choice::Val => Split::Val,
-        Choice::Test => Split::Test,
-    };
-    let scenario = load_config(sources, &arguments.config)?;
-    let first_rule_file = sources.ids().count();
-    let (program, warnings) = load_program(sources, &scenario, arguments.rules.as_deref())?;
-    report(&warnings, sources);
-    let rule_files: Vec<_> = sources.ids().skip(first_rule_file).collect();
+    let (scenario, program, rule_file) = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
+    let rule_files: Vec<_> = sources.ids().skip_while(|&id| id != rule_file).collect();
     let rules_hash = hash_sources(sources, &rule_files);
     let ticks = arguments.ticks.unwrap_or(u64::from(scenario.ticks));
-    let mut simulation = Simulation::new(Arc::new(World::new(scenario, program)?), split, Seed(arguments.seed))?;
+    let mut simulation = Simulation::new(
+        Arc::new(World::new(scenario, program)?),
+        arguments.split,
+        Seed(arguments.seed),
+    )?;
 
+    let stop = stop_on_interrupt()?;
     let folder = &arguments.out;
-    std::fs::create_dir_all(folder).map_err(|error| Failure::file("make the folder", folder, error))?;
+    make_folder(folder)?;
     let path = |name: &str| folder.join(name);
     let writing = |name: &'static str| {
         let path = path(name);
         move |error: io::Error| Failure::file("write", &path, error)
     };
     let trace_file = Output::create(&path("trace.jsonl")).map_err(writing("trace.jsonl"))?;
-    let mut trace = TraceWriter::new(trace_file, &simulation, sources, rule_files[0], &rules_hash)
-        .map_err(writing("trace.jsonl"))?;
+    let mut trace =
+        TraceWriter::new(trace_file, &simulation, sources, rule_file, &rules_hash).map_err(writing("trace.jsonl"))?;
     let mut pictures = if arguments.no_pictures {
         None
     } else {
@@ -107,11 +99,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         firings: vec![0; simulation.clauses().len()],
         ..Tally::default()
     };
-    for _ in 0..ticks {
+    let mut last = None;
+    while tally.ticks < ticks && !stop.load(Ordering::Relaxed) {
         let begin = Instant::now();
-        let tick = simulation
-            .tick(&[])
-            .map_err(|error| Diagnostic::new(Code::LimitExceeded, error.to_string()))?;
+        let tick = simulation.tick(&[]).map_err(Diagnostic::from)?;
         tally.deciding += begin.elapsed();
         tally.add(&simulation, &tick);
         trace.tick(&simulation, &tick).map_err(writing("trace.jsonl"))?;
@@ -122,6 +113,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             animation.push(&frame).map_err(writing("city.gif"))?;
         }
         bar.inc(1);
+        last = Some(tick);
     }
     bar.finish_and_clear();
 
@@ -132,14 +124,32 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         file.finish().map_err(writing("city.gif"))?;
         written.push(path("city.gif"));
         let mut file = Output::create(&path("last.png")).map_err(writing("last.png"))?;
-        let frame = painter.frame(simulation.now(), &sprites(&simulation, None));
+        let frame = painter.frame(simulation.now(), &sprites(&simulation, last.as_ref()));
         write_png(&frame, &mut file).map_err(writing("last.png"))?;
         file.finish().map_err(writing("last.png"))?;
         written.push(path("last.png"));
     }
     let mut out = anstream::stdout();
     write!(out, "{}", summary(&simulation, &tally, sources, &written))?;
+    if tally.ticks < ticks {
+        writeln!(out, "interrupted: {} of {ticks} ticks were run", tally.ticks)?;
+        return Err(Failure::Interrupted);
+    }
     Ok(())
+}
+
+/// Becomes true when the user interrupts the run (Ctrl-C) or the system asks it to end; what was done is then written and kept. A
+/// second time ends the program at once.
+fn stop_on_interrupt() -> Result<Arc<AtomicBool>, Failure> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    ctrlc::set_handler(move || {
+        if flag.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    })
+    .map_err(|error| Failure::Usage(format!("cannot listen for interrupts: {error}")))?;
+    Ok(stop)
 }
 
 /// The agents as they are, and what they decided in `tick`, if that is given.
@@ -167,9 +177,9 @@ impl Tally {
             };
             self.actions[kind][agent.action as usize] += 1;
             self.overlaps += u64::from(agent.derived.len() > 1);
-            self.goals += u64::from(agent.moved.replanned);
             if agent.moved.from != agent.moved.to {
                 self.last_move[index] = self.ticks;
+                self.goals += u64::from(simulation.agents()[index].at_goal());
             }
         }
         for (sum, fired) in self.firings.iter_mut().zip(&tick.firings) {
@@ -222,15 +232,30 @@ fn summary(simulation: &Simulation, tally: &Tally, sources: &Sources, written: &
     }
     let _ = writeln!(text, "\n{:>10}  clause", "fired");
     let rules = world.program.rules();
-    for (clause, fired) in simulation.clauses().iter().zip(&tally.firings) {
-        let clause = &rules.clauses[clause.index()];
-        let head = &rules.relations[clause.head.relation.index()].name;
-        let title = clause.doc.lines().next().unwrap_or("");
-        let file = Path::new(sources.name(clause.span.source))
-            .file_name()
-            .unwrap_or_default();
-        let place = format!("{}:{}", file.to_string_lossy(), sources.position(clause.span).line);
-        let _ = writeln!(text, "{fired:>10}  {head:<8}{place:<20}{title}");
+    let place = |clause: &Clause| {
+        let file = Path::new(sources.name(clause.span.source)).file_name();
+        let line = sources.position(clause.span).line;
+        format!("{}:{line}", file.unwrap_or_default().to_string_lossy())
+    };
+    let title = |clause: &Clause| match clause.doc.lines().next() {
+        Some(title) => title.to_owned(),
+        None => sources
+            .slice(clause.span)
+            .split_whitespace()
+            .collect::<Vec<_>>()
+            .join(" "),
+    };
+    let rows: Vec<[String; 4]> = (simulation.clauses().iter().zip(&tally.firings))
+        .map(|(clause, fired)| {
+            let clause = &rules.clauses[clause.index()];
+            let head = rules.relations[clause.head.relation.index()].name.clone();
+            [fired.to_string(), head, place(clause), title(clause)]
+        })
+        .collect();
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let (heads, places) = (width(1), width(2));
+    for [fired, head, place, title] in &rows {
+        let _ = writeln!(text, "{fired:>10}  {head:<heads$}  {place:<places$}  {title}");
     }
     if tally.ticks >= STUCK_TICKS {
         let stuck: Vec<&str> = agents

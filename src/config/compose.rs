@@ -10,9 +10,9 @@
 
 use super::yaml::{self, Node, Value};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, did_you_mean};
-use crate::files::{self, BUILTIN, BUILTIN_FOLDER, ReadError};
+use crate::files::{self, BUILTIN, BUILTIN_FOLDER, ReadError, normalise};
 use std::collections::HashMap;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 /// How many files may build on each other.
 const MAX_CHAIN: usize = 16;
@@ -212,21 +212,6 @@ fn merge(base: &mut Node, over: Node) {
         }
         (_, value) => *base = Node { value, ..over },
     }
-}
-
-/// Takes `.` and `..` out without asking the disk.
-fn normalise(path: &Path) -> PathBuf {
-    let mut out = PathBuf::new();
-    for component in path.components() {
-        match component {
-            Component::CurDir => {}
-            Component::ParentDir if matches!(out.components().next_back(), Some(Component::Normal(_))) => {
-                out.pop();
-            }
-            component => out.push(component),
-        }
-    }
-    out
 }
 
 fn unreadable(path: &Path, error: &ReadError) -> Diagnostic {

@@ -10,7 +10,6 @@ use super::yaml::{Node, Value};
 use crate::diag::{Code, Diagnostic, Sources, Span, did_you_mean};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
-use std::fmt::Write;
 use std::path::Path;
 
 /// The most faults told of one configuration.
@@ -30,10 +29,6 @@ const MAX_TICKS: u32 = 1_000_000_000;
 /// The largest region in cells.
 const MAX_REGION: u32 = 1_000_000;
 
-const KINDS: [(&str, AgentKind); 2] = [
-    (AgentKind::Car.name(), AgentKind::Car),
-    (AgentKind::Pedestrian.name(), AgentKind::Pedestrian),
-];
 /// Buildings with their names and letters in a map file.
 const BUILDINGS: [(&str, char, Building); 5] = [
     ("House", 'H', Building::House),
@@ -53,7 +48,7 @@ pub fn load_scenario(sources: &mut Sources, path: &Path, read: Read<'_>) -> Resu
     let mut composer = Composer::new(sources, read);
     let scenario = composer
         .root(path, "configs", &["map", "agents", "predicates"])
-        .and_then(|tree| scenario(&mut composer, &tree, file_stem(path)));
+        .and_then(|tree| scenario(&mut composer, &tree));
     finish(scenario, composer.faults)
 }
 
@@ -64,7 +59,7 @@ pub fn load_map(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Ma
     let mut composer = Composer::new(sources, read);
     let map = composer
         .root(path, "configs/maps", &[])
-        .and_then(|tree| map(&tree, file_stem(path), &mut composer.faults));
+        .and_then(|tree| map(&tree, composer.name_of(&tree), &mut composer.faults));
     finish(map, composer.faults)
 }
 
@@ -83,13 +78,7 @@ fn finish<T>(value: Option<T>, mut faults: Vec<Diagnostic>) -> Result<T, Vec<Dia
     }
 }
 
-fn file_stem(path: &Path) -> String {
-    path.file_stem()
-        .map(|stem| stem.to_string_lossy().into_owned())
-        .unwrap_or_default()
-}
-
-fn scenario(composer: &mut Composer<'_>, tree: &Node, name: String) -> Option<Scenario> {
+fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
     let mut fields = Fields::open(tree, "a run configuration", &mut composer.faults)?;
     fields.optional("base");
     let rules = fields
@@ -112,13 +101,9 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node, name: String) -> Option<Sc
     let actions = fields
         .required("actions", faults)
         .and_then(|node| actions(node, faults));
-    let routing = fields.required("routing", faults).and_then(|node| {
-        choice(
-            node,
-            &[Routing::Weighted, Routing::Hops].map(|routing| (routing.name(), routing)),
-            faults,
-        )
-    });
+    let routing = fields
+        .required("routing", faults)
+        .and_then(|node| choice(node, &Routing::ALL.map(|routing| (routing.name(), routing)), faults));
     let view = fields
         .required("view", faults)
         .and_then(|node| integer(node, 1..=MAX_VIEW, faults));
@@ -128,7 +113,7 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node, name: String) -> Option<Sc
     let usual = "`base: configs/common.yaml` gives what is usual for every key but `rules` and `agents`";
     fields.close_with(Some(usual), faults);
     let mut scenario = Scenario {
-        name,
+        name: composer.name_of(tree),
         map: map?,
         rules: rules?,
         splits: splits?,
@@ -146,10 +131,7 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node, name: String) -> Option<Sc
 /// The JSON form of the scenario leaves out file names and places, and its keys stand in the order of the types.
 fn hash(scenario: &Scenario) -> String {
     let json = serde_json::to_vec(scenario).expect("a scenario holds no map with keys that are not text");
-    Sha256::digest(json).iter().fold(String::new(), |mut hex, byte| {
-        let _ = write!(hex, "{byte:02x}");
-        hex
-    })
+    format!("{:x}", Sha256::digest(json))
 }
 
 fn map(node: &Node, name: String, faults: &mut Vec<Diagnostic>) -> Option<MapConfig> {
@@ -416,10 +398,10 @@ fn definition(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
     let of = fields.optional("of");
     fields.close(faults);
     match (given, of) {
-        ([Some(kind), None, None, None], None) => choice(kind, &KINDS, faults).map(Definition::Kind),
+        ([Some(kind), None, None, None], None) => self::kind(kind, faults).map(Definition::Kind),
         ([None, Some(concept), None, None], Some(of)) => {
             let concept = name(concept, "the name of a concept", faults).map(str::to_owned);
-            let of = choice(of, &KINDS, faults);
+            let of = self::kind(of, faults);
             Some(Definition::Concept {
                 of: of?,
                 concept: concept?,
@@ -441,6 +423,10 @@ fn definition(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
             None
         }
     }
+}
+
+fn kind(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<AgentKind> {
+    choice(node, &AgentKind::ALL.map(|kind| (kind.name(), kind)), faults)
 }
 
 fn distance(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {

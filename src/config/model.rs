@@ -32,6 +32,9 @@ pub enum AgentKind {
 }
 
 impl AgentKind {
+    /// Both.
+    pub const ALL: [AgentKind; 2] = [AgentKind::Car, AgentKind::Pedestrian];
+
     /// Its name in configurations, scenes and traces: `Car` or `Pedestrian`.
     pub const fn name(self) -> &'static str {
         match self {
@@ -253,6 +256,9 @@ pub enum Routing {
 }
 
 impl Routing {
+    /// Both.
+    pub const ALL: [Routing; 2] = [Routing::Weighted, Routing::Hops];
+
     /// Its name: `weighted` or `hops`.
     pub const fn name(self) -> &'static str {
         match self {

@@ -93,6 +93,21 @@ struct Open {
     key: Option<Option<Key>>,
 }
 
+/// What an alias stands for.
+struct Anchored {
+    node: Node,
+    extent: Extent,
+}
+
+/// How large a value is.
+#[derive(Clone, Copy, Default)]
+struct Extent {
+    /// Values, itself included.
+    nodes: usize,
+    /// Lists and mappings inside each other, itself included.
+    depth: usize,
+}
+
 /// Whether parsing can go on; if not, the fault that stops it.
 type Step = Result<(), Box<Diagnostic>>;
 
@@ -100,7 +115,7 @@ struct Builder<'a> {
     source: SourceId,
     text: &'a str,
     open: Vec<Open>,
-    anchors: HashMap<usize, (Node, usize)>,
+    anchors: HashMap<usize, Anchored>,
     root: Option<Node>,
     nodes_left: &'a mut usize,
     faults: &'a mut Vec<Diagnostic>,
@@ -220,12 +235,15 @@ impl Builder<'_> {
                 }
             }
             Event::Alias(anchor) => {
-                let Some((_, size)) = self.anchors.get(&anchor) else {
+                let Some(Anchored { node, extent }) = self.anchors.get(&anchor) else {
                     let fault = Diagnostic::new(Code::YamlSyntax, "an alias stands inside what it refers to");
                     return Err(Box::new(fault.at(span, "")));
                 };
-                self.spend(*size, span)?;
-                let node = self.anchors[&anchor].0.clone();
+                if self.open.len() + extent.depth > MAX_DEPTH {
+                    return Err(Box::new(too_deep(span)));
+                }
+                let (node, nodes) = (node.clone(), extent.nodes);
+                self.spend(nodes, span)?;
                 self.finished(node, 0)?;
             }
             Event::DocumentStart(..) if self.root.is_some() => {
@@ -265,9 +283,10 @@ impl Builder<'_> {
     /// Puts a complete value into the collection it belongs to.
     fn finished(&mut self, node: Node, anchor: usize) -> Step {
         if anchor != 0 {
-            let size = size(&node);
-            self.spend(size, node.span)?;
-            self.anchors.insert(anchor, (node.clone(), size));
+            let extent = extent(&node);
+            self.spend(extent.nodes, node.span)?;
+            let node = node.clone();
+            self.anchors.insert(anchor, Anchored { node, extent });
         }
         let Some(parent) = self.open.last_mut() else {
             self.root = Some(node);
@@ -312,10 +331,20 @@ fn drop_duplicates(entries: &mut Vec<(Key, Node)>, faults: &mut Vec<Diagnostic>)
     });
 }
 
-fn size(node: &Node) -> usize {
-    1 + match &node.value {
-        Value::Scalar { .. } | Value::Absent => 0,
-        Value::List(items) => items.iter().map(size).sum(),
-        Value::Map(entries) => entries.iter().map(|(_, node)| size(node)).sum(),
+fn extent(node: &Node) -> Extent {
+    let around = |inside: &mut dyn Iterator<Item = &Node>| {
+        let sum = inside.map(extent).fold(Extent::default(), |sum, one| Extent {
+            nodes: sum.nodes + one.nodes,
+            depth: sum.depth.max(one.depth),
+        });
+        Extent {
+            nodes: sum.nodes + 1,
+            depth: sum.depth + 1,
+        }
+    };
+    match &node.value {
+        Value::Scalar { .. } | Value::Absent => Extent { nodes: 1, depth: 0 },
+        Value::List(items) => around(&mut items.iter()),
+        Value::Map(entries) => around(&mut entries.iter().map(|(_, node)| node)),
     }
 }

@@ -1,12 +1,15 @@
 //! Draws diagnostics: for a terminal, and as JSON.
 
-use super::{Diagnostic, Label, Severity, Sources, Span};
+use super::{Diagnostic, Label, Severity, SourceId, Sources, Span};
 use annotate_snippets::{Annotation, AnnotationKind, Group, Level, Origin, Renderer, Snippet};
 use serde_json::{Value, json};
-use std::ops::Range;
+use std::ops::RangeInclusive;
 
 /// A line with more bytes is named, not shown.
 const MAX_LINE: usize = 2000;
+
+/// Places with more lines between them are shown apart.
+const MAX_GAP: usize = 200;
 
 /// Draws diagnostics as text with source lines and carets, one blank line between them. `colour` adds terminal styles.
 pub fn render(diagnostics: &[Diagnostic], sources: &Sources, colour: bool) -> String {
@@ -32,49 +35,36 @@ fn render_one(diagnostic: &Diagnostic, sources: &Sources, renderer: &Renderer) -
             .primary_title(printable(&diagnostic.message))
             .id(diagnostic.code.name()),
     );
-    // One snippet per source, the primary one first; within a source the renderer orders by line.
-    let mut labels: Vec<(AnnotationKind, &Label)> = Vec::new();
-    labels.extend(diagnostic.primary.iter().map(|label| (AnnotationKind::Primary, label)));
-    labels.extend(
+    let labels = (diagnostic.primary.iter().map(|label| (AnnotationKind::Primary, label))).chain(
         diagnostic
             .secondary
             .iter()
             .map(|label| (AnnotationKind::Context, label)),
     );
-    let mut order = Vec::new();
-    for (_, label) in &labels {
-        if !order.contains(&label.span.source) {
-            order.push(label.span.source);
-        }
-    }
-    for id in order {
-        let labels: Vec<(AnnotationKind, &Label)> = (labels.iter().copied())
-            .filter(|(_, label)| label.span.source == id)
-            .collect();
-        group = match excerpt(sources.text(id), &labels) {
-            Some((range, lines_before)) => {
-                let text = &sources.text(id)[range.clone()];
-                let snippet = Snippet::source(text)
-                    .line_start(sources.first_line(id) + lines_before)
-                    .path(sources.name(id));
-                let annotations = labels
-                    .iter()
-                    .map(|(kind, label)| annotation(*kind, label, text, range.start));
-                group.element(snippet.annotations(annotations))
-            }
-            None => labels.iter().fold(group, |group, (_, label)| {
+    for excerpt in excerpts(labels, sources) {
+        let Excerpt { source, lines, labels } = &excerpt;
+        let name = sources.name(*source);
+        let is_long = |line: usize| sources.line_range(*source, line).len() > MAX_LINE;
+        if lines.clone().any(is_long) {
+            for (_, label) in labels {
                 let position = sources.position(label.span);
-                let place = Origin::path(sources.name(id))
-                    .line(position.line)
-                    .char_column(position.column);
-                let group = group.element(place);
-                if label.message.is_empty() {
-                    group
-                } else {
-                    group.element(Level::NOTE.message(printable(&label.message)))
+                let place = Origin::path(name).line(position.line).char_column(position.column);
+                group = group.element(place);
+                if !label.message.is_empty() {
+                    group = group.element(Level::NOTE.message(printable(&label.message)));
                 }
-            }),
-        };
+            }
+            continue;
+        }
+        let start = sources.line_range(*source, *lines.start()).start;
+        let end = sources.line_range(*source, *lines.end()).end;
+        let text = &sources.text(*source)[start..end];
+        // A carriage return before a line feed belongs to the end of the line.
+        let snippet = Snippet::source(text.replace('\r', " "))
+            .line_start(sources.first_line(*source) + lines.start())
+            .path(name);
+        let annotations = labels.iter().map(|(kind, label)| annotation(*kind, label, text, start));
+        group = group.element(snippet.annotations(annotations));
     }
     for note in &diagnostic.notes {
         group = group.element(Level::NOTE.message(printable(note)));
@@ -85,31 +75,47 @@ fn render_one(diagnostic: &Diagnostic, sources: &Sources, renderer: &Renderer) -
     renderer.render(&[group])
 }
 
-/// The lines from the first label to the last, as a range of bytes and the number of lines before it. Whatever the size of the
-/// text, only these are drawn. `None` if one of them is too long to be shown to anybody.
-fn excerpt(text: &str, labels: &[(AnnotationKind, &Label)]) -> Option<(Range<usize>, usize)> {
-    let bytes = text.as_bytes();
-    let first = labels
-        .iter()
-        .map(|(_, label)| label.span.range().start)
-        .min()?
-        .min(bytes.len());
-    let last = labels
-        .iter()
-        .map(|(_, label)| label.span.range().end)
-        .max()?
-        .clamp(first, bytes.len());
-    let start = bytes[..first]
-        .iter()
-        .rposition(|&byte| byte == b'\n')
-        .map_or(0, |at| at + 1);
-    let end = bytes[last..]
-        .iter()
-        .position(|&byte| byte == b'\n')
-        .map_or(bytes.len(), |at| last + at);
-    let shown = &text[start..end];
-    let lines_before = bytes[..start].iter().filter(|&&byte| byte == b'\n').count();
-    (shown.lines().all(|line| line.len() <= MAX_LINE)).then_some((start..end, lines_before))
+/// Labels of one source that stand near each other, and the lines, counted from 0, from the first of them to the last.
+struct Excerpt<'a> {
+    source: SourceId,
+    lines: RangeInclusive<usize>,
+    labels: Vec<(AnnotationKind, &'a Label)>,
+}
+
+/// What to show: only lines near labels, so that the time to draw does not depend on the size of the text. The excerpt with the
+/// first label, which is the primary one, leads; the others follow by source, in the order of the text.
+fn excerpts<'a>(labels: impl Iterator<Item = (AnnotationKind, &'a Label)>, sources: &Sources) -> Vec<Excerpt<'a>> {
+    let mut labels: Vec<_> = labels.collect();
+    let Some(&(_, first)) = labels.first() else {
+        return Vec::new();
+    };
+    labels.sort_by_key(|(_, label)| (label.span.source != first.span.source, label.span));
+    let mut found: Vec<Excerpt<'_>> = Vec::new();
+    for (kind, label) in labels {
+        let (source, bytes) = (label.span.source, label.span.range());
+        let start = sources.line_index(source, bytes.start.min(sources.text(source).len()));
+        let end = sources.line_index(source, bytes.end.min(sources.text(source).len()));
+        // Of a label over more lines than that, only where it begins is shown.
+        let end = if end.saturating_sub(start) > MAX_GAP {
+            start
+        } else {
+            end.max(start)
+        };
+        match found.last_mut() {
+            Some(last) if last.source == source && start <= last.lines.end() + MAX_GAP => {
+                last.lines = *last.lines.start()..=end.max(*last.lines.end());
+                last.labels.push((kind, label));
+            }
+            _ => found.push(Excerpt {
+                source,
+                lines: start..=end,
+                labels: vec![(kind, label)],
+            }),
+        }
+    }
+    let leads = |excerpt: &Excerpt<'_>| excerpt.labels.iter().any(|(_, label)| std::ptr::eq(*label, first));
+    found.sort_by_key(|excerpt| !leads(excerpt));
+    found
 }
 
 /// A label, in a part of the text that begins at byte `offset`.
@@ -177,8 +183,9 @@ pub fn to_json(diagnostics: &[Diagnostic], sources: &Sources) -> Value {
 mod tests {
     use super::*;
     use crate::diag::Code;
+    use std::ops::Range;
 
-    fn fault(source: crate::diag::SourceId, range: Range<usize>) -> Diagnostic {
+    fn fault(source: SourceId, range: Range<usize>) -> Diagnostic {
         Diagnostic::new(Code::Syntax, "wrong").at(Span::new(source, range), "here")
     }
 
@@ -191,6 +198,36 @@ mod tests {
             assert!(text.contains(part), "{part} is missing in\n{text}");
         }
         assert!(!text.contains("end"));
+    }
+
+    #[test]
+    fn places_far_apart_are_shown_apart() {
+        let mut sources = Sources::new();
+        let id = sources.add("a.dl", "first\n".to_owned() + &"between\n".repeat(5000) + "last");
+        let end = sources.text(id).len();
+        let fault = fault(id, end - 4..end).also(Span::new(id, 0..5), "there");
+        let excerpts = excerpts(
+            [&fault.primary.clone().expect("given"), &fault.secondary[0]]
+                .into_iter()
+                .map(|label| (AnnotationKind::Context, label)),
+            &sources,
+        )
+        .into_iter()
+        .map(|excerpt| excerpt.lines)
+        .collect::<Vec<_>>();
+        assert_eq!(excerpts, [5001..=5001, 0..=0]);
+        let text = render(&[fault], &sources, false);
+        let (last, first) = (text.find("5002 | last"), text.find("1 | first"));
+        assert!(last.is_some() && first.is_some() && last < first, "{text}");
+        assert!(!text.contains("between"), "{text}");
+    }
+
+    #[test]
+    fn a_label_over_very_many_lines_is_shown_where_it_begins() {
+        let mut sources = Sources::new();
+        let id = sources.add("a.dl", "line\n".repeat(5000));
+        let text = render(&[fault(id, 5..20_000)], &sources, false);
+        assert!(text.contains("a.dl:2:1") && text.lines().count() < 10, "{text}");
     }
 
     #[test]

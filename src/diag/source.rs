@@ -136,7 +136,7 @@ impl Sources {
     pub fn position_of(&self, id: SourceId, byte: usize) -> Position {
         let source = &self.list[id.0 as usize];
         let byte = floor_char(&source.text, byte);
-        let line = source.line_starts.partition_point(|&start| start as usize <= byte) - 1;
+        let line = self.line_index(id, byte);
         let column = source.text[source.line_starts[line] as usize..byte].chars().count();
         Position {
             line: line + source.first_line,
@@ -144,25 +144,23 @@ impl Sources {
         }
     }
 
+    /// The line that a byte is in, counted from 0 in this text.
+    pub(super) fn line_index(&self, id: SourceId, byte: usize) -> usize {
+        let starts = &self.list[id.0 as usize].line_starts;
+        starts.partition_point(|&start| start as usize <= byte) - 1
+    }
+
+    /// The bytes of a line, counted from 0 in this text, without its line break.
+    pub(super) fn line_range(&self, id: SourceId, index: usize) -> Range<usize> {
+        let Source { text, line_starts, .. } = &self.list[id.0 as usize];
+        let start = line_starts[index] as usize;
+        start..line_starts.get(index + 1).map_or(text.len(), |&next| next as usize - 1)
+    }
+
     /// `name:line:column` of where a span begins.
     pub fn locate(&self, span: Span) -> String {
         let Position { line, column } = self.position(span);
         format!("{}:{line}:{column}", self.name(span.source))
-    }
-
-    /// The byte at a line and column, both as in [`Position`]; past the end of a line, the end of that line.
-    pub fn byte_at(&self, id: SourceId, line: usize, column: usize) -> usize {
-        let source = &self.list[id.0 as usize];
-        let Some(&start) = source.line_starts.get(line.saturating_sub(source.first_line)) else {
-            return source.text.len();
-        };
-        let rest = &source.text[start as usize..];
-        let rest = rest.split('\n').next().unwrap_or("");
-        start as usize
-            + rest
-                .char_indices()
-                .nth(column.saturating_sub(1))
-                .map_or(rest.len(), |(index, _)| index)
     }
 }
 
@@ -187,8 +185,7 @@ mod tests {
         assert_eq!(sources.position_of(id, 2), Position { line: 1, column: 2 });
         assert_eq!(sources.position_of(id, 5), Position { line: 2, column: 1 });
         assert_eq!(sources.position_of(id, 99), Position { line: 3, column: 1 });
-        assert_eq!(sources.byte_at(id, 2, 2), 7);
-        assert_eq!(sources.byte_at(id, 2, 99), 9);
+        assert_eq!((sources.line_range(id, 1), sources.line_range(id, 2)), (5..9, 10..10));
         assert_eq!(sources.locate(Span::new(id, 7..9)), "a.dl:2:2");
         assert_eq!(sources.slice(Span::new(id, 7..9)), "δ");
     }

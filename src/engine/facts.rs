@@ -50,11 +50,12 @@ pub fn load(session: &mut Session, rel: RelId, sources: &Sources, source: Source
         } else {
             let found = content.split('\t').count();
             if found != relation.arity() {
-                let message = format!(
-                    "a row of `{}` has {} values, not {found}",
-                    relation.name,
-                    relation.arity()
-                );
+                let message = if content.is_empty() {
+                    format!("an empty line where a row of `{}` was expected", relation.name)
+                } else {
+                    let (name, arity) = (&relation.name, relation.arity());
+                    format!("a row of `{name}` has {arity} values, not {found}")
+                };
                 let fault = Diagnostic::new(Code::InvalidFact, message).at(span(0, content.len()), "");
                 faults.push(
                     fault

@@ -28,12 +28,14 @@ mod plan;
 pub mod promise;
 mod row;
 
-use crate::diag::Diagnostic;
-use crate::lang::{BaseType, ClauseId, RelId, Rules, Value};
+use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::files::ReadError;
+use crate::lang::{self, BaseType, ClauseId, RelId, Rules, Value};
 use crate::symbol::Symbols;
 use exec::Store;
 use plan::Plans;
 use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Rules with a plan for every clause. Cheap to clone; many sessions can run one program.
@@ -66,6 +68,20 @@ struct Compiled {
 }
 
 impl Program {
+    /// Loads the rules of `entry`, a text of `sources`, with [`lang::load`] and plans them. Beside the program stand all errors
+    /// and warnings; there is none if one of them is an error.
+    pub fn load(
+        sources: &mut Sources,
+        entry: SourceId,
+        read: &dyn Fn(&Path) -> Result<String, ReadError>,
+    ) -> (Option<Program>, Vec<Diagnostic>) {
+        let mut loaded = lang::load(sources, entry, read);
+        let program = loaded
+            .rules
+            .and_then(|rules| Program::new(rules).map_err(|fault| loaded.diagnostics.push(fault)).ok());
+        (program, loaded.diagnostics)
+    }
+
     /// Plans the evaluation of checked rules. Fails only if a predicate has more than 32 columns or a clause more than 128
     /// variables or literals.
     pub fn new(rules: Rules) -> Result<Program, Diagnostic> {
@@ -431,3 +447,9 @@ impl fmt::Display for EvalError {
 }
 
 impl std::error::Error for EvalError {}
+
+impl From<EvalError> for Diagnostic {
+    fn from(error: EvalError) -> Self {
+        Diagnostic::new(Code::LimitExceeded, error.to_string())
+    }
+}

@@ -1,16 +1,13 @@
 //! Follows `.include`: the texts of a program become one list of items, in the order in which they would be read aloud.
 
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
-use crate::files::ReadError;
+use crate::files::{BUILTIN_FOLDER, ReadError, normalise};
 
 use super::ast::{File, Include, Item};
 use super::faults::Faults;
 use super::parser;
-
-/// The folder under which [`super::load`] asks for a file that is not beside the one including it.
-pub use crate::files::BUILTIN_FOLDER as BUILTIN;
 
 /// A larger text is refused.
 const MAX_TEXT_BYTES: usize = 64 << 20;
@@ -32,7 +29,7 @@ pub(super) fn gather(
     read: &dyn Fn(&Path) -> Result<String, ReadError>,
     faults: &mut Faults,
 ) -> Gathered {
-    let key = normal(Path::new(sources.name(entry)));
+    let key = normalise(Path::new(sources.name(entry)));
     let mut walk = Walk {
         sources,
         read,
@@ -90,17 +87,17 @@ impl Walk<'_> {
             .parent()
             .unwrap_or(Path::new(""))
             .join(&include.path);
-        let builtin = Path::new(BUILTIN).join(&include.path);
+        let builtin = Path::new(BUILTIN_FOLDER).join(&include.path);
         let mut error = ReadError::NotFound;
         for path in [&beside, &builtin] {
-            let key = normal(path);
+            let key = normalise(path);
             if let Some(position) = self.open.iter().position(|(open, _)| *open == key) {
                 return self.cycle(position, span);
             }
             if self.seen.contains(&key) {
                 return;
             }
-            if path.as_os_str() == builtin.as_os_str() && !builtin.starts_with(BUILTIN) {
+            if path.as_os_str() == builtin.as_os_str() && !builtin.starts_with(BUILTIN_FOLDER) {
                 continue; // an absolute path
             }
             match (self.read)(path) {
@@ -166,19 +163,4 @@ impl Walk<'_> {
         self.faults
             .push(fault.help("move what both need into a file of its own, and include that"));
     }
-}
-
-/// A path without `.` and, where the text allows it, without `..`: by it two names of one file are known to be the same.
-fn normal(path: &Path) -> PathBuf {
-    let mut out = PathBuf::new();
-    for part in path.components() {
-        match part {
-            Component::CurDir => {}
-            Component::ParentDir if matches!(out.components().next_back(), Some(Component::Normal(_))) => {
-                out.pop();
-            }
-            _ => out.push(part),
-        }
-    }
-    out
 }

@@ -226,7 +226,7 @@ struct Pattern {
     span: Span,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum Part {
     Variable(usize),
     Constant(Value),
@@ -292,6 +292,9 @@ impl Pattern {
                 }
             };
             literals.push(normal);
+        }
+        for literal in literals.iter_mut().filter(|literal| literal.kind.is_symmetric()) {
+            literal.parts.sort_unstable();
         }
         let mut seen = HashSet::new();
         literals.retain(|literal| seen.insert(literal.clone()));

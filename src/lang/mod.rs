@@ -31,7 +31,6 @@ mod scope;
 mod strata;
 
 pub use format::format;
-pub use include::BUILTIN;
 pub use print::print;
 pub use rules::{
     Atom, BaseType, Clause, ClauseId, Column, Comparison, Constraint, Literal, Promise, RelId, Relation, Rules,
@@ -52,7 +51,7 @@ pub struct Loaded {
 /// Reads and checks the rules of `entry`, a text of `sources`, and of all it includes.
 ///
 /// `.include "x"` asks `read` for `x` in the folder of the including text (whose path is its name in `sources`); if that is
-/// not found, for the path [`BUILTIN`]`/x`, at which the caller may serve rule files of its own. Included texts are added to
+/// not found, for the path [`BUILTIN_FOLDER`](crate::files::BUILTIN_FOLDER)`/x`, at which the caller may serve rule files of its own. Included texts are added to
 /// `sources`.
 pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn Fn(&Path) -> Result<String, ReadError>) -> Loaded {
     let mut faults = Faults::default();

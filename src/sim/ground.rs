@@ -102,7 +102,7 @@ fn binary(definition: &Definition, x: &Entity<'_>, y: &Entity<'_>) -> f64 {
             below,
             at_most,
         } => {
-            let d = distance(x, y);
+            let d = x.at.distance(y.at);
             above.is_none_or(|bound| d > bound)
                 && at_least.is_none_or(|bound| d >= bound)
                 && below.is_none_or(|bound| d < bound)
@@ -123,7 +123,7 @@ fn binary(definition: &Definition, x: &Entity<'_>, y: &Entity<'_>) -> f64 {
                 AgentKind::Car => (*car_range, 1.0),
                 AgentKind::Pedestrian => (*pedestrian_range, *pedestrian_chance),
             };
-            let d = distance(x, y);
+            let d = x.at.distance(y.at);
             return if d > range {
                 0.0
             } else if x.at == y.at {
@@ -139,23 +139,20 @@ fn binary(definition: &Definition, x: &Entity<'_>, y: &Entity<'_>) -> f64 {
     f64::from(u8::from(holds))
 }
 
-/// Euclidean distance in cells.
-#[allow(clippy::cast_precision_loss)] // exact: maps have far fewer than 2^26 rows and columns
-fn distance(x: &Entity<'_>, y: &Entity<'_>) -> f64 {
-    (x.at.distance_squared(y.at) as f64).sqrt()
-}
-
 /// Where x lies, seen along y's heading (dr, dc): positive left, negative right, zero straight or no heading. With
 /// (rr, rc) = x - y it is dr * rc - dc * rr.
-fn side(x: &Entity<'_>, y: &Entity<'_>) -> i32 {
+fn side(x: &Entity<'_>, y: &Entity<'_>) -> i64 {
     let Some(heading) = y.heading else { return 0 };
     let (dr, dc) = heading.delta();
-    dr * (x.at.col - y.at.col) - dc * (x.at.row - y.at.row)
+    let (rr, rc) = x.at.offset_from(y.at);
+    i64::from(dr) * rc - i64::from(dc) * rr
 }
 
 /// The angle between a heading and the way between two different cells, in radians, 0 to pi.
+#[allow(clippy::cast_precision_loss)] // exact: offsets fit 33 bits
 fn angle_between(heading: Heading, from: Cell, to: Cell) -> f64 {
     let (dr, dc) = heading.delta();
-    let (rr, rc) = (to.row - from.row, to.col - from.col);
-    f64::from((dr * rc - dc * rr).abs()).atan2(f64::from(dr * rr + dc * rc))
+    let (dr, dc) = (i64::from(dr), i64::from(dc));
+    let (rr, rc) = to.offset_from(from);
+    ((dr * rc - dc * rr).abs() as f64).atan2((dr * rr + dc * rc) as f64)
 }

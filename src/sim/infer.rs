@@ -5,7 +5,7 @@ use super::scene::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, 
 use super::vocabulary::Vocabulary;
 use crate::city::CityMap;
 use crate::config::{Definition, Scenario, Speed, load_map};
-use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::engine::{EvalError, Program, Session};
 use crate::files::ReadError;
 use crate::lang::{RelId, Value};
@@ -26,27 +26,6 @@ pub struct Inference {
     read: Box<ReadFile>,
     maps: HashMap<String, Arc<CityMap>>,
     seed: Seed,
-}
-
-/// Why a scene has no answer.
-#[derive(Clone, Debug)]
-pub enum InferError {
-    /// The scene is at fault.
-    Scene(Vec<Diagnostic>),
-    /// The rules derived too much.
-    Eval(EvalError),
-}
-
-impl From<Diagnostic> for InferError {
-    fn from(fault: Diagnostic) -> Self {
-        InferError::Scene(vec![fault])
-    }
-}
-
-impl From<EvalError> for InferError {
-    fn from(error: EvalError) -> Self {
-        InferError::Eval(error)
-    }
 }
 
 /// What the rules decide for the egos of a scene.
@@ -126,11 +105,12 @@ impl Inference {
         })
     }
 
-    /// Answers the scene in `source`. `number` tells apart the random draws of different scenes.
+    /// Answers the scene in `source`. The same scene always gets the same answer: predicates that hold with a probability and are
+    /// not given are drawn by seed, the scene's `tick` and the positions of the two agents.
     ///
     /// # Errors
-    /// A faulty scene, or rules that derive more than the limit.
-    pub fn answer(&mut self, sources: &Sources, source: SourceId, number: u64) -> Result<Answer, InferError> {
+    /// All faults of the scene: `invalid-scene`, or `limit-exceeded` if it is too large or the rules derive too much from it.
+    pub fn answer(&mut self, sources: &Sources, source: SourceId) -> Result<Answer, Vec<Diagnostic>> {
         let terms = Terms {
             predicates: (self.vocabulary.predicates.iter())
                 .map(|predicate| (predicate.name.as_str(), predicate.arity))
@@ -142,14 +122,17 @@ impl Inference {
                 })
                 .collect(),
         };
-        match parse_scene(sources, source, &terms)? {
-            Scene::Geometric(scene) => self.geometric(&scene, number),
+        let answer = match parse_scene(sources, source, &terms)? {
+            Scene::Geometric(scene) => self.geometric(&scene)?,
             Scene::Symbolic(scene) => self.symbolic(&scene),
-        }
+        };
+        // What the rules derive stands in no text; it follows from the scene as a whole.
+        answer.map_err(|fault| vec![fault.at(Span::new(source, 0..sources.text(source).len()), "in this scene")])
     }
 
-    fn geometric(&mut self, scene: &GeometricScene, number: u64) -> Result<Answer, InferError> {
-        let map = self.map(scene)?;
+    /// The outer error is the scene's, the inner one what follows from it.
+    fn geometric(&mut self, scene: &GeometricScene) -> Result<Result<Answer, Diagnostic>, Vec<Diagnostic>> {
+        let map = self.map(scene).map_err(|fault| vec![fault])?;
         scene.check_cells(&map)?;
         let entities: Vec<Entity<'_>> = scene
             .agents
@@ -170,7 +153,7 @@ impl Inference {
             &entities,
             &mut Draws {
                 seed: self.seed,
-                time: number,
+                time: scene.tick,
             },
             |index| given(index).is_some(),
         );
@@ -180,7 +163,7 @@ impl Inference {
             }
         }
         let names: Vec<&str> = scene.agents.iter().map(|agent| agent.id.as_str()).collect();
-        self.decide(&names, &scene.egos, &facts)
+        Ok(self.decide(&names, &scene.egos, &facts))
     }
 
     fn map(&mut self, scene: &GeometricScene) -> Result<Arc<CityMap>, Diagnostic> {
@@ -209,7 +192,7 @@ impl Inference {
         }
     }
 
-    fn symbolic(&self, scene: &SymbolicScene) -> Result<Answer, InferError> {
+    fn symbolic(&self, scene: &SymbolicScene) -> Result<Answer, Diagnostic> {
         let names: Vec<&str> = scene.entities.iter().map(String::as_str).collect();
         let mut facts = Facts {
             rows: (0..self.vocabulary.predicates.len())
@@ -227,7 +210,7 @@ impl Inference {
         self.decide(&names, &[scene.ego], &facts)
     }
 
-    fn decide(&self, names: &[&str], egos: &[usize], facts: &Facts) -> Result<Answer, InferError> {
+    fn decide(&self, names: &[&str], egos: &[usize], facts: &Facts) -> Result<Answer, Diagnostic> {
         let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
         state.set(facts)?;
         let egos = egos
@@ -239,7 +222,7 @@ impl Inference {
                     id: names[ego].to_owned(),
                     sees: sees.iter().map(|&index| names[index].to_owned()).collect(),
                     atoms: atoms_over(&self.vocabulary, facts, &sees, names),
-                    action: self.vocabulary.decide(|speed| derived.contains(&speed)),
+                    action: self.vocabulary.decide(&derived),
                     derived: before_default(&self.vocabulary, derived),
                 }
             })
@@ -361,7 +344,8 @@ impl GroundState {
         }
     }
 
-    /// Makes `facts` the true ones: inserts and retracts the difference from those before, and commits.
+    /// Makes `facts` the true ones: inserts and retracts the difference from those before, and commits. If that fails, all is
+    /// as before.
     pub fn set(&mut self, facts: &Facts) -> Result<(), EvalError> {
         for (index, relation) in self.relations.iter().enumerate() {
             let Some((relation, arity)) = *relation else { continue };
@@ -380,7 +364,10 @@ impl GroundState {
                     .expect("bound relations fit");
             }
         }
-        self.session.commit()?;
+        if let Err(error) = self.session.commit() {
+            self.session.rollback();
+            return Err(error);
+        }
         self.facts.clone_from(facts);
         Ok(())
     }
@@ -401,5 +388,41 @@ impl GroundState {
     /// The position of the entity that a value stands for.
     pub fn entity(&self, value: Value) -> Option<usize> {
         self.positions.get(&value).copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::load_scenario;
+
+    #[test]
+    fn facts_that_derive_too_much_leave_no_trace() {
+        let missing = |_: &Path| Err(ReadError::NotFound);
+        let mut sources = Sources::new();
+        let scenario = load_scenario(&mut sources, Path::new("expert"), &missing).expect("built in");
+        let rules = sources.add("test.dl", ".include \"vocabulary.dl\"\nStop(X) :- IsBus(X).");
+        let loaded = crate::lang::load(&mut sources, rules, &crate::files::read_or_builtin);
+        let program = Program::new(loaded.rules.expect("no errors")).expect("within limits");
+        let vocabulary = Vocabulary::bind(&scenario, &program).expect("they fit");
+        let bus = vocabulary
+            .predicates
+            .iter()
+            .position(|predicate| predicate.name == "IsBus")
+            .expect("it is in use");
+        let nothing = Facts {
+            rows: vec![Vec::new(); vocabulary.predicates.len()],
+        };
+        let mut one_bus = nothing.clone();
+        one_bus.rows[bus].push([0, 0]);
+
+        let mut state = GroundState::new(&program, &vocabulary, ["Car_1"].into_iter());
+        state.session.set_limit(0);
+        assert!(state.set(&one_bus).is_err());
+        state.set(&nothing).expect("it derives nothing");
+        state.session.set_limit(10);
+        assert_eq!(state.derived(&vocabulary, 0), []);
+        state.set(&one_bus).expect("within the limit");
+        assert_eq!(state.derived(&vocabulary, 0), [Speed::Stop]);
     }
 }

@@ -13,7 +13,8 @@ mod vocabulary;
 mod world;
 
 pub use ground::{Chance, Entity, Facts, ground};
-pub use infer::{Answer, EgoAnswer, InferError, Inference};
+pub use infer::{Answer, EgoAnswer, Inference};
+pub use scene::MAX_ENTITIES;
 pub use simulation::{AgentTick, Simulation, TickReport};
 pub use trace::{TRACE_VERSION, TraceWriter, hash_sources};
 pub use vocabulary::{Predicate, Vocabulary};

@@ -3,10 +3,15 @@
 use crate::city::{Cell, CityMap, Heading};
 use crate::config::AgentKind;
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
+use indexmap::IndexMap;
+use indexmap::map::Entry;
 use serde::Deserialize;
 use serde::de::{self, Deserializer, MapAccess, Visitor};
 use serde_json::value::RawValue;
 use std::collections::HashMap;
+
+/// The most agents or entities of a scene: facts about pairs of them take memory in the square of their number.
+pub const MAX_ENTITIES: usize = 2000;
 
 /// A scene.
 #[derive(Clone, Debug)]
@@ -28,6 +33,8 @@ pub struct GeometricScene {
     pub agents: Vec<SceneAgent>,
     /// Positions in `agents` of those to decide for.
     pub egos: Vec<usize>,
+    /// Tells apart the random draws of one seed, as the ticks of a run do.
+    pub tick: u64,
     /// Predicates whose true rows are given instead of computed.
     pub given: Vec<GivenPredicate>,
 }
@@ -82,6 +89,8 @@ struct RawGeometric<'a> {
     egos: Option<Vec<&'a RawValue>>,
     #[serde(borrow, default)]
     given: Entries<'a>,
+    #[serde(default)]
+    tick: u64,
 }
 
 #[derive(Deserialize)]
@@ -96,8 +105,8 @@ struct RawAgent<'a> {
     heading: Option<&'a RawValue>,
     #[serde(borrow, default)]
     concepts: Vec<&'a RawValue>,
-    #[serde(default)]
-    priority: i32,
+    #[serde(borrow)]
+    priority: Option<&'a RawValue>,
 }
 
 #[derive(Deserialize)]
@@ -113,7 +122,7 @@ struct RawSymbolic<'a> {
 
 /// A JSON object in the order of the text, whose values are read later.
 #[derive(Default)]
-struct Entries<'a>(Vec<(String, &'a RawValue)>);
+struct Entries<'a>(IndexMap<String, &'a RawValue>);
 
 impl<'de: 'a, 'a> Deserialize<'de> for Entries<'a> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -126,12 +135,14 @@ impl<'de: 'a, 'a> Deserialize<'de> for Entries<'a> {
             }
 
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
-                let mut entries: Vec<(String, &RawValue)> = Vec::new();
+                let mut entries: IndexMap<String, &RawValue> = IndexMap::new();
                 while let Some((key, value)) = map.next_entry::<String, &RawValue>()? {
-                    if entries.iter().any(|(other, _)| *other == key) {
-                        return Err(de::Error::custom(format!("`{key}` is given twice")));
+                    match entries.entry(key) {
+                        Entry::Vacant(entry) => drop(entry.insert(value)),
+                        Entry::Occupied(entry) => {
+                            return Err(de::Error::custom(format!("`{}` is given twice", entry.key())));
+                        }
                     }
-                    entries.push((key, value));
                 }
                 Ok(Entries(entries))
             }
@@ -148,17 +159,38 @@ pub struct Terms<'a> {
     pub concepts: Vec<(AgentKind, &'a str)>,
 }
 
+/// The most faults of one scene that are told.
+const MAX_FAULTS: usize = 100;
+
 /// Reads a scene.
 ///
 /// # Errors
-/// `invalid-scene`, at the place of the fault.
-pub fn parse_scene(sources: &Sources, source: SourceId, terms: &Terms<'_>) -> Result<Scene, Diagnostic> {
+/// All faults: `invalid-scene` at their places, `limit-exceeded` for more than [`MAX_ENTITIES`].
+pub fn parse_scene(sources: &Sources, source: SourceId, terms: &Terms<'_>) -> Result<Scene, Vec<Diagnostic>> {
     let reader = Reader {
         source,
         text: sources.text(source),
         terms,
     };
-    reader.scene()
+    reader.scene().map_err(|mut faults| {
+        faults.truncate(MAX_FAULTS);
+        faults
+    })
+}
+
+/// What was read, or all that is wrong with it.
+type Read<T> = Result<T, Vec<Diagnostic>>;
+
+/// All that was read, or all that is wrong with any of it.
+fn all<T>(results: impl Iterator<Item = Read<T>>) -> Read<Vec<T>> {
+    let mut faults = Vec::new();
+    let values: Vec<T> = results.filter_map(|result| keep(&mut faults, result)).collect();
+    if faults.is_empty() { Ok(values) } else { Err(faults) }
+}
+
+/// What was read; if it is faulty, its faults join the others.
+fn keep<T>(faults: &mut Vec<Diagnostic>, result: Read<T>) -> Option<T> {
+    result.map_err(|more| faults.extend(more)).ok()
 }
 
 struct Reader<'a> {
@@ -168,139 +200,170 @@ struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    fn scene(&self) -> Result<Scene, Diagnostic> {
+    fn scene(&self) -> Read<Scene> {
         let whole: &RawValue = self.read(self.text, 0)?;
-        let Entries(keys) = self.read(whole.get(), self.offset(whole))?;
-        if keys.iter().any(|(key, _)| key == "entities") {
+        if !whole.get().starts_with('{') {
+            return Err(vec![self.fault(whole, "a scene is a JSON object".into(), FORMS)]);
+        }
+        let Entries(keys) = self.value(whole)?;
+        if keys.contains_key("entities") {
             self.symbolic(whole).map(Scene::Symbolic)
-        } else {
+        } else if keys.contains_key("agents") || keys.contains_key("map") {
             self.geometric(whole).map(Scene::Geometric)
+        } else {
+            Err(vec![self.fault(
+                whole,
+                "a scene without agents or entities".into(),
+                FORMS,
+            )])
         }
     }
 
-    fn geometric(&self, whole: &'a RawValue) -> Result<GeometricScene, Diagnostic> {
-        let raw: RawGeometric<'a> = self.read(whole.get(), self.offset(whole))?;
-        let agents = raw
-            .agents
-            .iter()
-            .map(|agent| self.agent(agent))
-            .collect::<Result<Vec<_>, _>>()?;
+    fn geometric(&self, whole: &'a RawValue) -> Read<GeometricScene> {
+        let raw: RawGeometric<'a> = self.value(whole)?;
+        self.bounded(&raw.agents, "agents")?;
+        let mut faults = Vec::new();
+        let map = keep(&mut faults, self.map(raw.map));
+        let agents = keep(&mut faults, all(raw.agents.iter().map(|agent| self.agent(agent))));
+        let (Some(map), Some(agents)) = (map, agents) else {
+            return Err(faults);
+        };
         let names = self.names(agents.iter().map(|agent| (agent.id.as_str(), agent.span)))?;
         let egos = match &raw.egos {
-            None => (0..agents.len()).collect(),
-            Some(egos) => egos
-                .iter()
-                .map(|ego| self.named(ego, &names, "agent"))
-                .collect::<Result<_, _>>()?,
+            None => Some((0..agents.len()).collect()),
+            Some(egos) => keep(
+                &mut faults,
+                all(egos.iter().map(|ego| self.named(ego, &names, "agent"))),
+            ),
         };
-        Ok(GeometricScene {
-            map: self.value(raw.map)?,
-            map_span: self.span(raw.map),
-            given: self.rows(raw.given, &names, "agent")?,
-            agents,
-            egos,
-        })
-    }
-
-    fn agent(&self, raw: &'a RawValue) -> Result<SceneAgent, Diagnostic> {
-        let agent: RawAgent<'a> = self.value(raw)?;
-        let kind = match self.value::<String>(agent.kind)?.as_str() {
-            "Car" => AgentKind::Car,
-            "Pedestrian" => AgentKind::Pedestrian,
-            other => {
-                return Err(self.fault(
-                    agent.kind,
-                    format!("`{other}` is not a type of agent"),
-                    "expected \"Car\" or \"Pedestrian\"",
-                ));
-            }
-        };
-        let heading = match agent.heading {
-            None => None,
-            Some(raw) => {
-                let name: String = self.value(raw)?;
-                let expected = "expected \"Left\", \"Right\", \"Up\", \"Down\" or null";
-                let heading = Heading::from_name(&name);
-                Some(heading.ok_or_else(|| self.fault(raw, format!("`{name}` is not a heading"), expected))?)
-            }
-        };
-        let mut concepts = Vec::new();
-        for raw in agent.concepts {
-            let concept: String = self.value(raw)?;
-            let known = || {
-                (self.terms.concepts.iter())
-                    .filter(|(of, _)| *of == kind)
-                    .map(|(_, name)| *name)
-            };
-            if !known().any(|name| name == concept) {
-                let fault = self.fault(
-                    raw,
-                    format!(
-                        "no predicate of the configuration reads the concept `{concept}` of a {}",
-                        kind.name()
-                    ),
-                    "unknown concept",
-                );
-                return Err(match did_you_mean(&concept, known()) {
-                    Some(name) => fault.help(format!("did you mean `{name}`?")),
-                    None => fault.help(format!(
-                        "a {} can be: {}",
-                        kind.name(),
-                        known().collect::<Vec<_>>().join(", ")
-                    )),
-                });
-            }
-            concepts.push(concept);
+        let given = keep(&mut faults, self.rows(raw.given, &names, "agent"));
+        match (egos, given) {
+            (Some(egos), Some(given)) => Ok(GeometricScene {
+                map,
+                map_span: self.span(raw.map),
+                tick: raw.tick,
+                agents,
+                egos,
+                given,
+            }),
+            _ => Err(faults),
         }
-        let [row, col]: [i32; 2] = self.value(agent.at)?;
-        Ok(SceneAgent {
-            id: agent.id,
-            kind,
-            concepts,
-            priority: agent.priority,
-            at: Cell::new(row, col),
-            heading,
-            span: self.span(raw),
+    }
+
+    /// The name of a built-in map, or the path of a map file. Other files are nobody's business here.
+    fn map(&self, raw: &'a RawValue) -> Read<String> {
+        let name: String = self.value(raw)?;
+        let is_name = name.chars().all(|c| c.is_alphanumeric() || c == '-' || c == '_');
+        if is_name || name.ends_with(".yaml") || name.ends_with(".yml") {
+            Ok(name)
+        } else {
+            let label = "expected the name of a built-in map or the path of a file ending in .yaml";
+            Err(vec![self.fault(raw, "not a map".into(), label)])
+        }
+    }
+
+    fn agent(&self, raw: &'a RawValue) -> Read<SceneAgent> {
+        let agent: RawAgent<'a> = self.value(raw)?;
+        let mut faults = Vec::new();
+        let kind = keep(&mut faults, self.kind(agent.kind));
+        let heading = keep(&mut faults, agent.heading.map(|raw| self.heading(raw)).transpose());
+        let at = keep(&mut faults, self.value::<[i32; 2]>(agent.at));
+        let priority = keep(&mut faults, agent.priority.map_or(Ok(0), |raw| self.value(raw)));
+        let concepts = kind.and_then(|kind| {
+            let concepts = agent.concepts.iter().map(|raw| self.concept(raw, kind));
+            keep(&mut faults, all(concepts))
+        });
+        match (kind, heading, at, priority, concepts) {
+            (Some(kind), Some(heading), Some([row, col]), Some(priority), Some(concepts)) => Ok(SceneAgent {
+                id: agent.id,
+                kind,
+                concepts,
+                priority,
+                at: Cell::new(row, col),
+                heading,
+                span: self.span(raw),
+            }),
+            _ => Err(faults),
+        }
+    }
+
+    fn kind(&self, raw: &'a RawValue) -> Read<AgentKind> {
+        let name: String = self.value(raw)?;
+        let kind = AgentKind::ALL.into_iter().find(|kind| kind.name() == name);
+        kind.ok_or_else(|| {
+            let message = format!("`{name}` is not a type of agent");
+            vec![self.fault(raw, message, "expected \"Car\" or \"Pedestrian\"")]
         })
     }
 
-    fn symbolic(&self, whole: &'a RawValue) -> Result<SymbolicScene, Diagnostic> {
-        let raw: RawSymbolic<'a> = self.read(whole.get(), self.offset(whole))?;
-        let entities = raw
-            .entities
-            .iter()
-            .map(|name| self.value::<String>(name))
-            .collect::<Result<Vec<_>, _>>()?;
+    fn heading(&self, raw: &'a RawValue) -> Read<Heading> {
+        let name: String = self.value(raw)?;
+        let expected = "expected \"Left\", \"Right\", \"Up\", \"Down\" or null";
+        Heading::from_name(&name).ok_or_else(|| vec![self.fault(raw, format!("`{name}` is not a heading"), expected)])
+    }
+
+    fn concept(&self, raw: &'a RawValue, kind: AgentKind) -> Read<String> {
+        let concept: String = self.value(raw)?;
+        let of_kind = self.terms.concepts.iter().filter(|(of, _)| *of == kind);
+        let known: Vec<&str> = of_kind.map(|(_, name)| *name).collect();
+        if known.contains(&concept.as_str()) {
+            return Ok(concept);
+        }
+        let kind = kind.name();
+        let message = format!("no predicate of the configuration reads the concept `{concept}` of a {kind}");
+        let fault = self.fault(raw, message, "unknown concept");
+        Err(vec![match did_you_mean(&concept, known.iter().copied()) {
+            Some(name) => fault.help(format!("did you mean `{name}`?")),
+            None => fault.help(format!("a {kind} can be: {}", known.join(", "))),
+        }])
+    }
+
+    fn symbolic(&self, whole: &'a RawValue) -> Read<SymbolicScene> {
+        let raw: RawSymbolic<'a> = self.value(whole)?;
+        self.bounded(&raw.entities, "entities")?;
+        let entities: Vec<String> = all(raw.entities.iter().map(|name| self.value(name)))?;
         let spans = raw.entities.iter().map(|raw| self.span(raw));
         let names = self.names(entities.iter().map(String::as_str).zip(spans))?;
-        Ok(SymbolicScene {
-            ego: self.named(raw.ego, &names, "entity")?,
-            facts: self.rows(raw.facts, &names, "entity")?,
-            entities,
-        })
+        let mut faults = Vec::new();
+        let ego = keep(&mut faults, self.named(raw.ego, &names, "entity"));
+        let facts = keep(&mut faults, self.rows(raw.facts, &names, "entity"));
+        match (ego, facts) {
+            (Some(ego), Some(facts)) => Ok(SymbolicScene { entities, ego, facts }),
+            _ => Err(faults),
+        }
+    }
+
+    fn bounded(&self, list: &[&'a RawValue], what: &str) -> Read<()> {
+        match list.get(MAX_ENTITIES) {
+            None => Ok(()),
+            Some(first) => {
+                let message = format!("a scene with {} {what}, the limit is {MAX_ENTITIES}", list.len());
+                let fault = Diagnostic::new(Code::LimitExceeded, message);
+                Err(vec![fault.at(self.span(first), "the first that is too many")])
+            }
+        }
     }
 
     /// Positions by name.
-    fn names<'n>(&self, list: impl Iterator<Item = (&'n str, Span)>) -> Result<HashMap<String, usize>, Diagnostic> {
+    fn names<'n>(&self, list: impl Iterator<Item = (&'n str, Span)>) -> Read<HashMap<String, usize>> {
         let mut names = HashMap::new();
         let mut spans = Vec::new();
+        let mut faults = Vec::new();
         for (index, (name, span)) in list.enumerate() {
             if let Some(first) = names.insert(name.to_owned(), index) {
                 let fault = Diagnostic::new(Code::InvalidScene, format!("the name `{name}` is given twice"));
-                return Err(fault.at(span, "again here").also(spans[first], "first here"));
+                faults.push(fault.at(span, "again here").also(spans[first], "first here"));
             }
             spans.push(span);
         }
-        Ok(names)
+        if faults.is_empty() { Ok(names) } else { Err(faults) }
     }
 
     /// The position of the agent or entity (`what`) that a JSON string names.
-    fn named(&self, raw: &'a RawValue, names: &HashMap<String, usize>, what: &str) -> Result<usize, Diagnostic> {
+    fn named(&self, raw: &'a RawValue, names: &HashMap<String, usize>, what: &str) -> Read<usize> {
         let name: String = self.value(raw)?;
-        names
-            .get(&name)
-            .copied()
-            .ok_or_else(|| self.fault(raw, format!("the scene has no {what} `{name}`"), "unknown name"))
+        let position = names.get(&name).copied();
+        position.ok_or_else(|| vec![self.fault(raw, format!("the scene has no {what} `{name}`"), "unknown name")])
     }
 
     fn rows(
@@ -308,63 +371,45 @@ impl<'a> Reader<'a> {
         Entries(entries): Entries<'a>,
         names: &HashMap<String, usize>,
         what: &str,
-    ) -> Result<Vec<GivenPredicate>, Diagnostic> {
-        let mut given = Vec::new();
-        for (name, raw) in entries {
+    ) -> Read<Vec<GivenPredicate>> {
+        all(entries.into_iter().map(|(name, raw)| {
             let Some(&(_, arity)) = self.terms.predicates.iter().find(|(known, _)| *known == name) else {
-                let fault = self.fault(
-                    raw,
-                    format!("`{name}` is not a base predicate"),
-                    "rows of an unknown predicate",
-                );
+                let message = format!("`{name}` is not a base predicate");
+                let fault = Diagnostic::new(Code::InvalidScene, message).at(self.key_span(raw), "unknown predicate");
                 let known = self.terms.predicates.iter().map(|(known, _)| *known);
-                return Err(match did_you_mean(&name, known.clone()) {
+                return Err(vec![match did_you_mean(&name, known.clone()) {
                     Some(known) => fault.help(format!("did you mean `{known}`?")),
                     None => fault.help(format!("base predicates are: {}", known.collect::<Vec<_>>().join(", "))),
-                });
+                }]);
             };
-            let mut rows = self
-                .value::<Vec<&RawValue>>(raw)?
-                .into_iter()
-                .map(|row| self.row(row, arity, names, what))
-                .collect::<Result<Vec<_>, _>>()?;
+            let rows: Vec<&RawValue> = self.value(raw)?;
+            let mut rows = all(rows.into_iter().map(|row| self.row(row, arity, names, what)))?;
             rows.sort_unstable();
             rows.dedup();
-            given.push(GivenPredicate { name, rows });
-        }
-        Ok(given)
+            Ok(GivenPredicate { name, rows })
+        }))
     }
 
     /// A row: a list of names; a single name may stand alone.
-    fn row(
-        &self,
-        raw: &'a RawValue,
-        arity: usize,
-        names: &HashMap<String, usize>,
-        what: &str,
-    ) -> Result<Vec<usize>, Diagnostic> {
+    fn row(&self, raw: &'a RawValue, arity: usize, names: &HashMap<String, usize>, what: &str) -> Read<Vec<usize>> {
         let terms = if raw.get().starts_with('[') {
             self.value::<Vec<&RawValue>>(raw)?
         } else {
             vec![raw]
         };
         if terms.len() != arity {
-            let found = terms.len();
-            return Err(self.fault(
-                raw,
-                format!("a row of {found} where the predicate has {arity}"),
-                "wrong number of names",
-            ));
+            let message = format!("a row of {} where the predicate has {arity}", terms.len());
+            return Err(vec![self.fault(raw, message, "wrong number of names")]);
         }
-        terms.into_iter().map(|term| self.named(term, names, what)).collect()
+        all(terms.into_iter().map(|term| self.named(term, names, what)))
     }
 
-    fn value<T: Deserialize<'a>>(&self, raw: &'a RawValue) -> Result<T, Diagnostic> {
+    fn value<T: Deserialize<'a>>(&self, raw: &'a RawValue) -> Read<T> {
         self.read(raw.get(), self.offset(raw))
     }
 
     /// Reads JSON that begins at byte `offset` of the scene.
-    fn read<T: Deserialize<'a>>(&self, json: &'a str, offset: usize) -> Result<T, Diagnostic> {
+    fn read<T: Deserialize<'a>>(&self, json: &'a str, offset: usize) -> Read<T> {
         serde_json::from_str(json).map_err(|error| {
             // A scene is a line, so its columns are bytes from its beginning; `column` is 0 where the fault is the value as a whole.
             let text = error.to_string();
@@ -377,9 +422,8 @@ impl<'a> Reader<'a> {
             } else {
                 start..start + 1
             };
-            Diagnostic::new(Code::InvalidScene, format!("not a scene: {text}"))
-                .at(Span::new(self.source, span), "")
-                .help("configs/README.md describes the two forms of a scene")
+            let fault = Diagnostic::new(Code::InvalidScene, format!("not a scene: {text}"));
+            vec![fault.at(Span::new(self.source, span), "").help(HELP)]
         })
     }
 
@@ -393,29 +437,39 @@ impl<'a> Reader<'a> {
         Span::new(self.source, start..start + raw.get().len())
     }
 
+    /// The key before a value of an object.
+    fn key_span(&self, raw: &RawValue) -> Span {
+        let before = self.text[..self.offset(raw)].trim_end_matches([' ', '\t', ':']);
+        let inside = before.strip_suffix('"').unwrap_or(before);
+        let start = inside.rfind('"').unwrap_or(inside.len());
+        Span::new(self.source, start..before.len())
+    }
+
     fn fault(&self, raw: &RawValue, message: String, label: &str) -> Diagnostic {
         Diagnostic::new(Code::InvalidScene, message).at(self.span(raw), label)
     }
 }
 
+const FORMS: &str = "expected {\"map\": .., \"agents\": [..]} or {\"entities\": [..], \"ego\": .., \"facts\": {..}}";
+const HELP: &str = "configs/README.md describes the two forms of a scene";
+
 impl GeometricScene {
     /// Checks that every agent is on the map.
     ///
     /// # Errors
-    /// `invalid-scene` at the first agent that is not.
-    pub fn check_cells(&self, map: &CityMap) -> Result<(), Diagnostic> {
-        match self.agents.iter().find(|agent| !map.contains(agent.at)) {
-            None => Ok(()),
-            Some(agent) => Err(Diagnostic::new(
-                Code::InvalidScene,
-                format!("`{}` is not on the map `{}`", agent.id, map.name),
-            )
-            .at(agent.span, format!("at [{}, {}]", agent.at.row, agent.at.col))
-            .help(format!(
-                "rows are 0 to {}, columns 0 to {}",
-                map.rows() - 1,
-                map.cols() - 1
-            ))),
-        }
+    /// `invalid-scene` for each that is not.
+    pub fn check_cells(&self, map: &CityMap) -> Result<(), Vec<Diagnostic>> {
+        let outside = self.agents.iter().filter(|agent| !map.contains(agent.at));
+        let faults: Vec<Diagnostic> = outside
+            .take(MAX_FAULTS)
+            .map(|agent| {
+                let message = format!("`{}` is not on the map `{}`", agent.id, map.name);
+                let (rows, cols) = (map.rows() - 1, map.cols() - 1);
+                Diagnostic::new(Code::InvalidScene, message)
+                    .at(agent.span, format!("at [{}, {}]", agent.at.row, agent.at.col))
+                    .help(format!("rows are 0 to {rows}, columns 0 to {cols}"))
+            })
+            .collect();
+        if faults.is_empty() { Ok(()) } else { Err(faults) }
     }
 }

@@ -2,13 +2,15 @@
 
 use super::ground::{Entity, Facts, ground};
 use super::infer::{Draws, GroundState, before_default};
+use super::scene::MAX_ENTITIES;
 use super::world::World;
 use crate::city::{Agent, Cell, Heading, Moved, Places, Surroundings, advance, place_agents};
 use crate::config::{Speed, Split};
-use crate::diag::{Code, Diagnostic, did_you_mean};
+use crate::diag::{Code, Diagnostic};
 use crate::engine::EvalError;
 use crate::lang::ClauseId;
 use crate::rng::Seed;
+use ndarray::Array3;
 use std::sync::Arc;
 
 /// A city in motion. The same world, split and seed give the same ticks.
@@ -59,21 +61,20 @@ impl Simulation {
     /// Places the agents of a split.
     ///
     /// # Errors
-    /// `unknown-split`, `no-start-cell`, `no-route`.
+    /// `unknown-split`, `no-start-cell`, `no-route`; `limit-exceeded` for more than [`MAX_ENTITIES`] agents, since facts about pairs of
+    /// them take memory in the square of their number.
     pub fn new(world: Arc<World>, split: Split, seed: Seed) -> Result<Simulation, Diagnostic> {
         let scenario = &world.scenario;
-        let Some((_, set)) = scenario.splits.iter().find(|(name, _)| *name == split) else {
-            let known: Vec<&str> = scenario.splits.iter().map(|(name, _)| name.name()).collect();
-            let fault = Diagnostic::new(
-                Code::UnknownSplit,
-                format!("the configuration `{}` has no split `{}`", scenario.name, split.name()),
-            );
-            let near = did_you_mean(split.name(), known.iter().copied());
-            return Err(fault.help(match near {
-                Some(name) => format!("did you mean `{name}`?"),
-                None => format!("it has: {}", known.join(", ")),
-            }));
-        };
+        let set = scenario.agent_set(split).ok_or_else(|| {
+            let message = format!("the configuration `{}` has no split `{}`", scenario.name, split.name());
+            let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
+            Diagnostic::new(Code::UnknownSplit, message).help(format!("it has: {}", known.join(", ")))
+        })?;
+        if set.agents.len() > MAX_ENTITIES {
+            let message = format!("{} agents, the limit is {MAX_ENTITIES}", set.agents.len());
+            let fault = Diagnostic::new(Code::LimitExceeded, message);
+            return Err(fault.at(set.span, "in this agent set"));
+        }
         let places = Places::new(&world.router, set.region.map(|region| region.value));
         let agents = place_agents(set, &world.router, &places, seed)?;
         let state = GroundState::new(
@@ -121,6 +122,14 @@ impl Simulation {
     /// The agents in list order, as they are now.
     pub fn agents(&self) -> &[Agent] {
         &self.agents
+    }
+
+    /// The layered semantic map of the present state; [`CityMap::semantic`] documents shape and layers.
+    ///
+    /// [`CityMap::semantic`]: crate::city::CityMap::semantic
+    pub fn semantic_map(&self) -> Array3<f32> {
+        let cells: Vec<Cell> = self.agents.iter().map(|agent| agent.cell).collect();
+        self.world.map().semantic(&cells)
     }
 
     /// How many ticks have passed.
@@ -174,10 +183,7 @@ impl Simulation {
         for (index, agent) in self.agents.iter_mut().enumerate() {
             let derived = self.state.derived(vocabulary, index);
             let control = controls.iter().rev().find(|(controlled, _)| *controlled == index);
-            let action = control.map_or_else(
-                || vocabulary.decide(|speed| derived.contains(&speed)),
-                |(_, action)| *action,
-            );
+            let action = control.map_or_else(|| vocabulary.decide(&derived), |(_, action)| *action);
             agents.push(AgentTick {
                 at: agent.cell,
                 heading: agent.heading,

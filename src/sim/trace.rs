@@ -130,5 +130,5 @@ pub fn hash_sources(sources: &Sources, files: &[SourceId]) -> String {
         hash.update((text.len() as u64).to_le_bytes());
         hash.update(text);
     }
-    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    format!("{:x}", hash.finalize())
 }

@@ -123,10 +123,12 @@ impl Vocabulary {
         self.actions[speed as usize]
     }
 
-    /// The one action to take, given those that hold: the first by the scenario's priority, else its default.
-    pub fn decide(&self, holds: impl Fn(Speed) -> bool) -> Speed {
+    /// The one action to take, given those that are derived: the first by the scenario's priority, else its default.
+    pub fn decide(&self, derived: &[Speed]) -> Speed {
         let mut by_priority = self.config.priority.iter().copied();
-        by_priority.find(|&speed| holds(speed)).unwrap_or(self.config.default)
+        by_priority
+            .find(|speed| derived.contains(speed))
+            .unwrap_or(self.config.default)
     }
 
     /// The action taken if none is derived.

@@ -7,7 +7,7 @@ use crate::diag::Diagnostic;
 use crate::engine::Program;
 use std::sync::Arc;
 
-/// A scenario made ready: immutable, shared by every simulation and every inference over it.
+/// A scenario made ready: immutable, shared by every simulation over it.
 #[derive(Debug)]
 pub struct World {
     /// The configuration.
