@@ -126,6 +126,68 @@ fn traces_fail_as_their_fixtures_say() {
     }
 }
 
+#[test]
+fn facts_that_break_promises_are_refused() {
+    let folder = fixtures().join("broken-promise");
+    let folder = folder.to_str().unwrap();
+    let output = logicity(&["query", &format!("{folder}/main.dl"), "-F", folder, "-D", "-"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(output.stdout.is_empty());
+    for part in [
+        "error[broken-promise]: both `Car(\"b\")` and `Walker(\"b\")` hold",
+        "`Bus(\"c\")` holds, `Car(\"c\")` does not",
+        "`Near(\"b\", \"b\")` holds",
+        "`Near(\"a\", \"b\")` holds, `Near(\"b\", \"a\")` does not",
+        "main.dl:7:1",
+    ] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+}
+
+/// Lints stand on the lines that the fixtures mark, and nowhere else.
+#[test]
+fn lints_are_told_as_their_fixtures_say() {
+    for code in ["contradictory-body", "redundant-literal"] {
+        let path = fixtures().join(code).with_extension("dl");
+        let text = fs::read_to_string(&path).unwrap();
+        let marked: Vec<usize> = text
+            .lines()
+            .zip(1..)
+            .filter(|(line, _)| line.contains("// warning["))
+            .map(|(_, number)| number)
+            .collect();
+        let output = logicity(&["check", "--lints", "--json", path.to_str().unwrap()]);
+        assert_eq!(output.status.code(), Some(0));
+        let answer: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let found = answer["diagnostics"].as_array().unwrap();
+        assert!(
+            found
+                .iter()
+                .all(|lint| lint["code"] == code && lint["severity"] == "warning"),
+            "{answer}"
+        );
+        let lines: Vec<usize> = found
+            .iter()
+            .map(|lint| lint["labels"][0]["line"].as_u64().unwrap() as usize)
+            .collect();
+        assert_eq!(lines, marked, "{answer}");
+        let quiet = logicity(&["check", path.to_str().unwrap()]);
+        assert_eq!(quiet.stderr.is_empty(), code == "redundant-literal");
+    }
+}
+
+#[test]
+fn the_shipped_rules_are_checked_without_a_word() {
+    for entry in fs::read_dir(root().join("rules")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "dl") {
+            let output = logicity(&["check", path.to_str().unwrap()]);
+            assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+        }
+    }
+}
+
 /// The scenes in the reference are answered; the ones that stand for faults are refused.
 #[test]
 fn the_scenes_of_the_reference_do_what_it_says() {

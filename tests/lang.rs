@@ -539,6 +539,11 @@ fn item() -> impl Strategy<Value = ast::Item> {
             ast::Item::Decl(ast::Decl { names, columns: Some(columns), doc })
         }),
         1 => (kind, names()).prop_map(|(kind, names)| ast::Item::Mark(ast::Mark { kind, names })),
+        1 => (0..4_usize, name(), name()).prop_map(|(kind, one, other)| {
+            use ast::PromiseKind::{Disjoint, Implies, Irreflexive, Symmetric};
+            let kind = [Disjoint, Implies, Irreflexive, Symmetric][kind];
+            ast::Item::Promise(ast::Promise { kind, names: vec![node(one), node(other)], place: place() })
+        }),
         1 => proptest::option::of(name()).prop_map(|name| {
             ast::Item::Scope(ast::Scope { predicate: name.map(node), place: place() })
         }),

@@ -3,8 +3,8 @@
 use super::trace::TraceReader;
 use super::{Failure, load_program, report};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
-use crate::engine::Program;
 use crate::engine::provenance::Teller;
+use crate::engine::{Program, optimize};
 use crate::lang::{ClauseId, RelId, Rules};
 use crate::sim::{Coverage, ENTITIES_MAX, Finding, Overlap, conflicts};
 use serde_json::json;
@@ -26,6 +26,9 @@ pub struct Arguments {
     /// Configuration of the run that wrote the trace, if it is no longer where the trace says
     #[arg(long, requires = "coverage")]
     config: Option<PathBuf>,
+    /// Also tell literals and clauses that are true and needless
+    #[arg(long)]
+    lints: bool,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -38,7 +41,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         paths.push(TraceReader::open(trace)?.header.rules.into());
     }
     for path in &paths {
-        let (program, found) = match load_program(sources, path) {
+        let (program, mut found) = match load_program(sources, path) {
             Ok((program, warnings)) => (Some(program), warnings),
             Err(Failure::Input(faults)) => (None, faults),
             Err(Failure::Usage(message)) => {
@@ -47,6 +50,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             }
             Err(other) => return Err(other),
         };
+        if let Some(rules) = program.as_ref().map(Program::rules) {
+            let lints = optimize::lints(rules).into_iter();
+            // What is needless may be there for the reader.
+            found.extend(lints.filter(|lint| arguments.lints || lint.code == Code::ContradictoryBody));
+        }
         let overlaps = program.as_ref().map(conflicts);
         let covered = match (&arguments.coverage, &program) {
             (Some(trace), Some(_)) => Some(measure(arguments, trace, path, sources)?),

@@ -4,7 +4,9 @@
 //! input; 2: wrong usage, or a file that cannot be read or written.
 
 mod check;
+mod diff;
 mod explain;
+mod fmt;
 mod infer;
 mod query;
 mod route;
@@ -35,6 +37,10 @@ enum Command {
     Run(run::Arguments),
     /// Check rule files: report every fault, print the strata
     Check(check::Arguments),
+    /// Lay rule files out in one style; comments stay
+    Fmt(fmt::Arguments),
+    /// Compare two rule sets: are they equal, and if not, in which smallest scene do they differ?
+    Diff(diff::Arguments),
     /// Run any Datalog program on facts files, as Souffle does
     Query(query::Arguments),
     /// Decide scenes: one JSON scene a line in, one JSON answer a line out
@@ -106,6 +112,13 @@ pub fn main() -> ExitCode {
     let result = match arguments.command {
         Command::Run(arguments) => run::run(&arguments, &mut sources),
         Command::Check(arguments) => check::run(&arguments, &mut sources),
+        Command::Fmt(arguments) => fmt::run(&arguments, &mut sources),
+        Command::Diff(arguments) => {
+            return match diff::run(&arguments, &mut sources) {
+                Ok(code) => code,
+                Err(failure) => exit(failure, &sources),
+            };
+        }
         Command::Query(arguments) => query::run(&arguments, &mut sources),
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
@@ -116,14 +129,22 @@ pub fn main() -> ExitCode {
         }
     };
     match result {
-        Ok(()) | Err(Failure::Closed) => ExitCode::SUCCESS,
-        Err(Failure::Input(diagnostics)) => {
-            report(&diagnostics, &sources);
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => exit(failure, &sources),
+    }
+}
+
+/// Tells a failure; the exit code for it.
+fn exit(failure: Failure, sources: &Sources) -> ExitCode {
+    match failure {
+        Failure::Closed => ExitCode::SUCCESS,
+        Failure::Input(diagnostics) => {
+            report(&diagnostics, sources);
             ExitCode::from(1)
         }
-        Err(Failure::Told) => ExitCode::from(1),
-        Err(Failure::Interrupted) => ExitCode::from(130),
-        Err(Failure::Usage(message)) => {
+        Failure::Told => ExitCode::from(1),
+        Failure::Interrupted => ExitCode::from(130),
+        Failure::Usage(message) => {
             let _ = writeln!(io::stderr(), "error: {message}");
             ExitCode::from(2)
         }

@@ -2,7 +2,7 @@
 
 use super::{Failure, load_program, make_folder, report};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::engine::{Program, Session, facts};
+use crate::engine::{Options, Program, Session, facts, promise};
 use crate::files::{self, Output, ReadError};
 use crate::lang::RelId;
 use std::io::Write;
@@ -23,9 +23,23 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let (program, warnings) = load_program(sources, &arguments.rules)?;
     report(&warnings, sources);
+    // The facts are checked below, before anybody sees an answer.
+    let options = Options {
+        promises: true,
+        ..Options::default()
+    };
+    let program = match program.rules().promises.is_empty() {
+        true => program,
+        false => Program::with(program.rules().clone(), options)?,
+    };
     let mut session = program.session();
     load_inputs(&arguments.facts, &mut session, sources)?;
     session.commit().map_err(Diagnostic::from)?;
+
+    let broken = promise::broken(&session);
+    if !broken.is_empty() {
+        return Err(broken.into());
+    }
 
     let mut out = anstream::stdout();
     for (id, relation) in relations(&program) {

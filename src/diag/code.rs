@@ -64,6 +64,8 @@ codes! {
     DerivedInput = "derived-input", Error;
     /// A `.scope` that cannot guard the rules it is given.
     InvalidScope = "invalid-scope", Error;
+    /// A promise that its predicates cannot keep: they are derived, or their columns do not fit it.
+    InvalidPromise = "invalid-promise", Error;
     /// A named variable that occurs only once in its rule.
     SingletonVariable = "singleton-variable", Warning;
     /// A clause that derives nothing another clause does not.
@@ -73,9 +75,16 @@ codes! {
     /// A clause that can never fire, since a predicate it needs is always empty.
     DeadClause = "dead-clause", Warning;
 
+    /// A body two literals of which never hold together.
+    ContradictoryBody = "contradictory-body", Warning;
+    /// A literal that others imply.
+    RedundantLiteral = "redundant-literal", Warning;
+
     // --- facts
     /// A row of a facts file that does not fit its predicate's declaration.
     InvalidFact = "invalid-fact", Error;
+    /// Facts that are not as the rules promise.
+    BrokenPromise = "broken-promise", Error;
 
     // --- configuration
     /// The text is not YAML.

@@ -18,11 +18,14 @@
 //!
 //! This module refuses to know what a city, an agent or an ego is. It does no I/O and is deterministic.
 
+pub mod diff;
 mod exec;
 pub mod facts;
 mod join;
 pub mod naive;
+pub mod optimize;
 mod plan;
+pub mod promise;
 pub mod provenance;
 mod row;
 
@@ -39,6 +42,25 @@ use std::sync::Arc;
 /// Rules with a plan for every clause. Cheap to clone; many sessions can run one program.
 #[derive(Clone, Debug)]
 pub struct Program(Arc<Compiled>);
+
+/// How to prepare a program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// Simplify clauses before they are planned.
+    pub optimize: bool,
+    /// Rely on [`Rules::promises`]. Where facts break a promise, answers may then be wrong; [`promise::broken`] tells.
+    pub promises: bool,
+}
+
+impl Default for Options {
+    /// Optimised, relying on no promise.
+    fn default() -> Self {
+        Options {
+            optimize: true,
+            promises: false,
+        }
+    }
+}
 
 #[derive(Debug)]
 struct Compiled {
@@ -64,7 +86,15 @@ impl Program {
     /// Plans the evaluation of checked rules. Fails only if a predicate has more than 32 columns or a clause more than 128
     /// variables or literals.
     pub fn new(rules: Rules) -> Result<Program, Diagnostic> {
-        let plans = Plans::new(&rules)?;
+        Program::with(rules, Options::default())
+    }
+
+    /// As [`Program::new`], with a choice of what to rely on. The answers are the same.
+    pub fn with(rules: Rules, options: Options) -> Result<Program, Diagnostic> {
+        let plans = match options.optimize {
+            true => Plans::new(&optimize::optimize(&rules, options.promises))?,
+            false => Plans::new(&rules)?,
+        };
         Ok(Program(Arc::new(Compiled { rules, plans })))
     }
 

@@ -43,6 +43,8 @@ pub enum Item {
     Decl(Decl),
     /// `.input A, B`, `.output A`, `.printsize A`
     Mark(Mark),
+    /// `.disjoint A, B`, `.implies A, B`, `.irreflexive A`, `.symmetric A`
+    Promise(Promise),
     /// `.scope P`, or `.scope` alone
     Scope(Scope),
     /// A fact or a rule.
@@ -118,6 +120,42 @@ pub enum MarkKind {
     Output,
     /// `.printsize`
     PrintSize,
+}
+
+/// `.disjoint A, B` and the like.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Promise {
+    /// Which directive.
+    pub kind: PromiseKind,
+    /// The predicates it names: two for `.implies`, at least two for `.disjoint`, else at least one.
+    pub names: Vec<Name>,
+    /// All of it.
+    pub place: Place,
+}
+
+/// What a [`Promise`] says of its predicates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PromiseKind {
+    /// `.disjoint`
+    Disjoint,
+    /// `.implies`
+    Implies,
+    /// `.irreflexive`
+    Irreflexive,
+    /// `.symmetric`
+    Symmetric,
+}
+
+impl PromiseKind {
+    /// The directive without its dot.
+    pub fn name(self) -> &'static str {
+        match self {
+            PromiseKind::Disjoint => "disjoint",
+            PromiseKind::Implies => "implies",
+            PromiseKind::Irreflexive => "irreflexive",
+            PromiseKind::Symmetric => "symmetric",
+        }
+    }
 }
 
 /// `.scope P`: guards the variables of the clauses after it; without a name it ends.

@@ -69,11 +69,21 @@ pub(super) struct DocLine {
     pub end: u32,
 }
 
+/// A comment of any kind, with its slashes, and the number of the token that follows it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Comment {
+    pub before: u32,
+    pub start: u32,
+    pub end: u32,
+}
+
 #[derive(Debug)]
 pub(super) struct Lexed {
     /// The last one is [`Kind::End`].
     pub tokens: Vec<Token>,
     pub docs: Vec<DocLine>,
+    /// All comments, doc comments too: what a formatter must keep.
+    pub comments: Vec<Comment>,
 }
 
 pub(super) fn is_name_start(byte: u8) -> bool {
@@ -99,6 +109,7 @@ pub(super) fn lex(source: SourceId, text: &str, faults: &mut Faults) -> Lexed {
         lexed: Lexed {
             tokens: Vec::new(),
             docs: Vec::new(),
+            comments: Vec::new(),
         },
         faults,
     };
@@ -161,6 +172,15 @@ impl Lexer<'_> {
         self.bytes[from..].iter().take_while(|&&byte| keep(byte)).count()
     }
 
+    fn comment(&mut self, end: usize) {
+        let narrow = |byte: usize| u32::try_from(byte).unwrap_or(u32::MAX);
+        self.lexed.comments.push(Comment {
+            before: narrow(self.lexed.tokens.len()),
+            start: narrow(self.at),
+            end: narrow(end),
+        });
+    }
+
     fn line_comment(&mut self) {
         let length = self.count_while(self.at, |byte| byte != b'\n');
         let end = self.at + length;
@@ -173,6 +193,7 @@ impl Lexer<'_> {
                 end: narrow(end),
             });
         }
+        self.comment(end);
         self.at = end;
     }
 
@@ -181,6 +202,7 @@ impl Lexer<'_> {
             Some(length) => {
                 let end = self.at + 2 + length + 2;
                 self.fresh_line |= self.bytes[self.at..end].contains(&b'\n');
+                self.comment(end);
                 self.at = end;
             }
             None => {

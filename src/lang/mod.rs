@@ -1,11 +1,12 @@
 //! From text to checked rules.
 //!
 //! [`load`] is the door: it reads a rule file and all it includes and gives the checked [`Rules`], or every fault of every
-//! file. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names.
+//! file. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names; [`format`](fn@format) lays a
+//! text out and keeps its comments.
 //!
 //! The stages, each in its own file: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
-//! list of items), `names` (types and predicates), `clause` (one clause: names, types, safety), `scope` (guards), `strata`
-//! (order of evaluation), `lint` (warnings that need all clauses). None stops at the first fault.
+//! list of items), `names` (types and predicates), `clause` (one clause: names, types, safety), `scope` (guards), `promise` (what
+//! is promised of facts), `strata` (order of evaluation), `lint` (warnings that need all clauses). None stops at the first fault.
 //!
 //! This room refuses to know what a city is, how rules are evaluated, and where texts come from: the caller reads the files.
 
@@ -17,20 +18,23 @@ use crate::files::ReadError;
 pub mod ast;
 mod clause;
 mod faults;
+mod format;
 mod include;
 mod lexer;
 mod lint;
 mod names;
 mod parser;
 mod print;
+mod promise;
 mod rules;
 mod scope;
 mod strata;
 
+pub use format::format;
 pub use print::print;
 pub use rules::{
-    Atom, BaseType, Clause, ClauseId, Column, Comparison, Literal, RelId, Relation, Rules, Stratum, Term, Type, TypeId,
-    Value, VarId,
+    Atom, BaseType, Clause, ClauseId, Column, Comparison, Constraint, Literal, Promise, RelId, Relation, Rules,
+    Stratum, Term, Type, TypeId, Value, VarId,
 };
 
 use faults::Faults;
@@ -64,6 +68,7 @@ fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
     let syntax_is_good = !faults.failed();
     let mut names = names::declare(&gathered.items, gathered.complete, faults);
     let checked = clause::check(&gathered.items, &mut names, faults);
+    let promises = promise::check(&gathered.items, &mut names, faults);
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
     // What could not be read might make a clause live, or tell two clauses apart.
@@ -84,6 +89,7 @@ fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
         relations,
         clauses,
         symbols: checked.symbols,
+        promises,
     })
 }
 

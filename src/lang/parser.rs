@@ -7,18 +7,30 @@
 use crate::diag::{Code, Diagnostic, SourceId, Span, did_you_mean};
 
 use super::ast::{
-    Atom, Clause, ColumnDecl, Decl, File, Include, Item, Literal, Mark, MarkKind, Name, Place, Scope, Term, TermKind,
-    TypeDecl, TypeDefinition,
+    Atom, Clause, ColumnDecl, Decl, File, Include, Item, Literal, Mark, MarkKind, Name, Place, Promise, PromiseKind,
+    Scope, Term, TermKind, TypeDecl, TypeDefinition,
 };
 use super::faults::Faults;
-use super::lexer::{self, DocLine, Kind, Token};
+use super::lexer::{self, DocLine, Kind, Lexed, Token};
 use super::rules::Comparison;
 
 /// More negations and parentheses than this around one literal are refused.
 const MAX_NESTING: usize = 64;
 
 /// Every directive, for suggestions.
-const DIRECTIVES: &[&str] = &["decl", "type", "input", "output", "printsize", "include", "scope"];
+const DIRECTIVES: &[&str] = &[
+    "decl",
+    "type",
+    "input",
+    "output",
+    "printsize",
+    "include",
+    "scope",
+    "disjoint",
+    "implies",
+    "irreflexive",
+    "symmetric",
+];
 
 /// Souffle's directives that this language does not have.
 const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
@@ -39,6 +51,11 @@ const AGGREGATES: &[&str] = &["count", "sum", "min", "max", "mean", "range"];
 /// The tree of one text.
 pub(super) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
     let lexed = lexer::lex(source, text, faults);
+    parse_tokens(source, text, &lexed, faults).0
+}
+
+/// The tree of a text that is lexed already, and the number of each item's first token.
+pub(super) fn parse_tokens(source: SourceId, text: &str, lexed: &Lexed, faults: &mut Faults) -> (File, Vec<usize>) {
     let mut parser = Parser {
         source,
         text,
@@ -46,9 +63,11 @@ pub(super) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
         docs: &lexed.docs,
         next_doc: 0,
         at: 0,
+        starts: Vec::new(),
         faults,
     };
-    parser.file()
+    let file = parser.file();
+    (file, parser.starts)
 }
 
 /// The fault has been reported; the caller leaves what it was reading.
@@ -63,6 +82,8 @@ struct Parser<'a> {
     docs: &'a [DocLine],
     next_doc: usize,
     at: usize,
+    /// Where items begin.
+    starts: Vec<usize>,
     faults: &'a mut Faults,
 }
 
@@ -216,6 +237,7 @@ impl<'a> Parser<'a> {
         let mut file = File::default();
         while self.kind() != Kind::End && !self.faults.full() {
             let start = self.at;
+            self.starts.push(start);
             match self.item() {
                 Ok(item) => file.items.extend(item),
                 Err(Reported) => self.recover(start),
@@ -319,6 +341,10 @@ impl<'a> Parser<'a> {
             "input" => self.mark(MarkKind::Input).map(|mark| Some(Item::Mark(mark))),
             "output" => self.mark(MarkKind::Output).map(|mark| Some(Item::Mark(mark))),
             "printsize" => self.mark(MarkKind::PrintSize).map(|mark| Some(Item::Mark(mark))),
+            "disjoint" => self.promise(PromiseKind::Disjoint, dot),
+            "implies" => self.promise(PromiseKind::Implies, dot),
+            "irreflexive" => self.promise(PromiseKind::Irreflexive, dot),
+            "symmetric" => self.promise(PromiseKind::Symmetric, dot),
             "include" => {
                 if !matches!(self.kind(), Kind::Text | Kind::OpenText) {
                     return Err(self.expected("the file's name in quotes"));
@@ -442,6 +468,27 @@ impl<'a> Parser<'a> {
                 return Ok(Mark { kind, names });
             }
         }
+    }
+
+    /// Names with or without commas between them; a name before a parenthesis begins a clause.
+    fn promise(&mut self, kind: PromiseKind, dot: Token) -> Parse<Option<Item>> {
+        let mut names = vec![self.name("a predicate")?];
+        while self.eat(Kind::Comma) || (self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen) {
+            names.push(self.name("a predicate")?);
+        }
+        let place = self.place_from(dot);
+        let (good, wanted) = match kind {
+            PromiseKind::Disjoint => (names.len() >= 2, "two predicates or more"),
+            PromiseKind::Implies => (names.len() == 2, "two predicates: what holds, and what then holds too"),
+            PromiseKind::Irreflexive | PromiseKind::Symmetric => (true, ""),
+        };
+        if !good {
+            let message = format!("`.{}` names {wanted}", kind.name());
+            self.faults
+                .push(Diagnostic::new(Code::Syntax, message).at(place.0, format!("{} here", names.len())));
+            return Ok(None);
+        }
+        Ok(Some(Item::Promise(Promise { kind, names, place })))
     }
 
     fn decl(&mut self, doc: String) -> Parse<Decl> {

@@ -48,6 +48,11 @@ impl Display for Item {
                 separated(f, &mark.names, |f, name| f.write_str(&name.text))?;
                 writeln!(f)
             }
+            Item::Promise(promise) => {
+                write!(f, ".{} ", promise.kind.name())?;
+                separated(f, &promise.names, |f, name| f.write_str(&name.text))?;
+                writeln!(f)
+            }
             Item::Scope(scope) => match &scope.predicate {
                 Some(predicate) => writeln!(f, ".scope {}", predicate.text),
                 None => writeln!(f, ".scope"),

@@ -205,6 +205,28 @@ pub struct Clause {
     pub span: Span,
 }
 
+/// What is true of the facts of base predicates, whatever they are: the author's word, which nothing in the rules can show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Constraint {
+    /// No row is in both.
+    Disjoint(RelId, RelId),
+    /// Every row of the first is one of the second.
+    Implies(RelId, RelId),
+    /// No row relates something to itself.
+    Irreflexive(RelId),
+    /// With each row the reversed one is there.
+    Symmetric(RelId),
+}
+
+/// A constraint and where it is promised.
+#[derive(Clone, Copy, Debug)]
+pub struct Promise {
+    /// What is promised.
+    pub constraint: Constraint,
+    /// The directive.
+    pub span: Span,
+}
+
 /// Predicates that are computed together, after all they negate.
 #[derive(Clone, Debug)]
 pub struct Stratum {
@@ -228,6 +250,8 @@ pub struct Rules {
     /// Strongly connected components of the predicates that have clauses, in an order in which each comes after all it depends
     /// on.
     pub strata: Vec<Stratum>,
+    /// What is promised of the facts of predicates without rules, in the order of the text.
+    pub promises: Vec<Promise>,
     /// The texts of all constants.
     pub symbols: Symbols,
 }

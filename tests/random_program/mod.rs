@@ -123,6 +123,7 @@ impl Genome {
             relations: Vec::new(),
             clauses: Vec::new(),
             strata: Vec::new(),
+            promises: Vec::new(),
             symbols,
         };
         for columns in &self.base {

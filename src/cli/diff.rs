@@ -1,0 +1,152 @@
+//! `logicity diff`
+
+use super::{Failure, load_program, report};
+use crate::diag::Sources;
+use crate::engine::diff::{Difference, Options, Verdict, diff};
+use serde_json::{Map, Value, json};
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// A rule file
+    left: PathBuf,
+    /// Another
+    right: PathBuf,
+    /// Predicates to compare, separated by commas; all outputs unless given
+    #[arg(long, value_delimiter = ',', value_name = "NAMES")]
+    predicates: Vec<String>,
+    /// Look at scenes of at most this many entities
+    #[arg(long, value_name = "COUNT", default_value_t = Options::default().entities_max)]
+    entities: usize,
+    /// Give up after this many dead ends of the search
+    #[arg(long, value_name = "COUNT", default_value_t = Options::default().conflicts_max)]
+    effort: u64,
+    /// Print the scene that shows a difference, ready for `logicity infer`, and nothing else
+    #[arg(long, conflicts_with = "json")]
+    scene: bool,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Exit code 0: no difference; 1: a difference.
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<ExitCode, Failure> {
+    let (left, mut warnings) = load_program(sources, &arguments.left)?;
+    let (right, more) = load_program(sources, &arguments.right)?;
+    warnings.extend(more);
+    report(&warnings, sources);
+    let options = Options {
+        predicates: arguments.predicates.clone(),
+        entities_max: arguments.entities,
+        conflicts_max: arguments.effort,
+    };
+    let verdict = diff(left.rules(), right.rules(), &options)?;
+
+    let mut out = anstream::stdout();
+    let names = [&arguments.left, &arguments.right].map(|path| path.display().to_string());
+    if arguments.json {
+        writeln!(out, "{}", to_json(&verdict))?;
+    } else if let Verdict::Different(difference) = &verdict {
+        writeln!(
+            out,
+            "{}",
+            if arguments.scene {
+                scene(difference).to_string()
+            } else {
+                told(difference, &names)
+            }
+        )?;
+    } else if !arguments.scene {
+        writeln!(out, "{}", equal(&verdict))?;
+    }
+    Ok(match verdict {
+        Verdict::Different(_) => ExitCode::from(1),
+        _ => ExitCode::SUCCESS,
+    })
+}
+
+fn plural(count: usize) -> String {
+    format!("{count} {}", if count == 1 { "entity" } else { "entities" })
+}
+
+fn equal(verdict: &Verdict) -> String {
+    match verdict {
+        Verdict::Equivalent { entities } => format!(
+            "equivalent: proved (a difference would show in a scene of at most {}, and none does)",
+            plural(*entities)
+        ),
+        Verdict::NoneFound { entities, proof } => {
+            let rest = match proof {
+                Some(proof) => format!("a proof needs scenes of up to {}", plural(*proof)),
+                None => "no number of entities is known to be enough for a proof".to_owned(),
+            };
+            format!("no difference in any scene of at most {}; {rest}", plural(*entities))
+        }
+        Verdict::Different(_) => String::new(),
+    }
+}
+
+fn told(difference: &Difference, names: &[String; 2]) -> String {
+    let size = if difference.smallest {
+        "smallest scene"
+    } else {
+        "a scene"
+    };
+    let mut text = format!(
+        "different; {size} that shows it, ready for `logicity infer`:\n{}\n",
+        scene(difference)
+    );
+    for scope in &difference.everybody_sees {
+        text += &format!("everybody is in `{scope}` with everybody\n");
+    }
+    let shown = |(name, row): &(String, Vec<String>)| format!("{name}({})", row.join(", "));
+    for (name, derived) in names.iter().zip(&difference.derived) {
+        let rows: Vec<String> = derived.iter().map(shown).collect();
+        let rows = if rows.is_empty() {
+            "nothing".to_owned()
+        } else {
+            rows.join(", ")
+        };
+        text += &format!("{name} derives {rows}\n");
+    }
+    text.truncate(text.trim_end().len());
+    text
+}
+
+/// The scene in the format of `logicity infer`.
+fn scene(difference: &Difference) -> Value {
+    let facts: Map<String, Value> = (difference.facts.iter())
+        .map(|(name, rows)| {
+            let rows = rows.iter().map(|row| match row.as_slice() {
+                [only] => json!(only),
+                row => json!(row),
+            });
+            (name.clone(), rows.collect())
+        })
+        .collect();
+    json!({ "entities": difference.entities, "ego": difference.entities.first(), "facts": facts })
+}
+
+fn to_json(verdict: &Verdict) -> Value {
+    match verdict {
+        Verdict::Equivalent { entities } => json!({ "verdict": "equivalent", "proved": true, "entities": entities }),
+        Verdict::NoneFound { entities, proof } => {
+            json!({ "verdict": "none-found", "proved": false, "entities": entities, "needed": proof })
+        }
+        Verdict::Different(difference) => {
+            let derived = |rows: &[(String, Vec<String>)]| -> Value {
+                rows.iter().map(|(name, row)| json!([name, row])).collect()
+            };
+            json!({
+                "verdict": "different",
+                "smallest": difference.smallest,
+                "scene": scene(difference),
+                "everybody_sees": difference.everybody_sees,
+                "left": derived(&difference.derived[0]),
+                "right": derived(&difference.derived[1]),
+            })
+        }
+    }
+}

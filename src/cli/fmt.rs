@@ -1,0 +1,65 @@
+//! `logicity fmt`
+
+use super::{Failure, read};
+use crate::diag::{Diagnostic, Sources};
+use crate::files::Output;
+use crate::lang;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Rule files; `-` reads standard input and writes standard output
+    #[arg(required = true, value_name = "RULES")]
+    rules: Vec<PathBuf>,
+    /// Change nothing: name the files that are not in the style, exit code 1 if there are any
+    #[arg(long)]
+    check: bool,
+}
+
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let mut out = anstream::stdout();
+    let mut faults: Vec<Diagnostic> = Vec::new();
+    let mut clean = true;
+    for path in &arguments.rules {
+        let is_stdin = path == Path::new("-");
+        let text = if is_stdin {
+            let mut text = String::new();
+            let fail = |error| Failure::file("read", Path::new("<stdin>"), error);
+            std::io::stdin().lock().read_to_string(&mut text).map_err(fail)?;
+            text
+        } else {
+            read(path)?
+        };
+        let source = sources.add(path.display().to_string(), text);
+        let formatted = match lang::format(sources, source) {
+            Ok(formatted) => formatted,
+            Err(found) => {
+                faults.extend(found);
+                continue;
+            }
+        };
+        let same = formatted == sources.text(source);
+        clean &= same;
+        if arguments.check {
+            if !same {
+                writeln!(out, "{}", path.display())?;
+            }
+        } else if is_stdin {
+            write!(out, "{formatted}")?;
+        } else if !same {
+            let fail = |error: std::io::Error| Failure::file("write", path, error);
+            let mut file = Output::create(path).map_err(fail)?;
+            file.write_all(formatted.as_bytes()).map_err(fail)?;
+            file.finish().map_err(fail)?;
+        }
+    }
+    if !faults.is_empty() {
+        return Err(faults.into());
+    }
+    if arguments.check && !clean {
+        Err(Failure::Told)
+    } else {
+        Ok(())
+    }
+}

@@ -1,0 +1,483 @@
+//! Simpler rules that mean the same.
+//!
+//! `optimize` gives, for every clause, a body that holds for the same values: literals that others imply are left out, a body that
+//! contradicts itself is stopped before it looks at a row, and a clause whose rows another one derives is not evaluated. A clause keeps
+//! its id, and [`super::Session::fired`] still tells what it derives. [`lints`] tells the author what was found.
+//!
+//! `theory` knows what follows from a literal; `saturate` searches the forms of a body. What a body means is never looked at through
+//! derived predicates, so what holds here holds whatever the other clauses are. Promises are used only if the caller says so. Bounded and
+//! deterministic: no clock, no hash order.
+
+mod saturate;
+mod theory;
+
+use crate::diag::{Code, Diagnostic};
+use crate::lang::{
+    Atom, BaseType, Clause, ClauseId, Comparison, Constraint, Literal, RelId, Rules, Term, Value, VarId,
+};
+use crate::symbol::Symbol;
+use saturate::Knowledge;
+use std::collections::{BTreeMap, BTreeSet};
+use theory::{Arg, Fact, Theory, covers, facts};
+
+/// Longer bodies are left as they are.
+const LITERALS_MAX: usize = 64;
+
+/// Looking for clauses that others cover takes at most so many steps.
+const STEPS_MAX: usize = 1_000_000;
+
+/// Of one pair of clauses at most so many.
+const STEPS_OF_PAIR: usize = 2_000;
+
+/// Something that need not be there.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Finding {
+    /// The literal at `literal` holds wherever the one at `because` does; always, if there is none.
+    Redundant {
+        clause: ClauseId,
+        literal: usize,
+        because: Option<usize>,
+    },
+    /// The two literals never hold together.
+    Contradictory { clause: ClauseId, one: usize, other: usize },
+    /// The other clause derives all that this one does.
+    Subsumed { clause: ClauseId, by: ClauseId },
+}
+
+/// Rules with the same predicates, clauses (by id) and answers. With `promises`, answers are the same for facts that keep them.
+pub(super) fn optimize(rules: &Rules, promises: bool) -> Rules {
+    let mut better = rules.clone();
+    let constraints: Vec<Constraint> = rules.promises.iter().map(|promise| promise.constraint).collect();
+    let theory = Theory::new(if promises { constraints } else { Vec::new() });
+    let mut gone = vec![false; rules.clauses.len()];
+    for finding in find(rules, &theory) {
+        match finding {
+            Finding::Redundant { .. } => {}
+            Finding::Contradictory { clause, .. } => {
+                let clause = &mut better.clauses[clause.index()];
+                let zero = Term::Constant(Value::number(0));
+                let never = Literal::Compare {
+                    op: Comparison::NotEqual,
+                    left: zero,
+                    right: zero,
+                    base: BaseType::Number,
+                    span: clause.span,
+                };
+                clause.body.insert(0, never);
+            }
+            Finding::Subsumed { clause, .. } => gone[clause.index()] = true,
+        }
+    }
+    for (index, clause) in better.clauses.iter_mut().enumerate() {
+        if let Some(Some(kept)) = simplest(&rules.clauses[index], &theory) {
+            let mut position = 0;
+            clause.body.retain(|_| {
+                position += 1;
+                kept.contains(&(position - 1))
+            });
+        }
+    }
+    for stratum in &mut better.strata {
+        stratum.clauses.retain(|clause| !gone[clause.index()]);
+    }
+    better
+}
+
+/// What could be simpler, for the author: literals that others imply, bodies that contradict themselves, clauses that others cover
+/// under the promises.
+pub fn lints(rules: &Rules) -> Vec<Diagnostic> {
+    let theory = Theory::new(rules.promises.iter().map(|promise| promise.constraint));
+    let plain = Theory::new([]);
+    let known: Vec<Finding> = find(rules, &plain)
+        .into_iter()
+        .filter(|one| matches!(one, Finding::Subsumed { .. }))
+        .collect();
+    let mut lints = Vec::new();
+    for finding in find(rules, &theory) {
+        let named = |id: ClauseId| &rules.clauses[id.index()];
+        lints.extend(match finding {
+            // Without promises, loading has told.
+            Finding::Subsumed { .. } if known.contains(&finding) => None,
+            Finding::Subsumed { clause, by } => Some(
+                Diagnostic::new(
+                    Code::SubsumedClause,
+                    "this clause derives nothing that another does not",
+                )
+                .at(named(clause).span, "")
+                .also(named(by).span, "whenever it fires, this one derives the same")
+                .note("under the promises about facts")
+                .help("remove it"),
+            ),
+            Finding::Contradictory { clause, one, other } => {
+                let clause = named(clause);
+                let (first, second) = (shown_literal(rules, clause, one), shown_literal(rules, clause, other));
+                let fault = Diagnostic::new(
+                    Code::ContradictoryBody,
+                    "this clause never fires: its body contradicts itself",
+                );
+                let span = span(&clause.body[other]);
+                Some(if one == other {
+                    fault.at(span, format!("`{second}` never holds"))
+                } else {
+                    fault
+                        .at(span, format!("`{second}` never holds together with `{first}`"))
+                        .also(self::span(&clause.body[one]), "the other one")
+                })
+            }
+            Finding::Redundant {
+                clause,
+                literal,
+                because,
+            } => redundant(rules, &theory, named(clause), literal, because),
+        });
+    }
+    lints.sort_by_key(|lint| lint.primary.as_ref().map(|label| (label.span.source, label.span.start)));
+    lints
+}
+
+fn redundant(
+    rules: &Rules,
+    theory: &Theory,
+    clause: &Clause,
+    literal: usize,
+    because: Option<usize>,
+) -> Option<Diagnostic> {
+    if matches!(clause.body[literal], Literal::Guard(_)) || rules.relations[clause.head.relation.index()].hidden {
+        return None;
+    }
+    let needless = shown_literal(rules, clause, literal);
+    let mut fault = Diagnostic::new(
+        Code::RedundantLiteral,
+        format!("`{needless}` says nothing that is not said already"),
+    )
+    .at(span(&clause.body[literal]), "");
+    fault = match because {
+        None => fault.note("it always holds"),
+        Some(other) if matches!(clause.body[other], Literal::Guard(_)) => fault.note("the scope says so"),
+        Some(other) => {
+            let reason = shown_literal(rules, clause, other);
+            fault.also(span(&clause.body[other]), format!("`{reason}` implies it"))
+        }
+    };
+    let kept = simplest(clause, theory)??;
+    let body: Vec<String> = (kept.iter())
+        .filter(|&&index| !matches!(clause.body[index], Literal::Guard(_)))
+        .map(|&index| shown_literal(rules, clause, index))
+        .collect();
+    let head = shown_atom(rules, clause, &clause.head);
+    Some(fault.help(format!("the same in fewer words: `{head} :- {}.`", body.join(", "))))
+}
+
+// --- finding
+
+/// The literals of a body with all that follows from each.
+struct Literals<'a> {
+    theory: &'a Theory,
+    facts: Vec<Fact>,
+    closures: Vec<Vec<Fact>>,
+}
+
+impl<'a> Literals<'a> {
+    fn new(theory: &'a Theory, facts: Vec<Fact>) -> Self {
+        let closures = facts.iter().map(|fact| theory.closure(fact)).collect();
+        Literals {
+            theory,
+            facts,
+            closures,
+        }
+    }
+}
+
+impl Knowledge for Literals<'_> {
+    fn implies(&self, a: usize, b: usize) -> bool {
+        self.closures[a].iter().any(|known| covers(known, &self.facts[b]))
+    }
+
+    fn exclude(&self, a: usize, b: usize) -> bool {
+        self.theory.contradict(&self.closures[a], &self.closures[b])
+    }
+
+    fn always(&self, a: usize) -> bool {
+        self.theory.always(&self.facts[a])
+    }
+}
+
+/// The positions of the literals that are needed; `None` inside if the body never holds, outside if it was not looked at.
+#[allow(clippy::option_option)]
+fn simplest(clause: &Clause, theory: &Theory) -> Option<Option<Vec<usize>>> {
+    if clause.body.is_empty() || clause.body.len() > LITERALS_MAX {
+        return None;
+    }
+    let literals = Literals::new(theory, facts(clause, true));
+    let mut kept = saturate::simplest(literals.facts.len(), &literals);
+    if let Some(kept) = &mut kept {
+        kept.sort_unstable();
+        // A body that always holds is still a body.
+        if kept.is_empty() {
+            return None;
+        }
+    }
+    Some(kept)
+}
+
+fn find(rules: &Rules, theory: &Theory) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    for (index, clause) in rules.clauses.iter().enumerate() {
+        let id = ClauseId(index as u32);
+        let Some(kept) = simplest(clause, theory) else { continue };
+        let literals = Literals::new(theory, facts(clause, true));
+        let count = literals.facts.len();
+        match kept {
+            Some(kept) => {
+                for literal in (0..count).filter(|literal| !kept.contains(literal)) {
+                    let because = kept.iter().copied().find(|&other| literals.implies(other, literal));
+                    findings.push(Finding::Redundant {
+                        clause: id,
+                        literal,
+                        because,
+                    });
+                }
+            }
+            None => {
+                let pairs = (0..count).flat_map(|other| (0..=other).map(move |one| (one, other)));
+                // A literal that never holds is to blame before any pair.
+                let single = (0..count).map(|one| (one, one));
+                if let Some((one, other)) = single.chain(pairs).find(|&(one, other)| literals.exclude(one, other)) {
+                    findings.push(Finding::Contradictory { clause: id, one, other });
+                }
+            }
+        }
+    }
+    subsumed(rules, theory, &mut findings);
+    findings
+}
+
+/// Finds clauses whose rows another clause of the predicate derives: some substitution makes the heads equal and every literal of the
+/// other one implied by one of this.
+fn subsumed(rules: &Rules, theory: &Theory, findings: &mut Vec<Finding>) {
+    let contradictory = |finding: &Finding| match finding {
+        Finding::Contradictory { clause, .. } => Some(clause.index()),
+        _ => None,
+    };
+    let never: BTreeSet<usize> = findings.iter().filter_map(contradictory).collect();
+    let mut by_head: BTreeMap<RelId, Vec<usize>> = BTreeMap::new();
+    for (index, clause) in rules.clauses.iter().enumerate() {
+        if !clause.body.is_empty() && clause.body.len() <= LITERALS_MAX && !never.contains(&index) {
+            by_head.entry(clause.head.relation).or_default().push(index);
+        }
+    }
+    let mut steps = STEPS_MAX;
+    for group in by_head.values().filter(|group| group.len() > 1) {
+        let special: Vec<Vec<Fact>> = (group.iter())
+            .map(|&index| {
+                facts(&rules.clauses[index], false)
+                    .iter()
+                    .flat_map(|fact| theory.closure(fact))
+                    .collect()
+            })
+            .collect();
+        let general: Vec<Vec<Fact>> = group.iter().map(|&index| facts(&rules.clauses[index], true)).collect();
+        let mut gone = vec![false; group.len()];
+        for later in (0..group.len()).rev() {
+            for other in 0..group.len() {
+                if other == later || gone[other] || gone[later] {
+                    continue;
+                }
+                let Some(left) = steps.checked_sub(1) else { return };
+                steps = left;
+                let (one, two) = (&rules.clauses[group[other]], &rules.clauses[group[later]]);
+                if Cover::exists(theory, one, &general[other], two, &special[later], &mut steps) {
+                    gone[later] = true;
+                    findings.push(Finding::Subsumed {
+                        clause: ClauseId(group[later] as u32),
+                        by: ClauseId(group[other] as u32),
+                    });
+                }
+            }
+        }
+    }
+}
+
+/// The search for a substitution.
+struct Cover<'a> {
+    theory: &'a Theory,
+    general: Vec<&'a Fact>,
+    special: &'a [Fact],
+    bound: Vec<Option<Arg>>,
+    steps: usize,
+}
+
+impl Cover<'_> {
+    fn exists(
+        theory: &Theory,
+        one: &Clause,
+        general: &[Fact],
+        two: &Clause,
+        special: &[Fact],
+        steps: &mut usize,
+    ) -> bool {
+        // Positive atoms first: they say what the variables are.
+        let is_positive = |fact: &&Fact| matches!(fact, Fact::Atom { holds: true, .. });
+        let mut order: Vec<&Fact> = general.iter().filter(is_positive).collect();
+        order.extend(general.iter().filter(|fact| !is_positive(fact)));
+        let allowed = STEPS_OF_PAIR.min(*steps);
+        let mut cover = Cover {
+            theory,
+            general: order,
+            special,
+            bound: vec![None; one.variables.len()],
+            steps: allowed,
+        };
+        let arg = |term: &Term| match *term {
+            Term::Variable(id) => Arg::Variable(id.index()),
+            Term::Constant(value) => Arg::Constant(value),
+            Term::Wildcard => Arg::Any,
+        };
+        let (left, right): (Vec<Arg>, Vec<Arg>) = (
+            one.head.terms.iter().map(arg).collect(),
+            two.head.terms.iter().map(arg).collect(),
+        );
+        let found = cover.unify(&left, &right).is_some() && cover.literal(0);
+        *steps -= allowed - cover.steps;
+        found
+    }
+
+    /// Binds variables so that the arguments are the others; the variables that were bound.
+    fn unify(&mut self, general: &[Arg], special: &[Arg]) -> Option<Vec<usize>> {
+        let mut new = Vec::new();
+        for (&general, &special) in general.iter().zip(special) {
+            let fits = match general {
+                Arg::Any => true,
+                Arg::Constant(_) => general == special,
+                Arg::Variable(_) if special == Arg::Any => false,
+                Arg::Variable(id) => match self.bound[id] {
+                    Some(known) => known == special,
+                    None => {
+                        self.bound[id] = Some(special);
+                        new.push(id);
+                        true
+                    }
+                },
+            };
+            if !fits {
+                self.release(&new);
+                return None;
+            }
+        }
+        Some(new)
+    }
+
+    fn release(&mut self, variables: &[usize]) {
+        for &variable in variables {
+            self.bound[variable] = None;
+        }
+    }
+
+    fn literal(&mut self, at: usize) -> bool {
+        let Some(&wanted) = self.general.get(at) else {
+            return true;
+        };
+        match wanted {
+            Fact::Atom {
+                holds: true,
+                relation,
+                args,
+            } => {
+                for index in 0..self.special.len() {
+                    let special = self.special;
+                    let Fact::Atom {
+                        holds: true,
+                        relation: r,
+                        args: found,
+                    } = &special[index]
+                    else {
+                        continue;
+                    };
+                    if relation != r {
+                        continue;
+                    }
+                    let Some(left) = self.steps.checked_sub(1) else {
+                        return false;
+                    };
+                    self.steps = left;
+                    let Some(new) = self.unify(args, found) else { continue };
+                    if self.literal(at + 1) {
+                        return true;
+                    }
+                    self.release(&new);
+                }
+                false
+            }
+            _ => {
+                let Some(wanted) = self.instance(wanted) else {
+                    return false;
+                };
+                let said = self.theory.always(&wanted) || self.special.iter().any(|known| covers(known, &wanted));
+                said && self.literal(at + 1)
+            }
+        }
+    }
+
+    /// The fact with its variables replaced; `None` if one is not bound.
+    fn instance(&self, fact: &Fact) -> Option<Fact> {
+        let arg = |arg: &Arg| match *arg {
+            Arg::Variable(id) => self.bound[id],
+            other => Some(other),
+        };
+        Some(match fact {
+            Fact::Atom { holds, relation, args } => Fact::Atom {
+                holds: *holds,
+                relation: *relation,
+                args: args.iter().map(arg).collect::<Option<Vec<Arg>>>()?,
+            },
+            Fact::Compare { allowed, left, right } => {
+                theory::comparison(*allowed, arg(left)?, arg(right)?, BaseType::Symbol)
+            }
+        })
+    }
+}
+
+// --- words
+
+fn span(literal: &Literal) -> crate::diag::Span {
+    match literal {
+        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => atom.span,
+        Literal::Compare { span, .. } => *span,
+    }
+}
+
+fn shown_literal(rules: &Rules, clause: &Clause, index: usize) -> String {
+    match &clause.body[index] {
+        Literal::Positive(atom) | Literal::Guard(atom) => shown_atom(rules, clause, atom),
+        Literal::Negative(atom) => format!("Not({})", shown_atom(rules, clause, atom)),
+        Literal::Compare {
+            op, left, right, base, ..
+        } => {
+            let term = |term| shown_term(rules, clause, term, *base);
+            format!("{} {op} {}", term(left), term(right))
+        }
+    }
+}
+
+fn shown_atom(rules: &Rules, clause: &Clause, atom: &Atom) -> String {
+    let relation = &rules.relations[atom.relation.index()];
+    if relation.hidden {
+        return relation.doc.clone();
+    }
+    let columns = relation.columns.iter().zip(&atom.terms);
+    let terms: Vec<String> = columns
+        .map(|(column, term)| shown_term(rules, clause, term, column.base))
+        .collect();
+    format!("{}({})", relation.name, terms.join(", "))
+}
+
+fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> String {
+    match *term {
+        Term::Wildcard => "_".to_owned(),
+        Term::Variable(VarId(id)) => clause.variables[id as usize].clone(),
+        Term::Constant(value) => match base {
+            BaseType::Number => value.as_number().to_string(),
+            BaseType::Symbol => format!("{:?}", rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
+        },
+    }
+}

@@ -1,0 +1,131 @@
+//! A body and all its simpler forms, in one e-graph.
+//!
+//! A body is a node over the sorted set of its literals' classes, so that order and repetition are no matter. Rules, applied until
+//! nothing new comes:
+//!
+//! ```text
+//! two literals that imply each other           are one class
+//! all(.., a, b, ..)   with a and b exclusive   =  never
+//! all(.., a, b, ..)   with a => b              =  all(.., a, ..)
+//! all(.., a, ..)      with a always true       =  all(..)
+//! ```
+//!
+//! The cheapest form is taken out: fewest literals, then those that the author wrote first. The only user of egg; its runner is not
+//! used, since that looks at the clock.
+
+use egg::{CostFunction, EGraph, Extractor, Id, Language, define_language};
+
+define_language! {
+    /// Literals by their number, and conjunctions.
+    enum Body {
+        Literal(u32),
+        "all" = All(Box<[Id]>),
+        "never" = Never,
+    }
+}
+
+/// What is known of literals, by number.
+pub(super) trait Knowledge {
+    /// Whenever the first holds, the second does.
+    fn implies(&self, a: usize, b: usize) -> bool;
+    /// The two never hold together. Of one with itself: it never holds.
+    fn exclude(&self, a: usize, b: usize) -> bool;
+    /// It holds always.
+    fn always(&self, a: usize) -> bool;
+}
+
+/// More forms than this are not looked at.
+const NODES_MAX: usize = 4096;
+
+/// The cheapest form of the conjunction of literals 0 to `count`; `None` if it never holds.
+pub(super) fn simplest(count: usize, knowledge: &dyn Knowledge) -> Option<Vec<usize>> {
+    let mut egraph: EGraph<Body, ()> = EGraph::new(());
+    let leaves: Vec<Id> = (0..count as u32)
+        .map(|number| egraph.add(Body::Literal(number)))
+        .collect();
+    for a in 0..count {
+        for b in 0..a {
+            if knowledge.implies(a, b) && knowledge.implies(b, a) {
+                egraph.union(leaves[a], leaves[b]);
+            }
+        }
+    }
+    let root = egraph.add(Body::All(leaves.into()));
+    egraph.rebuild();
+    let mut looked_at = 0;
+    loop {
+        let forms: Vec<Body> = egraph[egraph.find(root)].nodes.clone();
+        if forms.len() <= looked_at || egraph.total_number_of_nodes() > NODES_MAX {
+            break;
+        }
+        looked_at = forms.len();
+        for form in forms {
+            let Body::All(parts) = form else { continue };
+            for better in simpler(&egraph, &parts, knowledge) {
+                let better = egraph.add(better);
+                egraph.union(root, better);
+            }
+        }
+        egraph.rebuild();
+    }
+    let (_, best) = Extractor::new(&egraph, Fewest).find_best(root);
+    let literals: Vec<usize> = (best.as_ref().iter())
+        .filter_map(|node| match node {
+            Body::Literal(number) => Some(*number as usize),
+            _ => None,
+        })
+        .collect();
+    match best.as_ref().last() {
+        Some(Body::Never) => None,
+        _ => Some(literals),
+    }
+}
+
+/// One step from a conjunction to simpler ones.
+fn simpler(egraph: &EGraph<Body, ()>, parts: &[Id], knowledge: &dyn Knowledge) -> Vec<Body> {
+    let mut set: Vec<Id> = parts.iter().map(|&part| egraph.find(part)).collect();
+    set.sort_unstable();
+    set.dedup();
+    let literal = |class: Id| {
+        egraph[class].nodes.iter().find_map(|node| match node {
+            Body::Literal(number) => Some(*number as usize),
+            _ => None,
+        })
+    };
+    let literals: Vec<usize> = set.iter().filter_map(|&class| literal(class)).collect();
+    let mut found = Vec::new();
+    if set.len() < parts.len() {
+        found.push(Body::All(set.clone().into()));
+    }
+    if literals
+        .iter()
+        .any(|&a| literals.iter().any(|&b| knowledge.exclude(a, b)))
+    {
+        found.push(Body::Never);
+    }
+    // One at a time, the last first: implication is an order on classes, so every way ends in the same form.
+    let needless = (0..literals.len()).rev().find(|&at| {
+        let implied = |&(other, &literal): &(usize, &usize)| other != at && knowledge.implies(literal, literals[at]);
+        knowledge.always(literals[at]) || literals.iter().enumerate().any(|pair| implied(&pair))
+    });
+    if let Some(at) = needless {
+        set.remove(at);
+        found.push(Body::All(set.into()));
+    }
+    found
+}
+
+/// The number of literals, then their places.
+struct Fewest;
+
+impl CostFunction<Body> for Fewest {
+    type Cost = u64;
+
+    fn cost<C: FnMut(Id) -> u64>(&mut self, node: &Body, mut costs: C) -> u64 {
+        match node {
+            Body::Never => 0,
+            Body::Literal(number) => (1 << 32) + u64::from(*number),
+            Body::All(_) => node.fold(1, |sum, part| sum.saturating_add(costs(part))),
+        }
+    }
+}

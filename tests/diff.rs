@@ -1,0 +1,429 @@
+//! `diff`: whether two rule sets are equal, and the smallest scene in which they are not.
+
+use logicity::diag::Sources;
+use logicity::engine::diff::{Difference, Options, Verdict, diff};
+use logicity::engine::naive;
+use logicity::files;
+use logicity::lang::{self, Constraint, RelId, Rules, Value};
+use proptest::prelude::*;
+use std::path::PathBuf;
+use std::process::{Command, Output};
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn rules(text: &str) -> Rules {
+    let mut sources = Sources::new();
+    let entry = sources.add("test.dl", text);
+    let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
+    let told = logicity::diag::render(&loaded.diagnostics, &sources, false);
+    loaded.rules.unwrap_or_else(|| panic!("{told}\n{text}"))
+}
+
+fn shipped(name: &str) -> Rules {
+    rules(&std::fs::read_to_string(root().join("rules").join(name)).unwrap())
+}
+
+fn verdict(left: &Rules, right: &Rules) -> Verdict {
+    diff(left, right, &Options::default()).unwrap()
+}
+
+fn difference(left: &Rules, right: &Rules) -> Difference {
+    match verdict(left, right) {
+        Verdict::Different(difference) => difference,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// vap-easy with clauses and literals in another order, other names of variables, literals that are promised anyway, clauses that
+/// another covers, a clause in two cases, a clause that never fires, and a concept with a name of its own.
+const VAP_EASY_BLOATED: &str = r#"
+.include "vocabulary.dl"
+.decl Busy(x: agent)
+Busy(A) :- IsInInter(A), IsCar(A).
+Busy(A) :- IsInInter(A), Not(IsCar(A)).
+
+Slow(Me) :- IsInInter(Me), Not(IsAmbulance(Me)), Not(Stop(Me)), IsPedestrian(Me).
+Slow(Me) :- Not(Stop(Me)), Not(IsPedestrian(Me)), IsInInter(Me), Not(IsAmbulance(Me)).
+Slow(Me) :- IsClose(Walker, Me), IsPedestrian(Walker), Not(IsCar(Walker)), IsCar(Me), IsTiro(Me), Not(Stop(Me)).
+Slow(Me) :- IsTiro(Me), IsBus(Me), IsOld(W), IsPedestrian(W), IsClose(Me, W), Not(Stop(Me)).
+Slow(Me) :- IsBus(Me), IsOld(Me).
+
+Stop(Me) :- CollidingClose(Me, Other), Me != Other.
+Stop(Me) :- HigherPri(Other, Me), IsAtInter(Other), IsAtInter(Me), Not(LeftOf(Me, Me)).
+Stop(Me) :- Busy(Other), IsAtInter(Me).
+Stop(Me) :- IsAtInter(Me), IsAmbulance(Other), IsInInter(Other), IsCar(Other).
+"#;
+
+#[test]
+fn vap_easy_is_proved_equal_to_a_shuffled_and_bloated_copy() {
+    let (left, right) = (shipped("vap-easy.dl"), rules(VAP_EASY_BLOATED));
+    for (left, right) in [(&left, &right), (&right, &left)] {
+        let found = verdict(left, right);
+        assert!(
+            matches!(found, Verdict::Equivalent { entities } if entities <= 10),
+            "{found:?}"
+        );
+    }
+    // Without the promises they are different, and so are they after a slip of the pen.
+    let slip = rules(&VAP_EASY_BLOATED.replace("IsInInter(A), IsCar(A)", "IsInInter(A), IsBus(A)"));
+    let found = difference(&left, &slip);
+    assert_eq!(found.entities.len(), 1);
+    assert!(found.smallest);
+    let mut trusting = right.clone();
+    trusting.promises.clear();
+    let mut plain = left.clone();
+    plain.promises.clear();
+    difference(&plain, &trusting);
+}
+
+#[test]
+fn every_shipped_rule_set_is_proved_equal_to_itself() {
+    for name in [
+        "easy",
+        "medium",
+        "hard",
+        "expert",
+        "transfer-medium",
+        "vap-easy",
+        "vap-hard",
+    ] {
+        let one = shipped(&format!("{name}.dl"));
+        let found = verdict(&one, &one);
+        assert!(matches!(found, Verdict::Equivalent { .. }), "{name}: {found:?}");
+    }
+    assert!(matches!(
+        verdict(&shipped("transfer-hard.dl"), &shipped("hard.dl")),
+        Verdict::Equivalent { .. }
+    ));
+}
+
+#[test]
+fn the_smallest_scene_between_medium_and_hard() {
+    let found = difference(&shipped("medium.dl"), &shipped("hard.dl"));
+    assert!(found.smallest);
+    assert_eq!(found.entities, ["e0", "e1"]);
+    let fact = |name: &str, rows: &[&[&str]]| {
+        let rows = rows.iter().map(|row| row.iter().map(|&word| word.to_owned()).collect());
+        (name.to_owned(), rows.collect::<Vec<Vec<String>>>())
+    };
+    // Police that are close on the left: a car, as promised, and close both ways.
+    let expected = [
+        fact("IsCar", &[&["e0"], &["e1"]]),
+        fact("IsPolice", &[&["e1"]]),
+        fact("IsClose", &[&["e0", "e1"], &["e1", "e0"]]),
+        fact("LeftOf", &[&["e1", "e0"]]),
+    ];
+    assert_eq!(found.facts, expected);
+    let stop = ("Stop".to_owned(), vec!["e0".to_owned()]);
+    assert!(!found.derived[0].contains(&stop) && found.derived[1].contains(&stop));
+}
+
+#[test]
+fn recursion_and_numbers_are_searched_and_not_proved() {
+    let base = ".decl Edge(x: symbol, y: symbol) .input Edge .decl Path(x: symbol, y: symbol) .output Path
+        Path(x, y) :- Edge(x, y).";
+    let left = rules(&format!("{base} Path(x, z) :- Path(x, y), Path(y, z)."));
+    let right = rules(&format!("{base} Path(x, z) :- Edge(x, y), Path(y, z)."));
+    let few = Options {
+        entities_max: 3,
+        ..Options::default()
+    };
+    assert_eq!(
+        diff(&left, &right, &few).unwrap(),
+        Verdict::NoneFound {
+            entities: 3,
+            proof: None
+        }
+    );
+    let steps = rules(&format!("{base} Path(x, z) :- Edge(x, y), Edge(y, z)."));
+    let found = difference(&left, &steps);
+    assert_eq!(
+        (found.entities.len(), found.facts[0].1.len()),
+        (3, 3),
+        "a circle of three"
+    );
+
+    let speed = |rule: &str| {
+        rules(&format!(
+            ".decl V(x: symbol, v: number) .input V .decl F(x: symbol) .output F {rule}"
+        ))
+    };
+    let (over, from) = (speed("F(x) :- V(x, v), v > 30."), speed("F(x) :- V(x, v), v >= 30."));
+    assert_eq!(
+        difference(&over, &from).facts,
+        [("V".to_owned(), vec![vec!["e0".to_owned(), "30".to_owned()]])]
+    );
+    let next = speed("F(x) :- V(x, v), v >= 31.");
+    assert!(matches!(
+        diff(&over, &next, &few).unwrap(),
+        Verdict::NoneFound { proof: None, .. }
+    ));
+}
+
+#[test]
+fn what_does_not_fit_is_refused() {
+    let left = rules(".decl A(x: symbol) .input A .decl B(x: symbol) .output B B(x) :- A(x).");
+    let right = rules(
+        ".decl C(x: symbol) .input C .decl A(x: symbol) .decl B(x: symbol) .output B A(x) :- C(x). B(x) :- A(x).",
+    );
+    assert!(diff(&left, &right, &Options::default()).is_err());
+    let options = Options {
+        predicates: vec!["Nobody".into()],
+        ..Options::default()
+    };
+    assert!(diff(&left, &left, &options).is_err());
+}
+
+/// "Everybody has a successor" depends on whom it is asked of, so the size of a scene with a difference is not bounded by the number of
+/// variables: here labels go round in a circle of five.
+#[test]
+fn for_all_there_is_is_not_taken_for_proved() {
+    let base = ".decl A, D(x: symbol) .decl L0, L1, L2, L3, L4(x: symbol) .decl R(x: symbol, y: symbol)
+        .input A, D, L0, L1, L2, L3, L4, R .disjoint L0, L1, L2, L3, L4
+        .decl Next(x: symbol) .decl P(x: symbol) .output P
+        Next(y) :- R(y, _z).";
+    let left = rules(&format!("{base} P(x) :- A(x)."));
+    let mut right = format!(
+        "{base} P(x) :- A(x), !D(x). P(x) :- A(x), D(y), !Next(y). P(x) :- A(x), R(_, z), !D(z).
+        P(x) :- A(x), D(y), !L0(y), !L1(y), !L2(y), !L3(y), !L4(y).\n"
+    );
+    for label in 0..5 {
+        right += &format!("P(x) :- A(x), R(y, z), L{label}(y), !L{}(z).\n", (label + 1) % 5);
+    }
+    let right = rules(&right);
+    let few = Options {
+        entities_max: 4,
+        ..Options::default()
+    };
+    assert_eq!(
+        diff(&left, &right, &few).unwrap(),
+        Verdict::NoneFound {
+            entities: 4,
+            proof: None
+        }
+    );
+    assert_eq!(difference(&left, &right).entities.len(), 5);
+}
+
+/// Nothing in a text makes the comparison crash or run on for ever.
+#[test]
+fn large_programs_are_given_up_in_time() {
+    let mut chain = ".decl P0(x: symbol) .input P0\n".to_owned();
+    for number in 1..5000 {
+        chain += &format!(".decl P{number}(x: symbol) P{number}(x) :- P{}(x).\n", number - 1);
+    }
+    chain += ".output P4999";
+    let chain = rules(&chain);
+    assert!(matches!(
+        verdict(&chain, &chain),
+        Verdict::NoneFound { entities: 0, .. }
+    ));
+    let wide: Vec<String> = (0..60).map(|number| format!("E(v{number}, v{})", number + 1)).collect();
+    let wide = |more: &str| {
+        rules(&format!(
+            ".decl E(x: symbol, y: symbol) .input E .decl P(x: symbol) .output P P(v0) :- {}{more}.",
+            wide.join(", ")
+        ))
+    };
+    let found = verdict(&wide(""), &wide(", v3 != v5"));
+    assert!(matches!(found, Verdict::Different(_)), "{found:?}");
+}
+
+// --- against trying everything
+
+/// A program over A, B (unary) and R (binary), of P and then S and T from small numbers.
+fn written(genes: &[(u8, u8, u8, u8)], promises: u8) -> String {
+    let mut text = ".decl A, B(x: symbol) .decl R(x: symbol, y: symbol) .input A, B, R
+        .decl P(x: symbol) .decl S(x: symbol) .decl T(x: symbol, y: symbol) .output P, S, T\n"
+        .to_owned();
+    for (bit, directive) in [".disjoint A, B", ".implies A, B", ".irreflexive R", ".symmetric R"]
+        .iter()
+        .enumerate()
+    {
+        if promises >> bit & 1 == 1 {
+            text += directive;
+            text.push('\n');
+        }
+    }
+    let base = [
+        "A(x)", "B(x)", "R(x, y)", "R(y, x)", "A(y)", "B(y)", "R(x, x)", "R(y, z)",
+    ];
+    let tests = [
+        "!A(x)", "!B(x)", "!R(x, y)", "x != y", "!R(x, _)", "!B(y)", "!R(y, _)", "R(y, _)",
+    ];
+    for &(head, a, b, c) in genes {
+        // Whatever is tested is bound.
+        let mut body = vec![
+            "A(x)".to_owned(),
+            base[a as usize % 8].into(),
+            tests[b as usize % 8].into(),
+        ];
+        let text_of = |body: &[String]| body.join(", ");
+        let (head, more) = match head % 5 {
+            0 | 1 => ("P(x)", ""),
+            2 => ("S(x)", ["!P(x)", "P(x)", "P(y)", "!P(y)"][c as usize % 4]),
+            3 => ("S(x)", ["B(x)", "A(y)", "T(x, y)", "!P(x)"][c as usize % 4]),
+            _ => (
+                "T(x, y)",
+                ["T(y, x)", "R(x, y)", "T(x, z), T(z, y)", "P(y)"][c as usize % 4],
+            ),
+        };
+        if !more.is_empty() {
+            body.push(more.into());
+        }
+        if c >= 128 {
+            body.remove(0);
+        }
+        let all = text_of(&body);
+        for (name, atom) in [("x", "B(x)"), ("y", "R(x, y)"), ("z", "R(y, z)")] {
+            let bound = body
+                .iter()
+                .any(|literal| !literal.starts_with('!') && !literal.contains('=') && literal.contains(name));
+            if (head.contains(name) || all.contains(name)) && !bound {
+                body.push(atom.into());
+            }
+        }
+        text += &format!("{head} :- {}.\n", text_of(&body));
+    }
+    text
+}
+
+/// The rows of P, S and T in a scene, by bits: A, B, R over the first entities.
+fn outputs(rules: &Rules, entities: u32, scene: u32) -> Option<Vec<(RelId, Vec<Vec<Value>>)>> {
+    let mut symbols = rules.symbols.clone();
+    let names: Vec<Value> = (0..entities)
+        .map(|index| Value(symbols.intern(&format!("e{index}")).0))
+        .collect();
+    let relation = |name: &str| rules.relation(name).unwrap();
+    let mut facts = Vec::new();
+    let mut bit = 0;
+    for name in ["A", "B"] {
+        for &x in &names {
+            facts.extend((scene >> bit & 1 == 1).then(|| (relation(name), vec![x])));
+            bit += 1;
+        }
+    }
+    for &x in &names {
+        for &y in &names {
+            facts.extend((scene >> bit & 1 == 1).then(|| (relation("R"), vec![x, y])));
+            bit += 1;
+        }
+    }
+    let holds = |rel: RelId, row: &[Value]| facts.iter().any(|(other, found)| *other == rel && found == row);
+    let kept = rules.promises.iter().all(|promise| {
+        facts.iter().all(|(rel, row)| match promise.constraint {
+            Constraint::Disjoint(a, b) => *rel != a || !holds(b, row),
+            Constraint::Implies(a, b) => *rel != a || holds(b, row),
+            Constraint::Irreflexive(a) => *rel != a || row[0] != row[1],
+            Constraint::Symmetric(a) => *rel != a || holds(a, &[row[1], row[0]]),
+        })
+    });
+    let database = kept.then(|| naive::evaluate(rules, &symbols, facts))?;
+    let rows = |name: &str| {
+        (
+            relation(name),
+            database[relation(name).index()].iter().cloned().collect(),
+        )
+    };
+    Some(["P", "S", "T"].map(rows).into())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 150, ..ProptestConfig::default() })]
+
+    #[test]
+    fn differences_are_those_that_trying_everything_finds(
+        shared in proptest::collection::vec(any::<(u8, u8, u8, u8)>(), 0..4),
+        left in proptest::collection::vec(any::<(u8, u8, u8, u8)>(), 0..2),
+        right in proptest::collection::vec(any::<(u8, u8, u8, u8)>(), 0..2),
+        promises in 0..16_u8,
+    ) {
+        let left = rules(&written(&[left, shared.clone()].concat(), promises));
+        let right = rules(&written(&[shared, right].concat(), promises));
+        let found = diff(&left, &right, &Options { entities_max: 2, ..Options::default() }).unwrap();
+        // Entities, then facts, of the smallest scene with a difference.
+        let least = (1..=2_u32).find_map(|entities| {
+            let scenes = 0..1_u32 << (2 * entities + entities * entities);
+            let differs = |scene: &u32| outputs(&left, entities, *scene) != outputs(&right, entities, *scene);
+            scenes.filter(differs).map(u32::count_ones).min().map(|facts| (entities as usize, facts as usize))
+        });
+        match found {
+            Verdict::Different(difference) => {
+                let facts: usize = difference.facts.iter().map(|(_, rows)| rows.len()).sum();
+                prop_assert!(difference.smallest);
+                prop_assert_ne!(&difference.derived[0], &difference.derived[1]);
+                let (entities, least) = least.expect("a difference that trying everything does not find");
+                prop_assert_eq!(least, facts);
+                prop_assert!(difference.entities.len() <= entities);
+            }
+            Verdict::NoneFound { entities, .. } => {
+                prop_assert_eq!(entities, 2);
+                prop_assert_eq!(least, None);
+            }
+            Verdict::Equivalent { .. } => prop_assert_eq!(least, None),
+        }
+        // A proof holds for larger scenes too: whatever is proved up to its bound is still so one entity further.
+        let proved = diff(&left, &right, &Options { entities_max: 6, ..Options::default() }).unwrap();
+        if let Verdict::Equivalent { entities } = proved {
+            for scene in (0..1_u32 << 15).step_by(97) {
+                prop_assert_eq!(outputs(&left, 3, scene), outputs(&right, 3, scene), "{}", entities);
+            }
+        }
+    }
+}
+
+// --- the command
+
+fn logicity(arguments: &[&str]) -> Output {
+    let program = env!("CARGO_BIN_EXE_logicity");
+    Command::new(program)
+        .args(arguments)
+        .current_dir(root())
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn the_scene_is_one_that_infer_answers_differently() {
+    let output = logicity(&["diff", "rules/medium.dl", "rules/hard.dl", "--scene"]);
+    assert_eq!(output.status.code(), Some(1));
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("scene.jsonl");
+    std::fs::write(&file, &output.stdout).unwrap();
+    let action = |rules: &str| {
+        let output = logicity(&["infer", file.to_str().unwrap(), "--rules", rules]);
+        let answer: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        answer["egos"]["e0"]["action"].as_str().unwrap().to_owned()
+    };
+    assert_eq!(
+        (action("rules/medium.dl"), action("rules/hard.dl")),
+        ("Normal".into(), "Stop".into())
+    );
+}
+
+#[test]
+fn the_command_says_what_it_knows() {
+    let folder = tempfile::tempdir().unwrap();
+    let copy = folder.path().join("copy.dl");
+    std::fs::write(&copy, VAP_EASY_BLOATED).unwrap();
+    let copy = copy.to_str().unwrap();
+    let output = logicity(&["diff", "rules/vap-easy.dl", copy]);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.starts_with("equivalent: proved"), "{said}");
+    assert_eq!(output.status.code(), Some(0));
+
+    let output = logicity(&["diff", "rules/vap-easy.dl", copy, "--entities", "2"]);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(
+        said.starts_with("no difference in any scene of at most 2 entities; a proof needs"),
+        "{said}"
+    );
+
+    let output = logicity(&["diff", "rules/easy.dl", "rules/medium.dl", "--predicates", "Slow,Fast"]);
+    assert_eq!(output.status.code(), Some(0));
+    let output = logicity(&["diff", "rules/easy.dl", "rules/medium.dl", "--json"]);
+    let answer: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(answer["verdict"], "different");
+}

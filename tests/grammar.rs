@@ -1,0 +1,232 @@
+//! The TextMate grammar: every expression compiles, every directive is known, and every word of a rule file gets a colour.
+
+use regex::Regex;
+use serde_json::Value;
+use std::fs;
+use std::path::PathBuf;
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn grammar() -> Value {
+    let text = fs::read_to_string(root().join("rules/logicity.tmLanguage.json")).unwrap();
+    serde_json::from_str(&text).unwrap()
+}
+
+/// A rule of the grammar: what it matches and which scopes it gives; with an end, it contains others.
+struct Rule {
+    begin: Regex,
+    name: Option<String>,
+    captures: Vec<(usize, String)>,
+    /// Of what matches its end.
+    end_name: Option<String>,
+    block: Option<(Regex, Vec<Rule>)>,
+}
+
+/// The rules of a list of patterns, with includes followed.
+fn rules(patterns: &Value, repository: &Value) -> Vec<Rule> {
+    let mut found = Vec::new();
+    for pattern in patterns.as_array().unwrap() {
+        if let Some(include) = pattern["include"].as_str() {
+            let target = &repository[include.trim_start_matches('#')];
+            assert!(target.is_object(), "{include} is not in the repository");
+            if target["match"].is_string() || target["begin"].is_string() {
+                found.extend(rules(&Value::Array(vec![target.clone()]), repository));
+            } else {
+                found.extend(rules(&target["patterns"], repository));
+            }
+            continue;
+        }
+        let regex = |key: &str| pattern[key].as_str().map(|text| Regex::new(text).unwrap());
+        let captures = |key: &str| {
+            let list = pattern[key].as_object().into_iter().flatten();
+            list.map(|(number, scope)| (number.parse().unwrap(), scope["name"].as_str().unwrap().to_owned()))
+                .collect()
+        };
+        let name = pattern["name"].as_str().map(str::to_owned);
+        let end_name = pattern["endCaptures"]["0"]["name"]
+            .as_str()
+            .map(str::to_owned)
+            .or(name.clone());
+        found.push(match regex("match") {
+            Some(begin) => Rule {
+                begin,
+                name,
+                captures: captures("captures"),
+                end_name,
+                block: None,
+            },
+            None => {
+                let inner = match pattern["patterns"].is_array() {
+                    true => rules(&pattern["patterns"], repository),
+                    false => Vec::new(),
+                };
+                Rule {
+                    begin: regex("begin").unwrap(),
+                    name,
+                    captures: captures("beginCaptures"),
+                    end_name,
+                    block: Some((regex("end").unwrap(), inner)),
+                }
+            }
+        });
+    }
+    found
+}
+
+/// The scope of every byte, as an editor finds it: at each place the rule that matches first, of those the one that stands first.
+fn colours(text: &str, rules: &[Rule]) -> Vec<Option<String>> {
+    let mut scopes = vec![None; text.len()];
+    let mut offset = 0;
+    let mut open: Option<&Rule> = None;
+    for line in text.split_inclusive('\n') {
+        let code = line.trim_end_matches('\n');
+        let mut at = 0;
+        loop {
+            let list = match open {
+                Some(Rule {
+                    block: Some((_, inner)),
+                    ..
+                }) => inner.as_slice(),
+                _ => rules,
+            };
+            let end = open
+                .and_then(|rule| rule.block.as_ref())
+                .and_then(|(end, _)| end.find_at(code, at));
+            let next = list
+                .iter()
+                .filter_map(|rule| rule.begin.captures_at(code, at).map(|captures| (rule, captures)))
+                .min_by_key(|(_, captures)| captures.get(0).unwrap().start());
+            let start = next.as_ref().map(|(_, captures)| captures.get(0).unwrap().start());
+            if let (Some(rule), Some(end)) = (open, end)
+                && start.is_none_or(|start| end.start() <= start)
+            {
+                for scope in &mut scopes[offset + at..offset + end.start()] {
+                    *scope = scope.clone().or(rule.name.clone());
+                }
+                scopes[offset + end.start()..offset + end.end()].fill(rule.end_name.clone());
+                open = None;
+                at = end.end();
+                continue;
+            }
+            let Some((rule, captures)) = next else {
+                if let Some(rule) = open {
+                    for scope in &mut scopes[offset + at..offset + code.len()] {
+                        *scope = scope.clone().or(rule.name.clone());
+                    }
+                }
+                break;
+            };
+            let whole = captures.get(0).unwrap();
+            for scope in &mut scopes[offset + whole.start()..offset + whole.end()] {
+                *scope = rule.name.clone().or(open.and_then(|open| open.name.clone()));
+            }
+            for (number, name) in &rule.captures {
+                if let Some(part) = captures.get(*number) {
+                    scopes[offset + part.start()..offset + part.end()].fill(Some(name.clone()));
+                }
+            }
+            if rule.block.is_some() {
+                open = Some(rule);
+            }
+            at = whole.end().max(at + usize::from(whole.is_empty()));
+            if at > code.len() {
+                break;
+            }
+        }
+        offset += line.len();
+    }
+    scopes
+}
+
+fn scope_of<'s>(text: &str, scopes: &'s [Option<String>], word: &str) -> &'s str {
+    let at = text.find(word).unwrap_or_else(|| panic!("no {word}"));
+    scopes[at].as_deref().unwrap_or("")
+}
+
+#[test]
+fn words_get_their_colours() {
+    let grammar = grammar();
+    let rules = rules(&grammar["patterns"], &grammar["repository"]);
+    let text = r#"/// doc
+.decl Car(x: agent, v: number) // why
+.type agent <: symbol
+.disjoint Car, Walker
+Stop(X) :- Car(X, 0x2A), Not(IsBus(X)), !Near(X, _), X != "a\"b", /* block */ X = "c".
+"#;
+    let scopes = colours(text, &rules);
+    for (word, scope) in [
+        ("/// doc", "comment.line.documentation"),
+        (".decl", "keyword.control.directive"),
+        ("Car", "entity.name.function"),
+        ("agent", "storage.type"),
+        ("v:", "variable.parameter"),
+        ("// why", "comment.line.double-slash"),
+        (".type", "keyword.control.directive"),
+        ("<:", "keyword.operator"),
+        (".disjoint", "keyword.control.directive"),
+        ("Stop", "entity.name.function"),
+        (":-", "keyword.operator.rule"),
+        ("0x2A", "constant.numeric"),
+        ("Not(", "keyword.operator.logical.negation"),
+        ("IsBus", "entity.name.function"),
+        ("!Near", "keyword.operator.logical.negation"),
+        ("_)", "variable.language.wildcard"),
+        ("!= ", "keyword.operator.comparison"),
+        ("\"a", "string.quoted.double"),
+        ("/* block", "comment.block"),
+        ("\"c\"", "string.quoted.double"),
+    ] {
+        let found = scope_of(text, &scopes, word);
+        assert!(found.starts_with(scope), "`{word}` is {found}, not {scope}");
+    }
+}
+
+#[test]
+fn every_word_of_the_shipped_rules_has_a_colour() {
+    let grammar = grammar();
+    let rules = rules(&grammar["patterns"], &grammar["repository"]);
+    for entry in fs::read_dir(root().join("rules")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_none_or(|extension| extension != "dl") {
+            continue;
+        }
+        let text = fs::read_to_string(&path).unwrap();
+        for (at, scope) in colours(&text, &rules).iter().enumerate() {
+            let blank = text.as_bytes()[at].is_ascii_whitespace();
+            assert!(
+                blank || scope.is_some(),
+                "{}: nothing for `{}`",
+                path.display(),
+                &text[at..text.len().min(at + 20)]
+            );
+        }
+    }
+}
+
+/// The grammar knows every directive that the parser knows.
+#[test]
+fn every_directive_is_a_keyword() {
+    let grammar = grammar();
+    let rules = rules(&grammar["patterns"], &grammar["repository"]);
+    let parser = fs::read_to_string(root().join("src/lang/parser.rs")).unwrap();
+    let list = parser
+        .split("const DIRECTIVES")
+        .nth(1)
+        .unwrap()
+        .split(';')
+        .next()
+        .unwrap();
+    let names: Vec<&str> = list.split('"').skip(1).step_by(2).collect();
+    assert!(names.len() >= 11);
+    for name in names {
+        let text = format!(".{name} a");
+        let scopes = colours(&text, &rules);
+        assert_eq!(
+            scope_of(&text, &scopes, "."),
+            "keyword.control.directive.logicity",
+            ".{name}"
+        );
+    }
+}
