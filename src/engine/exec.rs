@@ -198,9 +198,9 @@ impl<const W: usize> State<W> {
                 continue;
             }
             settle(noted);
-            let net = self.tables[relation.index()].net(noted);
-            if !net.is_empty() {
-                let table = self.tables[relation.index()].patched(&specs(plans, relation), &net);
+            let table = &self.tables[relation.index()];
+            if let Some((net, rows)) = table.update(noted) {
+                let table = table.replaced(&specs(plans, relation), &net, rows);
                 self.put(commit, relation, net, table);
             }
         }

@@ -32,8 +32,9 @@ impl<'a, const W: usize> View<'a, W> {
         std::iter::once(&self.first).chain(&self.rest)
     }
 
+    #[inline]
     fn holds(&self, key: &[Value]) -> bool {
-        self.batches().any(|batch| !batch.range(key).is_empty())
+        self.first.holds(key) || self.rest.iter().any(|batch| batch.holds(key))
     }
 }
 
@@ -204,7 +205,12 @@ impl<const W: usize> Join<'_, W> {
     #[inline]
     fn holds(&mut self, depth: usize, key: &[Slot]) -> bool {
         self.looked_at += 1;
-        self.views[depth].holds(&self.key(key)[..key.len()])
+        let view = &self.views[depth];
+        match *key {
+            [slot] => view.holds(&[self.slots[slot as usize]]),
+            [first, second] => view.holds(&[self.slots[first as usize], self.slots[second as usize]]),
+            _ => view.holds(&self.key(key)[..key.len()]),
+        }
     }
 
     fn scan(

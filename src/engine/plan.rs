@@ -520,8 +520,14 @@ impl<'a> Planner<'a> {
 
     /// Places every literal that binds no variable by a scan and whose variables are bound.
     fn place_tests(&mut self, version: &dyn Fn(usize) -> Version) {
-        // An equality may bind what an earlier literal waits for.
-        while let Some(position) = (self.left.iter().copied()).find(|&position| self.is_ready(position)) {
+        // An equality may bind what an earlier literal waits for. Of several tests those with fewer columns come first: they are
+        // faster.
+        let clause = self.clause;
+        let columns = |position: &usize| atom_of(&clause.body[*position]).map_or(0, |atom| atom.terms.len());
+        while let Some(position) = (self.left.iter().copied())
+            .filter(|&position| self.is_ready(position))
+            .min_by_key(columns)
+        {
             self.placed(position);
             match &self.clause.body[position] {
                 Literal::Positive(atom) | Literal::Guard(atom) => {

@@ -130,19 +130,64 @@ impl<'a, const W: usize> Batch<'a, W> {
     /// The rows that begin with `key`.
     #[inline]
     pub(super) fn range(&self, key: &[Value]) -> &'a [Row<W>] {
-        let Some(&first) = key.first() else { return self.rows };
-        let (rows, rest) = if self.starts.is_empty() {
+        match key {
+            [] => self.rows,
+            [first] => self.group(*first),
+            [first, second] => pick(self.group(*first), *second),
+            [first, rest @ ..] => narrow(self.group(*first), rest),
+        }
+    }
+
+    /// Whether a row begins with `key`.
+    #[inline]
+    pub(super) fn holds(&self, key: &[Value]) -> bool {
+        match key {
+            [first] if !self.starts.is_empty() => {
+                let at = first.0 as usize;
+                matches!(self.starts.get(at..at.saturating_add(2)), Some(&[start, end]) if start < end)
+            }
+            [first, second] => {
+                let rows = self.group(*first);
+                match rows.len() {
+                    0..=GROUP_SMALL => rows.iter().any(|row| row.0[1] == *second),
+                    _ => !pick(rows, *second).is_empty(),
+                }
+            }
+            _ => !self.range(key).is_empty(),
+        }
+    }
+
+    /// The rows that begin with a word.
+    #[inline]
+    fn group(&self, first: Value) -> &'a [Row<W>] {
+        if self.starts.is_empty() {
             let start = self.rows.partition_point(|row| row.0[0] < first);
             let rows = &self.rows[start..];
-            (&rows[..gallop(rows, |row| row.0[0] == first)], &key[1..])
-        } else {
-            let at = first.0 as usize;
-            match (self.starts.get(at), self.starts.get(at + 1)) {
-                (Some(&start), Some(&end)) => (&self.rows[start as usize..end as usize], &key[1..]),
-                _ => return &[],
-            }
-        };
-        if rest.is_empty() { rows } else { narrow(rows, rest) }
+            return &rows[..gallop(rows, |row| row.0[0] == first)];
+        }
+        let at = first.0 as usize;
+        match self.starts.get(at..at.saturating_add(2)) {
+            Some(&[start, end]) => &self.rows[start as usize..end as usize],
+            _ => &[],
+        }
+    }
+}
+
+/// So many rows are looked through one by one.
+const GROUP_SMALL: usize = 32;
+
+/// Of rows that agree in the first column, those with a word in the second.
+#[inline]
+fn pick<const W: usize>(rows: &[Row<W>], second: Value) -> &[Row<W>] {
+    let start = match rows.len() {
+        0..=GROUP_SMALL => rows.iter().filter(|row| row.0[1] < second).count(),
+        _ => rows.partition_point(|row| row.0[1] < second),
+    };
+    let rows = &rows[start..];
+    match rows {
+        [row, next, ..] if row.0[1] == second && next.0[1] == second => &rows[..gallop(rows, |row| row.0[1] == second)],
+        [row, ..] if row.0[1] == second => &rows[..1],
+        _ => &[],
     }
 }
 

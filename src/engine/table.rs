@@ -60,18 +60,35 @@ impl<const W: usize> Table<W> {
         }
     }
 
-    /// What changes of rows add and remove. They are sorted, one for each row.
-    pub(super) fn net(&self, noted: &[(Row<W>, bool)]) -> Net<W> {
+    /// What changes of rows add and remove, and the rows after it, if it is anything. The changes are sorted, one for each row.
+    pub(super) fn update(&self, noted: &[(Row<W>, bool)]) -> Option<(Net<W>, Vec<Row<W>>)> {
         let mut net = Net::default();
         let mut finder = Finder::new(self.known());
+        let mut rows = Vec::new();
+        let mut copied = 0;
         for (row, present) in noted {
             let was = finder.find(row);
-            if was != *present {
-                let list = if *present { &mut net.added } else { &mut net.removed };
-                list.push(*row);
+            if was == *present {
+                continue;
+            }
+            if net.is_empty() {
+                rows.reserve(self.rows.len() + noted.len());
+            }
+            append(&mut rows, &self.rows[copied..finder.at]);
+            copied = finder.at;
+            if *present {
+                net.added.push(*row);
+                rows.push(*row);
+            } else {
+                net.removed.push(*row);
+                copied += 1;
             }
         }
-        net
+        if net.is_empty() {
+            return None;
+        }
+        append(&mut rows, &self.rows[copied..]);
+        Some((net, rows))
     }
 
     /// The table after a change. Indexes that are in use are patched.
@@ -110,6 +127,12 @@ struct Index<const W: usize> {
 impl<const W: usize> Index<W> {
     /// Below this number of rows a binary search costs no more than a directory.
     const DIRECTORY_MIN: usize = 512;
+
+    /// Whether a directory is worth its memory: it is small, or there are not many more words than rows.
+    fn dense(rows: usize, largest: usize) -> bool {
+        let sparse = if largest < 1 << 16 { 32 } else { 4 };
+        rows >= Self::DIRECTORY_MIN && largest / sparse <= rows && u32::try_from(rows).is_ok()
+    }
 
     /// An index that was patched so many times without having been used is given up.
     const IDLE_MAX: u8 = 4;
@@ -187,6 +210,16 @@ impl<'a, const W: usize> Finder<'a, W> {
     }
 }
 
+/// Appends rows, mostly few.
+#[inline]
+fn append<const W: usize>(to: &mut Vec<Row<W>>, rows: &[Row<W>]) {
+    if rows.len() < 16 {
+        rows.iter().for_each(|row| to.push(*row));
+    } else {
+        to.extend_from_slice(rows);
+    }
+}
+
 /// The rows after a change.
 fn patch<const W: usize>(batch: Batch<'_, W>, net: &Net<W>) -> Vec<Row<W>> {
     let mut rows = Vec::with_capacity((batch.rows.len() + net.added.len()).saturating_sub(net.removed.len()));
@@ -204,7 +237,7 @@ fn patch<const W: usize>(batch: Batch<'_, W>, net: &Net<W>) -> Vec<Row<W>> {
         let Some((row, rest)) = list.split_first() else { break };
         *list = rest;
         let found = finder.find(row);
-        rows.extend_from_slice(&batch.rows[copied..finder.at]);
+        append(&mut rows, &batch.rows[copied..finder.at]);
         copied = finder.at;
         if comes {
             rows.push(*row);
@@ -212,7 +245,7 @@ fn patch<const W: usize>(batch: Batch<'_, W>, net: &Net<W>) -> Vec<Row<W>> {
             copied += 1;
         }
     }
-    rows.extend_from_slice(&batch.rows[copied..]);
+    append(&mut rows, &batch.rows[copied..]);
     rows
 }
 
@@ -220,7 +253,7 @@ fn patch<const W: usize>(batch: Batch<'_, W>, net: &Net<W>) -> Vec<Row<W>> {
 fn directory<const W: usize>(rows: &[Row<W>]) -> Vec<u32> {
     let Some(last) = rows.last() else { return Vec::new() };
     let largest = last.0[0].0 as usize;
-    if rows.len() < Index::<W>::DIRECTORY_MIN || largest / 4 > rows.len() || u32::try_from(rows.len()).is_err() {
+    if !Index::<W>::dense(rows.len(), largest) {
         return Vec::new();
     }
     let mut starts = Vec::with_capacity(largest + 2);
@@ -236,8 +269,7 @@ fn directory<const W: usize>(rows: &[Row<W>]) -> Vec<u32> {
 /// The directory after a change; `rows` are those after it.
 fn patch_directory<const W: usize>(old: &[u32], net: &Net<W>, rows: &[Row<W>]) -> Vec<u32> {
     let beyond = net.added.last().is_some_and(|row| row.0[0].0 as usize + 1 >= old.len());
-    let dense = rows.len() >= Index::<W>::DIRECTORY_MIN && old.len() / 4 <= rows.len();
-    if old.is_empty() || beyond || !dense || u32::try_from(rows.len()).is_err() {
+    if old.is_empty() || beyond || !Index::<W>::dense(rows.len(), old.len()) {
         return directory(rows);
     }
     // Everything behind a row that comes moves up by one, everything behind a row that goes moves down.
@@ -323,9 +355,12 @@ mod tests {
                     .collect();
                 noted.sort_unstable();
                 noted.dedup_by_key(|(row, _)| *row);
-                let net = table.net(&noted);
+                let Some((net, rows)) = table.update(&noted) else {
+                    continue;
+                };
                 let expected = merge(&difference(&table.rows, &net.removed), &net.added);
                 assert_eq!(net.added, difference(&expected, &table.rows));
+                assert_eq!(rows, expected);
                 table = table.patched(&specs, &net);
                 assert_eq!(table.rows, expected);
                 let built = Table::new(expected, 2);
