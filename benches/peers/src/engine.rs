@@ -1,0 +1,41 @@
+//! Our engine, as a library.
+
+use crate::case::Facts;
+use logicity::diag::{Sources, render};
+use logicity::engine::Program;
+use logicity::lang::{self, BaseType, Value};
+use logicity::files;
+
+/// How many rows of each of the relations follow.
+pub fn counts(text: &str, facts: &Facts, derived: &[&str]) -> Vec<usize> {
+    let mut sources = Sources::new();
+    let entry = sources.add("program.dl", text);
+    let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
+    let rules = loaded
+        .rules
+        .unwrap_or_else(|| panic!("{}", render(&loaded.diagnostics, &sources, false)));
+    let program = Program::new(rules).expect("the program is small");
+    let mut session = program.session();
+    let relation = |name: &str| program.relation(name).expect("the program has the relation");
+
+    // Where a column holds symbols, the number stands for the symbol interned in that place.
+    let symbolic = |name: &str| program.rules().relations[relation(name).index()].columns[0].base == BaseType::Symbol;
+    if facts.unary.iter().any(|(name, _)| symbolic(name)) {
+        let largest = facts.binary.iter().flat_map(|(_, rows)| rows).map(|&(x, y)| x.max(y)).max();
+        for number in session.symbols().len() as u32..=largest.unwrap_or(0) {
+            session.intern(&format!("agent {number}"));
+        }
+    }
+    for (name, rows) in &facts.unary {
+        let relation = relation(name);
+        rows.iter()
+            .for_each(|&x| session.insert(relation, &[Value(x)]).expect("a base relation"));
+    }
+    for (name, rows) in &facts.binary {
+        let relation = relation(name);
+        rows.iter()
+            .for_each(|&(x, y)| session.insert(relation, &[Value(x), Value(y)]).expect("a base relation"));
+    }
+    session.commit().expect("within the limit");
+    derived.iter().map(|name| session.len(relation(name))).collect()
+}
