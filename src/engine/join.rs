@@ -1,7 +1,7 @@
 //! Runs the steps of a plan: one pipelined nested-loop join over sorted rows, without intermediate relations.
 
 use crate::engine::plan::{Plan, Slot, Step};
-use crate::engine::row::{Batch, Row, normalise};
+use crate::engine::row::{Batch, Row, gallop, normalise};
 use crate::lang::{BaseType, Comparison, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
@@ -19,6 +19,14 @@ impl<'a, const W: usize> View<'a, W> {
         first: Batch { rows: &[], starts: &[] },
         rest: Vec::new(),
     };
+
+    /// Of one batch.
+    pub(super) fn of(batch: Batch<'a, W>) -> Self {
+        View {
+            first: batch,
+            rest: Vec::new(),
+        }
+    }
 
     fn batches(&self) -> impl Iterator<Item = &Batch<'a, W>> {
         std::iter::once(&self.first).chain(&self.rest)
@@ -40,9 +48,35 @@ pub(super) struct Output<const W: usize> {
     limit: usize,
 }
 
-/// More distinct rows were derived than the limit allows.
+/// Why an evaluation was given up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Overflow;
+pub(super) enum Stop {
+    /// More distinct rows were derived than the limit allows.
+    Overflow,
+    /// More rows were looked at than allowed.
+    Budget,
+}
+
+/// What evaluations need besides their inputs, and how much they did.
+#[derive(Debug)]
+pub(super) struct Effort {
+    slots: Vec<Value>,
+    /// Rows that scans and tests looked at.
+    pub(super) looked_at: u64,
+    /// More than this is too much.
+    pub(super) budget: u64,
+}
+
+impl Effort {
+    /// None yet.
+    pub(super) fn new(budget: u64) -> Self {
+        Effort {
+            slots: Vec::new(),
+            looked_at: 0,
+            budget,
+        }
+    }
+}
 
 impl<const W: usize> Output<W> {
     /// Words of derived rows that are kept before repetitions are looked for: 128 MiB.
@@ -58,8 +92,16 @@ impl<const W: usize> Output<W> {
         }
     }
 
+    /// These distinct rows, as if they had been derived.
+    pub(super) fn of(rows: Vec<Row<W>>, limit: usize) -> Self {
+        Output {
+            rows,
+            ..Self::new(limit)
+        }
+    }
+
     #[inline]
-    fn push(&mut self, row: Row<W>) -> Result<(), Overflow> {
+    fn push(&mut self, row: Row<W>) -> Result<(), Stop> {
         self.rows.push(row);
         self.pushed += 1;
         if self.rows.len() >= self.compact_at {
@@ -70,10 +112,10 @@ impl<const W: usize> Output<W> {
     }
 
     #[cold]
-    fn compact(&mut self) -> Result<(), Overflow> {
+    fn compact(&mut self) -> Result<(), Stop> {
         normalise(&mut self.rows);
         if self.rows.len() > self.limit {
-            return Err(Overflow);
+            return Err(Stop::Overflow);
         }
         self.compact_at = self.compact_at.max(self.rows.len().saturating_mul(2));
         Ok(())
@@ -92,19 +134,23 @@ pub(super) fn run<const W: usize>(
     plan: &Plan,
     views: &[View<'_, W>],
     symbols: &Symbols,
-    scratch: &mut Vec<Value>,
+    effort: &mut Effort,
     out: &mut Output<W>,
-) -> Result<(), Overflow> {
-    scratch.clear();
-    scratch.extend_from_slice(&plan.slots);
+) -> Result<(), Stop> {
+    effort.slots.clear();
+    effort.slots.extend_from_slice(&plan.slots);
     let mut join = Join {
         plan,
         views,
         symbols,
-        slots: scratch,
+        slots: &mut effort.slots,
+        looked_at: effort.looked_at,
+        budget: effort.budget,
         out,
     };
-    join.from(0).map(|_| ())
+    let result = join.from(0);
+    effort.looked_at = join.looked_at;
+    result.map(|_| ())
 }
 
 struct Join<'a, const W: usize> {
@@ -112,23 +158,30 @@ struct Join<'a, const W: usize> {
     views: &'a [View<'a, W>],
     symbols: &'a Symbols,
     slots: &'a mut [Value],
+    looked_at: u64,
+    budget: u64,
     out: &'a mut Output<W>,
 }
 
 impl<const W: usize> Join<'_, W> {
     /// Does the steps from `depth` on and says whether they succeeded at least once.
-    fn from(&mut self, depth: usize) -> Result<bool, Overflow> {
+    fn from(&mut self, depth: usize) -> Result<bool, Stop> {
         let plan = self.plan;
-        let views = self.views;
         let mut depth = depth;
         loop {
             let Some(step) = plan.steps.get(depth) else {
                 return self.emit();
             };
             let passed = match step {
-                Step::Scan { key, bind, check, .. } => return self.scan(depth, key, bind, check),
-                Step::Exists { key, .. } => views[depth].holds(&self.key(key)[..key.len()]),
-                Step::Absent { key, .. } => !views[depth].holds(&self.key(key)[..key.len()]),
+                Step::Scan {
+                    key,
+                    bind,
+                    check,
+                    distinct,
+                    ..
+                } => return self.scan(depth, key, (bind, check), *distinct as usize),
+                Step::Exists { key, .. } => self.holds(depth, key),
+                Step::Absent { key, .. } => !self.holds(depth, key),
                 Step::Copy { to, from } => {
                     self.slots[*to as usize] = self.slots[*from as usize];
                     true
@@ -148,20 +201,35 @@ impl<const W: usize> Join<'_, W> {
         }
     }
 
+    #[inline]
+    fn holds(&mut self, depth: usize, key: &[Slot]) -> bool {
+        self.looked_at += 1;
+        self.views[depth].holds(&self.key(key)[..key.len()])
+    }
+
     fn scan(
         &mut self,
         depth: usize,
         key: &[Slot],
-        bind: &[(u16, Slot)],
-        check: &[(u16, Slot)],
-    ) -> Result<bool, Overflow> {
+        (bind, check): (&[(u16, Slot)], &[(u16, Slot)]),
+        distinct: usize,
+    ) -> Result<bool, Stop> {
+        if self.looked_at > self.budget {
+            return Err(Stop::Budget);
+        }
         let views = self.views;
         let words = self.key(key);
         let last = depth + 1 == self.plan.steps.len();
         let once = depth >= self.plan.settled;
         let mut any = false;
         for batch in views[depth].batches() {
-            for row in batch.range(&words[..key.len()]) {
+            let mut rest = batch.range(&words[..key.len()]);
+            while let Some((row, others)) = rest.split_first() {
+                rest = others;
+                if distinct > 0 {
+                    rest = &rest[gallop(rest, |other| other.0[..distinct] == row.0[..distinct])..];
+                }
+                self.looked_at += 1;
                 for &(column, slot) in bind {
                     self.slots[slot as usize] = row.0[column as usize];
                 }
@@ -183,7 +251,7 @@ impl<const W: usize> Join<'_, W> {
     }
 
     #[inline]
-    fn emit(&mut self) -> Result<bool, Overflow> {
+    fn emit(&mut self) -> Result<bool, Stop> {
         let row = self.key(&self.plan.output);
         self.out.push(Row(row))?;
         Ok(true)

@@ -154,61 +154,6 @@ fn narrow<'a, const W: usize>(rows: &'a [Row<W>], rest: &[Value]) -> &'a [Row<W>
     &rows[..gallop(rows, |row| key(row).is_eq())]
 }
 
-/// A relation's rows in another order of columns, or just a directory over its own order.
-#[derive(Clone, Debug)]
-pub(super) struct Index<const W: usize> {
-    /// Projected rows; `None` if the relation's own rows serve.
-    rows: Option<Vec<Row<W>>>,
-    starts: Vec<u32>,
-}
-
-impl<const W: usize> Index<W> {
-    /// Below this number of rows a binary search costs no more than a directory.
-    const DIRECTORY_MIN: usize = 512;
-
-    /// An index over `rows` by `columns`; `own` if those are all columns in their own order.
-    pub(super) fn build(rows: &[Row<W>], columns: &[u16], own: bool) -> Self {
-        let projected = (!own).then(|| project(rows, columns));
-        let starts = directory(projected.as_deref().unwrap_or(rows));
-        Index {
-            rows: projected,
-            starts,
-        }
-    }
-
-    /// The searchable list; `own` are the relation's rows.
-    pub(super) fn batch<'a>(&'a self, own: &'a [Row<W>]) -> Batch<'a, W> {
-        Batch {
-            rows: self.rows.as_deref().unwrap_or(own),
-            starts: &self.starts,
-        }
-    }
-}
-
-/// The rows with only the given columns, in their order; sorted, without repetitions.
-pub(super) fn project<const W: usize>(rows: &[Row<W>], columns: &[u16]) -> Vec<Row<W>> {
-    let mut projected: Vec<Row<W>> = rows.iter().map(|row| row.project(columns)).collect();
-    normalise(&mut projected);
-    projected
-}
-
-/// Direct addressing by the first word, if the words are dense enough (symbols are: they are numbered from zero).
-fn directory<const W: usize>(rows: &[Row<W>]) -> Vec<u32> {
-    let Some(last) = rows.last() else { return Vec::new() };
-    let largest = last.0[0].0 as usize;
-    if rows.len() < Index::<W>::DIRECTORY_MIN || largest / 4 > rows.len() || u32::try_from(rows.len()).is_err() {
-        return Vec::new();
-    }
-    let mut starts = Vec::with_capacity(largest + 2);
-    for (position, row) in rows.iter().enumerate() {
-        while starts.len() <= row.0[0].0 as usize {
-            starts.push(position as u32);
-        }
-    }
-    starts.push(rows.len() as u32);
-    starts
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -233,32 +178,6 @@ mod tests {
         check::<3>();
         check::<4>();
         check::<8>();
-    }
-
-    #[test]
-    fn searches_agree_with_and_without_a_directory() {
-        let mut list = rows::<3>(&[]);
-        for a in (0..300).filter(|a| a % 7 != 3) {
-            for b in 0..a % 5 {
-                list.push(Row([Value(a), Value(b), Value(a ^ b)]));
-            }
-        }
-        normalise(&mut list);
-        let index = Index::build(&list, &[0, 1, 2], true);
-        assert!(!index.starts.is_empty());
-        for a in 0..400 {
-            for b in 0..6 {
-                let expected: Vec<_> = list.iter().filter(|row| row.0[..2] == [Value(a), Value(b)]).collect();
-                for batch in [Batch::plain(&list), index.batch(&list)] {
-                    assert!(batch.range(&[Value(a), Value(b)]).iter().eq(expected.iter().copied()));
-                }
-            }
-            let expected: Vec<_> = list.iter().filter(|row| row.0[0] == Value(a)).collect();
-            for batch in [Batch::plain(&list), index.batch(&list)] {
-                assert!(batch.range(&[Value(a)]).iter().eq(expected.iter().copied()));
-            }
-        }
-        assert!(index.batch(&list).range(&[Value(u32::MAX)]).is_empty());
     }
 
     #[test]
