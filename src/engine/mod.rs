@@ -27,6 +27,7 @@ mod maintain;
 pub mod naive;
 mod plan;
 mod row;
+mod seen;
 mod table;
 
 use crate::diag::Diagnostic;
