@@ -5,7 +5,8 @@
 //! datafrog's want their number and the types of their rows at compile time.
 
 use crate::engine::join::{self, Effort, Output, Stop, View};
-use crate::engine::plan::{IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
+use crate::engine::estimate::{self, Shape};
+use crate::engine::plan::{ClausePlans, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Row, difference, merge, normalise};
 use crate::engine::table::{Net, Table, project};
 use crate::engine::{Compiled, Delta, EvalError, Rows, RuleWork, Strategy, StratumWork, Work, WorkLog};
@@ -372,13 +373,23 @@ impl<const W: usize> State<W> {
                 if total > room {
                     return Err((clause, Stop::Overflow));
                 }
-                for (over, plan) in &plans.clauses[clause.index()].deltas {
+                let ClausePlans { deltas, detours, .. } = &plans.clauses[clause.index()];
+                for ((over, plan), detours) in deltas.iter().zip(detours) {
                     let (Some(over), Some(head)) = (plans.member[over.index()], plans.member[plan.head.index()]) else {
                         continue;
                     };
                     if held[over].new.is_empty() {
                         continue;
                     }
+                    let shape = |source: Source| {
+                        let relation = plans.indexes[source.index.index()].relation;
+                        let table = &self.tables[relation.index()];
+                        match plans.member[relation.index()] {
+                            Some(member) if source.version != Version::Complete => recursion.shape(&held, member, source.version),
+                            _ => Shape::of(&table.rows),
+                        }
+                    };
+                    let plan = estimate::choose(plan, detours, &plans.indexes, &shape);
                     let view = |step: &Step| match step.source() {
                         None => View::NONE,
                         Some(source) if source.version == Version::Complete => self.complete_view(plans, source),
@@ -628,6 +639,16 @@ impl<'b, const W: usize> Recursion<'b, W> {
             Some(first) => View { first, rest: batches },
             None => View::NONE,
         }
+    }
+
+    /// How many rows of a member a step looks at, and how their words are spread.
+    fn shape(&self, held: &[Held<'_, W>], member: usize, version: Version) -> Shape<W> {
+        let (with_old, with_new) = (version != Version::New, version != Version::Old);
+        let base = self.base.filter(|_| with_old).map(|base| &base[member].rows[..]);
+        let Held { stable, new } = &held[member];
+        let stable = stable.iter().filter(|_| with_old).map(|rows| &rows[..]);
+        let lists = base.into_iter().chain(stable).chain(with_new.then_some(&new[..]));
+        lists.map(Shape::of).fold(Shape::default(), Shape::with)
     }
 
     /// The rows that came. Only after [`Recursion::advance`] has said that nothing is new.

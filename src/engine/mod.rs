@@ -20,6 +20,7 @@
 //!
 //! This module refuses to know what a city, an agent or an ego is. It does no I/O and is deterministic.
 
+mod estimate;
 mod exec;
 pub mod facts;
 mod join;
