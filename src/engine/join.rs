@@ -138,6 +138,26 @@ impl<const W: usize> Output<W> {
         if self.rows.len() >= self.act_at { self.act() } else { Ok(()) }
     }
 
+    /// Pushes rows that are like `row` but for one word, which they have from a column of the rows found.
+    #[inline]
+    fn push_along(&mut self, mut row: Row<W>, word: usize, found: &[Row<W>], column: usize) -> Result<(), Stop> {
+        let mut rest = found;
+        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
+            let (added, new) = seen.keep_along(row, word, found.iter().map(|other| other.0[column]));
+            self.pushed += added as u64;
+            self.kept += new;
+            if self.kept > self.limit {
+                return Err(Stop::Overflow);
+            }
+            rest = &found[added..];
+        }
+        for other in rest {
+            row.0[word] = other.0[column];
+            self.push(row)?;
+        }
+        Ok(())
+    }
+
     /// Goes back to a plain list.
     #[cold]
     fn unmark(&mut self) {
@@ -329,10 +349,7 @@ impl<const W: usize> Join<'_, W> {
             any |= !found.is_empty();
             self.looked_at += found.len() as u64;
             if let [(word, column)] = moves[..count] {
-                for other in found {
-                    row.0[word] = other.0[column];
-                    self.out.push(row)?;
-                }
+                self.out.push_along(row, word, found, column)?;
             } else {
                 for other in found {
                     for &(word, column) in &moves[..count] {

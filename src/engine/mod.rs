@@ -260,17 +260,19 @@ pub struct Rows {
 }
 
 impl Rows {
-    fn with_capacity(arity: usize, rows: usize) -> Self {
+    /// Of rows that have at least so many words.
+    fn of<const W: usize>(arity: usize, rows: Vec<[Value; W]>) -> Self {
         Rows {
             arity,
-            len: 0,
-            words: Vec::with_capacity(arity * rows),
+            len: rows.len(),
+            words: if arity == W {
+                rows.into_flattened()
+            } else {
+                let mut words = Vec::with_capacity(arity * rows.len());
+                rows.iter().for_each(|row| words.extend_from_slice(&row[..arity]));
+                words
+            },
         }
-    }
-
-    fn push(&mut self, row: &[Value]) {
-        self.words.extend_from_slice(row);
-        self.len += 1;
     }
 
     /// How many there are.

@@ -94,6 +94,34 @@ impl<const W: usize> Seen<W> {
         Added::New
     }
 
+    /// Adds rows that are like `row` but for one word, while new rows are kept as bits. Says how many were added until one was
+    /// beyond, and how many of those were new.
+    #[inline]
+    pub(super) fn keep_along(&mut self, mut row: Row<W>, column: usize, words: impl Iterator<Item = Value>) -> (usize, usize) {
+        row.0[column] = Value(0);
+        let Some((base, mask)) = self.bit(&row) else {
+            return (0, 0);
+        };
+        let base = base as u64 * 64 + u64::from(mask.trailing_zeros());
+        let (bound, stride) = (self.bounds[column], self.strides[column]);
+        let (known, fresh) = (&mut self.known[..], &mut self.fresh[..]);
+        let (mut added, mut new) = (0, 0);
+        for value in words {
+            if value.0 >= bound {
+                break;
+            }
+            let at = base + u64::from(value.0) * stride;
+            let (word, mask) = ((at / 64) as usize, 1 << (at % 64));
+            if known[word] & mask == 0 {
+                known[word] |= mask;
+                fresh[word] |= mask;
+                new += 1;
+            }
+            added += 1;
+        }
+        (added, new)
+    }
+
     /// Whether so many rows are better kept as bits than in a list that has to be sorted.
     pub(super) fn prefers_bits(&self, rows: usize) -> bool {
         rows / 4 > self.known.len() / 64
@@ -160,6 +188,19 @@ mod tests {
                     Added::New => assert!(expected.insert(plain) && fresh.insert(plain)),
                     Added::Beyond => assert!(!expected.contains(&plain)),
                 }
+            }
+            for first in 0..words {
+                let mut row = Row::ZERO;
+                row.0[0] = Value(first);
+                let bound = seen.bounds[W - 1];
+                let (added, new) = seen.keep_along(row, W - 1, (0..words).map(Value));
+                assert!(added == if first < seen.bounds[0] { bound.min(words) as usize } else { 0 });
+                let inserted = (0..added as u32).filter(|&last| {
+                    let mut plain = [0; W];
+                    (plain[0], plain[W - 1]) = (first, last);
+                    expected.insert(plain) && fresh.insert(plain)
+                });
+                assert_eq!(inserted.count(), new);
             }
             let drained = seen.drain(fresh.len()).into_iter().map(|row| row.0.map(|word| word.0));
             assert!(drained.eq(fresh));
