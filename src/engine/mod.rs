@@ -29,6 +29,7 @@ pub mod naive;
 mod plan;
 mod row;
 mod seen;
+mod show;
 mod table;
 
 use crate::diag::Diagnostic;
