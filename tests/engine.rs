@@ -61,7 +61,9 @@ fn check_script(genome: &Genome) -> Result<(), TestCaseError> {
     }
 
     // The same change there and back again: nothing happens. There, then back: what happened is undone.
-    let Some(last) = genome.script.len().checked_sub(1) else { return Ok(()) };
+    let Some(last) = genome.script.len().checked_sub(1) else {
+        return Ok(());
+    };
     for (_, session) in &mut sessions {
         let batch = genome.batch(&rules, last);
         let known: Vec<bool> = batch.iter().map(|(_, rel, row)| session.contains(*rel, row)).collect();
@@ -99,11 +101,7 @@ fn check_script(genome: &Genome) -> Result<(), TestCaseError> {
 }
 
 /// Commits; the session holds `after`, and its delta is the difference to `before`.
-fn check_commit(
-    session: &mut Session,
-    before: &naive::Database,
-    after: &naive::Database,
-) -> Result<(), TestCaseError> {
+fn check_commit(session: &mut Session, before: &naive::Database, after: &naive::Database) -> Result<(), TestCaseError> {
     let delta = session.commit().unwrap();
     prop_assert_eq!(&database(session), after);
     for (rel, (before, after)) in before.iter().zip(after).enumerate() {
@@ -363,7 +361,13 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
     insert(&mut session, "Old", &[&[10], &[20]]);
     session.commit().unwrap();
     assert_eq!(shown(&session, "Stop"), "9, 19");
-    assert!(session.work().strata.iter().all(|work| matches!(work, StratumWork::Recomputed(_))));
+    assert!(
+        session
+            .work()
+            .strata
+            .iter()
+            .all(|work| matches!(work, StratumWork::Recomputed(_)))
+    );
 
     // One more row: one clause runs, on one row, and finds one head that was not known. So one row of `Go` is in doubt, which
     // its clause is asked about: lost, and not derived again.
@@ -379,7 +383,10 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
     insert(&mut session, "Old", &[&[500]]);
     assert_eq!(session.commit().unwrap().changes().len(), 1);
     assert_eq!(ran(&session), [(0, 1, 0)]);
-    assert!(matches!(session.work().strata[..], [StratumWork::Maintained(_), StratumWork::Skipped]));
+    assert!(matches!(
+        session.work().strata[..],
+        [StratumWork::Maintained(_), StratumWork::Skipped]
+    ));
 
     // The row goes; the head in doubt has another reason, and the change ends there.
     retract(&mut session, "Old", &[&[500]]);
@@ -443,10 +450,10 @@ fn a_large_change_is_recomputed_and_a_small_one_maintained() {
     (0..9).for_each(|chain| insert(&mut session, "Edge", &[&[chain * 30 + 29, chain * 30 + 30]]));
     session.commit().unwrap();
     assert_eq!(maintained(&session), "Rr");
-    // Most edges go: it does not look cheap.
-    (0..250).for_each(|x| retract(&mut session, "Edge", &[&[x, x + 1]]));
+    // Nearly all marks change: it does not look cheap.
+    (6..290).for_each(|x| insert(&mut session, "Mark", &[&[x]]));
     session.commit().unwrap();
-    assert_eq!(maintained(&session).chars().next(), Some('r'));
+    assert_eq!(maintained(&session), "-r");
 }
 
 #[test]

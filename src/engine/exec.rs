@@ -325,7 +325,13 @@ impl<const W: usize> State<W> {
             // A clause over the stratum itself derives nothing before there is something.
             if plan.deltas.is_empty() {
                 let views = self.complete_views(plans, &plan.complete);
-                meter.run(clause, &plan.complete, (&views, 0), commit.symbols, &mut outputs[member])?;
+                meter.run(
+                    clause,
+                    &plan.complete,
+                    (&views, 0),
+                    commit.symbols,
+                    &mut outputs[member],
+                )?;
             }
         }
         if stratum.recursive {

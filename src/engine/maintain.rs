@@ -101,7 +101,13 @@ impl<const W: usize> State<W> {
                 let rows = if change.negated { &net.added } else { &net.removed };
                 if let (false, Some(head)) = (rows.is_empty(), plans.member[change.plan.head.index()]) {
                     let views = views(commit, &change.plan, rows, None, &before);
-                    meter.run(clause, &change.plan, (&views, rows.len()), commit.symbols, &mut outputs[head])?;
+                    meter.run(
+                        clause,
+                        &change.plan,
+                        (&views, rows.len()),
+                        commit.symbols,
+                        &mut outputs[head],
+                    )?;
                 }
             }
         }
@@ -115,7 +121,9 @@ impl<const W: usize> State<W> {
         let mut rounds = 0;
         loop {
             for (variable, output) in variables.iter().zip(&mut outputs) {
-                variable.insert(Relation { elements: output.take() });
+                variable.insert(Relation {
+                    elements: output.take(),
+                });
             }
             if !iteration.changed() {
                 break;
@@ -124,12 +132,21 @@ impl<const W: usize> State<W> {
             for &clause in &stratum.clauses {
                 let recursive = |change: &&ChangePlan| stratum.members.contains(&change.over);
                 for change in plans.clauses[clause.index()].changes.iter().filter(recursive) {
-                    let member = (plans.member[change.over.index()], plans.member[change.plan.head.index()]);
+                    let member = (
+                        plans.member[change.over.index()],
+                        plans.member[change.plan.head.index()],
+                    );
                     let (Some(over), Some(head)) = member else { continue };
                     let rows = variables[over].recent.borrow();
                     if !rows.is_empty() {
                         let views = views(commit, &change.plan, &rows, None, &before);
-                        meter.run(clause, &change.plan, (&views, rows.len()), commit.symbols, &mut outputs[head])?;
+                        meter.run(
+                            clause,
+                            &change.plan,
+                            (&views, rows.len()),
+                            commit.symbols,
+                            &mut outputs[head],
+                        )?;
                     }
                 }
             }
@@ -184,7 +201,13 @@ impl<const W: usize> State<W> {
                 let rows = if change.negated { &net.removed } else { &net.added };
                 if let (false, Some(head)) = (rows.is_empty(), plans.member[change.plan.head.index()]) {
                     let views = views(commit, &change.plan, rows, Some(base[head]), &now);
-                    meter.run(clause, &change.plan, (&views, rows.len()), commit.symbols, &mut outputs[head])?;
+                    meter.run(
+                        clause,
+                        &change.plan,
+                        (&views, rows.len()),
+                        commit.symbols,
+                        &mut outputs[head],
+                    )?;
                 }
             }
         }

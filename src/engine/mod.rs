@@ -411,7 +411,10 @@ impl WorkLog {
 
     /// What each clause did that ran, in the order of the strata.
     pub fn rules(&self) -> impl Iterator<Item = &RuleWork> {
-        self.strata.iter().filter_map(StratumWork::work).flat_map(|work| &work.rules)
+        self.strata
+            .iter()
+            .filter_map(StratumWork::work)
+            .flat_map(|work| &work.rules)
     }
 }
 

@@ -368,6 +368,7 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
             detours.push(others);
         }
     }
+    // In maintenance a recursive relation is no longer small, as it is when a computation from scratch begins.
     let mut changes = Vec::new();
     let mut check = None;
     if clause.body.len() <= MAINTAINED_LITERALS_MAX {
@@ -383,10 +384,16 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
             changes.push(ChangePlan {
                 over: atom.relation,
                 negated: matches!(literal, Literal::Negative(_)),
-                plan: Planner::new(clause, indexer).plan(First::Change(position), &version)?,
+                plan: Planner::new(clause, indexer)
+                    .large(stratum)
+                    .plan(First::Change(position), &version)?,
             });
         }
-        check = Some(Planner::new(clause, indexer).plan(First::Head, &|_| Version::Complete)?);
+        check = Some(
+            Planner::new(clause, indexer)
+                .large(stratum)
+                .plan(First::Head, &|_| Version::Complete)?,
+        );
     }
     Ok(ClausePlans {
         complete,
@@ -413,6 +420,8 @@ enum First {
 struct Planner<'a> {
     clause: &'a Clause,
     indexer: &'a mut Indexer,
+    /// Relations that are probably larger than others.
+    large: &'a [RelId],
     slots: Vec<Value>,
     /// By variable.
     bound: Vec<bool>,
@@ -435,6 +444,7 @@ impl<'a> Planner<'a> {
         Planner {
             clause,
             indexer,
+            large: &[],
             slots: vec![Value(0); clause.variables.len()],
             bound: vec![false; clause.variables.len()],
             uses,
@@ -442,6 +452,10 @@ impl<'a> Planner<'a> {
             steps: Vec::new(),
             repeated: false,
         }
+    }
+
+    fn large(self, large: &'a [RelId]) -> Self {
+        Planner { large, ..self }
     }
 
     fn plan(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<Plan, Diagnostic> {
@@ -624,7 +638,8 @@ impl<'a> Planner<'a> {
         self.steps.push(Step::Copy { to, from });
     }
 
-    /// The atom to scan next: connected to what is bound, then the fewest new variables, then the most bound columns.
+    /// The atom to scan next: connected to what is bound, then the fewest new variables, then the most bound columns, then one
+    /// that is not probably large.
     fn next_atom(&self) -> Option<usize> {
         let cost = |position: usize| match &self.clause.body[position] {
             Literal::Positive(atom) | Literal::Guard(atom) => {
@@ -634,12 +649,13 @@ impl<'a> Planner<'a> {
                 new.sort_unstable();
                 new.dedup();
                 let known = atom.terms.iter().filter(known).count();
-                Some((known == 0, new.len(), std::cmp::Reverse(known), position))
+                let large = self.large.contains(&atom.relation);
+                Some((known == 0, new.len(), std::cmp::Reverse(known), large, position))
             }
             _ => None,
         };
         let best = self.left.iter().filter_map(|&position| cost(position)).min()?;
-        Some(best.3)
+        Some(best.4)
     }
 
     /// Appends a scan of the atom.

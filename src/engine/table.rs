@@ -84,7 +84,9 @@ impl<const W: usize> Table<W> {
     pub(super) fn replaced(&self, specs: &[&IndexSpec], net: &Net<W>, rows: Vec<Row<W>>) -> Table<W> {
         let indexes = self.indexes.iter().zip(specs).map(|(index, spec)| {
             let index = index.get().filter(|_| net.len() <= rows.len() / 2);
-            index.and_then(|index| index.patched(&self.rows, spec, net, &rows)).map_or_else(OnceLock::new, OnceLock::from)
+            index
+                .and_then(|index| index.patched(&self.rows, spec, net, &rows))
+                .map_or_else(OnceLock::new, OnceLock::from)
         });
         Table {
             indexes: indexes.collect(),
@@ -348,7 +350,11 @@ mod tests {
         table.batch(specs[1]);
         for word in 0..u32::from(Index::<2>::IDLE_MAX) + 2 {
             assert!(table.indexes[0].get().is_none());
-            assert_eq!(table.indexes[1].get().is_some(), word < u32::from(Index::<2>::IDLE_MAX) + 2, "{word}");
+            assert_eq!(
+                table.indexes[1].get().is_some(),
+                word < u32::from(Index::<2>::IDLE_MAX) + 2,
+                "{word}"
+            );
             let net = Net {
                 added: vec![Row([Value(200 + word), Value(0)])],
                 removed: Vec::new(),
