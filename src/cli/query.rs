@@ -73,7 +73,10 @@ fn profile(session: &Session, sources: &Sources) -> String {
         .flat_map(|work| work.rules.iter().map(|rule| (work.rounds, rule)))
         .collect();
     rules.sort_by_key(|(_, rule)| std::cmp::Reverse(rule.looked_at));
-    let mut text = format!("{:>13} {:>13} {:>13} {:>7}  clause\n", "new rows in", "looked at", "derived", "rounds");
+    let mut text = format!(
+        "{:>13} {:>13} {:>13} {:>7}  clause\n",
+        "new rows in", "looked at", "derived", "rounds"
+    );
     for (rounds, rule) in rules {
         let clause = session.program().show_clause(rule.clause, sources);
         let RuleWork {

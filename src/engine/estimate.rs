@@ -57,7 +57,8 @@ impl<const W: usize> Shape<W> {
 
     /// How many rows have given words in these columns.
     fn found(&self, columns: &[u16]) -> f64 {
-        let spread = |&column: &u16| f64::from(self.most[column as usize].saturating_sub(self.least[column as usize])) + 1.0;
+        let spread =
+            |&column: &u16| f64::from(self.most[column as usize].saturating_sub(self.least[column as usize])) + 1.0;
         self.rows as f64 / columns.iter().map(spread).product::<f64>()
     }
 }
@@ -113,7 +114,9 @@ mod tests {
 
     #[test]
     fn shapes_add_up() {
-        let rows: Vec<Row<2>> = (0..1000).map(|word| Row([Value(word / 10), Value(5 + word % 10)])).collect();
+        let rows: Vec<Row<2>> = (0..1000)
+            .map(|word| Row([Value(word / 10), Value(5 + word % 10)]))
+            .collect();
         let shape = Shape::of(&rows);
         assert_eq!((shape.rows, shape.least[0], shape.most[0]), (1000, 0, 99));
         assert_eq!(shape.found(&[0]), 10.0);

@@ -4,8 +4,8 @@
 //! *new* for one round, and belong to its *stable* batches afterwards. The joins are our own ([`super::join`]), since
 //! datafrog's want their number and the types of their rows at compile time.
 
-use crate::engine::join::{self, Effort, Output, Stop, View};
 use crate::engine::estimate::{self, Shape};
+use crate::engine::join::{self, Effort, Output, Stop, View};
 use crate::engine::plan::{ClausePlans, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Row, difference, merge, normalise};
 use crate::engine::table::{Net, Table, project};
@@ -372,7 +372,12 @@ impl<const W: usize> State<W> {
             }
             rounds += 1;
             let chosen = self.choose(plans, stratum, &recursion);
-            let sources = || chosen.iter().flat_map(|(_, _, plan)| &plan.steps).filter_map(Step::source);
+            let sources = || {
+                chosen
+                    .iter()
+                    .flat_map(|(_, _, plan)| &plan.steps)
+                    .filter_map(Step::source)
+            };
             recursion.keep(plans, |index| sources().any(|source| source.index == index));
             let held = recursion.hold();
             let known: usize = base.unwrap_or_default().iter().map(|table| table.rows.len()).sum();

@@ -128,14 +128,22 @@ impl<const W: usize> Output<W> {
                 Added::Known => return Ok(()),
                 Added::New if seen.keeps() => {
                     self.kept += 1;
-                    return if self.kept > self.limit { Err(Stop::Overflow) } else { Ok(()) };
+                    return if self.kept > self.limit {
+                        Err(Stop::Overflow)
+                    } else {
+                        Ok(())
+                    };
                 }
                 Added::New => {}
                 Added::Beyond => self.unmark(),
             }
         }
         self.rows.push(row);
-        if self.rows.len() >= self.act_at { self.act() } else { Ok(()) }
+        if self.rows.len() >= self.act_at {
+            self.act()
+        } else {
+            Ok(())
+        }
     }
 
     /// Pushes rows that are like `row` but for one word, which they have from a column of the rows found.
@@ -189,7 +197,12 @@ impl<const W: usize> Output<W> {
         if self.rows.len().max(self.kept) > self.limit {
             return Err(Stop::Overflow);
         }
-        self.act_at = self.rows.len().saturating_mul(2).max(Self::SEEN_MIN).min(self.compact_at);
+        self.act_at = self
+            .rows
+            .len()
+            .saturating_mul(2)
+            .max(Self::SEEN_MIN)
+            .min(self.compact_at);
         Ok(())
     }
 
@@ -393,5 +406,72 @@ pub(super) fn compare(symbols: &Symbols, op: Comparison, left: Value, right: Val
         Comparison::LessEqual => order().is_le(),
         Comparison::Greater => order().is_gt(),
         Comparison::GreaterEqual => order().is_ge(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn an_output_holds_what_was_pushed() {
+        let mut state = 5_u32;
+        let mut random = move |below: u32| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 4) % below
+        };
+        // Dense words, then larger ones, then some for which there are no bits.
+        for phases in [
+            &[40, 40, 300, 300, 2_000][..],
+            &[3_000, 20, 100_000_000, 20, 20],
+            &[1, 1],
+        ] {
+            let mut out = Output::<2>::new(usize::MAX);
+            let mut before: BTreeSet<Row<2>> = BTreeSet::new();
+            for &words in phases {
+                let mut pushed: BTreeSet<Row<2>> = BTreeSet::new();
+                for _ in 0..20_000 {
+                    if random(10) == 0 {
+                        let first = Value(random(words));
+                        let found: Vec<Row<2>> =
+                            (0..random(50)).map(|_| Row([Value(0), Value(random(words))])).collect();
+                        pushed.extend(found.iter().map(|row| Row([first, row.0[1]])));
+                        out.push_along(Row([first, Value(9)]), 1, &found, 1).unwrap();
+                    } else {
+                        let row = Row([Value(random(words)), Value(random(words))]);
+                        pushed.insert(row);
+                        out.push(row).unwrap();
+                    }
+                }
+                let taken = out.take();
+                assert!(out.is_empty());
+                assert!(taken.is_sorted_by(|a, b| a < b));
+                assert!(taken.iter().all(|row| pushed.contains(row)));
+                let taken: BTreeSet<Row<2>> = taken.into_iter().collect();
+                assert!(pushed.iter().all(|row| taken.contains(row) || before.contains(row)));
+                before.extend(pushed);
+            }
+        }
+    }
+
+    #[test]
+    fn an_output_is_limited() {
+        for words in [1_000, 1_000_000_000] {
+            let mut out = Output::<2>::new(10_000);
+            let mut pushed = 0;
+            while pushed < 100_000
+                && out
+                    .push(Row([Value(pushed / 100 * (words / 1_000)), Value(pushed % 100)]))
+                    .is_ok()
+            {
+                pushed += 1;
+            }
+            assert!((10_000..20_000).contains(&pushed), "{pushed}");
+            let mut out = Output::<2>::new(10_000);
+            let again = (0..100_000_u32).map(|n| Row([Value(n % 10_000 * (words / 10_000).max(1)), Value(7)]));
+            assert!(again.map(|row| out.push(row)).all(|result| result.is_ok()));
+            assert!(out.take().len() <= 10_000);
+        }
     }
 }

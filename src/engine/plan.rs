@@ -123,9 +123,9 @@ pub(super) struct Plan {
 impl Plan {
     /// Whether it goes through all new rows again and again.
     fn searches_new(&self) -> bool {
-        self.steps.iter().any(|step| {
-            matches!(step, Step::Scan { source, key, .. } if source.version == Version::New && key.is_empty())
-        })
+        self.steps.iter().any(
+            |step| matches!(step, Step::Scan { source, key, .. } if source.version == Version::New && key.is_empty()),
+        )
     }
 }
 
@@ -352,7 +352,8 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
         let plan = Planner::new(clause, indexer).plan(First::Literal(delta), &version)?;
         let mut others = Vec::new();
         for (position, literal) in clause.body.iter().enumerate() {
-            let finished = matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
+            let finished =
+                matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
             if finished && clause.body.len() <= DETOUR_LITERALS_MAX {
                 let other = Planner::new(clause, indexer).plan(First::Literal(position), &version)?;
                 // An index over a relation that grows has to be kept up; a detour must do without.
@@ -556,7 +557,18 @@ impl<'a> Planner<'a> {
     /// Places every literal that binds no variable by a scan and whose variables are bound.
     fn place_tests(&mut self, version: &dyn Fn(usize) -> Version) {
         // An equality may bind what an earlier literal waits for.
-        while let Some(position) = (self.left.iter().copied()).find(|&position| self.is_ready(position)) {
+        // A comparison costs less than finding a row, and a short row is found faster than a long one.
+        let clause = self.clause;
+        let cost = |position: usize| atom_of(&clause.body[position]).map_or(0, |atom| atom.terms.len());
+        let ready = |planner: &Self| {
+            let ready = planner
+                .left
+                .iter()
+                .copied()
+                .filter(|&position| planner.is_ready(position));
+            ready.min_by_key(|&position| cost(position))
+        };
+        while let Some(position) = ready(self) {
             self.placed(position);
             match &self.clause.body[position] {
                 Literal::Positive(atom) | Literal::Guard(atom) => {

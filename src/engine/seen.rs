@@ -97,7 +97,12 @@ impl<const W: usize> Seen<W> {
     /// Adds rows that are like `row` but for one word, while new rows are kept as bits. Says how many were added until one was
     /// beyond, and how many of those were new.
     #[inline]
-    pub(super) fn keep_along(&mut self, mut row: Row<W>, column: usize, words: impl Iterator<Item = Value>) -> (usize, usize) {
+    pub(super) fn keep_along(
+        &mut self,
+        mut row: Row<W>,
+        column: usize,
+        words: impl Iterator<Item = Value>,
+    ) -> (usize, usize) {
         row.0[column] = Value(0);
         let Some((base, mask)) = self.bit(&row) else {
             return (0, 0);
@@ -194,7 +199,14 @@ mod tests {
                 row.0[0] = Value(first);
                 let bound = seen.bounds[W - 1];
                 let (added, new) = seen.keep_along(row, W - 1, (0..words).map(Value));
-                assert!(added == if first < seen.bounds[0] { bound.min(words) as usize } else { 0 });
+                assert!(
+                    added
+                        == if first < seen.bounds[0] {
+                            bound.min(words) as usize
+                        } else {
+                            0
+                        }
+                );
                 let inserted = (0..added as u32).filter(|&last| {
                     let mut plain = [0; W];
                     (plain[0], plain[W - 1]) = (first, last);

@@ -84,8 +84,13 @@ impl Program {
                     format!("scan   {}", self.show_lookup(*source, &terms, key.len(), &value))
                 }
                 Step::Exists { source, key } | Step::Absent { source, key } => {
-                    let terms: Vec<(u16, Slot)> = key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot)).collect();
-                    let what = if matches!(step, Step::Exists { .. }) { "exists" } else { "absent" };
+                    let terms: Vec<(u16, Slot)> =
+                        key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot)).collect();
+                    let what = if matches!(step, Step::Exists { .. }) {
+                        "exists"
+                    } else {
+                        "absent"
+                    };
                     format!("{what} {}", self.show_lookup(*source, &terms, key.len(), &value))
                 }
                 Step::Copy { to, from } => {
@@ -120,7 +125,9 @@ impl Program {
             atom[column] = value(slot, relation.columns[column].base);
         }
         let columns = |range: &[u16]| {
-            let names = range.iter().map(|&column| relation.columns[column as usize].name.as_str());
+            let names = range
+                .iter()
+                .map(|&column| relation.columns[column as usize].name.as_str());
             names.collect::<Vec<_>>().join(", ")
         };
         let mut text = format!("{}({})", relation.name, atom.join(", "));

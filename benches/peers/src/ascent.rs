@@ -131,7 +131,12 @@ pub fn counts(case: Case, facts: &Facts) -> Vec<usize> {
             program.right_of = binary("RightOf");
             program.sees = binary("Sees");
             program.run();
-            vec![program.stop.len(), program.slow.len(), program.fast.len(), program.normal.len()]
+            vec![
+                program.stop.len(),
+                program.slow.len(),
+                program.fast.len(),
+                program.normal.len(),
+            ]
         }
     }
 }

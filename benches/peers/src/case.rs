@@ -98,7 +98,9 @@ impl Case {
                 let edges = (0..6_000).map(|_| (below(2_000), below(2_000)));
                 facts.binary.push(("Edge", distinct(edges)));
             }
-            Case::Chain => facts.binary.push(("Edge", (1..2_000).map(|node| (node - 1, node)).collect())),
+            Case::Chain => facts
+                .binary
+                .push(("Edge", (1..2_000).map(|node| (node - 1, node)).collect())),
             Case::Generation => {
                 let parents = (1..4_000u32).map(|child| (child, below(child)));
                 facts.binary.push(("Parent", distinct(parents)));
@@ -133,7 +135,9 @@ fn city(facts: &mut Facts, below: &mut impl FnMut(u32) -> u32) {
     ];
     const BINARY: [&str; 6] = ["IsClose", "NextTo", "HigherPri", "CollidingClose", "LeftOf", "RightOf"];
     for name in UNARY {
-        facts.unary.push((name, (0..AGENTS).filter(|_| below(4) == 0).collect()));
+        facts
+            .unary
+            .push((name, (0..AGENTS).filter(|_| below(4) == 0).collect()));
     }
     let mut seen: Vec<Pair> = (0..AGENTS).map(|agent| (agent, agent)).collect();
     for agent in 0..AGENTS {
@@ -174,7 +178,10 @@ mod tests {
     fn the_city_is_that_of_the_expert_rules() {
         let facts = Case::City.facts();
         let expert = engine::counts(".include \"expert.dl\"", &facts, Case::City.derived());
-        assert_eq!(engine::counts(Case::City.program(), &facts, Case::City.derived()), expert);
+        assert_eq!(
+            engine::counts(Case::City.program(), &facts, Case::City.derived()),
+            expert
+        );
     }
 
     #[test]

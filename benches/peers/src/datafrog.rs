@@ -67,7 +67,13 @@ type One = (u32, ());
 /// Every clause is one multiway join from the relation that has least rows, or from pairs seen.
 fn city(facts: &Facts) -> Vec<usize> {
     let one = |name: &str| facts.unary(name).iter().map(|&x| (x, ())).collect::<Relation<One>>();
-    let any = |name: &str| facts.unary(name).iter().map(|&x| ((), x)).collect::<Relation<((), u32)>>();
+    let any = |name: &str| {
+        facts
+            .unary(name)
+            .iter()
+            .map(|&x| ((), x))
+            .collect::<Relation<((), u32)>>()
+    };
     let two = |name: &str| facts.binary(name).iter().collect::<Relation<Pair>>();
     let back = |name: &str| facts.binary(name).iter().map(swapped).collect::<Relation<Pair>>();
     let all = |parts: Vec<Relation<One>>| parts.into_iter().fold(Relation::from_vec(Vec::new()), Relation::merge);
@@ -84,7 +90,16 @@ fn city(facts: &Facts) -> Vec<usize> {
         "IsInInter",
     ]
     .map(one);
-    let [is_at_inter, is_in_inter, is_ambulance, is_old, is_pedestrian, is_police, is_young, is_reckless] = [
+    let [
+        is_at_inter,
+        is_in_inter,
+        is_ambulance,
+        is_old,
+        is_pedestrian,
+        is_police,
+        is_young,
+        is_reckless,
+    ] = [
         "IsAtInter",
         "IsInInter",
         "IsAmbulance",
@@ -116,7 +131,11 @@ fn city(facts: &Facts) -> Vec<usize> {
     };
     let waiting = lawful(&at_inter);
     let stop = all(vec![
-        Relation::from_leapjoin(&waiting, (sees.extend_with(key), is_in_inter.extend_with(nothing)), head),
+        Relation::from_leapjoin(
+            &waiting,
+            (sees.extend_with(key), is_in_inter.extend_with(nothing)),
+            head,
+        ),
         Relation::from_leapjoin(
             &waiting,
             (
@@ -178,7 +197,10 @@ fn city(facts: &Facts) -> Vec<usize> {
 
     let moving = |source: &Relation<One>| {
         let rows = source.iter().copied();
-        Relation::from_vec(rows.filter(|row| stop.binary_search(row).is_err()).collect::<Vec<One>>())
+        Relation::from_vec(
+            rows.filter(|row| stop.binary_search(row).is_err())
+                .collect::<Vec<One>>(),
+        )
     };
     let (beginner, patrol) = (moving(&tiro), moving(&police));
     // Police and a young y that it sees.
@@ -239,7 +261,11 @@ fn city(facts: &Facts) -> Vec<usize> {
     let normal = (sees.iter())
         .filter(|(x, y)| x == y)
         .map(|&(x, _)| (x, ()))
-        .filter(|row| [&stop, &slow, &fast].iter().all(|acts| acts.binary_search(row).is_err()));
+        .filter(|row| {
+            [&stop, &slow, &fast]
+                .iter()
+                .all(|acts| acts.binary_search(row).is_err())
+        });
     let normal = Relation::from_vec(normal.collect::<Vec<One>>());
     [stop, slow, fast, normal].iter().map(|acts| acts.len()).collect()
 }

@@ -52,11 +52,17 @@ struct Base<'a, 's> {
 
 impl<'s> Base<'_, 's> {
     fn pairs(&self, name: &str) -> Pairs<'s> {
-        self.scope.clone().new_collection_from(self.facts.binary(name).to_vec()).1
+        self.scope
+            .clone()
+            .new_collection_from(self.facts.binary(name).to_vec())
+            .1
     }
 
     fn ones(&self, name: &str) -> Ones<'s> {
-        self.scope.clone().new_collection_from(self.facts.unary(name).to_vec()).1
+        self.scope
+            .clone()
+            .new_collection_from(self.facts.unary(name).to_vec())
+            .1
     }
 }
 
@@ -72,7 +78,10 @@ fn closure(edge: Pairs<'_>) -> Pairs<'_> {
 
 fn generation(parent: Pairs<'_>) -> Pairs<'_> {
     let children = parent.map(|(x, p)| (p, x));
-    let siblings = children.clone().join_map(children.clone(), |_, &x, &y| (x, y)).distinct();
+    let siblings = children
+        .clone()
+        .join_map(children.clone(), |_, &x, &y| (x, y))
+        .distinct();
     siblings.clone().iterate(|scope, same| {
         let children = children.enter(scope).arrange_by_key();
         same.arrange_by_key()
@@ -107,7 +116,12 @@ fn points_to<'s>(base: &Base<'_, 's>) -> Pairs<'s> {
             .join_core(points_to.clone(), |_, &x, &z| Some((x, z)))
             .arrange_by_key()
             .join_core(points_to, |_, &z, &w| Some((z, w)));
-        address_of.enter(scope).concat(copied).concat(loaded).concat(stored).distinct()
+        address_of
+            .enter(scope)
+            .concat(copied)
+            .concat(loaded)
+            .concat(stored)
+            .distinct()
     })
 }
 
@@ -120,7 +134,19 @@ fn city<'s>(base: &Base<'_, 's>) -> [Ones<'s>; 4] {
     let first = |pairs: Pairs<'s>| pairs.map(|(x, _)| x);
     let back = |pairs: Pairs<'s>| pairs.map(|(x, y)| (y, x));
 
-    let [pedestrian, car, ambulance, bus, police, tiro, reckless, old, young, at_inter, in_inter] = [
+    let [
+        pedestrian,
+        car,
+        ambulance,
+        bus,
+        police,
+        tiro,
+        reckless,
+        old,
+        young,
+        at_inter,
+        in_inter,
+    ] = [
         "IsPedestrian",
         "IsCar",
         "IsAmbulance",
@@ -134,8 +160,16 @@ fn city<'s>(base: &Base<'_, 's>) -> [Ones<'s>; 4] {
         "IsInInter",
     ]
     .map(|name| base.ones(name));
-    let [close, next_to, higher_pri, colliding, left_of, right_of, sees] =
-        ["IsClose", "NextTo", "HigherPri", "CollidingClose", "LeftOf", "RightOf", "Sees"].map(|name| base.pairs(name));
+    let [close, next_to, higher_pri, colliding, left_of, right_of, sees] = [
+        "IsClose",
+        "NextTo",
+        "HigherPri",
+        "CollidingClose",
+        "LeftOf",
+        "RightOf",
+        "Sees",
+    ]
+    .map(|name| base.pairs(name));
     let sees_from = |ones: Ones<'s>| sees.clone().semijoin(ones);
     let lawful = |ones: &Ones<'s>| without(without(ones.clone(), &ambulance), &old);
     let away = |ones: &Ones<'s>| without(without(ones.clone(), &in_inter), &at_inter);
@@ -144,9 +178,15 @@ fn city<'s>(base: &Base<'_, 's>) -> [Ones<'s>; 4] {
     let stop = first(to(waiting.clone(), &in_inter))
         .concat(first(both(to(waiting, &at_inter), back(higher_pri))))
         .concat(first(to(to(sees_from(lawful(&in_inter)), &in_inter), &ambulance)))
-        .concat(first(both(to(sees_from(ambulance.clone()), &old), back(right_of.clone()))))
         .concat(first(both(
-            colliding.semijoin(without(without(sees.clone().map(|(x, _)| x).distinct(), &ambulance), &old)),
+            to(sees_from(ambulance.clone()), &old),
+            back(right_of.clone()),
+        )))
+        .concat(first(both(
+            colliding.semijoin(without(
+                without(sees.clone().map(|(x, _)| x).distinct(), &ambulance),
+                &old,
+            )),
             sees.clone(),
         )))
         .concat(first(both(
@@ -177,10 +217,13 @@ fn city<'s>(base: &Base<'_, 's>) -> [Ones<'s>; 4] {
         .concat(first(both(beside, sees.clone())))
         .distinct();
 
-    let fast = first(to(sees_from(without(without(reckless.clone(), &stop), &slow)), &at_inter))
-        .concat(without(without(bus, &stop), &slow))
-        .concat(first(to(sees_from(without(patrol, &slow)), &reckless)))
-        .distinct();
+    let fast = first(to(
+        sees_from(without(without(reckless.clone(), &stop), &slow)),
+        &at_inter,
+    ))
+    .concat(without(without(bus, &stop), &slow))
+    .concat(first(to(sees_from(without(patrol, &slow)), &reckless)))
+    .distinct();
 
     let all = sees.filter(|(x, y)| x == y).map(|(x, _)| x);
     let normal = without(without(without(all, &stop), &slow), &fast);

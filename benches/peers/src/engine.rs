@@ -3,8 +3,8 @@
 use crate::case::Facts;
 use logicity::diag::{Sources, render};
 use logicity::engine::Program;
-use logicity::lang::{self, BaseType, Value};
 use logicity::files;
+use logicity::lang::{self, BaseType, Value};
 
 /// How many rows of each of the relations follow.
 pub fn counts(text: &str, facts: &Facts, derived: &[&str]) -> Vec<usize> {
@@ -21,7 +21,12 @@ pub fn counts(text: &str, facts: &Facts, derived: &[&str]) -> Vec<usize> {
     // Where a column holds symbols, the number stands for the symbol interned in that place.
     let symbolic = |name: &str| program.rules().relations[relation(name).index()].columns[0].base == BaseType::Symbol;
     if facts.unary.iter().any(|(name, _)| symbolic(name)) {
-        let largest = facts.binary.iter().flat_map(|(_, rows)| rows).map(|&(x, y)| x.max(y)).max();
+        let largest = facts
+            .binary
+            .iter()
+            .flat_map(|(_, rows)| rows)
+            .map(|&(x, y)| x.max(y))
+            .max();
         for number in session.symbols().len() as u32..=largest.unwrap_or(0) {
             session.intern(&format!("agent {number}"));
         }
@@ -33,8 +38,11 @@ pub fn counts(text: &str, facts: &Facts, derived: &[&str]) -> Vec<usize> {
     }
     for (name, rows) in &facts.binary {
         let relation = relation(name);
-        rows.iter()
-            .for_each(|&(x, y)| session.insert(relation, &[Value(x), Value(y)]).expect("a base relation"));
+        rows.iter().for_each(|&(x, y)| {
+            session
+                .insert(relation, &[Value(x), Value(y)])
+                .expect("a base relation")
+        });
     }
     session.commit().expect("within the limit");
     derived.iter().map(|name| session.len(relation(name))).collect()

@@ -53,8 +53,14 @@ pub fn run(peer: Peer, case: Case, folder: &Path) -> Result<Run, Box<dyn std::er
     }
     if peer.is_whole() {
         let count = |name: &&str| {
-            let found = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('\t'));
-            found.ok_or_else(|| format!("{case}: {peer} did not count `{name}`"))?.trim().parse().map_err(|error| format!("{error}"))
+            let found = text
+                .lines()
+                .find_map(|line| line.strip_prefix(name)?.strip_prefix('\t'));
+            found
+                .ok_or_else(|| format!("{case}: {peer} did not count `{name}`"))?
+                .trim()
+                .parse()
+                .map_err(|error| format!("{error}"))
         };
         Ok(Run {
             counts: case.derived().iter().map(count).collect::<Result<_, String>>()?,

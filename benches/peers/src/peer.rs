@@ -74,7 +74,12 @@ impl Peer {
         let mut command = match self {
             Peer::Query => {
                 let mut command = Command::new(ours);
-                command.env(AS_LOGICITY, "1").arg("query").arg(program).arg("-F").arg(folder);
+                command
+                    .env(AS_LOGICITY, "1")
+                    .arg("query")
+                    .arg(program)
+                    .arg("-F")
+                    .arg(folder);
                 command
             }
             Peer::Souffle => {
@@ -128,9 +133,16 @@ pub fn souffle_version() -> Option<String> {
 /// Lets Souffle compile the program in the folder.
 pub fn compile(folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
     let mut command = Command::new("souffle");
-    command.arg("-o").arg(folder.join("compiled")).arg(folder.join("program.dl"));
+    command
+        .arg("-o")
+        .arg(folder.join("compiled"))
+        .arg(folder.join("program.dl"));
     let status = command.stdout(Stdio::null()).status()?;
-    if status.success() { Ok(()) } else { Err("souffle could not compile the program".into()) }
+    if status.success() {
+        Ok(())
+    } else {
+        Err("souffle could not compile the program".into())
+    }
 }
 
 /// The name of a value on the command line.

@@ -23,7 +23,12 @@ impl Results {
     }
 
     fn median(&self, peer: Peer, case: Case) -> Option<Median> {
-        let runs = || self.0.iter().filter(|run| run.0 == peer && run.1 == case).map(|run| &run.2);
+        let runs = || {
+            self.0
+                .iter()
+                .filter(|run| run.0 == peer && run.1 == case)
+                .map(|run| &run.2)
+        };
         let middle = |mut values: Vec<f64>| {
             values.sort_by(f64::total_cmp);
             values.get(values.len() / 2).copied()
@@ -42,7 +47,10 @@ impl Results {
             cells.for_each(|cell| write!(out, " {cell:>16} |").expect("writing to a string cannot fail"));
             out.push('\n');
         };
-        line("CPU / peak memory".into(), &mut cases.iter().map(|case| case.title().into()));
+        line(
+            "CPU / peak memory".into(),
+            &mut cases.iter().map(|case| case.title().into()),
+        );
         line("-".repeat(21), &mut cases.iter().map(|_| "-".repeat(15) + ":"));
         for &peer in peers {
             let cell = |&case: &Case| {
@@ -52,12 +60,18 @@ impl Results {
                 if peer == Peer::Engine {
                     format!("{:.1} ms / {:.0} MiB", own.cpu_ms, own.peak_mib)
                 } else {
-                    format!("{:.2} / {:.2}", found.cpu_ms / own.cpu_ms, found.peak_mib / own.peak_mib)
+                    format!(
+                        "{:.2} / {:.2}",
+                        found.cpu_ms / own.cpu_ms,
+                        found.peak_mib / own.peak_mib
+                    )
                 }
             };
             line(peer.to_string(), &mut cases.iter().map(cell));
         }
-        out.push_str("\nOurs = 1.00; more is slower or larger. * is a whole process that reads its facts from files.\n");
+        out.push_str(
+            "\nOurs = 1.00; more is slower or larger. * is a whole process that reads its facts from files.\n",
+        );
         out
     }
 
@@ -69,7 +83,11 @@ impl Results {
                 let (Some(own), Some(found)) = (self.median(Peer::Engine, case), self.median(peer, case)) else {
                     continue;
                 };
-                let runs = self.0.iter().filter(|run| run.0 == peer && run.1 == case).map(|run| &run.2);
+                let runs = self
+                    .0
+                    .iter()
+                    .filter(|run| run.0 == peer && run.1 == case)
+                    .map(|run| &run.2);
                 let counts = runs.clone().next().map(|run| run.counts.clone());
                 list.push(json!({
                     "case": name(case),
