@@ -243,6 +243,9 @@ pub(super) fn run<const W: usize>(
     result.map(|_| ())
 }
 
+/// Columns of an index and the slots that go with them.
+type Columns<'a> = &'a [(u16, Slot)];
+
 struct Join<'a, const W: usize> {
     plan: &'a Plan,
     views: &'a [View<'a, W>],
@@ -301,7 +304,7 @@ impl<const W: usize> Join<'_, W> {
         &mut self,
         depth: usize,
         key: &[Slot],
-        (bind, check): (&[(u16, Slot)], &[(u16, Slot)]),
+        (bind, check): (Columns<'_>, Columns<'_>),
         distinct: usize,
     ) -> Result<bool, Stop> {
         if self.looked_at > self.budget {

@@ -2,10 +2,13 @@
 //!
 //! A plan is a straight list of [`Step`]s over numbered slots (the clause's variables, then its constants). A scan binds
 //! variables, one atom at a time; every other step tests what is already bound and stands as early as it can. Literals are
-//! ordered greedily: tests first, then the atom that shares bound variables and adds the fewest new ones. Sizes of relations
-//! are not looked at, so a program is planned once.
+//! ordered greedily: tests first, then the atom that shares bound variables and adds the fewest new ones. A program is planned
+//! once, before there are any rows.
 //!
-//! A clause of a recursive stratum has one plan for each of its atoms over that stratum, beginning with the newest rows of it.
+//! A clause of a recursive stratum has one plan for each of its atoms over that stratum, beginning with the newest rows of it,
+//! and *detours*, which come to those rows later. Which is used is decided in every round from the sizes of relations
+//! ([`super::estimate`]).
+//!
 //! For maintenance every clause has one plan for each of its atoms, negated ones included, beginning with the rows that changed,
 //! and one that begins with rows of the head and asks whether they can be derived.
 
