@@ -240,6 +240,40 @@ fn transitive_closure_and_its_complement() {
 }
 
 #[test]
+fn points_to_in_rounds_of_many_new_rows() {
+    let program = program(
+        ".decl AddressOf(y: number, x: number)
+        .decl Assign(y: number, x: number)
+        .decl Load(y: number, x: number)
+        .decl Store(y: number, x: number)
+        .decl PointsTo(y: number, x: number)
+        PointsTo(y, x) :- AddressOf(y, x).
+        PointsTo(y, x) :- Assign(y, z), PointsTo(z, x).
+        PointsTo(y, w) :- Load(y, x), PointsTo(x, z), PointsTo(z, w).
+        PointsTo(z, w) :- Store(y, x), PointsTo(y, z), PointsTo(x, w).",
+    );
+    let mut session = program.session();
+    let mut state = 1_u32;
+    let mut random = |below: u32| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) % below
+    };
+    let mut facts = BTreeSet::new();
+    for (name, count) in [("AddressOf", 50), ("Assign", 60), ("Load", 15), ("Store", 15)] {
+        let rel = program.relation(name).unwrap();
+        for _ in 0..count {
+            let row = [Value(random(50)), Value(random(50))];
+            session.insert(rel, &row).unwrap();
+            facts.insert((rel, row.to_vec()));
+        }
+    }
+    session.commit().unwrap();
+    assert!(session.len(program.relation("PointsTo").unwrap()) > 700);
+    let expected = naive::evaluate(program.rules(), session.symbols(), facts);
+    assert_eq!(database(&session), expected);
+}
+
+#[test]
 fn same_generation() {
     let program = program(
         ".decl Parent(child: number, parent: number)

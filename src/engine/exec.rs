@@ -4,8 +4,9 @@
 //! *new* for one round, and belong to its *stable* batches afterwards. The joins are our own ([`super::join`]), since
 //! datafrog's want their number and the types of their rows at compile time.
 
+use crate::engine::estimate::{self, Shape};
 use crate::engine::join::{self, Effort, Output, Stop, View};
-use crate::engine::plan::{IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
+use crate::engine::plan::{ClausePlans, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Row, difference, merge, normalise};
 use crate::engine::table::{Net, Table, project};
 use crate::engine::{Compiled, Delta, EvalError, Rows, RuleWork, Strategy, StratumWork, Work, WorkLog};
@@ -80,18 +81,17 @@ pub(super) struct Commit<'a, const W: usize> {
 }
 
 impl<const W: usize> Commit<'_, W> {
-    /// All that changed.
-    fn delta(&self) -> Delta {
+    /// All that changed. The tables as they were are dropped.
+    fn delta(self) -> Delta {
         let mut delta = Delta::default();
-        for (changed, relation) in self.changed.iter().zip((0..).map(RelId)) {
+        for (changed, relation) in self.changed.into_iter().zip((0..).map(RelId)) {
             let Some((net, _)) = changed else { continue };
             let arity = self.compiled.rules.relations[relation.index()].arity();
-            let list = |rows: &[Row<W>]| {
-                let mut list = Rows::with_capacity(arity, rows.len());
-                rows.iter().for_each(|row| list.push(&row.0[..arity]));
-                list
+            let list = |rows: Vec<Row<W>>| {
+                let rows: Vec<[Value; W]> = rows.into_iter().map(|row| row.0).collect();
+                Rows::of(arity, rows)
             };
-            delta.push(relation, list(&net.added), list(&net.removed));
+            delta.push(relation, list(net.added), list(net.removed));
         }
         delta
     }
@@ -367,36 +367,66 @@ impl<const W: usize> State<W> {
                 }
                 variable.insert(Relation { elements });
             }
-            if !recursion.advance(plans) {
+            if !recursion.iteration.changed() {
                 break;
             }
             rounds += 1;
+            let chosen = self.choose(plans, stratum, &recursion);
+            let sources = || {
+                chosen
+                    .iter()
+                    .flat_map(|(_, _, plan)| &plan.steps)
+                    .filter_map(Step::source)
+            };
+            recursion.keep(plans, |index| sources().any(|source| source.index == index));
             let held = recursion.hold();
             let known: usize = base.unwrap_or_default().iter().map(|table| table.rows.len()).sum();
             let total = known + held.iter().map(Held::len).sum::<usize>();
-            for &clause in &stratum.clauses {
-                if total > room {
-                    return Err((clause, Stop::Overflow));
-                }
-                for (over, plan) in &plans.clauses[clause.index()].deltas {
-                    let (Some(over), Some(head)) = (plans.member[over.index()], plans.member[plan.head.index()]) else {
-                        continue;
-                    };
-                    if held[over].new.is_empty() {
-                        continue;
-                    }
-                    let view = |step: &Step| match step.source() {
-                        None => View::NONE,
-                        Some(source) if source.version == Version::Complete => self.complete_view(plans, source),
-                        Some(source) => recursion.view(&held, plans, source),
-                    };
-                    let views: Vec<View<'_, W>> = plan.steps.iter().map(view).collect();
-                    let given = held[over].new.len();
-                    meter.run(clause, plan, (&views, given), commit.symbols, &mut outputs[head])?;
-                }
+            if let (true, Some(&clause)) = (total > room, stratum.clauses.first()) {
+                return Err((clause, Stop::Overflow));
+            }
+            for &(clause, over, plan) in &chosen {
+                let Some(head) = plans.member[plan.head.index()] else {
+                    continue;
+                };
+                let view = |step: &Step| match step.source() {
+                    None => View::NONE,
+                    Some(source) if source.version == Version::Complete => self.complete_view(plans, source),
+                    Some(source) => recursion.view(&held, plans, source),
+                };
+                let views: Vec<View<'_, W>> = plan.steps.iter().map(view).collect();
+                let given = held[over].new.len();
+                meter.run(clause, plan, (&views, given), commit.symbols, &mut outputs[head])?;
             }
         }
         Ok((recursion.complete(), rounds))
+    }
+
+    /// The plans for a round of a recursive stratum, with the clause and the member whose new rows they are for.
+    fn choose<'p>(
+        &self,
+        plans: &'p Plans,
+        stratum: &StratumPlan,
+        recursion: &Recursion<'_, W>,
+    ) -> Vec<(ClauseId, usize, &'p Plan)> {
+        let held = recursion.hold();
+        let shape = |source: Source| {
+            let relation = plans.indexes[source.index.index()].relation;
+            match plans.member[relation.index()] {
+                Some(member) if source.version != Version::Complete => recursion.shape(&held, member, source.version),
+                _ => Shape::of(&self.tables[relation.index()].rows),
+            }
+        };
+        let mut chosen = Vec::new();
+        for &clause in &stratum.clauses {
+            let ClausePlans { deltas, detours, .. } = &plans.clauses[clause.index()];
+            for ((over, plan), detours) in deltas.iter().zip(detours) {
+                if let Some(over) = plans.member[over.index()].filter(|&over| !held[over].new.is_empty()) {
+                    chosen.push((clause, over, estimate::choose(plan, detours, &plans.indexes, &shape)));
+                }
+            }
+        }
+        chosen
     }
 
     fn complete_views(&self, plans: &Plans, plan: &Plan) -> Vec<View<'_, W>> {
@@ -532,6 +562,8 @@ struct Grown<const W: usize> {
     id: IndexId,
     /// Position among the members.
     member: usize,
+    /// Whether it was used in this round: an index that is not is given up, and made again when it is wanted.
+    kept: bool,
     /// Each at least twice as long as the next, so that a row is merged only a logarithmic number of times.
     stable: Vec<Vec<Row<W>>>,
     new: Vec<Row<W>>,
@@ -569,6 +601,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
                 grown.push(Grown {
                     id: source.index,
                     member,
+                    kept: false,
                     stable: Vec::new(),
                     new: Vec::new(),
                 });
@@ -582,23 +615,29 @@ impl<'b, const W: usize> Recursion<'b, W> {
         }
     }
 
-    /// Begins the next round; false if nothing is new.
-    fn advance(&mut self, plans: &Plans) -> bool {
-        let changed = self.iteration.changed();
+    /// Brings the indexes that this round uses up to date. Once a round.
+    fn keep(&mut self, plans: &Plans, used: impl Fn(IndexId) -> bool) {
         for grown in &mut self.grown {
+            let (was, is) = (grown.kept, used(grown.id));
             let mut batch = std::mem::take(&mut grown.new);
-            if !batch.is_empty() {
+            grown.kept = is;
+            if !is {
+                grown.stable = Vec::new();
+                continue;
+            }
+            let columns = &plans.indexes[grown.id.index()].columns;
+            let variable = &self.variables[grown.member];
+            if !was {
+                let stable = variable.stable.borrow();
+                grown.stable = stable.iter().map(|rows| project(rows, columns)).collect();
+            } else if !batch.is_empty() {
                 while let Some(last) = grown.stable.pop_if(|last| last.len() <= 2 * batch.len()) {
                     batch = merge(&last, &batch);
                 }
                 grown.stable.push(batch);
             }
-            grown.new = project(
-                &self.variables[grown.member].recent.borrow(),
-                &plans.indexes[grown.id.index()].columns,
-            );
+            grown.new = project(&variable.recent.borrow(), columns);
         }
-        changed
     }
 
     fn hold(&self) -> Vec<Held<'_, W>> {
@@ -636,7 +675,17 @@ impl<'b, const W: usize> Recursion<'b, W> {
         }
     }
 
-    /// The rows that came. Only after [`Recursion::advance`] has said that nothing is new.
+    /// How many rows of a member a step looks at, and how their words are spread.
+    fn shape(&self, held: &[Held<'_, W>], member: usize, version: Version) -> Shape<W> {
+        let (with_old, with_new) = (version != Version::New, version != Version::Old);
+        let base = self.base.filter(|_| with_old).map(|base| &base[member].rows[..]);
+        let Held { stable, new } = &held[member];
+        let stable = stable.iter().filter(|_| with_old).map(|rows| &rows[..]);
+        let lists = base.into_iter().chain(stable).chain(with_new.then_some(&new[..]));
+        lists.map(Shape::of).fold(Shape::default(), Shape::with)
+    }
+
+    /// The rows that came. Only when nothing is new.
     fn complete(self) -> Vec<Vec<Row<W>>> {
         let variables = self.variables.into_iter();
         variables.map(|variable| variable.complete().elements).collect()

@@ -111,7 +111,7 @@ impl<const W: usize> State<W> {
                 }
             }
         }
-        if !stratum.recursive || outputs.iter().all(|output| output.rows.is_empty()) {
+        if !stratum.recursive || outputs.iter().all(Output::is_empty) {
             return Ok((outputs.iter_mut().map(Output::take).collect(), 0));
         }
 

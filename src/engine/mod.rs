@@ -14,12 +14,14 @@
 //! result stays the same stops the change there. [`Session::work`] tells what was done. [`naive`] is the specification: after
 //! every commit a session holds exactly what `naive` derives from the same facts.
 //!
-//! Inside: `plan` orders the literals of each clause and chooses indexes, once; `join` runs a plan; `exec` makes a commit and
-//! runs strata to their fixpoint; `maintain` brings a stratum up to date from a change; `table` keeps a relation and its indexes;
+//! Inside: `plan` orders the literals of each clause and chooses indexes, once; `estimate` chooses between plans by the sizes of
+//! relations; `show` prints them; `join` runs a plan; `seen` knows what was derived before; `exec` makes a commit and runs strata
+//! to their fixpoint; `maintain` brings a stratum up to date from a change; `table` keeps a relation and its indexes;
 //! `row` has the sorted lists all this works on.
 //!
 //! This module refuses to know what a city, an agent or an ego is. It does no I/O and is deterministic.
 
+mod estimate;
 mod exec;
 pub mod facts;
 mod join;
@@ -27,6 +29,8 @@ mod maintain;
 pub mod naive;
 mod plan;
 mod row;
+mod seen;
+mod show;
 mod table;
 
 use crate::diag::Diagnostic;
@@ -258,17 +262,19 @@ pub struct Rows {
 }
 
 impl Rows {
-    fn with_capacity(arity: usize, rows: usize) -> Self {
+    /// Of rows that have at least so many words.
+    fn of<const W: usize>(arity: usize, rows: Vec<[Value; W]>) -> Self {
         Rows {
             arity,
-            len: 0,
-            words: Vec::with_capacity(arity * rows),
+            len: rows.len(),
+            words: if arity == W {
+                rows.into_flattened()
+            } else {
+                let mut words = Vec::with_capacity(arity * rows.len());
+                rows.iter().for_each(|row| words.extend_from_slice(&row[..arity]));
+                words
+            },
         }
-    }
-
-    fn push(&mut self, row: &[Value]) {
-        self.words.extend_from_slice(row);
-        self.len += 1;
     }
 
     /// How many there are.

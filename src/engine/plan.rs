@@ -2,10 +2,13 @@
 //!
 //! A plan is a straight list of [`Step`]s over numbered slots (the clause's variables, then its constants). A scan binds
 //! variables, one atom at a time; every other step tests what is already bound and stands as early as it can. Literals are
-//! ordered greedily: tests first, then the atom that shares bound variables and adds the fewest new ones. Sizes of relations
-//! are not looked at, so a program is planned once.
+//! ordered greedily: tests first, then the atom that shares bound variables and adds the fewest new ones. A program is planned
+//! once, before there are any rows.
 //!
-//! A clause of a recursive stratum has one plan for each of its atoms over that stratum, beginning with the newest rows of it.
+//! A clause of a recursive stratum has one plan for each of its atoms over that stratum, beginning with the newest rows of it,
+//! and *detours*, which come to those rows later. Which is used is decided in every round from the sizes of relations
+//! ([`super::estimate`]).
+//!
 //! For maintenance every clause has one plan for each of its atoms, negated ones included, beginning with the rows that changed,
 //! and one that begins with rows of the head and asks whether they can be derived.
 
@@ -23,6 +26,9 @@ pub(super) const CLAUSE_MAX: usize = 128;
 /// A clause with more literals than this has no plans for maintenance, since there is one for each and planning one takes longer
 /// the more there are. Its stratum is always recomputed.
 const MAINTAINED_LITERALS_MAX: usize = 24;
+
+/// A clause with more literals than this has no detours.
+const DETOUR_LITERALS_MAX: usize = 8;
 
 /// Names an index of [`Plans::indexes`]. The first ones are the relations' own rows, by [`RelId`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -117,6 +123,15 @@ pub(super) struct Plan {
     pub(super) fresh: Option<usize>,
 }
 
+impl Plan {
+    /// Whether it goes through all new rows again and again.
+    fn searches_new(&self) -> bool {
+        self.steps.iter().any(
+            |step| matches!(step, Step::Scan { source, key, .. } if source.version == Version::New && key.is_empty()),
+        )
+    }
+}
+
 /// The plans of a clause.
 #[derive(Clone, Debug)]
 pub(super) struct ClausePlans {
@@ -124,6 +139,9 @@ pub(super) struct ClausePlans {
     pub(super) complete: Plan,
     /// One for each atom over the clause's own recursive stratum, with the relation whose new rows it begins with.
     pub(super) deltas: Vec<(RelId, Plan)>,
+    /// By position in `deltas`: plans of the same answer that begin with a finished relation and come to the newest rows later.
+    /// Better when there are many new rows; which one is used is decided from the sizes in every round.
+    pub(super) detours: Vec<Vec<Plan>>,
     /// One for each atom of the body: what follows from rows of it that came or went. None if the clause is too large.
     pub(super) changes: Vec<ChangePlan>,
     /// Begins with rows of the head: which of them the clause derives. `None` if the clause is too large.
@@ -279,6 +297,11 @@ struct Indexer {
 }
 
 impl Indexer {
+    /// Whether the index is a relation's own rows.
+    fn is_own(&self, index: IndexId) -> bool {
+        index.index() < self.of.len()
+    }
+
     /// An index that begins with the columns of each group in turn, within a group in some order, and its order of columns.
     fn prefix(&mut self, relation: RelId, groups: [&[u16]; 2]) -> (IndexId, Vec<u16>) {
         let begins = |order: &[u16]| {
@@ -320,7 +343,7 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
         })
         .collect();
     let complete = Planner::new(clause, indexer).plan(First::Any, &|_| Version::Complete)?;
-    let mut deltas = Vec::new();
+    let (mut deltas, mut detours) = (Vec::new(), Vec::new());
     for &delta in &recursive {
         // Each derivation is found once: by the plan of its first atom that holds by a new row.
         let version = |position: usize| match position.cmp(&delta) {
@@ -330,8 +353,23 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
             std::cmp::Ordering::Greater => Version::All,
         };
         let plan = Planner::new(clause, indexer).plan(First::Literal(delta), &version)?;
+        let mut others = Vec::new();
+        for (position, literal) in clause.body.iter().enumerate() {
+            let finished =
+                matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
+            if finished && clause.body.len() <= DETOUR_LITERALS_MAX {
+                let other = Planner::new(clause, indexer).plan(First::Literal(position), &version)?;
+                // An index over a relation that grows has to be kept up; a detour must do without.
+                let mut sources = other.steps.iter().filter_map(Step::source);
+                let own = |source: Source| source.version == Version::Complete || indexer.is_own(source.index);
+                if sources.all(own) && !other.searches_new() {
+                    others.push(other);
+                }
+            }
+        }
         if let Some(atom) = atom_of(&clause.body[delta]) {
             deltas.push((atom.relation, plan));
+            detours.push(others);
         }
     }
     // In maintenance a recursive relation is no longer small, as it is when a computation from scratch begins.
@@ -364,6 +402,7 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
     Ok(ClausePlans {
         complete,
         deltas,
+        detours,
         changes,
         check,
     })
@@ -520,14 +559,19 @@ impl<'a> Planner<'a> {
 
     /// Places every literal that binds no variable by a scan and whose variables are bound.
     fn place_tests(&mut self, version: &dyn Fn(usize) -> Version) {
-        // An equality may bind what an earlier literal waits for. Of several tests those with fewer columns come first: they are
-        // faster.
+        // An equality may bind what an earlier literal waits for. A comparison costs less than finding a row, and a short row is
+        // found faster than a long one.
         let clause = self.clause;
-        let columns = |position: &usize| atom_of(&clause.body[*position]).map_or(0, |atom| atom.terms.len());
-        while let Some(position) = (self.left.iter().copied())
-            .filter(|&position| self.is_ready(position))
-            .min_by_key(columns)
-        {
+        let cost = |position: usize| atom_of(&clause.body[position]).map_or(0, |atom| atom.terms.len());
+        let ready = |planner: &Self| {
+            let ready = planner
+                .left
+                .iter()
+                .copied()
+                .filter(|&position| planner.is_ready(position));
+            ready.min_by_key(|&position| cost(position))
+        };
+        while let Some(position) = ready(self) {
             self.placed(position);
             match &self.clause.body[position] {
                 Literal::Positive(atom) | Literal::Guard(atom) => {
@@ -669,7 +713,7 @@ impl<'a> Planner<'a> {
         } else {
             // Run once, or with nothing known: an index would cost more than it saves. The relation's own order may still
             // begin with known columns.
-            let prefix = if version == Version::New {
+            let prefix = if version == Version::New && !self.repeated {
                 0
             } else {
                 (0..).zip(&keys).take_while(|(at, key)| *at == key.0).count()
