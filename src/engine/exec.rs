@@ -12,7 +12,7 @@ use crate::engine::table::{Net, Table, project};
 use crate::engine::{Compiled, Delta, EvalError, Rows, RuleWork, Strategy, StratumWork, Work, WorkLog};
 use crate::lang::{ClauseId, RelId, Term, Value};
 use crate::symbol::Symbols;
-use datafrog::{Iteration, Relation, Variable};
+pub(super) use datafrog::{Iteration, Relation, Variable};
 use std::cell::Ref;
 
 /// What a session keeps between commits, whatever the width of its rows.

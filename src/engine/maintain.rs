@@ -11,13 +11,12 @@
 //! No derivations are counted, so nothing is kept between commits besides the relations, clauses may stop at the first reason for
 //! a head, and a stratum can be recomputed in one commit and maintained in the next.
 
-use crate::engine::exec::{Commit, Failure, Meter, State, specs};
+use crate::engine::exec::{Commit, Failure, Iteration, Meter, Relation, State, Variable, specs};
 use crate::engine::join::{Output, Stop, View};
 use crate::engine::plan::{ChangePlan, Plan, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Row, difference, merge};
 use crate::engine::table::{Net, Table};
 use crate::lang::RelId;
-use datafrog::{Iteration, Relation, Variable};
 
 /// Rows by member of a stratum.
 type ByMember<const W: usize> = Vec<Vec<Row<W>>>;
