@@ -34,6 +34,9 @@ impl fmt::Display for Case {
 /// A pair of numbers.
 pub type Pair = (u32, u32);
 
+/// By relation: pairs, and whether they come or go.
+pub type Changes = Vec<(&'static str, Vec<(Pair, bool)>)>;
+
 /// The base facts of a case, by the name of the relation.
 #[derive(Default)]
 pub struct Facts {

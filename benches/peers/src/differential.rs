@@ -2,7 +2,7 @@
 
 #![allow(dead_code, reason = "each binary uses its own part")]
 
-use crate::case::{Case, Facts};
+use crate::case::{Case, Changes, Facts};
 use differential_dataflow::VecCollection;
 use differential_dataflow::input::{Input, InputSession};
 use differential_dataflow::operators::iterate::Iterate;
@@ -96,12 +96,12 @@ impl City {
             counters,
             now: 0,
         };
-        city.tick(worker, &[]);
+        city.tick(worker, &Changes::new());
         city
     }
 
     /// Makes changes: by relation, pairs and whether they come or go.
-    pub fn tick(&mut self, worker: &mut Worker, changes: &[(&str, Vec<((u32, u32), bool)>)]) {
+    pub fn tick(&mut self, worker: &mut Worker, changes: &Changes) {
         self.now += 1;
         for (name, input) in &mut self.inputs {
             for (_, pairs) in changes.iter().filter(|(other, _)| other == name) {

@@ -15,7 +15,7 @@ mod differential;
 #[path = "../engine.rs"]
 mod engine;
 
-use case::{Case, Facts, Pair};
+use case::{Case, Changes, Facts, Pair};
 use clap::Parser;
 use cpu_time::ThreadTime;
 use logicity::engine::{Strategy, StratumWork};
@@ -70,9 +70,6 @@ struct City {
     facts: Facts,
     sets: Vec<BTreeSet<Pair>>,
 }
-
-/// By relation: pairs, and whether they come or go.
-type Changes = Vec<(&'static str, Vec<(Pair, bool)>)>;
 
 impl City {
     fn new(agents: u32) -> Self {
