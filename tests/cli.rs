@@ -609,6 +609,53 @@ fn query_follows_souffle() {
 }
 
 #[test]
+fn query_shows_plans_and_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "path.dl",
+        ".decl edge(x: number, y: symbol)\n.decl to(x: symbol, y: number)\n.decl path(x: number, y: symbol)\n.printsize path\n\
+         edge(1, \"a\"). to(\"a\", 2). edge(2, \"b\").\n\
+         path(x, y) :- edge(x, y).\npath(x, z) :- path(x, y), to(y, n), !to(\"b\", n),\n  n < 5, edge(n, z).\n",
+    );
+    let output = logicity(["query", &rules, "--plan"]);
+    let expected = format!(
+        "\
+stratum 3: path (recursive)
+
+  path(x, y) :- edge(x, y).    {rules}:6:1
+    once
+      scan   edge(x, y)
+      derive path(x, y)
+
+  path(x, z) :- path(x, y), to(y, n), !to(\"b\", n), n < 5, edge(n, z).    {rules}:7:1
+    for the new rows of path
+      scan   path(x, y), new
+      scan   to(y, n) by x
+      test   n < 5
+      absent to(\"b\", n) by x, y
+      scan   edge(n, z) by x
+      derive path(x, z)
+
+"
+    );
+    let shown = out(&output);
+    let shown = &shown[shown.find("stratum 3").unwrap_or_default()..];
+    assert_eq!((code(&output), shown), (0, expected.as_str()));
+
+    let output = logicity(["query", &rules, "--profile"]);
+    assert_eq!((code(&output), out(&output).as_str()), (0, "path\t3\n"));
+    let lines: Vec<String> = err(&output).lines().map(str::to_owned).collect();
+    assert!(lines[0].contains("looked at") && lines.len() == 3, "{lines:?}");
+    assert!(
+        lines[1].contains("path(x, z) :- path(x, y)") && lines[1].ends_with(":7:1"),
+        "{lines:?}"
+    );
+    let numbers: Vec<&str> = lines[2].split_whitespace().take(4).collect();
+    assert_eq!(numbers, ["0", "2", "2", "2"]);
+}
+
+#[test]
 fn a_million_facts_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let rules = write(

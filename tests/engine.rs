@@ -4,7 +4,9 @@ mod random_program;
 mod written_program;
 
 use logicity::diag::{Code, Sources};
-use logicity::engine::{EvalError, Options, Program, RowError, Session, StratumWork, facts, naive};
+use logicity::engine::{
+    EvalError, Options, Program, RowError, RuleWork, Session, Strategy, StratumWork, Work, facts, naive,
+};
 use logicity::lang::{ClauseId, Literal, RelId, Rules, Value};
 use proptest::prelude::*;
 use random_program::{Genome, genomes, recursive_genomes};
@@ -24,7 +26,8 @@ fn database(session: &Session) -> naive::Database {
         .collect()
 }
 
-/// Runs the genome's script; after every batch the session is what `naive` derives from scratch.
+/// Runs the genome's script in every strategy; after every batch each session is what `naive` derives from scratch, and its delta
+/// is exactly the difference.
 fn check_script(genome: &Genome) -> Result<(), TestCaseError> {
     for optimize in [false, true] {
         check_script_with(genome, optimize)?;
@@ -39,45 +42,131 @@ fn check_script_with(genome: &Genome, optimize: bool) -> Result<(), TestCaseErro
         ..Options::default()
     };
     let program = Program::with(rules.clone(), options).expect("a generated program is safe and small");
-    let mut session = program.session();
+    let mut sessions = [Strategy::Auto, Strategy::Maintain, Strategy::Recompute].map(|strategy| {
+        let mut session = program.session();
+        session.set_strategy(strategy);
+        (strategy, session)
+    });
     let mut facts: BTreeSet<(RelId, Vec<Value>)> = BTreeSet::new();
     let mut before: naive::Database = vec![BTreeSet::new(); rules.relations.len()];
     for batch in 0..genome.script.len() {
         for (present, rel, row) in genome.batch(&rules, batch) {
+            for (_, session) in &mut sessions {
+                if present {
+                    session.insert(rel, &row).unwrap();
+                } else {
+                    session.retract(rel, &row).unwrap();
+                }
+            }
             if present {
-                session.insert(rel, &row).unwrap();
                 facts.insert((rel, row));
             } else {
-                session.retract(rel, &row).unwrap();
                 facts.remove(&(rel, row));
             }
         }
-        let delta = session.commit().unwrap();
-        let after = naive::evaluate(&rules, session.symbols(), facts.iter().cloned());
-        prop_assert_eq!(&database(&session), &after);
-
-        for (rel, (before, after)) in before.iter().zip(&after).enumerate() {
-            let rows = session.rows(RelId(rel as u32));
-            prop_assert!(rows.is_sorted());
-            let change = delta.of(RelId(rel as u32));
-            prop_assert_eq!(change.is_some(), before != after);
-            if let Some(change) = change {
-                prop_assert!(change.added.iter().eq(after.difference(before)));
-                prop_assert!(change.removed.iter().eq(before.difference(after)));
-            }
-        }
-        for (clause, position) in rules.clauses.iter().zip(0..) {
-            let fired = session.fired(ClauseId(position));
-            prop_assert!(fired.iter().eq(&naive::consequences(clause, session.symbols(), &after)));
-        }
-        for (stratum, work) in rules.strata.iter().zip(&session.work().strata) {
-            let mut clauses = stratum.clauses.iter();
-            let changed = clauses.any(|clause| input_changed(&rules, *clause, &stratum.relations, &before, &after));
-            let (evaluated, due) = (*work != StratumWork::Skipped, batch == 0 || changed);
-            // The optimiser may find that a clause does not depend on what changed.
-            prop_assert!(evaluated == due || (optimize && due));
+        let symbols = sessions[0].1.symbols();
+        let after = naive::evaluate(&rules, symbols, facts.iter().cloned());
+        for (strategy, session) in &mut sessions {
+            check_commit(session, &before, &after)?;
+            check_work(session, *strategy, optimize, batch == 0, &before, &after)?;
         }
         before = after;
+    }
+
+    // The same change there and back again: nothing happens. There, then back: what happened is undone.
+    let Some(last) = genome.script.len().checked_sub(1) else {
+        return Ok(());
+    };
+    for (_, session) in &mut sessions {
+        let batch = genome.batch(&rules, last);
+        let known: Vec<bool> = batch.iter().map(|(_, rel, row)| session.contains(*rel, row)).collect();
+        let set = |session: &mut Session, rel, row: &[Value], present| match present {
+            true => session.insert(rel, row).unwrap(),
+            false => session.retract(rel, row).unwrap(),
+        };
+        for (_, rel, row) in &batch {
+            set(session, *rel, row, true);
+        }
+        for ((_, rel, row), known) in batch.iter().zip(&known) {
+            set(session, *rel, row, *known);
+        }
+        prop_assert!(session.commit().unwrap().is_empty());
+        prop_assert_eq!(session.work().evaluated().count(), 0);
+
+        for ((_, rel, row), known) in batch.iter().zip(&known) {
+            set(session, *rel, row, !*known);
+        }
+        let there = session.commit().unwrap();
+        for ((_, rel, row), known) in batch.iter().zip(&known) {
+            set(session, *rel, row, *known);
+        }
+        let back = session.commit().unwrap();
+        prop_assert_eq!(there.changes().len(), back.changes().len());
+        for (there, back) in there.changes().iter().zip(back.changes()) {
+            prop_assert_eq!(
+                (there.relation, &there.added, &there.removed),
+                (back.relation, &back.removed, &back.added)
+            );
+        }
+        prop_assert_eq!(&database(session), &before);
+    }
+    Ok(())
+}
+
+/// Commits; the session holds `after`, and its delta is the difference to `before`.
+fn check_commit(session: &mut Session, before: &naive::Database, after: &naive::Database) -> Result<(), TestCaseError> {
+    let delta = session.commit().unwrap();
+    prop_assert_eq!(&database(session), after);
+    for (rel, (before, after)) in before.iter().zip(after).enumerate() {
+        let rows = session.rows(RelId(rel as u32));
+        prop_assert!(rows.is_sorted());
+        let change = delta.of(RelId(rel as u32));
+        prop_assert_eq!(change.is_some(), before != after);
+        if let Some(change) = change {
+            prop_assert!(change.added.iter().eq(after.difference(before)));
+            prop_assert!(change.removed.iter().eq(before.difference(after)));
+        }
+    }
+    let program = session.program().clone();
+    for (clause, position) in program.rules().clauses.iter().zip(0..) {
+        let fired = session.fired(ClauseId(position));
+        prop_assert!(fired.iter().eq(&naive::consequences(clause, session.symbols(), after)));
+    }
+    Ok(())
+}
+
+/// Only strata whose inputs changed were touched, in the way asked for, and in those maintained only clauses that read what
+/// changed or that might derive again what was lost.
+fn check_work(
+    session: &Session,
+    strategy: Strategy,
+    optimize: bool,
+    first: bool,
+    before: &naive::Database,
+    after: &naive::Database,
+) -> Result<(), TestCaseError> {
+    let rules = session.program().rules();
+    prop_assert_eq!(session.work().strata.len(), rules.strata.len());
+    for (stratum, work) in rules.strata.iter().zip(&session.work().strata) {
+        let changed = |clause: ClauseId| input_changed(rules, clause, &stratum.relations, before, after);
+        let any = stratum.clauses.iter().any(|clause| changed(*clause));
+        let (evaluated, due) = (*work != StratumWork::Skipped, first || any);
+        // The optimiser may find that a clause does not depend on what changed.
+        prop_assert!(evaluated == due || (optimize && due));
+        match work {
+            StratumWork::Skipped => {}
+            StratumWork::Maintained(work) => {
+                prop_assert!(!first && strategy != Strategy::Recompute && work.given_up == 0);
+                for rule in &work.rules {
+                    prop_assert!(stratum.clauses.contains(&rule.clause) && rule.given > 0);
+                }
+                // As long as nothing may be lost, a clause that reads nothing that changed does not run.
+                if !stratum.recursive && work.rules.iter().any(|rule| !changed(rule.clause)) {
+                    prop_assert!(work.rules.iter().any(|rule| changed(rule.clause) && rule.derived > 0));
+                }
+            }
+            StratumWork::Recomputed(_) => prop_assert!(first || strategy != Strategy::Maintain),
+        }
     }
     Ok(())
 }
@@ -164,6 +253,40 @@ fn transitive_closure_and_its_complement() {
     let path = delta.of(program.relation("Path").unwrap()).unwrap();
     assert_eq!((path.added.len(), path.removed.len()), (0, 6));
     assert!(delta.of(program.relation("Sink").unwrap()).is_none());
+}
+
+#[test]
+fn points_to_in_rounds_of_many_new_rows() {
+    let program = program(
+        ".decl AddressOf(y: number, x: number)
+        .decl Assign(y: number, x: number)
+        .decl Load(y: number, x: number)
+        .decl Store(y: number, x: number)
+        .decl PointsTo(y: number, x: number)
+        PointsTo(y, x) :- AddressOf(y, x).
+        PointsTo(y, x) :- Assign(y, z), PointsTo(z, x).
+        PointsTo(y, w) :- Load(y, x), PointsTo(x, z), PointsTo(z, w).
+        PointsTo(z, w) :- Store(y, x), PointsTo(y, z), PointsTo(x, w).",
+    );
+    let mut session = program.session();
+    let mut state = 1_u32;
+    let mut random = |below: u32| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) % below
+    };
+    let mut facts = BTreeSet::new();
+    for (name, count) in [("AddressOf", 50), ("Assign", 60), ("Load", 15), ("Store", 15)] {
+        let rel = program.relation(name).unwrap();
+        for _ in 0..count {
+            let row = [Value(random(50)), Value(random(50))];
+            session.insert(rel, &row).unwrap();
+            facts.insert((rel, row.to_vec()));
+        }
+    }
+    session.commit().unwrap();
+    assert!(session.len(program.relation("PointsTo").unwrap()) > 700);
+    let expected = naive::evaluate(program.rules(), session.symbols(), facts);
+    assert_eq!(database(&session), expected);
 }
 
 #[test]
@@ -260,11 +383,127 @@ fn what_did_not_change_is_not_redone() {
     insert(&mut session, "Out", &[&[6]]);
     session.commit().unwrap();
     assert_eq!(evaluated(&session), ["Far", "Side"]);
-    let side = StratumWork::Evaluated {
-        rounds: 1,
-        considered: 2,
+}
+
+/// What the clauses did that ran: the clause's position, rows given, rows derived.
+fn ran(session: &Session) -> Vec<(u32, u64, u64)> {
+    let rules = session.work().rules();
+    rules.map(|rule| (rule.clause.0, rule.given, rule.derived)).collect()
+}
+
+#[test]
+fn only_clauses_that_read_what_changed_run_and_only_on_that() {
+    let program = program(
+        ".decl Near(x: number, y: number)
+        .decl Old(x: number)
+        .decl Ill(x: number)
+        .decl Stop(x: number)
+        .decl Go(x: number)
+        Stop(x) :- Near(x, y), Old(y).
+        Stop(x) :- Near(x, y), Ill(y).
+        Stop(x) :- Ill(x).
+        Go(x) :- Near(x, _), !Stop(x).",
+    );
+    let mut session = program.session();
+    session.set_strategy(Strategy::Maintain);
+    let near: Vec<[i32; 2]> = (0..1_000).map(|x| [x, (x + 1) % 1_000]).collect();
+    near.iter().for_each(|row| insert(&mut session, "Near", &[row]));
+    insert(&mut session, "Old", &[&[10], &[20]]);
+    session.commit().unwrap();
+    assert_eq!(shown(&session, "Stop"), "9, 19");
+    assert!(
+        session
+            .work()
+            .strata
+            .iter()
+            .all(|work| matches!(work, StratumWork::Recomputed(_)))
+    );
+
+    // One more row: one clause runs, on one row, and finds one head that was not known. So one row of `Go` is in doubt, which
+    // its clause is asked about: lost, and not derived again.
+    insert(&mut session, "Ill", &[&[500]]);
+    let delta = session.commit().unwrap();
+    assert_eq!(shown(&session, "Stop"), "9, 19, 499, 500");
+    assert_eq!(ran(&session), [(1, 1, 1), (2, 1, 1), (3, 4, 2)]);
+    assert_eq!(delta.changes().len(), 3);
+    let looked_at: u64 = session.work().rules().map(|rule| rule.looked_at).sum();
+    assert!(looked_at < 30, "{looked_at}");
+
+    // What is known already is not derived again.
+    insert(&mut session, "Old", &[&[500]]);
+    assert_eq!(session.commit().unwrap().changes().len(), 1);
+    assert_eq!(ran(&session), [(0, 1, 0)]);
+    assert!(matches!(
+        session.work().strata[..],
+        [StratumWork::Maintained(_), StratumWork::Skipped]
+    ));
+
+    // The row goes; the head in doubt has another reason, and the change ends there.
+    retract(&mut session, "Old", &[&[500]]);
+    assert_eq!(session.commit().unwrap().changes().len(), 1);
+    assert_eq!(ran(&session), [(0, 2, 1), (1, 1, 1)]);
+    let rule = |clause: u32| {
+        let mut rules = session.work().rules();
+        *rules.find(|rule| rule.clause == ClauseId(clause)).unwrap()
     };
-    assert!(session.work().strata.contains(&side) && session.work().strata.contains(&StratumWork::Skipped));
+    // The row itself, whose neighbour it is, and whether that neighbour is known.
+    let expected = RuleWork {
+        clause: ClauseId(0),
+        given: 2,
+        looked_at: 6,
+        derived: 1,
+    };
+    assert_eq!(rule(0), expected);
+}
+
+#[test]
+fn a_large_change_is_recomputed_and_a_small_one_maintained() {
+    let program = program(
+        ".decl Edge(x: number, y: number)
+        .decl Mark(x: number)
+        .decl Path(x: number, y: number)
+        .decl Reached(x: number)
+        Path(x, y) :- Edge(x, y).
+        Path(x, z) :- Path(x, y), Edge(y, z).
+        Reached(y) :- Mark(x), Path(x, y).",
+    );
+    let mut session = program.session();
+    // Ten chains of thirty nodes.
+    let chains = (0..300).filter(|x| x % 30 != 29).map(|x| [x, x + 1]);
+    chains.for_each(|row| insert(&mut session, "Edge", &[&row]));
+    insert(&mut session, "Mark", &[&[5]]);
+    session.commit().unwrap();
+    assert_eq!(session.len(program.relation("Path").unwrap()), 10 * 29 * 30 / 2);
+
+    let maintained = |session: &Session| {
+        let strata = session.work().strata.iter();
+        strata
+            .map(|work| match work {
+                StratumWork::Skipped => '-',
+                StratumWork::Maintained(_) => 'm',
+                StratumWork::Recomputed(Work { given_up: 0, .. }) => 'r',
+                StratumWork::Recomputed(_) => 'R',
+            })
+            .collect::<String>()
+    };
+    insert(&mut session, "Edge", &[&[1_000, 1_001]]);
+    session.commit().unwrap();
+    assert_eq!(maintained(&session), "mm");
+    retract(&mut session, "Edge", &[&[29 + 30 * 7 - 1, 29 + 30 * 7]]);
+    let delta = session.commit().unwrap();
+    // `Path` loses 29 rows of 4,350. `Reached` looks at 25 to begin with.
+    assert_eq!(maintained(&session), "mr");
+    assert_eq!(delta.of(program.relation("Path").unwrap()).unwrap().removed.len(), 29);
+    assert!(session.work().rules().map(|rule| rule.looked_at).sum::<u64>() < 1_000);
+
+    // All chains become one: it looks cheap, turns out not to be, and is given up.
+    (0..9).for_each(|chain| insert(&mut session, "Edge", &[&[chain * 30 + 29, chain * 30 + 30]]));
+    session.commit().unwrap();
+    assert_eq!(maintained(&session), "Rr");
+    // Nearly all marks change: it does not look cheap.
+    (6..290).for_each(|x| insert(&mut session, "Mark", &[&[x]]));
+    session.commit().unwrap();
+    assert_eq!(maintained(&session), "-r");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use super::{Failure, load_program, make_folder, report};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::engine::{Options, Program, Session, facts, promise};
+use crate::engine::{Options, Program, RuleWork, Session, StratumWork, facts, promise};
 use crate::files::{self, Output, ReadError};
 use crate::lang::RelId;
 use std::io::Write;
@@ -18,6 +18,12 @@ pub struct Arguments {
     /// Folder for one NAME.csv for each output relation; `-` is standard output
     #[arg(short = 'D', long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
+    /// Print how every clause is evaluated, and do nothing else
+    #[arg(long, conflicts_with = "profile")]
+    plan: bool,
+    /// Tell on standard error what every clause did
+    #[arg(long)]
+    profile: bool,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -32,6 +38,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         true => program,
         false => Program::with(program.rules().clone(), options)?,
     };
+    if arguments.plan {
+        write!(anstream::stdout(), "{}", program.show_plans(sources))?;
+        return Ok(());
+    }
     let mut session = program.session();
     load_inputs(&arguments.facts, &mut session, sources)?;
     session.commit().map_err(Diagnostic::from)?;
@@ -41,6 +51,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Err(broken.into());
     }
 
+    if arguments.profile {
+        // Nobody may be there to read it; the results are worth more.
+        let _ = write!(anstream::stderr(), "{}", profile(&session, sources));
+    }
     let mut out = anstream::stdout();
     for (id, relation) in relations(&program) {
         if relation.output {
@@ -61,6 +75,30 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         }
     }
     Ok(())
+}
+
+/// What every clause did, those that looked at most rows first.
+fn profile(session: &Session, sources: &Sources) -> String {
+    let rounds = session.work().strata.iter().filter_map(StratumWork::work);
+    let mut rules: Vec<(usize, &RuleWork)> = rounds
+        .flat_map(|work| work.rules.iter().map(|rule| (work.rounds, rule)))
+        .collect();
+    rules.sort_by_key(|(_, rule)| std::cmp::Reverse(rule.looked_at));
+    let mut text = format!(
+        "{:>13} {:>13} {:>13} {:>7}  clause\n",
+        "new rows in", "looked at", "derived", "rounds"
+    );
+    for (rounds, rule) in rules {
+        let clause = session.program().show_clause(rule.clause, sources);
+        let RuleWork {
+            given,
+            looked_at,
+            derived,
+            ..
+        } = rule;
+        text += &format!("{given:>13} {looked_at:>13} {derived:>13} {rounds:>7}  {clause}\n");
+    }
+    text
 }
 
 /// The declared relations in the order of the text.

@@ -4,15 +4,16 @@
 //! *new* for one round, and belong to its *stable* batches afterwards. The joins are our own ([`super::join`]), since
 //! datafrog's want their number and the types of their rows at compile time.
 
-use crate::engine::join::{self, Output, Overflow, View};
-use crate::engine::plan::{IndexId, Plan, Plans, Source, Step, StratumPlan, Version};
-use crate::engine::row::{Batch, Index, Row, difference, gallop, merge, normalise, project};
-use crate::engine::{Compiled, Delta, EvalError, Rows, StratumWork, WorkLog};
+use crate::engine::estimate::{self, Shape};
+use crate::engine::join::{self, Effort, Output, Stop, View};
+use crate::engine::plan::{ClausePlans, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
+use crate::engine::row::{Batch, Row, difference, merge, normalise};
+use crate::engine::table::{Net, Table, project};
+use crate::engine::{Compiled, Delta, EvalError, Rows, RuleWork, Strategy, StratumWork, Work, WorkLog};
 use crate::lang::{ClauseId, RelId, Term, Value};
 use crate::symbol::Symbols;
-use datafrog::{Iteration, Relation, Variable};
+pub(super) use datafrog::{Iteration, Relation, Variable};
 use std::cell::Ref;
-use std::sync::OnceLock;
 
 /// What a session keeps between commits, whatever the width of its rows.
 pub(super) trait Store: Send + Sync {
@@ -20,8 +21,14 @@ pub(super) trait Store: Send + Sync {
     fn change(&mut self, relation: RelId, row: &[Value], present: bool);
     /// Forgets the changes noted since the last commit.
     fn rollback(&mut self);
-    /// Makes the noted changes and evaluates what depends on them. On failure everything is as before.
-    fn commit(&mut self, compiled: &Compiled, symbols: &Symbols, limit: usize) -> Result<(Delta, WorkLog), EvalError>;
+    /// Makes the noted changes and brings what depends on them up to date. On failure everything is as before.
+    fn commit(
+        &mut self,
+        compiled: &Compiled,
+        symbols: &Symbols,
+        limit: usize,
+        strategy: Strategy,
+    ) -> Result<(Delta, WorkLog), EvalError>;
     /// Whether the row, which has the right arity, is there.
     fn contains(&self, relation: RelId, row: &[Value]) -> bool;
     /// The row at a position below `len`, padded.
@@ -44,28 +51,112 @@ pub(super) fn store(compiled: &Compiled) -> Box<dyn Store> {
     }
 }
 
-struct State<const W: usize> {
+pub(super) struct State<const W: usize> {
     /// By [`RelId`]: the rows as of the last commit.
-    relations: Vec<Vec<Row<W>>>,
-    /// By [`IndexId`]: made when first needed, dropped when the relation changes.
-    indexes: Vec<OnceLock<Index<W>>>,
+    pub(super) tables: Vec<Table<W>>,
     /// By [`RelId`]: the facts in the text, for relations that no clause with a body derives. They cannot be retracted.
     given: Vec<Vec<Row<W>>>,
     /// By [`RelId`]: noted changes in the order they came; of several for one row the last counts.
     noted: Vec<Vec<(Row<W>, bool)>>,
     /// Whether a commit has succeeded.
     committed: bool,
+    /// By position of the stratum: what the last computation from scratch took.
+    costs: Vec<Cost>,
 }
 
-/// A derived relation and its rows.
-type Evaluated<const W: usize> = (RelId, Vec<Row<W>>);
+/// What computing a stratum from scratch took.
+#[derive(Clone, Copy, Debug, Default)]
+struct Cost {
+    looked_at: u64,
+    /// How many rows its inputs had.
+    inputs: u64,
+}
 
-/// What a commit has replaced so far.
-struct Undo<const W: usize> {
-    /// Relations that changed, with their old rows.
-    old: Vec<(RelId, Vec<Row<W>>)>,
-    /// By [`RelId`].
-    changed: Vec<bool>,
+/// A commit while it is made.
+pub(super) struct Commit<'a, const W: usize> {
+    pub(super) compiled: &'a Compiled,
+    pub(super) symbols: &'a Symbols,
+    /// By [`RelId`]: how the relations changed so far, and what they were before.
+    pub(super) changed: Vec<Option<(Net<W>, Table<W>)>>,
+}
+
+impl<const W: usize> Commit<'_, W> {
+    /// All that changed. The tables as they were are dropped.
+    fn delta(self) -> Delta {
+        let mut delta = Delta::default();
+        for (changed, relation) in self.changed.into_iter().zip((0..).map(RelId)) {
+            let Some((net, _)) = changed else { continue };
+            let arity = self.compiled.rules.relations[relation.index()].arity();
+            let list = |rows: Vec<Row<W>>| {
+                let rows: Vec<[Value; W]> = rows.into_iter().map(|row| row.0).collect();
+                Rows::of(arity, rows)
+            };
+            delta.push(relation, list(net.added), list(net.removed));
+        }
+        delta
+    }
+
+    /// How a relation changed, if it did.
+    pub(super) fn net(&self, relation: RelId) -> Option<&Net<W>> {
+        self.changed[relation.index()].as_ref().map(|(net, _)| net)
+    }
+}
+
+/// The clause whose evaluation was given up, and why.
+pub(super) type Failure = (ClauseId, Stop);
+
+/// Runs plans and keeps account of it.
+pub(super) struct Meter {
+    pub(super) effort: Effort,
+    rules: Vec<RuleWork>,
+}
+
+impl Meter {
+    /// Nothing done yet; no more than `budget` rows may be looked at.
+    pub(super) fn new(budget: u64) -> Self {
+        Meter {
+            effort: Effort::new(budget),
+            rules: Vec::new(),
+        }
+    }
+
+    /// Evaluates a plan of a clause that begins with so many given rows.
+    pub(super) fn run<const W: usize>(
+        &mut self,
+        clause: ClauseId,
+        plan: &Plan,
+        (views, given): (&[View<'_, W>], usize),
+        symbols: &Symbols,
+        out: &mut Output<W>,
+    ) -> Result<(), Failure> {
+        let before = (self.effort.looked_at, out.pushed);
+        let result = join::run(plan, views, symbols, &mut self.effort, out);
+        let position = self.rules.binary_search_by_key(&clause, |rule| rule.clause);
+        let position = position.unwrap_or_else(|position| {
+            let rule = RuleWork {
+                clause,
+                given: 0,
+                looked_at: 0,
+                derived: 0,
+            };
+            self.rules.insert(position, rule);
+            position
+        });
+        let rule = &mut self.rules[position];
+        rule.given += given as u64;
+        rule.looked_at += self.effort.looked_at - before.0;
+        rule.derived += out.pushed - before.1;
+        result.map_err(|stop| (clause, stop))
+    }
+
+    /// What was done, in so many rounds.
+    pub(super) fn finish(self, rounds: usize) -> Work {
+        Work {
+            rounds,
+            rules: self.rules,
+            given_up: 0,
+        }
+    }
 }
 
 impl<const W: usize> State<W> {
@@ -78,9 +169,12 @@ impl<const W: usize> State<W> {
             }
         }
         given.iter_mut().for_each(normalise);
+        let indexes_of = compiled.plans.indexes_of.iter();
         State {
-            relations: vec![Vec::new(); rules.relations.len()],
-            indexes: compiled.plans.indexes.iter().map(|_| OnceLock::new()).collect(),
+            tables: indexes_of
+                .map(|indexes| Table::new(Vec::new(), indexes.len()))
+                .collect(),
+            costs: vec![Cost::default(); compiled.plans.strata.len()],
             // They are inserted like any other fact, once.
             noted: given
                 .iter()
@@ -91,103 +185,138 @@ impl<const W: usize> State<W> {
         }
     }
 
-    /// Replaces a relation's rows and forgets the indexes over the old ones.
-    fn replace(&mut self, plans: &Plans, relation: RelId, rows: Vec<Row<W>>) -> Vec<Row<W>> {
-        for index in &plans.indexes_of[relation.index()] {
-            self.indexes[index.index()].take();
-        }
-        std::mem::replace(&mut self.relations[relation.index()], rows)
-    }
-
     fn try_commit(
         &mut self,
-        compiled: &Compiled,
-        symbols: &Symbols,
+        commit: &mut Commit<'_, W>,
         limit: usize,
-        undo: &mut Undo<W>,
-    ) -> Result<(Delta, WorkLog), EvalError> {
-        let Compiled { rules, plans } = compiled;
-        let mut delta = Delta::default();
+        strategy: Strategy,
+    ) -> Result<(WorkLog, Vec<Cost>), EvalError> {
+        let Compiled { rules, plans } = commit.compiled;
         for relation in (0..rules.relations.len() as u32).map(RelId) {
             let noted = &mut self.noted[relation.index()];
             if noted.is_empty() {
                 continue;
             }
             settle(noted);
-            let old = &self.relations[relation.index()];
-            let [added, removed] = net(old, noted);
-            if !added.is_empty() || !removed.is_empty() {
-                let rows = update(old, noted);
-                self.record(compiled, relation, rows, (&added, &removed), undo, &mut delta);
+            let table = &self.tables[relation.index()];
+            if let Some((net, rows)) = table.update(noted) {
+                let table = table.replaced(&specs(plans, relation), &net, rows);
+                self.put(commit, relation, net, table);
             }
         }
 
         let mut log = WorkLog::default();
+        let mut costs = self.costs.clone();
         // Rows derived by the strata so far. A limit that is passed by a sum of these is passed whatever was there before.
         let mut derived = 0;
-        for stratum in &plans.strata {
-            if self.committed && !stratum.inputs.iter().any(|input| undo.changed[input.index()]) {
-                log.strata.push(StratumWork::Skipped);
-                derived += stratum
-                    .members
-                    .iter()
-                    .map(|&relation| self.len(relation))
-                    .sum::<usize>();
-                continue;
-            }
-            let room = limit.saturating_sub(derived);
-            let (results, work) = self
-                .evaluate(compiled, symbols, stratum, room)
-                .map_err(|clause| EvalError::TooManyRows { limit, clause })?;
-            derived += results.iter().map(|(_, rows)| rows.len()).sum::<usize>();
+        for (stratum, cost) in plans.strata.iter().zip(&mut costs) {
+            let changes = stratum.inputs.iter().any(|&input| commit.net(input).is_some());
+            let work = if self.committed && !changes {
+                StratumWork::Skipped
+            } else {
+                let room = limit.saturating_sub(derived);
+                self.update(commit, stratum, cost, (room, strategy))
+                    .map_err(|clause| EvalError::TooManyRows { limit, clause })?
+            };
             log.strata.push(work);
-            for (relation, rows) in results {
-                let old = &self.relations[relation.index()];
-                if *old != rows {
-                    let (added, removed) = (difference(&rows, old), difference(old, &rows));
-                    self.record(compiled, relation, rows, (&added, &removed), undo, &mut delta);
+            let members = stratum.members.iter();
+            derived += members.map(|&relation| self.len(relation)).sum::<usize>();
+        }
+        Ok((log, costs))
+    }
+
+    /// Brings the relations of a stratum up to date in the way that looks cheaper. If there are more than `room` rows, a clause
+    /// that derives them.
+    fn update(
+        &mut self,
+        commit: &mut Commit<'_, W>,
+        stratum: &StratumPlan,
+        cost: &mut Cost,
+        (room, strategy): (usize, Strategy),
+    ) -> Result<StratumWork, ClauseId> {
+        let plans = &commit.compiled.plans;
+        let inputs: usize = stratum.inputs.iter().map(|&input| self.len(input)).sum();
+        let inputs = inputs as u64;
+        let mut given_up = 0;
+        if self.committed && stratum.maintainable && strategy != Strategy::Recompute {
+            // Had the inputs as many rows as now, it would have taken about this.
+            let recomputing = u128::from(cost.looked_at) * u128::from(inputs + 1) / u128::from(cost.inputs + 1);
+            let recomputing = u64::try_from(recomputing).unwrap_or(u64::MAX);
+            let maintaining = || Self::maintenance_cost(commit, stratum);
+            let budget = match strategy {
+                Strategy::Maintain => Some(u64::MAX),
+                _ => (maintaining() <= recomputing).then_some(recomputing),
+            };
+            if let Some(budget) = budget {
+                let mut meter = Meter::new(budget);
+                match self.maintain(commit, stratum, room, &mut meter) {
+                    Ok((nets, rounds)) => {
+                        for (&relation, net) in stratum.members.iter().zip(nets) {
+                            if !net.is_empty() {
+                                let table = self.tables[relation.index()].patched(&specs(plans, relation), &net);
+                                self.put(commit, relation, net, table);
+                            }
+                        }
+                        return Ok(StratumWork::Maintained(meter.finish(rounds)));
+                    }
+                    Err((clause, Stop::Overflow)) => return Err(clause),
+                    Err((_, Stop::Budget)) => given_up = meter.effort.looked_at,
                 }
             }
         }
-        delta.changes.sort_by_key(|change| change.relation);
-        Ok((delta, log))
-    }
 
-    /// Puts a relation's new rows in place and says how they differ from the old ones.
-    fn record(
-        &mut self,
-        compiled: &Compiled,
-        relation: RelId,
-        rows: Vec<Row<W>>,
-        (added, removed): (&[Row<W>], &[Row<W>]),
-        undo: &mut Undo<W>,
-        delta: &mut Delta,
-    ) {
-        let arity = compiled.rules.relations[relation.index()].arity();
-        let list = |rows: &[Row<W>]| {
-            let mut list = Rows::with_capacity(arity, rows.len());
-            rows.iter().for_each(|row| list.push(&row.0[..arity]));
-            list
+        let mut meter = Meter::new(u64::MAX);
+        let (results, rounds) = self
+            .evaluate(commit, stratum, room, &mut meter)
+            .map_err(|(clause, _)| clause)?;
+        *cost = Cost {
+            looked_at: meter.effort.looked_at,
+            inputs,
         };
-        delta.push(relation, list(added), list(removed));
-        let old = self.replace(&compiled.plans, relation, rows);
-        undo.old.push((relation, old));
-        undo.changed[relation.index()] = true;
+        for (&relation, rows) in stratum.members.iter().zip(results) {
+            let table = &self.tables[relation.index()];
+            let net = Net {
+                added: difference(&rows, &table.rows),
+                removed: difference(&table.rows, &rows),
+            };
+            if !net.is_empty() {
+                let table = table.replaced(&specs(plans, relation), &net, rows);
+                self.put(commit, relation, net, table);
+            }
+        }
+        let mut work = meter.finish(rounds);
+        work.given_up = given_up;
+        Ok(StratumWork::Recomputed(work))
     }
 
-    /// The rows of the stratum's derived relations, from scratch. If there are more than `room`, a clause that derives them.
+    /// About how many rows maintaining the stratum looks at.
+    fn maintenance_cost(commit: &Commit<'_, W>, stratum: &StratumPlan) -> u64 {
+        /// A changed row is looked for in some other relations, and a head that may have lost a derivation in all clauses.
+        const ROW: u64 = 4;
+        /// Beginning with a clause costs something even for one row.
+        const CLAUSE: u64 = 8;
+        let clauses = stratum.clauses.iter();
+        let changes = clauses.flat_map(|clause| &commit.compiled.plans.clauses[clause.index()].changes);
+        let nets = changes.filter_map(|change| commit.net(change.over));
+        nets.map(|net| CLAUSE + ROW * net.len() as u64).sum()
+    }
+
+    /// Puts a relation's new table in place.
+    fn put(&mut self, commit: &mut Commit<'_, W>, relation: RelId, net: Net<W>, table: Table<W>) {
+        let old = std::mem::replace(&mut self.tables[relation.index()], table);
+        commit.changed[relation.index()] = Some((net, old));
+    }
+
+    /// The rows of the stratum's derived relations from scratch, and the number of rounds that took.
     fn evaluate(
         &self,
-        compiled: &Compiled,
-        symbols: &Symbols,
+        commit: &Commit<'_, W>,
         stratum: &StratumPlan,
         room: usize,
-    ) -> Result<(Vec<Evaluated<W>>, StratumWork), ClauseId> {
-        let plans = &compiled.plans;
-        let members = &stratum.members;
-
-        let mut outputs: Vec<Output<W>> = members.iter().map(|_| Output::new(room)).collect();
-        let mut scratch = Vec::new();
+        meter: &mut Meter,
+    ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
+        let plans = &commit.compiled.plans;
+        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room)).collect();
         for &clause in &stratum.clauses {
             let plan = &plans.clauses[clause.index()];
             let Some(member) = plans.member[plan.complete.head.index()] else {
@@ -196,67 +325,108 @@ impl<const W: usize> State<W> {
             // A clause over the stratum itself derives nothing before there is something.
             if plan.deltas.is_empty() {
                 let views = self.complete_views(plans, &plan.complete);
-                join::run(&plan.complete, &views, symbols, &mut scratch, &mut outputs[member])
-                    .map_err(|Overflow| clause)?;
+                meter.run(
+                    clause,
+                    &plan.complete,
+                    (&views, 0),
+                    commit.symbols,
+                    &mut outputs[member],
+                )?;
             }
         }
-
-        if stratum
-            .clauses
-            .iter()
-            .all(|clause| plans.clauses[clause.index()].deltas.is_empty())
-        {
-            let rows: Vec<_> = members
-                .iter()
-                .copied()
-                .zip(outputs.iter_mut().map(Output::take))
-                .collect();
-            let total: usize = rows.iter().map(|(_, rows)| rows.len()).sum();
-            if let (true, Some(&clause)) = (total > room, stratum.clauses.last()) {
-                return Err(clause);
-            }
-            let considered = outputs.iter().map(|output| output.pushed).sum();
-            return Ok((rows, StratumWork::Evaluated { rounds: 1, considered }));
+        if stratum.recursive {
+            return self.grow(commit, stratum, None, outputs, room, meter);
         }
+        let rows: Vec<_> = outputs.iter_mut().map(Output::take).collect();
+        let total: usize = rows.iter().map(Vec::len).sum();
+        match stratum.clauses.last() {
+            Some(&clause) if total > room => Err((clause, Stop::Overflow)),
+            _ => Ok((rows, 1)),
+        }
+    }
 
-        let mut recursion = Recursion::new(compiled, stratum);
+    /// What follows in a recursive stratum from the rows in `outputs`, themselves included, and the number of rounds that took.
+    /// `base` are the members' rows that hold already; they are not included.
+    pub(super) fn grow(
+        &self,
+        commit: &Commit<'_, W>,
+        stratum: &StratumPlan,
+        base: Option<&[&Table<W>]>,
+        mut outputs: Vec<Output<W>>,
+        room: usize,
+        meter: &mut Meter,
+    ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
+        let plans = &commit.compiled.plans;
+        let mut recursion = Recursion::new(commit.compiled, stratum, base);
         let mut rounds = 0;
         loop {
-            for (variable, output) in recursion.variables.iter().zip(&mut outputs) {
-                variable.insert(Relation {
-                    elements: output.take(),
-                });
+            for (member, (variable, output)) in recursion.variables.iter().zip(&mut outputs).enumerate() {
+                let mut elements = output.take();
+                if let Some(base) = base {
+                    elements = difference(&elements, &base[member].rows);
+                }
+                variable.insert(Relation { elements });
             }
-            if !recursion.advance(plans) {
+            if !recursion.iteration.changed() {
                 break;
             }
             rounds += 1;
+            let chosen = self.choose(plans, stratum, &recursion);
+            let sources = || {
+                chosen
+                    .iter()
+                    .flat_map(|(_, _, plan)| &plan.steps)
+                    .filter_map(Step::source)
+            };
+            recursion.keep(plans, |index| sources().any(|source| source.index == index));
             let held = recursion.hold();
-            let total: usize = held.iter().map(Held::len).sum();
-            for &clause in &stratum.clauses {
-                if total > room {
-                    return Err(clause);
-                }
-                for (over, plan) in &plans.clauses[clause.index()].deltas {
-                    let (Some(over), Some(head)) = (plans.member[over.index()], plans.member[plan.head.index()]) else {
-                        continue;
-                    };
-                    if held[over].new.is_empty() {
-                        continue;
-                    }
-                    let view = |step: &Step| match step.source() {
-                        None => View::NONE,
-                        Some(source) if source.version == Version::Complete => self.complete_view(plans, source),
-                        Some(source) => recursion.view(&held, plans, source),
-                    };
-                    let views: Vec<View<'_, W>> = plan.steps.iter().map(view).collect();
-                    join::run(plan, &views, symbols, &mut scratch, &mut outputs[head]).map_err(|Overflow| clause)?;
+            let known: usize = base.unwrap_or_default().iter().map(|table| table.rows.len()).sum();
+            let total = known + held.iter().map(Held::len).sum::<usize>();
+            if let (true, Some(&clause)) = (total > room, stratum.clauses.first()) {
+                return Err((clause, Stop::Overflow));
+            }
+            for &(clause, over, plan) in &chosen {
+                let Some(head) = plans.member[plan.head.index()] else {
+                    continue;
+                };
+                let view = |step: &Step| match step.source() {
+                    None => View::NONE,
+                    Some(source) if source.version == Version::Complete => self.complete_view(plans, source),
+                    Some(source) => recursion.view(&held, plans, source),
+                };
+                let views: Vec<View<'_, W>> = plan.steps.iter().map(view).collect();
+                let given = held[over].new.len();
+                meter.run(clause, plan, (&views, given), commit.symbols, &mut outputs[head])?;
+            }
+        }
+        Ok((recursion.complete(), rounds))
+    }
+
+    /// The plans for a round of a recursive stratum, with the clause and the member whose new rows they are for.
+    fn choose<'p>(
+        &self,
+        plans: &'p Plans,
+        stratum: &StratumPlan,
+        recursion: &Recursion<'_, W>,
+    ) -> Vec<(ClauseId, usize, &'p Plan)> {
+        let held = recursion.hold();
+        let shape = |source: Source| {
+            let relation = plans.indexes[source.index.index()].relation;
+            match plans.member[relation.index()] {
+                Some(member) if source.version != Version::Complete => recursion.shape(&held, member, source.version),
+                _ => Shape::of(&self.tables[relation.index()].rows),
+            }
+        };
+        let mut chosen = Vec::new();
+        for &clause in &stratum.clauses {
+            let ClausePlans { deltas, detours, .. } = &plans.clauses[clause.index()];
+            for ((over, plan), detours) in deltas.iter().zip(detours) {
+                if let Some(over) = plans.member[over.index()].filter(|&over| !held[over].new.is_empty()) {
+                    chosen.push((clause, over, estimate::choose(plan, detours, &plans.indexes, &shape)));
                 }
             }
         }
-        let considered = outputs.iter().map(|output| output.pushed).sum();
-        let rows = recursion.complete();
-        Ok((rows, StratumWork::Evaluated { rounds, considered }))
+        chosen
     }
 
     fn complete_views(&self, plans: &Plans, plan: &Plan) -> Vec<View<'_, W>> {
@@ -269,14 +439,14 @@ impl<const W: usize> State<W> {
 
     fn complete_view(&self, plans: &Plans, source: Source) -> View<'_, W> {
         let spec = &plans.indexes[source.index.index()];
-        let own = &self.relations[spec.relation.index()];
-        let index = self.indexes[source.index.index()]
-            .get_or_init(|| Index::build(own, &spec.columns, plans.is_own(source.index)));
-        View {
-            first: index.batch(own),
-            rest: Vec::new(),
-        }
+        View::of(self.tables[spec.relation.index()].batch(spec))
     }
+}
+
+/// A relation's indexes.
+pub(super) fn specs(plans: &Plans, relation: RelId) -> Vec<&IndexSpec> {
+    let indexes = plans.indexes_of[relation.index()].iter();
+    indexes.map(|index| &plans.indexes[index.index()]).collect()
 }
 
 impl<const W: usize> Store for State<W> {
@@ -296,33 +466,47 @@ impl<const W: usize> Store for State<W> {
         }
     }
 
-    fn commit(&mut self, compiled: &Compiled, symbols: &Symbols, limit: usize) -> Result<(Delta, WorkLog), EvalError> {
-        let mut undo = Undo {
-            old: Vec::new(),
-            changed: vec![false; self.relations.len()],
+    fn commit(
+        &mut self,
+        compiled: &Compiled,
+        symbols: &Symbols,
+        limit: usize,
+        strategy: Strategy,
+    ) -> Result<(Delta, WorkLog), EvalError> {
+        let mut commit = Commit {
+            compiled,
+            symbols,
+            changed: self.tables.iter().map(|_| None).collect(),
         };
-        let result = self.try_commit(compiled, symbols, limit, &mut undo);
-        if result.is_ok() {
-            self.noted.iter_mut().for_each(Vec::clear);
-            self.committed = true;
-        } else {
-            for (relation, old) in undo.old {
-                self.replace(&compiled.plans, relation, old);
+        match self.try_commit(&mut commit, limit, strategy) {
+            Ok((log, costs)) => {
+                self.noted.iter_mut().for_each(Vec::clear);
+                self.costs = costs;
+                self.committed = true;
+                Ok((commit.delta(), log))
+            }
+            Err(error) => {
+                for (table, changed) in self.tables.iter_mut().zip(commit.changed) {
+                    if let Some((_, old)) = changed {
+                        *table = old;
+                    }
+                }
+                Err(error)
             }
         }
-        result
     }
 
     fn contains(&self, relation: RelId, row: &[Value]) -> bool {
-        self.relations[relation.index()].binary_search(&Row::new(row)).is_ok()
+        let rows = &self.tables[relation.index()].rows;
+        rows.binary_search(&Row::new(row)).is_ok()
     }
 
     fn row(&self, relation: RelId, position: usize) -> &[Value] {
-        &self.relations[relation.index()][position].0
+        &self.tables[relation.index()].rows[position].0
     }
 
     fn len(&self, relation: RelId) -> usize {
-        self.relations[relation.index()].len()
+        self.tables[relation.index()].rows.len()
     }
 
     fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>> {
@@ -331,7 +515,7 @@ impl<const W: usize> Store for State<W> {
         if self.committed {
             let views = self.complete_views(&compiled.plans, plan);
             // What a clause derives is in its head's relation, which is within the limit: it cannot overflow.
-            let _ = join::run(plan, &views, symbols, &mut Vec::new(), &mut out);
+            let _ = join::run(plan, &views, symbols, &mut Effort::new(u64::MAX), &mut out);
         }
         let arity = compiled.rules.relations[plan.head.index()].arity();
         out.take().iter().map(|row| row.0[..arity].to_vec()).collect()
@@ -362,41 +546,12 @@ fn settle<const W: usize>(noted: &mut Vec<(Row<W>, bool)>) {
     });
 }
 
-/// The rows that settled changes add to and remove from a relation.
-fn net<const W: usize>(old: &[Row<W>], noted: &[(Row<W>, bool)]) -> [Vec<Row<W>>; 2] {
-    let mut net = [Vec::new(), Vec::new()];
-    let mut rest = old;
-    for (row, present) in noted {
-        rest = &rest[gallop(rest, |other| other < row)..];
-        let was = rest.first() == Some(row);
-        if was != *present {
-            net[usize::from(was)].push(*row);
-        }
-    }
-    net
-}
-
-/// The relation after settled changes.
-fn update<const W: usize>(old: &[Row<W>], noted: &[(Row<W>, bool)]) -> Vec<Row<W>> {
-    let mut new = Vec::with_capacity(old.len() + noted.len());
-    let mut rest = old;
-    for (row, present) in noted {
-        let (before, after) = rest.split_at(gallop(rest, |other| other < row));
-        new.extend_from_slice(before);
-        rest = if after.first() == Some(row) { &after[1..] } else { after };
-        if *present {
-            new.push(*row);
-        }
-    }
-    new.extend_from_slice(rest);
-    new
-}
-
 /// A recursive stratum being evaluated.
-struct Recursion<const W: usize> {
+struct Recursion<'a, const W: usize> {
     iteration: Iteration,
-    members: Vec<RelId>,
-    /// By position in `members`.
+    /// By member: the rows that held before.
+    base: Option<&'a [&'a Table<W>]>,
+    /// By member: the rows that came.
     variables: Vec<Variable<Row<W>>>,
     /// The members' rows in other orders of columns.
     grown: Vec<Grown<W>>,
@@ -405,8 +560,10 @@ struct Recursion<const W: usize> {
 /// An index over a relation that grows.
 struct Grown<const W: usize> {
     id: IndexId,
-    /// Position in [`Recursion::members`].
+    /// Position among the members.
     member: usize,
+    /// Whether it was used in this round: an index that is not is given up, and made again when it is wanted.
+    kept: bool,
     /// Each at least twice as long as the next, so that a row is merged only a logarithmic number of times.
     stable: Vec<Vec<Row<W>>>,
     new: Vec<Row<W>>,
@@ -424,8 +581,8 @@ impl<const W: usize> Held<'_, W> {
     }
 }
 
-impl<const W: usize> Recursion<W> {
-    fn new(compiled: &Compiled, stratum: &StratumPlan) -> Self {
+impl<'b, const W: usize> Recursion<'b, W> {
+    fn new(compiled: &Compiled, stratum: &StratumPlan, base: Option<&'b [&'b Table<W>]>) -> Self {
         let Compiled { rules, plans } = compiled;
         let members = &stratum.members;
         let mut iteration = Iteration::new();
@@ -444,6 +601,7 @@ impl<const W: usize> Recursion<W> {
                 grown.push(Grown {
                     id: source.index,
                     member,
+                    kept: false,
                     stable: Vec::new(),
                     new: Vec::new(),
                 });
@@ -451,29 +609,35 @@ impl<const W: usize> Recursion<W> {
         }
         Recursion {
             iteration,
-            members: members.clone(),
+            base,
             variables,
             grown,
         }
     }
 
-    /// Begins the next round; false if nothing is new.
-    fn advance(&mut self, plans: &Plans) -> bool {
-        let changed = self.iteration.changed();
+    /// Brings the indexes that this round uses up to date. Once a round.
+    fn keep(&mut self, plans: &Plans, used: impl Fn(IndexId) -> bool) {
         for grown in &mut self.grown {
+            let (was, is) = (grown.kept, used(grown.id));
             let mut batch = std::mem::take(&mut grown.new);
-            if !batch.is_empty() {
+            grown.kept = is;
+            if !is {
+                grown.stable = Vec::new();
+                continue;
+            }
+            let columns = &plans.indexes[grown.id.index()].columns;
+            let variable = &self.variables[grown.member];
+            if !was {
+                let stable = variable.stable.borrow();
+                grown.stable = stable.iter().map(|rows| project(rows, columns)).collect();
+            } else if !batch.is_empty() {
                 while let Some(last) = grown.stable.pop_if(|last| last.len() <= 2 * batch.len()) {
                     batch = merge(&last, &batch);
                 }
                 grown.stable.push(batch);
             }
-            grown.new = project(
-                &self.variables[grown.member].recent.borrow(),
-                &plans.indexes[grown.id.index()].columns,
-            );
+            grown.new = project(&variable.recent.borrow(), columns);
         }
-        changed
     }
 
     fn hold(&self) -> Vec<Held<'_, W>> {
@@ -488,18 +652,22 @@ impl<const W: usize> Recursion<W> {
 
     /// The rows of a member that a step looks at.
     fn view<'a>(&'a self, held: &'a [Held<'a, W>], plans: &Plans, source: Source) -> View<'a, W> {
-        let mut batches: Vec<Batch<'a, W>> = Vec::new();
+        let spec = &plans.indexes[source.index.index()];
         let (with_old, with_new) = (source.version != Version::New, source.version != Version::Old);
+        let mut batches: Vec<Batch<'a, W>> = Vec::new();
+        let Some(member) = plans.member[spec.relation.index()] else {
+            return View::NONE;
+        };
+        if let (true, Some(base)) = (with_old, self.base) {
+            batches.push(base[member].batch(spec));
+        }
         if let Some(grown) = self.grown.iter().find(|grown| grown.id == source.index) {
             batches.extend(grown.stable.iter().filter(|_| with_old).map(|rows| Batch::plain(rows)));
             batches.extend(with_new.then(|| Batch::plain(&grown.new)));
         } else {
-            let relation = plans.indexes[source.index.index()].relation;
-            if let Some(member) = plans.member[relation.index()] {
-                let Held { stable, new } = &held[member];
-                batches.extend(stable.iter().filter(|_| with_old).map(|rows| Batch::plain(rows)));
-                batches.extend(with_new.then(|| Batch::plain(new)));
-            }
+            let Held { stable, new } = &held[member];
+            batches.extend(stable.iter().filter(|_| with_old).map(|rows| Batch::plain(rows)));
+            batches.extend(with_new.then(|| Batch::plain(new)));
         }
         match batches.pop() {
             Some(first) => View { first, rest: batches },
@@ -507,9 +675,19 @@ impl<const W: usize> Recursion<W> {
         }
     }
 
-    /// The finished relations. Only after [`Recursion::advance`] has said that nothing is new.
-    fn complete(self) -> Vec<Evaluated<W>> {
-        let rows = self.variables.into_iter().map(|variable| variable.complete().elements);
-        self.members.into_iter().zip(rows).collect()
+    /// How many rows of a member a step looks at, and how their words are spread.
+    fn shape(&self, held: &[Held<'_, W>], member: usize, version: Version) -> Shape<W> {
+        let (with_old, with_new) = (version != Version::New, version != Version::Old);
+        let base = self.base.filter(|_| with_old).map(|base| &base[member].rows[..]);
+        let Held { stable, new } = &held[member];
+        let stable = stable.iter().filter(|_| with_old).map(|rows| &rows[..]);
+        let lists = base.into_iter().chain(stable).chain(with_new.then_some(&new[..]));
+        lists.map(Shape::of).fold(Shape::default(), Shape::with)
+    }
+
+    /// The rows that came. Only when nothing is new.
+    fn complete(self) -> Vec<Vec<Row<W>>> {
+        let variables = self.variables.into_iter();
+        variables.map(|variable| variable.complete().elements).collect()
     }
 }

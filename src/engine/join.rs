@@ -1,7 +1,8 @@
 //! Runs the steps of a plan: one pipelined nested-loop join over sorted rows, without intermediate relations.
 
 use crate::engine::plan::{Plan, Slot, Step};
-use crate::engine::row::{Batch, Row, normalise};
+use crate::engine::row::{Batch, Row, gallop, normalise};
+use crate::engine::seen::{Added, Seen};
 use crate::lang::{BaseType, Comparison, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
@@ -20,67 +21,199 @@ impl<'a, const W: usize> View<'a, W> {
         rest: Vec::new(),
     };
 
+    /// Of one batch.
+    pub(super) fn of(batch: Batch<'a, W>) -> Self {
+        View {
+            first: batch,
+            rest: Vec::new(),
+        }
+    }
+
     fn batches(&self) -> impl Iterator<Item = &Batch<'a, W>> {
         std::iter::once(&self.first).chain(&self.rest)
     }
 
+    #[inline]
     fn holds(&self, key: &[Value]) -> bool {
-        self.batches().any(|batch| !batch.range(key).is_empty())
+        self.first.holds(key) || self.rest.iter().any(|batch| batch.holds(key))
     }
 }
 
-/// Derived rows on their way to a relation, with repetitions. The memory they take is bounded: when there are many, they are
-/// put in order and repetitions are dropped.
+/// Derived rows on their way to a relation, with some or no repetitions. The memory they take is bounded: where words are dense,
+/// rows are marked in a [`Seen`] and repetitions never get in; where they are not, rows are put in order when there are many and
+/// repetitions are dropped.
 #[derive(Debug)]
 pub(super) struct Output<const W: usize> {
-    pub(super) rows: Vec<Row<W>>,
+    rows: Vec<Row<W>>,
     /// Rows ever pushed.
     pub(super) pushed: u64,
+    /// Holds what is in `rows`, if there is one.
+    seen: Option<Seen<W>>,
+    /// New rows that `seen` keeps in place of `rows`.
+    kept: usize,
+    /// With so many rows something is to be done about them.
+    act_at: usize,
     compact_at: usize,
     limit: usize,
 }
 
-/// More distinct rows were derived than the limit allows.
+/// Why an evaluation was given up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Overflow;
+pub(super) enum Stop {
+    /// More distinct rows were derived than the limit allows.
+    Overflow,
+    /// More rows were looked at than allowed.
+    Budget,
+}
+
+/// What evaluations need besides their inputs, and how much they did.
+#[derive(Debug)]
+pub(super) struct Effort {
+    slots: Vec<Value>,
+    /// Rows that scans and tests looked at.
+    pub(super) looked_at: u64,
+    /// More than this is too much.
+    pub(super) budget: u64,
+}
+
+impl Effort {
+    /// None yet.
+    pub(super) fn new(budget: u64) -> Self {
+        Effort {
+            slots: Vec::new(),
+            looked_at: 0,
+            budget,
+        }
+    }
+}
 
 impl<const W: usize> Output<W> {
     /// Words of derived rows that are kept before repetitions are looked for: 128 MiB.
     const COMPACT_WORDS: usize = 1 << 25;
 
+    /// Rows before it is first asked whether their words are dense.
+    const SEEN_MIN: usize = 256;
+
     /// No rows yet; at most `limit` distinct ones are accepted.
     pub(super) fn new(limit: usize) -> Self {
+        let compact_at = (Self::COMPACT_WORDS / W).min(limit.saturating_add(1));
         Output {
             rows: Vec::new(),
             pushed: 0,
-            compact_at: (Self::COMPACT_WORDS / W).min(limit.saturating_add(1)),
+            seen: None,
+            kept: 0,
+            act_at: compact_at.min(Self::SEEN_MIN),
+            compact_at,
             limit,
         }
     }
 
+    /// These distinct rows, as if they had been derived.
+    pub(super) fn of(rows: Vec<Row<W>>, limit: usize) -> Self {
+        Output {
+            rows,
+            ..Self::new(limit)
+        }
+    }
+
+    /// Whether nothing is in it.
+    pub(super) fn is_empty(&self) -> bool {
+        self.rows.is_empty() && self.kept == 0
+    }
+
     #[inline]
-    fn push(&mut self, row: Row<W>) -> Result<(), Overflow> {
-        self.rows.push(row);
+    fn push(&mut self, row: Row<W>) -> Result<(), Stop> {
         self.pushed += 1;
-        if self.rows.len() >= self.compact_at {
-            self.compact()
+        if let Some(seen) = &mut self.seen {
+            match seen.add(&row) {
+                Added::Known => return Ok(()),
+                Added::New if seen.keeps() => {
+                    self.kept += 1;
+                    return if self.kept > self.limit {
+                        Err(Stop::Overflow)
+                    } else {
+                        Ok(())
+                    };
+                }
+                Added::New => {}
+                Added::Beyond => self.unmark(),
+            }
+        }
+        self.rows.push(row);
+        if self.rows.len() >= self.act_at {
+            self.act()
         } else {
             Ok(())
         }
     }
 
-    #[cold]
-    fn compact(&mut self) -> Result<(), Overflow> {
-        normalise(&mut self.rows);
-        if self.rows.len() > self.limit {
-            return Err(Overflow);
+    /// Pushes rows that are like `row` but for one word, which they have from a column of the rows found.
+    #[inline]
+    fn push_along(&mut self, mut row: Row<W>, word: usize, found: &[Row<W>], column: usize) -> Result<(), Stop> {
+        let mut rest = found;
+        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
+            let (added, new) = seen.keep_along(row, word, found.iter().map(|other| other.0[column]));
+            self.pushed += added as u64;
+            self.kept += new;
+            if self.kept > self.limit {
+                return Err(Stop::Overflow);
+            }
+            rest = &found[added..];
         }
-        self.compact_at = self.compact_at.max(self.rows.len().saturating_mul(2));
+        for other in rest {
+            row.0[word] = other.0[column];
+            self.push(row)?;
+        }
         Ok(())
     }
 
-    /// The distinct rows, in order. The output is empty afterwards.
+    /// Goes back to a plain list.
+    #[cold]
+    fn unmark(&mut self) {
+        if let Some(mut seen) = self.seen.take().filter(Seen::keeps) {
+            self.rows = seen.drain(std::mem::take(&mut self.kept));
+        }
+        // Not before there are more rows is it asked again whether words are dense.
+        self.act_at = (self.rows.len() + Self::SEEN_MIN).min(self.compact_at);
+    }
+
+    /// Finds the better way to hold the rows there are.
+    #[cold]
+    fn act(&mut self) -> Result<(), Stop> {
+        if self.seen.is_none() {
+            self.seen = Seen::over(&self.rows, self.pushed);
+            if self.seen.is_some() {
+                normalise(&mut self.rows);
+            }
+        }
+        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.prefers_bits(self.rows.len())) {
+            seen.keep(&self.rows);
+            self.kept = self.rows.len();
+            self.rows = Vec::new();
+        }
+        if self.rows.len() >= self.compact_at {
+            normalise(&mut self.rows);
+            self.compact_at = self.compact_at.max(self.rows.len().saturating_mul(2));
+        }
+        if self.rows.len().max(self.kept) > self.limit {
+            return Err(Stop::Overflow);
+        }
+        self.act_at = self
+            .rows
+            .len()
+            .saturating_mul(2)
+            .max(Self::SEEN_MIN)
+            .min(self.compact_at);
+        Ok(())
+    }
+
+    /// The distinct rows, in order. The output is empty afterwards, but rows that were in it may be left out when they are
+    /// derived again.
     pub(super) fn take(&mut self) -> Vec<Row<W>> {
+        self.act_at = self.compact_at.min(Self::SEEN_MIN);
+        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
+            return seen.drain(std::mem::take(&mut self.kept));
+        }
         let mut rows = std::mem::take(&mut self.rows);
         normalise(&mut rows);
         rows
@@ -92,43 +225,57 @@ pub(super) fn run<const W: usize>(
     plan: &Plan,
     views: &[View<'_, W>],
     symbols: &Symbols,
-    scratch: &mut Vec<Value>,
+    effort: &mut Effort,
     out: &mut Output<W>,
-) -> Result<(), Overflow> {
-    scratch.clear();
-    scratch.extend_from_slice(&plan.slots);
+) -> Result<(), Stop> {
+    effort.slots.clear();
+    effort.slots.extend_from_slice(&plan.slots);
     let mut join = Join {
         plan,
         views,
         symbols,
-        slots: scratch,
+        slots: &mut effort.slots,
+        looked_at: effort.looked_at,
+        budget: effort.budget,
         out,
     };
-    join.from(0).map(|_| ())
+    let result = join.from(0);
+    effort.looked_at = join.looked_at;
+    result.map(|_| ())
 }
+
+/// Columns of an index and the slots that go with them.
+type Columns<'a> = &'a [(u16, Slot)];
 
 struct Join<'a, const W: usize> {
     plan: &'a Plan,
     views: &'a [View<'a, W>],
     symbols: &'a Symbols,
     slots: &'a mut [Value],
+    looked_at: u64,
+    budget: u64,
     out: &'a mut Output<W>,
 }
 
 impl<const W: usize> Join<'_, W> {
     /// Does the steps from `depth` on and says whether they succeeded at least once.
-    fn from(&mut self, depth: usize) -> Result<bool, Overflow> {
+    fn from(&mut self, depth: usize) -> Result<bool, Stop> {
         let plan = self.plan;
-        let views = self.views;
         let mut depth = depth;
         loop {
             let Some(step) = plan.steps.get(depth) else {
                 return self.emit();
             };
             let passed = match step {
-                Step::Scan { key, bind, check, .. } => return self.scan(depth, key, bind, check),
-                Step::Exists { key, .. } => views[depth].holds(&self.key(key)[..key.len()]),
-                Step::Absent { key, .. } => !views[depth].holds(&self.key(key)[..key.len()]),
+                Step::Scan {
+                    key,
+                    bind,
+                    check,
+                    distinct,
+                    ..
+                } => return self.scan(depth, key, (bind, check), *distinct as usize),
+                Step::Exists { key, .. } => self.holds(depth, key),
+                Step::Absent { key, .. } => !self.holds(depth, key),
                 Step::Copy { to, from } => {
                     self.slots[*to as usize] = self.slots[*from as usize];
                     true
@@ -148,20 +295,43 @@ impl<const W: usize> Join<'_, W> {
         }
     }
 
+    #[inline]
+    fn holds(&mut self, depth: usize, key: &[Slot]) -> bool {
+        self.looked_at += 1;
+        let view = &self.views[depth];
+        match *key {
+            [slot] => view.holds(&[self.slots[slot as usize]]),
+            [first, second] => view.holds(&[self.slots[first as usize], self.slots[second as usize]]),
+            _ => view.holds(&self.key(key)[..key.len()]),
+        }
+    }
+
     fn scan(
         &mut self,
         depth: usize,
         key: &[Slot],
-        bind: &[(u16, Slot)],
-        check: &[(u16, Slot)],
-    ) -> Result<bool, Overflow> {
+        (bind, check): (Columns<'_>, Columns<'_>),
+        distinct: usize,
+    ) -> Result<bool, Stop> {
+        if self.looked_at > self.budget {
+            return Err(Stop::Budget);
+        }
         let views = self.views;
         let words = self.key(key);
         let last = depth + 1 == self.plan.steps.len();
         let once = depth >= self.plan.settled;
+        if last && !once && check.is_empty() && distinct == 0 {
+            return self.spread(depth, &words[..key.len()], bind);
+        }
         let mut any = false;
         for batch in views[depth].batches() {
-            for row in batch.range(&words[..key.len()]) {
+            let mut rest = batch.range(&words[..key.len()]);
+            while let Some((row, others)) = rest.split_first() {
+                rest = others;
+                if distinct > 0 {
+                    rest = &rest[gallop(rest, |other| other.0[..distinct] == row.0[..distinct])..];
+                }
+                self.looked_at += 1;
                 for &(column, slot) in bind {
                     self.slots[slot as usize] = row.0[column as usize];
                 }
@@ -182,8 +352,40 @@ impl<const W: usize> Join<'_, W> {
         Ok(any)
     }
 
+    /// The last scan of a plan: every row found is a row derived.
+    fn spread(&mut self, depth: usize, key: &[Value], bind: &[(u16, Slot)]) -> Result<bool, Stop> {
+        let mut row = Row(self.key(&self.plan.output));
+        // (word of the row derived, column of the index)
+        let mut moves = [(0, 0); W];
+        let mut count = 0;
+        for (word, slot) in self.plan.output.iter().enumerate() {
+            if let Some(&(column, _)) = bind.iter().find(|(_, bound)| bound == slot) {
+                moves[count] = (word, column as usize);
+                count += 1;
+            }
+        }
+        let views = self.views;
+        let mut any = false;
+        for batch in views[depth].batches() {
+            let found = batch.range(key);
+            any |= !found.is_empty();
+            self.looked_at += found.len() as u64;
+            if let [(word, column)] = moves[..count] {
+                self.out.push_along(row, word, found, column)?;
+            } else {
+                for other in found {
+                    for &(word, column) in &moves[..count] {
+                        row.0[word] = other.0[column];
+                    }
+                    self.out.push(row)?;
+                }
+            }
+        }
+        Ok(any)
+    }
+
     #[inline]
-    fn emit(&mut self) -> Result<bool, Overflow> {
+    fn emit(&mut self) -> Result<bool, Stop> {
         let row = self.key(&self.plan.output);
         self.out.push(Row(row))?;
         Ok(true)
@@ -213,5 +415,72 @@ pub(super) fn compare(symbols: &Symbols, op: Comparison, left: Value, right: Val
         Comparison::LessEqual => order().is_le(),
         Comparison::Greater => order().is_gt(),
         Comparison::GreaterEqual => order().is_ge(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn an_output_holds_what_was_pushed() {
+        let mut state = 5_u32;
+        let mut random = move |below: u32| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 4) % below
+        };
+        // Dense words, then larger ones, then some for which there are no bits.
+        for phases in [
+            &[40, 40, 300, 300, 2_000][..],
+            &[3_000, 20, 100_000_000, 20, 20],
+            &[1, 1],
+        ] {
+            let mut out = Output::<2>::new(usize::MAX);
+            let mut before: BTreeSet<Row<2>> = BTreeSet::new();
+            for &words in phases {
+                let mut pushed: BTreeSet<Row<2>> = BTreeSet::new();
+                for _ in 0..20_000 {
+                    if random(10) == 0 {
+                        let first = Value(random(words));
+                        let found: Vec<Row<2>> =
+                            (0..random(50)).map(|_| Row([Value(0), Value(random(words))])).collect();
+                        pushed.extend(found.iter().map(|row| Row([first, row.0[1]])));
+                        out.push_along(Row([first, Value(9)]), 1, &found, 1).unwrap();
+                    } else {
+                        let row = Row([Value(random(words)), Value(random(words))]);
+                        pushed.insert(row);
+                        out.push(row).unwrap();
+                    }
+                }
+                let taken = out.take();
+                assert!(out.is_empty());
+                assert!(taken.is_sorted_by(|a, b| a < b));
+                assert!(taken.iter().all(|row| pushed.contains(row)));
+                let taken: BTreeSet<Row<2>> = taken.into_iter().collect();
+                assert!(pushed.iter().all(|row| taken.contains(row) || before.contains(row)));
+                before.extend(pushed);
+            }
+        }
+    }
+
+    #[test]
+    fn an_output_is_limited() {
+        for words in [1_000, 1_000_000_000] {
+            let mut out = Output::<2>::new(10_000);
+            let mut pushed = 0;
+            while pushed < 100_000
+                && out
+                    .push(Row([Value(pushed / 100 * (words / 1_000)), Value(pushed % 100)]))
+                    .is_ok()
+            {
+                pushed += 1;
+            }
+            assert!((10_000..20_000).contains(&pushed), "{pushed}");
+            let mut out = Output::<2>::new(10_000);
+            let again = (0..100_000_u32).map(|n| Row([Value(n % 10_000 * (words / 10_000).max(1)), Value(7)]));
+            assert!(again.map(|row| out.push(row)).all(|result| result.is_ok()));
+            assert!(out.take().len() <= 10_000);
+        }
     }
 }

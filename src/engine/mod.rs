@@ -9,25 +9,33 @@
 //!                 Session: insert, retract --commit--> Delta (what became true, what stopped being true)
 //! ```
 //!
-//! A commit looks at the net change of the inserted facts and evaluates, in order, the strata whose inputs changed; a stratum
-//! whose result stays the same stops the change there. [`Session::work`] tells what was done. [`naive`] is the specification:
-//! after every commit a session holds exactly what `naive` derives from the same facts.
+//! A commit looks at the net change of the inserted facts and goes, in order, through the strata whose inputs changed. Each is
+//! maintained, which looks only at what the change touches, or recomputed, whatever looks cheaper ([`Strategy`]); a stratum whose
+//! result stays the same stops the change there. [`Session::work`] tells what was done. [`naive`] is the specification: after
+//! every commit a session holds exactly what `naive` derives from the same facts.
 //!
-//! Inside: `plan` orders the literals of each clause and chooses indexes, once; `join` runs a plan; `exec` keeps relations and
-//! runs strata to their fixpoint; `row` has the sorted lists all this works on.
+//! Inside: `plan` orders the literals of each clause and chooses indexes, once; `estimate` chooses between plans by the sizes of
+//! relations; `show` prints them; `join` runs a plan; `seen` knows what was derived before; `exec` makes a commit and runs strata
+//! to their fixpoint; `maintain` brings a stratum up to date from a change; `table` keeps a relation and its indexes;
+//! `row` has the sorted lists all this works on.
 //!
 //! This module refuses to know what a city, an agent or an ego is. It does no I/O and is deterministic.
 
 pub mod diff;
+mod estimate;
 mod exec;
 pub mod facts;
 mod join;
+mod maintain;
 pub mod naive;
 pub mod optimize;
 mod plan;
 pub mod promise;
 pub mod provenance;
 mod row;
+mod seen;
+mod show;
+mod table;
 
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::files::ReadError;
@@ -115,6 +123,7 @@ impl Program {
             symbols: self.0.rules.symbols.clone(),
             program: self.clone(),
             limit: Session::DERIVED_ROWS_MAX,
+            strategy: Strategy::Auto,
             work: WorkLog::default(),
         }
     }
@@ -130,7 +139,23 @@ pub struct Session {
     symbols: Symbols,
     store: Box<dyn Store>,
     limit: usize,
+    strategy: Strategy,
     work: WorkLog,
+}
+
+/// How a commit brings a stratum up to date whose inputs changed. The result is the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Strategy {
+    /// Maintain or recompute, whatever looks cheaper. This is decided by numbers of rows: how many changed, and how many the last
+    /// computation from scratch looked at. If maintaining looks at more rows than that, it is given up and the stratum is
+    /// recomputed.
+    #[default]
+    Auto,
+    /// Always maintain, whatever it costs. Some strata cannot be maintained (those with a clause of more than 24 literals); they
+    /// are recomputed.
+    Maintain,
+    /// Always recompute.
+    Recompute,
 }
 
 impl Session {
@@ -156,6 +181,12 @@ impl Session {
     /// of an evaluation.
     pub fn set_limit(&mut self, derived_rows: usize) {
         self.limit = derived_rows;
+    }
+
+    /// Sets how commits bring strata up to date: [`Strategy::Auto`] unless set otherwise. There is no need to set it besides
+    /// testing and measuring.
+    pub fn set_strategy(&mut self, strategy: Strategy) {
+        self.strategy = strategy;
     }
 
     /// Notes that the row holds from the next commit on. Noting both for one row, the last one counts.
@@ -208,7 +239,9 @@ impl Session {
     /// relation. If it fails, the session is as before the call, with the same changes noted; see
     /// [`rollback`](Session::rollback).
     pub fn commit(&mut self) -> Result<Delta, EvalError> {
-        let (delta, work) = self.store.commit(&self.program.0, &self.symbols, self.limit)?;
+        let (delta, work) = self
+            .store
+            .commit(&self.program.0, &self.symbols, self.limit, self.strategy)?;
         self.work = work;
         Ok(delta)
     }
@@ -276,17 +309,19 @@ pub struct Rows {
 }
 
 impl Rows {
-    fn with_capacity(arity: usize, rows: usize) -> Self {
+    /// Of rows that have at least so many words.
+    fn of<const W: usize>(arity: usize, rows: Vec<[Value; W]>) -> Self {
         Rows {
             arity,
-            len: 0,
-            words: Vec::with_capacity(arity * rows),
+            len: rows.len(),
+            words: if arity == W {
+                rows.into_flattened()
+            } else {
+                let mut words = Vec::with_capacity(arity * rows.len());
+                rows.iter().for_each(|row| words.extend_from_slice(&row[..arity]));
+                words
+            },
         }
-    }
-
-    fn push(&mut self, row: &[Value]) {
-        self.words.extend_from_slice(row);
-        self.len += 1;
     }
 
     /// How many there are.
@@ -349,17 +384,61 @@ impl Delta {
 }
 
 /// What a commit did with a stratum.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum StratumWork {
     /// Nothing: none of its inputs changed.
     Skipped,
-    /// Evaluated it from scratch.
-    Evaluated {
-        /// Semi-naive rounds; 1 if the stratum is not recursive.
-        rounds: usize,
-        /// Rows that clauses derived, repetitions included.
-        considered: u64,
-    },
+    /// Followed the change of its inputs.
+    Maintained(Work),
+    /// Computed it from scratch: at the first commit, if the change is large, or if the stratum cannot be maintained.
+    Recomputed(Work),
+}
+
+impl StratumWork {
+    /// What was done, unless the stratum was skipped.
+    pub fn work(&self) -> Option<&Work> {
+        match self {
+            StratumWork::Skipped => None,
+            StratumWork::Maintained(work) | StratumWork::Recomputed(work) => Some(work),
+        }
+    }
+}
+
+/// What it took to bring a stratum up to date.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Work {
+    /// Rounds to a fixpoint; 1 if the stratum is not recursive.
+    pub rounds: usize,
+    /// What its clauses did, those that ran, in order.
+    pub rules: Vec<RuleWork>,
+    /// Rows looked at in maintaining the stratum before that turned out to be more than recomputing it; else 0. They are not in
+    /// `rules`.
+    pub given_up: u64,
+}
+
+impl Work {
+    /// Rows that scans and tests of its clauses looked at.
+    pub fn looked_at(&self) -> u64 {
+        self.rules.iter().map(|rule| rule.looked_at).sum()
+    }
+
+    /// Rows that its clauses derived, repetitions included.
+    pub fn derived(&self) -> u64 {
+        self.rules.iter().map(|rule| rule.derived).sum()
+    }
+}
+
+/// What one clause did in a commit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RuleWork {
+    /// The clause.
+    pub clause: ClauseId,
+    /// Changed rows, and rows of its head in doubt, from which it was evaluated. 0 if it ran once over all rows.
+    pub given: u64,
+    /// Rows that its scans and tests looked at.
+    pub looked_at: u64,
+    /// Rows it derived, repetitions included: of those that may go, that stay nevertheless, and that come.
+    pub derived: u64,
 }
 
 /// What a commit did.
@@ -370,12 +449,20 @@ pub struct WorkLog {
 }
 
 impl WorkLog {
-    /// Positions in [`Rules::strata`] of the strata that were evaluated.
+    /// Positions in [`Rules::strata`] of the strata that were maintained or recomputed.
     pub fn evaluated(&self) -> impl Iterator<Item = usize> {
         let strata = self.strata.iter().enumerate();
         strata
             .filter(|(_, work)| **work != StratumWork::Skipped)
             .map(|(position, _)| position)
+    }
+
+    /// What each clause did that ran, in the order of the strata.
+    pub fn rules(&self) -> impl Iterator<Item = &RuleWork> {
+        self.strata
+            .iter()
+            .filter_map(StratumWork::work)
+            .flat_map(|work| &work.rules)
     }
 }
 

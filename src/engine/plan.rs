@@ -2,10 +2,15 @@
 //!
 //! A plan is a straight list of [`Step`]s over numbered slots (the clause's variables, then its constants). A scan binds
 //! variables, one atom at a time; every other step tests what is already bound and stands as early as it can. Literals are
-//! ordered greedily: tests first, then the atom that shares bound variables and adds the fewest new ones. Sizes of relations
-//! are not looked at, so a program is planned once.
+//! ordered greedily: tests first, then the atom that shares bound variables and adds the fewest new ones. A program is planned
+//! once, before there are any rows.
 //!
-//! A clause of a recursive stratum has one plan for each of its atoms over that stratum, beginning with the newest rows of it.
+//! A clause of a recursive stratum has one plan for each of its atoms over that stratum, beginning with the newest rows of it,
+//! and *detours*, which come to those rows later. Which is used is decided in every round from the sizes of relations
+//! ([`super::estimate`]).
+//!
+//! For maintenance every clause has one plan for each of its atoms, negated ones included, beginning with the rows that changed,
+//! and one that begins with rows of the head and asks whether they can be derived.
 
 use crate::diag::{Code, Diagnostic};
 use crate::engine::row::WIDTHS;
@@ -18,6 +23,13 @@ pub(super) type Slot = u16;
 /// takes cubic time.
 pub(super) const CLAUSE_MAX: usize = 128;
 
+/// A clause with more literals than this has no plans for maintenance, since there is one for each and planning one takes longer
+/// the more there are. Its stratum is always recomputed.
+const MAINTAINED_LITERALS_MAX: usize = 24;
+
+/// A clause with more literals than this has no detours.
+const DETOUR_LITERALS_MAX: usize = 8;
+
 /// Names an index of [`Plans::indexes`]. The first ones are the relations' own rows, by [`RelId`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct IndexId(pub(super) u32);
@@ -28,11 +40,13 @@ impl IndexId {
     }
 }
 
-/// Which columns of a relation an index holds, in which order.
+/// An order of a relation's columns. Each index has all columns, so that it can be patched when rows come and go.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct IndexSpec {
     pub(super) relation: RelId,
     pub(super) columns: Vec<u16>,
+    /// Among the relation's indexes; 0 for its own rows.
+    pub(super) position: usize,
 }
 
 /// Which rows of a relation are meant.
@@ -66,6 +80,8 @@ pub(super) enum Step {
         bind: Vec<(u16, Slot)>,
         /// (column of the index, slot it must equal); done after binding.
         check: Vec<(u16, Slot)>,
+        /// If not 0, only so many columns of the index matter, the first ones: of rows that agree in them one is enough.
+        distinct: u16,
     },
     /// Go on if some row begins with the key.
     Exists { source: Source, key: Vec<Slot> },
@@ -103,6 +119,17 @@ pub(super) struct Plan {
     pub(super) settled: usize,
     /// What the slots hold at the beginning: zeros for variables, then the constants.
     pub(super) slots: Vec<Value>,
+    /// The step that asks whether the head row is known already; only in plans for changes.
+    pub(super) fresh: Option<usize>,
+}
+
+impl Plan {
+    /// Whether it goes through all new rows again and again.
+    fn searches_new(&self) -> bool {
+        self.steps.iter().any(
+            |step| matches!(step, Step::Scan { source, key, .. } if source.version == Version::New && key.is_empty()),
+        )
+    }
 }
 
 /// The plans of a clause.
@@ -112,6 +139,23 @@ pub(super) struct ClausePlans {
     pub(super) complete: Plan,
     /// One for each atom over the clause's own recursive stratum, with the relation whose new rows it begins with.
     pub(super) deltas: Vec<(RelId, Plan)>,
+    /// By position in `deltas`: plans of the same answer that begin with a finished relation and come to the newest rows later.
+    /// Better when there are many new rows; which one is used is decided from the sizes in every round.
+    pub(super) detours: Vec<Vec<Plan>>,
+    /// One for each atom of the body: what follows from rows of it that came or went. None if the clause is too large.
+    pub(super) changes: Vec<ChangePlan>,
+    /// Begins with rows of the head: which of them the clause derives. `None` if the clause is too large.
+    pub(super) check: Option<Plan>,
+}
+
+/// How to evaluate a clause for rows of one of its atoms.
+#[derive(Clone, Debug)]
+pub(super) struct ChangePlan {
+    /// The relation of the atom.
+    pub(super) over: RelId,
+    /// Whether the atom is negated, so that rows that go are what may make the clause derive more.
+    pub(super) negated: bool,
+    pub(super) plan: Plan,
 }
 
 /// What a stratum computes and from what.
@@ -123,6 +167,10 @@ pub(super) struct StratumPlan {
     pub(super) inputs: Vec<RelId>,
     /// The clauses of the members.
     pub(super) clauses: Vec<ClauseId>,
+    /// Whether a member occurs in a body.
+    pub(super) recursive: bool,
+    /// Whether all clauses have plans for maintenance. If not, the stratum is recomputed whatever changes.
+    pub(super) maintainable: bool,
 }
 
 /// Everything about a program that does not change while it runs.
@@ -165,6 +213,7 @@ impl Plans {
         let own_rows = |(position, relation): (usize, &crate::lang::Relation)| IndexSpec {
             relation: RelId(position as u32),
             columns: (0..relation.arity() as u16).collect(),
+            position: 0,
         };
         let indexes: Vec<IndexSpec> = rules.relations.iter().enumerate().map(own_rows).collect();
         let mut indexer = Indexer {
@@ -219,10 +268,14 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
         .collect();
     let bodies = clauses.iter().flat_map(|clause| &rules.clauses[clause.index()].body);
     let mut inputs: Vec<RelId> = bodies.filter_map(|literal| Some(atom_of(literal)?.relation)).collect();
-    inputs.retain(|relation| !members.contains(relation));
     inputs.sort_unstable();
+    let recursive = inputs.iter().any(|relation| members.contains(relation));
+    inputs.retain(|relation| !members.contains(relation));
     inputs.dedup();
+    let small = |clause: &ClauseId| rules.clauses[clause.index()].body.len() <= MAINTAINED_LITERALS_MAX;
     StratumPlan {
+        recursive,
+        maintainable: clauses.iter().all(small),
         members,
         inputs,
         clauses,
@@ -244,27 +297,34 @@ struct Indexer {
 }
 
 impl Indexer {
-    /// The index with exactly these columns.
-    fn exact(&mut self, relation: RelId, columns: Vec<u16>) -> IndexId {
-        let known = &mut self.of[relation.index()];
-        if let Some(&index) = known.iter().find(|index| self.specs[index.index()].columns == columns) {
-            return index;
-        }
-        let index = IndexId(self.specs.len() as u32);
-        self.specs.push(IndexSpec { relation, columns });
-        known.push(index);
-        index
+    /// Whether the index is a relation's own rows.
+    fn is_own(&self, index: IndexId) -> bool {
+        index.index() < self.of.len()
     }
 
-    /// An index whose first columns are these in some order, and that order.
-    fn prefix(&mut self, relation: RelId, columns: Vec<u16>) -> (IndexId, Vec<u16>) {
-        for &index in &self.of[relation.index()] {
-            let spec = &self.specs[index.index()].columns;
-            if spec.len() >= columns.len() && columns.iter().all(|column| spec[..columns.len()].contains(column)) {
-                return (index, spec[..columns.len()].to_vec());
-            }
+    /// An index that begins with the columns of each group in turn, within a group in some order, and its order of columns.
+    fn prefix(&mut self, relation: RelId, groups: [&[u16]; 2]) -> (IndexId, Vec<u16>) {
+        let begins = |order: &[u16]| {
+            let (first, rest) = order.split_at(groups[0].len());
+            let within = |group: &[u16], part: &[u16]| group.iter().all(|column| part.contains(column));
+            within(groups[0], first) && within(groups[1], &rest[..groups[1].len()])
+        };
+        let known = &mut self.of[relation.index()];
+        if let Some(&index) = known.iter().find(|index| begins(&self.specs[index.index()].columns)) {
+            return (index, self.specs[index.index()].columns.clone());
         }
-        (self.exact(relation, columns.clone()), columns)
+        let mut columns = groups.concat();
+        let all = self.specs[relation.index()].columns.iter().copied();
+        let rest: Vec<u16> = all.filter(|column| !columns.contains(column)).collect();
+        columns.extend(rest);
+        let index = IndexId(self.specs.len() as u32);
+        self.specs.push(IndexSpec {
+            relation,
+            columns: columns.clone(),
+            position: known.len(),
+        });
+        known.push(index);
+        (index, columns)
     }
 }
 
@@ -282,8 +342,8 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
             _ => false,
         })
         .collect();
-    let complete = Planner::new(clause, indexer).plan(None, &|_| Version::Complete)?;
-    let mut deltas = Vec::new();
+    let complete = Planner::new(clause, indexer).plan(First::Any, &|_| Version::Complete)?;
+    let (mut deltas, mut detours) = (Vec::new(), Vec::new());
     for &delta in &recursive {
         // Each derivation is found once: by the plan of its first atom that holds by a new row.
         let version = |position: usize| match position.cmp(&delta) {
@@ -292,17 +352,80 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
             std::cmp::Ordering::Equal => Version::New,
             std::cmp::Ordering::Greater => Version::All,
         };
-        let plan = Planner::new(clause, indexer).plan(Some(delta), &version)?;
+        let plan = Planner::new(clause, indexer).plan(First::Literal(delta), &version)?;
+        let mut others = Vec::new();
+        for (position, literal) in clause.body.iter().enumerate() {
+            let finished =
+                matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
+            if finished && clause.body.len() <= DETOUR_LITERALS_MAX {
+                let other = Planner::new(clause, indexer).plan(First::Literal(position), &version)?;
+                // An index over a relation that grows has to be kept up; a detour must do without.
+                let mut sources = other.steps.iter().filter_map(Step::source);
+                let own = |source: Source| source.version == Version::Complete || indexer.is_own(source.index);
+                if sources.all(own) && !other.searches_new() {
+                    others.push(other);
+                }
+            }
+        }
         if let Some(atom) = atom_of(&clause.body[delta]) {
             deltas.push((atom.relation, plan));
+            detours.push(others);
         }
     }
-    Ok(ClausePlans { complete, deltas })
+    // In maintenance a recursive relation is no longer small, as it is when a computation from scratch begins.
+    let mut changes = Vec::new();
+    let mut check = None;
+    if clause.body.len() <= MAINTAINED_LITERALS_MAX {
+        for (position, literal) in clause.body.iter().enumerate() {
+            let Some(atom) = atom_of(literal) else { continue };
+            let version = |other: usize| {
+                if other == position {
+                    Version::New
+                } else {
+                    Version::Complete
+                }
+            };
+            changes.push(ChangePlan {
+                over: atom.relation,
+                negated: matches!(literal, Literal::Negative(_)),
+                plan: Planner::new(clause, indexer)
+                    .large(stratum)
+                    .plan(First::Change(position), &version)?,
+            });
+        }
+        check = Some(
+            Planner::new(clause, indexer)
+                .large(stratum)
+                .plan(First::Head, &|_| Version::Complete)?,
+        );
+    }
+    Ok(ClausePlans {
+        complete,
+        deltas,
+        detours,
+        changes,
+        check,
+    })
+}
+
+/// What a plan begins with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum First {
+    /// What is best.
+    Any,
+    /// The atom of the literal at this position of the body.
+    Literal(usize),
+    /// The same, to find heads that are not known yet. A negated atom is tested nevertheless if it has wildcards.
+    Change(usize),
+    /// Rows of the head.
+    Head,
 }
 
 struct Planner<'a> {
     clause: &'a Clause,
     indexer: &'a mut Indexer,
+    /// Relations that are probably larger than others.
+    large: &'a [RelId],
     slots: Vec<Value>,
     /// By variable.
     bound: Vec<bool>,
@@ -325,6 +448,7 @@ impl<'a> Planner<'a> {
         Planner {
             clause,
             indexer,
+            large: &[],
             slots: vec![Value(0); clause.variables.len()],
             bound: vec![false; clause.variables.len()],
             uses,
@@ -334,19 +458,51 @@ impl<'a> Planner<'a> {
         }
     }
 
-    fn plan(mut self, first: Option<usize>, version: &dyn Fn(usize) -> Version) -> Result<Plan, Diagnostic> {
-        let head_variables: Vec<VarId> = self.clause.head.terms.iter().filter_map(variable_of).collect();
+    fn large(self, large: &'a [RelId]) -> Self {
+        Planner { large, ..self }
+    }
+
+    fn plan(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<Plan, Diagnostic> {
+        let clause = self.clause;
+        let head = &clause.head;
+        let head_variables: Vec<VarId> = head.terms.iter().filter_map(variable_of).collect();
         let mut settled = head_variables.is_empty().then_some(0);
-        let mut next = first;
+        let mut fresh = None;
+        let mut next = match first {
+            First::Literal(position) | First::Change(position) => Some(position),
+            First::Any | First::Head => None,
+        };
+        if first == First::Head {
+            self.scan(head, Version::New);
+        }
         loop {
             if let Some(position) = next {
-                if let Some(atom) = atom_of(&self.clause.body[position]) {
+                let literal = &clause.body[position];
+                let atom = atom_of(literal);
+                if let Some(atom) = atom {
                     self.scan(atom, version(position));
                 }
-                self.placed(position);
+                // Another row may have the same values in the other columns.
+                let open = atom.is_some_and(|atom| atom.terms.contains(&Term::Wildcard));
+                if !(open && matches!(literal, Literal::Negative(_))) {
+                    self.placed(position);
+                }
             }
-            self.place_tests(version);
-            if settled.is_none() && head_variables.iter().all(|variable| self.bound[variable.index()]) {
+            let known = |planner: &Self| head_variables.iter().all(|variable| planner.bound[variable.index()]);
+            // Whether the head is known is asked as early as possible: mostly it is.
+            for tests_placed in [false, true] {
+                if matches!(first, First::Change(_)) && fresh.is_none() && known(&self) {
+                    fresh = Some(self.steps.len());
+                    let key = head.terms.iter().filter_map(|term| self.slot(term)).collect();
+                    let (index, version) = (IndexId(head.relation.0), Version::Complete);
+                    let source = Source { index, version };
+                    self.steps.push(Step::Absent { source, key });
+                }
+                if !tests_placed {
+                    self.place_tests(version);
+                }
+            }
+            if settled.is_none() && known(&self) {
                 settled = Some(self.steps.len());
             }
             next = self.next_atom();
@@ -358,7 +514,6 @@ impl<'a> Planner<'a> {
             Some(settled) if self.left.is_empty() => settled,
             _ => return Err(self.unbound()),
         };
-        let head = &self.clause.head;
         let output = head.terms.iter().filter_map(|term| self.slot(term)).collect();
         Ok(Plan {
             head: head.relation,
@@ -366,6 +521,7 @@ impl<'a> Planner<'a> {
             steps: self.steps,
             settled,
             slots: self.slots,
+            fresh,
         })
     }
 
@@ -403,8 +559,19 @@ impl<'a> Planner<'a> {
 
     /// Places every literal that binds no variable by a scan and whose variables are bound.
     fn place_tests(&mut self, version: &dyn Fn(usize) -> Version) {
-        // An equality may bind what an earlier literal waits for.
-        while let Some(position) = (self.left.iter().copied()).find(|&position| self.is_ready(position)) {
+        // An equality may bind what an earlier literal waits for. A comparison costs less than finding a row, and a short row is
+        // found faster than a long one.
+        let clause = self.clause;
+        let cost = |position: usize| atom_of(&clause.body[position]).map_or(0, |atom| atom.terms.len());
+        let ready = |planner: &Self| {
+            let ready = planner
+                .left
+                .iter()
+                .copied()
+                .filter(|&position| planner.is_ready(position));
+            ready.min_by_key(|&position| cost(position))
+        };
+        while let Some(position) = ready(self) {
             self.placed(position);
             match &self.clause.body[position] {
                 Literal::Positive(atom) | Literal::Guard(atom) => {
@@ -461,8 +628,8 @@ impl<'a> Planner<'a> {
             *term != Term::Wildcard && self.is_bound(term)
         };
         let columns: Vec<u16> = (0..atom.terms.len() as u16).filter(bound).collect();
-        let (index, columns) = self.indexer.prefix(atom.relation, columns);
-        let key = columns
+        let (index, order) = self.indexer.prefix(atom.relation, [&columns, &[]]);
+        let key = order[..columns.len()]
             .iter()
             .filter_map(|&column| self.slot(&atom.terms[column as usize]))
             .collect();
@@ -486,7 +653,8 @@ impl<'a> Planner<'a> {
         self.steps.push(Step::Copy { to, from });
     }
 
-    /// The atom to scan next: connected to what is bound, then the fewest new variables, then the most bound columns.
+    /// The atom to scan next: connected to what is bound, then the fewest new variables, then the most bound columns, then one
+    /// that is not probably large.
     fn next_atom(&self) -> Option<usize> {
         let cost = |position: usize| match &self.clause.body[position] {
             Literal::Positive(atom) | Literal::Guard(atom) => {
@@ -496,12 +664,13 @@ impl<'a> Planner<'a> {
                 new.sort_unstable();
                 new.dedup();
                 let known = atom.terms.iter().filter(known).count();
-                Some((known == 0, new.len(), std::cmp::Reverse(known), position))
+                let large = self.large.contains(&atom.relation);
+                Some((known == 0, new.len(), std::cmp::Reverse(known), large, position))
             }
             _ => None,
         };
         let best = self.left.iter().filter_map(|&position| cost(position)).min()?;
-        Some(best.3)
+        Some(best.4)
     }
 
     /// Appends a scan of the atom.
@@ -526,23 +695,25 @@ impl<'a> Planner<'a> {
             self.bound[slot as usize] = true;
         }
         let own = IndexId(atom.relation.0);
+        let mut distinct = 0;
         let index = if self.repeated && version != Version::New && !keys.is_empty() {
-            let columns = keys
-                .iter()
-                .chain(&binds)
-                .chain(&checks)
-                .map(|&(column, _)| column)
-                .collect::<Vec<u16>>();
-            let index = self.indexer.exact(atom.relation, columns.clone());
+            let known: Vec<u16> = keys.iter().map(|&(column, _)| column).collect();
+            let other: Vec<u16> = binds.iter().chain(&checks).map(|&(column, _)| column).collect();
+            let (index, order) = self.indexer.prefix(atom.relation, [&known, &other]);
             for (column, _) in keys.iter_mut().chain(&mut binds).chain(&mut checks) {
-                *column =
-                    (columns.iter().position(|other| other == column)).map_or(*column, |position| position as u16);
+                *column = (order.iter().position(|other| other == column)).map_or(*column, |position| position as u16);
+            }
+            // The key is read in the order of the index.
+            keys.sort_unstable_by_key(|&(column, _)| column);
+            let needed = known.len() + other.len();
+            if needed < order.len() {
+                distinct = needed as u16;
             }
             index
         } else {
             // Run once, or with nothing known: an index would cost more than it saves. The relation's own order may still
             // begin with known columns.
-            let prefix = if version == Version::New {
+            let prefix = if version == Version::New && !self.repeated {
                 0
             } else {
                 (0..).zip(&keys).take_while(|(at, key)| *at == key.0).count()
@@ -555,6 +726,7 @@ impl<'a> Planner<'a> {
             key: keys.into_iter().map(|(_, slot)| slot).collect(),
             bind: binds,
             check: checks,
+            distinct,
         });
         self.repeated = true;
     }

@@ -130,19 +130,64 @@ impl<'a, const W: usize> Batch<'a, W> {
     /// The rows that begin with `key`.
     #[inline]
     pub(super) fn range(&self, key: &[Value]) -> &'a [Row<W>] {
-        let Some(&first) = key.first() else { return self.rows };
-        let (rows, rest) = if self.starts.is_empty() {
+        match key {
+            [] => self.rows,
+            [first] => self.group(*first),
+            [first, second] => pick(self.group(*first), *second),
+            [first, rest @ ..] => narrow(self.group(*first), rest),
+        }
+    }
+
+    /// Whether a row begins with `key`.
+    #[inline]
+    pub(super) fn holds(&self, key: &[Value]) -> bool {
+        match key {
+            [first] if !self.starts.is_empty() => {
+                let at = first.0 as usize;
+                matches!(self.starts.get(at..at.saturating_add(2)), Some(&[start, end]) if start < end)
+            }
+            [first, second] => {
+                let rows = self.group(*first);
+                match rows.len() {
+                    0..=GROUP_SMALL => rows.iter().any(|row| row.0[1] == *second),
+                    _ => !pick(rows, *second).is_empty(),
+                }
+            }
+            _ => !self.range(key).is_empty(),
+        }
+    }
+
+    /// The rows that begin with a word.
+    #[inline]
+    fn group(&self, first: Value) -> &'a [Row<W>] {
+        if self.starts.is_empty() {
             let start = self.rows.partition_point(|row| row.0[0] < first);
             let rows = &self.rows[start..];
-            (&rows[..gallop(rows, |row| row.0[0] == first)], &key[1..])
-        } else {
-            let at = first.0 as usize;
-            match (self.starts.get(at), self.starts.get(at + 1)) {
-                (Some(&start), Some(&end)) => (&self.rows[start as usize..end as usize], &key[1..]),
-                _ => return &[],
-            }
-        };
-        if rest.is_empty() { rows } else { narrow(rows, rest) }
+            return &rows[..gallop(rows, |row| row.0[0] == first)];
+        }
+        let at = first.0 as usize;
+        match self.starts.get(at..at.saturating_add(2)) {
+            Some(&[start, end]) => &self.rows[start as usize..end as usize],
+            _ => &[],
+        }
+    }
+}
+
+/// So many rows are looked through one by one.
+const GROUP_SMALL: usize = 32;
+
+/// Of rows that agree in the first column, those with a word in the second.
+#[inline]
+fn pick<const W: usize>(rows: &[Row<W>], second: Value) -> &[Row<W>] {
+    let start = match rows.len() {
+        0..=GROUP_SMALL => rows.iter().filter(|row| row.0[1] < second).count(),
+        _ => rows.partition_point(|row| row.0[1] < second),
+    };
+    let rows = &rows[start..];
+    match rows {
+        [row, next, ..] if row.0[1] == second && next.0[1] == second => &rows[..gallop(rows, |row| row.0[1] == second)],
+        [row, ..] if row.0[1] == second => &rows[..1],
+        _ => &[],
     }
 }
 
@@ -152,61 +197,6 @@ fn narrow<'a, const W: usize>(rows: &'a [Row<W>], rest: &[Value]) -> &'a [Row<W>
     let start = rows.partition_point(|row| key(row).is_lt());
     let rows = &rows[start..];
     &rows[..gallop(rows, |row| key(row).is_eq())]
-}
-
-/// A relation's rows in another order of columns, or just a directory over its own order.
-#[derive(Clone, Debug)]
-pub(super) struct Index<const W: usize> {
-    /// Projected rows; `None` if the relation's own rows serve.
-    rows: Option<Vec<Row<W>>>,
-    starts: Vec<u32>,
-}
-
-impl<const W: usize> Index<W> {
-    /// Below this number of rows a binary search costs no more than a directory.
-    const DIRECTORY_MIN: usize = 512;
-
-    /// An index over `rows` by `columns`; `own` if those are all columns in their own order.
-    pub(super) fn build(rows: &[Row<W>], columns: &[u16], own: bool) -> Self {
-        let projected = (!own).then(|| project(rows, columns));
-        let starts = directory(projected.as_deref().unwrap_or(rows));
-        Index {
-            rows: projected,
-            starts,
-        }
-    }
-
-    /// The searchable list; `own` are the relation's rows.
-    pub(super) fn batch<'a>(&'a self, own: &'a [Row<W>]) -> Batch<'a, W> {
-        Batch {
-            rows: self.rows.as_deref().unwrap_or(own),
-            starts: &self.starts,
-        }
-    }
-}
-
-/// The rows with only the given columns, in their order; sorted, without repetitions.
-pub(super) fn project<const W: usize>(rows: &[Row<W>], columns: &[u16]) -> Vec<Row<W>> {
-    let mut projected: Vec<Row<W>> = rows.iter().map(|row| row.project(columns)).collect();
-    normalise(&mut projected);
-    projected
-}
-
-/// Direct addressing by the first word, if the words are dense enough (symbols are: they are numbered from zero).
-fn directory<const W: usize>(rows: &[Row<W>]) -> Vec<u32> {
-    let Some(last) = rows.last() else { return Vec::new() };
-    let largest = last.0[0].0 as usize;
-    if rows.len() < Index::<W>::DIRECTORY_MIN || largest / 4 > rows.len() || u32::try_from(rows.len()).is_err() {
-        return Vec::new();
-    }
-    let mut starts = Vec::with_capacity(largest + 2);
-    for (position, row) in rows.iter().enumerate() {
-        while starts.len() <= row.0[0].0 as usize {
-            starts.push(position as u32);
-        }
-    }
-    starts.push(rows.len() as u32);
-    starts
 }
 
 #[cfg(test)]
@@ -233,32 +223,6 @@ mod tests {
         check::<3>();
         check::<4>();
         check::<8>();
-    }
-
-    #[test]
-    fn searches_agree_with_and_without_a_directory() {
-        let mut list = rows::<3>(&[]);
-        for a in (0..300).filter(|a| a % 7 != 3) {
-            for b in 0..a % 5 {
-                list.push(Row([Value(a), Value(b), Value(a ^ b)]));
-            }
-        }
-        normalise(&mut list);
-        let index = Index::build(&list, &[0, 1, 2], true);
-        assert!(!index.starts.is_empty());
-        for a in 0..400 {
-            for b in 0..6 {
-                let expected: Vec<_> = list.iter().filter(|row| row.0[..2] == [Value(a), Value(b)]).collect();
-                for batch in [Batch::plain(&list), index.batch(&list)] {
-                    assert!(batch.range(&[Value(a), Value(b)]).iter().eq(expected.iter().copied()));
-                }
-            }
-            let expected: Vec<_> = list.iter().filter(|row| row.0[0] == Value(a)).collect();
-            for batch in [Batch::plain(&list), index.batch(&list)] {
-                assert!(batch.range(&[Value(a)]).iter().eq(expected.iter().copied()));
-            }
-        }
-        assert!(index.batch(&list).range(&[Value(u32::MAX)]).is_empty());
     }
 
     #[test]

@@ -1,0 +1,199 @@
+//! A city of 10,000 agents, tick after tick: what it costs to bring the decisions up to date when a part of the binary facts
+//! changes, beside differential-dataflow and beside a full recomputation by hand-written datafrog.
+//!
+//! `cargo run --release --manifest-path benches/peers/Cargo.toml --bin churn` prints CPU times and ratios. A tick takes so many of the binary facts away, chosen at random,
+//! and puts as many others in their place. The engine and differential-dataflow are given the difference, and the time counts
+//! from the first change that is noted; datafrog is given the facts as they are then. In every tick all three must come to the
+//! same numbers of decisions.
+
+#[path = "../case.rs"]
+mod case;
+#[path = "../datafrog.rs"]
+mod datafrog;
+#[path = "../differential.rs"]
+mod differential;
+#[path = "../engine.rs"]
+mod engine;
+
+use case::{Case, Changes, Facts, Pair};
+use clap::Parser;
+use cpu_time::ThreadTime;
+use logicity::engine::{Strategy, StratumWork};
+use logicity::lang::Value;
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// What a tick costs when a part of the facts changes.
+#[derive(Parser)]
+struct Arguments {
+    /// Ticks measured of each case; the median counts
+    #[arg(long, default_value_t = 200)]
+    ticks: usize,
+    /// Percentages of the binary facts that are replaced in a tick; 0 stands for a single fact
+    #[arg(long, value_delimiter = ',', default_value = "0,1,5,30")]
+    percent: Vec<f64>,
+    /// Sizes of the city
+    #[arg(long, value_delimiter = ',', default_value = "10000,40")]
+    agents: Vec<u32>,
+    /// Only the engine, in one of its strategies: auto, maintain or recompute
+    #[arg(long, value_parser = strategy)]
+    alone: Option<Strategy>,
+}
+
+fn main() {
+    let arguments = Arguments::parse();
+    println!(
+        "{:>6} {:>13} {:>6} {:>12} {:>13} {:>12} {:>12} {:>12}  strata",
+        "agents", "binary facts", "change", "engine us", "differential", "datafrog", "engine/diff.", "engine/frog"
+    );
+    for &agents in &arguments.agents {
+        for &percent in &arguments.percent {
+            let strategy = arguments.alone.unwrap_or_default();
+            measure(agents, percent, arguments.ticks, strategy, arguments.alone.is_none());
+        }
+    }
+}
+
+fn strategy(text: &str) -> Result<Strategy, &'static str> {
+    match text {
+        "auto" => Ok(Strategy::Auto),
+        "maintain" => Ok(Strategy::Maintain),
+        "recompute" => Ok(Strategy::Recompute),
+        _ => Err("auto, maintain or recompute"),
+    }
+}
+
+/// The pairs of every binary relation, and the next change of them.
+struct City {
+    agents: u32,
+    below: Box<dyn FnMut(u32) -> u32 + Send + Sync>,
+    facts: Facts,
+    sets: Vec<BTreeSet<Pair>>,
+}
+
+impl City {
+    fn new(agents: u32) -> Self {
+        let mut random = case::generator(5);
+        let mut below = Box::new(move |bound: u32| random() % bound);
+        let mut facts = Facts::default();
+        case::city(&mut facts, agents, &mut below);
+        let sets = facts
+            .binary
+            .iter()
+            .map(|(_, rows)| rows.iter().copied().collect())
+            .collect();
+        City {
+            agents,
+            below,
+            facts,
+            sets,
+        }
+    }
+
+    fn size(&self) -> usize {
+        self.sets.iter().map(BTreeSet::len).sum()
+    }
+
+    /// Changes so many percent of the pairs; 0 stands for a single pair.
+    fn change(&mut self, percent: f64) -> Changes {
+        let mut changes = Changes::new();
+        for ((name, rows), set) in self.facts.binary.iter_mut().zip(&mut self.sets) {
+            let mut changed = BTreeSet::new();
+            let count = match percent {
+                0.0 => usize::from(*name == "IsClose"),
+                _ => ((rows.len() as f64 * percent / 100.0).round() as usize).max(1),
+            };
+            // Every agent goes on seeing itself.
+            while changed.len() < count {
+                let (x, y) = rows[(self.below)(rows.len() as u32) as usize];
+                if x != y {
+                    changed.insert(((x, y), false));
+                }
+            }
+            for ((x, y), _) in changed.clone() {
+                set.remove(&(x, y));
+            }
+            while changed.len() < 2 * count {
+                let x = (self.below)(self.agents);
+                let pair = (x, (x + 1 + (self.below)(60)) % self.agents);
+                if pair.0 != pair.1 && !changed.contains(&(pair, false)) && set.insert(pair) {
+                    changed.insert((pair, true));
+                }
+            }
+            *rows = set.iter().copied().collect();
+            changes.push((*name, changed.into_iter().collect()));
+        }
+        changes
+    }
+}
+
+fn measure(agents: u32, percent: f64, ticks: usize, strategy: Strategy, peers: bool) {
+    let mut city = City::new(agents);
+    let mut session = engine::load(Case::City.program(), &city.facts);
+    session.set_strategy(strategy);
+    session.commit().expect("within the limit");
+    let relations: Vec<_> = (city.facts.binary.iter())
+        .map(|(name, _)| session.program().relation(name).expect("the program has the relation"))
+        .collect();
+    let (times, strata) = timely::execute_directly(move |worker| {
+        let mut dataflow = peers.then(|| differential::City::new(worker, &city.facts));
+        let mut times: [Vec<Duration>; 3] = Default::default();
+        let mut strata = String::new();
+        // Some ticks to warm up.
+        for tick in 0..ticks + 10 {
+            let changes = city.change(percent);
+            let start = ThreadTime::now();
+            for ((_, pairs), &relation) in changes.iter().zip(&relations) {
+                for &((x, y), present) in pairs {
+                    let row = [Value(x), Value(y)];
+                    let noted = if present {
+                        session.insert(relation, &row)
+                    } else {
+                        session.retract(relation, &row)
+                    };
+                    noted.expect("a base relation of two columns");
+                }
+            }
+            let delta = session.commit().expect("within the limit");
+            let mut took = [start.elapsed(), Duration::ZERO, Duration::ZERO];
+            drop(delta);
+            strata = (session.work().strata.iter())
+                .map(|work| match work {
+                    StratumWork::Skipped => '-',
+                    StratumWork::Maintained(_) => 'm',
+                    StratumWork::Recomputed(work) if work.given_up > 0 => 'R',
+                    StratumWork::Recomputed(_) => 'r',
+                })
+                .collect();
+            if let Some(dataflow) = &mut dataflow {
+                let counts = engine::lengths(&session, Case::City.derived());
+                let start = ThreadTime::now();
+                dataflow.tick(worker, &changes);
+                took[1] = start.elapsed();
+                assert_eq!(dataflow.counts(), counts, "differential-dataflow");
+                let start = ThreadTime::now();
+                let recomputed = datafrog::counts(Case::City, &city.facts);
+                took[2] = start.elapsed();
+                assert_eq!(recomputed, counts, "datafrog");
+            }
+            if tick >= 10 {
+                times.iter_mut().zip(took).for_each(|(times, took)| times.push(took));
+            }
+        }
+        (times, strata)
+    });
+    let [engine, differential, datafrog] = times.map(|mut times| {
+        times.sort_unstable();
+        times.get(times.len() / 2).map_or(0.0, |time| time.as_secs_f64() * 1e6)
+    });
+    let change = match percent {
+        0.0 => "1 pair".to_string(),
+        _ => format!("{percent} %"),
+    };
+    println!(
+        "{agents:>6} {:>13} {change:>6} {engine:>12.1} {differential:>13.1} {datafrog:>12.1} {:>12.2} {:>12.2}  {strata} {strategy:?}",
+        City::new(agents).size(),
+        engine / differential,
+        engine / datafrog,
+    );
+}

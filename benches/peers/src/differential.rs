@@ -1,0 +1,301 @@
+//! differential-dataflow, by hand: the same joins as a dataflow, loaded at one time on one thread.
+
+#![allow(dead_code, reason = "each binary uses its own part")]
+
+use crate::case::{Case, Changes, Facts};
+use differential_dataflow::VecCollection;
+use differential_dataflow::input::{Input, InputSession};
+use differential_dataflow::operators::iterate::Iterate;
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+use timely::dataflow::Scope;
+use timely::dataflow::operators::probe::Handle;
+use timely::worker::Worker;
+
+type Pairs<'s> = VecCollection<'s, u32, (u32, u32)>;
+type Ones<'s> = VecCollection<'s, u32, u32>;
+
+/// How many rows of each derived relation follow.
+pub fn counts(case: Case, facts: Facts) -> Vec<usize> {
+    timely::execute_directly(move |worker| {
+        let probe = Handle::new();
+        let counters: Vec<Rc<Cell<isize>>> = worker.dataflow::<u32, _, _>(|scope| {
+            let base = Base {
+                scope,
+                facts: &facts,
+                inputs: RefCell::default(),
+            };
+            let counted = |number: Rc<Cell<isize>>| move |change: isize| number.set(number.get() + change);
+            let counters: Vec<Rc<Cell<isize>>> = case.derived().iter().map(|_| Rc::default()).collect();
+            match case {
+                Case::City => {
+                    for (relation, counter) in city(&base).into_iter().zip(&counters) {
+                        let add = counted(counter.clone());
+                        relation.inspect(move |(_, _, change)| add(*change)).probe_with(&probe);
+                    }
+                }
+                _ => {
+                    let pairs = match case {
+                        Case::Generation => generation(base.pairs("Parent")),
+                        Case::Pointsto => points_to(&base),
+                        _ => closure(base.pairs("Edge")),
+                    };
+                    let add = counted(counters[0].clone());
+                    pairs.inspect(move |(_, _, change)| add(*change)).probe_with(&probe);
+                }
+            }
+            counters
+        });
+        worker.step_while(|| !probe.done());
+        counters.iter().map(|counter| counter.get() as usize).collect()
+    })
+}
+
+/// The base facts as collections.
+struct Base<'a, 's> {
+    scope: Scope<'s, u32>,
+    facts: &'a Facts,
+    /// Where changes of the pairs of a relation go in.
+    inputs: RefCell<Inputs>,
+}
+
+/// By the name of the relation.
+type Inputs = Vec<(String, InputSession<u32, (u32, u32), isize>)>;
+
+/// The city as a dataflow that waits for changes of its pairs.
+pub struct City {
+    inputs: Inputs,
+    probe: Handle<u32>,
+    counters: Vec<Rc<Cell<isize>>>,
+    now: u32,
+}
+
+impl City {
+    /// Loads the facts.
+    pub fn new(worker: &mut Worker, facts: &Facts) -> Self {
+        let probe = Handle::new();
+        let counters: Vec<Rc<Cell<isize>>> = Case::City.derived().iter().map(|_| Rc::default()).collect();
+        let inputs = worker.dataflow::<u32, _, _>(|scope| {
+            let base = Base {
+                scope,
+                facts,
+                inputs: RefCell::default(),
+            };
+            for (relation, counter) in city(&base).into_iter().zip(&counters) {
+                let counter = counter.clone();
+                let count = move |change: isize| counter.set(counter.get() + change);
+                relation
+                    .inspect(move |(_, _, change)| count(*change))
+                    .probe_with(&probe);
+            }
+            base.inputs.into_inner()
+        });
+        let mut city = City {
+            inputs,
+            probe,
+            counters,
+            now: 0,
+        };
+        city.tick(worker, &Changes::new());
+        city
+    }
+
+    /// Makes changes: by relation, pairs and whether they come or go.
+    pub fn tick(&mut self, worker: &mut Worker, changes: &Changes) {
+        self.now += 1;
+        for (name, input) in &mut self.inputs {
+            for (_, pairs) in changes.iter().filter(|(other, _)| other == name) {
+                for &(pair, present) in pairs {
+                    input.update(pair, if present { 1 } else { -1 });
+                }
+            }
+            input.advance_to(self.now);
+            input.flush();
+        }
+        worker.step_while(|| self.probe.less_than(&self.now));
+    }
+
+    /// How many rows of each derived relation there are.
+    pub fn counts(&self) -> Vec<usize> {
+        self.counters.iter().map(|counter| counter.get() as usize).collect()
+    }
+}
+
+impl<'s> Base<'_, 's> {
+    fn pairs(&self, name: &str) -> Pairs<'s> {
+        let (input, pairs) = self.scope.clone().new_collection_from(self.facts.binary(name).to_vec());
+        self.inputs.borrow_mut().push((name.to_string(), input));
+        pairs
+    }
+
+    fn ones(&self, name: &str) -> Ones<'s> {
+        self.scope
+            .clone()
+            .new_collection_from(self.facts.unary(name).to_vec())
+            .1
+    }
+}
+
+fn closure(edge: Pairs<'_>) -> Pairs<'_> {
+    edge.clone().iterate(|scope, path| {
+        let edge = edge.enter(scope);
+        path.map(|(x, y)| (y, x))
+            .join_map(edge.clone(), |_, &x, &z| (x, z))
+            .concat(edge)
+            .distinct()
+    })
+}
+
+fn generation(parent: Pairs<'_>) -> Pairs<'_> {
+    let children = parent.map(|(x, p)| (p, x));
+    let siblings = children
+        .clone()
+        .join_map(children.clone(), |_, &x, &y| (x, y))
+        .distinct();
+    siblings.clone().iterate(|scope, same| {
+        let children = children.enter(scope).arrange_by_key();
+        same.arrange_by_key()
+            .join_core(children.clone(), |_, &q, &x| Some((q, x)))
+            .arrange_by_key()
+            .join_core(children, |_, &x, &y| Some((x, y)))
+            .concat(siblings.enter(scope))
+            .distinct()
+    })
+}
+
+fn points_to<'s>(base: &Base<'_, 's>) -> Pairs<'s> {
+    let address_of = base.pairs("AddressOf");
+    let (assign, load, store) = (base.pairs("Assign"), base.pairs("Load"), base.pairs("Store"));
+    address_of.clone().iterate(|scope, points_to| {
+        let points_to = points_to.arrange_by_key();
+        let copied = assign
+            .enter(scope)
+            .map(|(y, z)| (z, y))
+            .arrange_by_key()
+            .join_core(points_to.clone(), |_, &y, &x| Some((y, x)));
+        let loaded = load
+            .enter(scope)
+            .map(|(y, x)| (x, y))
+            .arrange_by_key()
+            .join_core(points_to.clone(), |_, &y, &z| Some((z, y)))
+            .arrange_by_key()
+            .join_core(points_to.clone(), |_, &y, &w| Some((y, w)));
+        let stored = store
+            .enter(scope)
+            .arrange_by_key()
+            .join_core(points_to.clone(), |_, &x, &z| Some((x, z)))
+            .arrange_by_key()
+            .join_core(points_to, |_, &z, &w| Some((z, w)));
+        address_of
+            .enter(scope)
+            .concat(copied)
+            .concat(loaded)
+            .concat(stored)
+            .distinct()
+    })
+}
+
+fn city<'s>(base: &Base<'_, 's>) -> [Ones<'s>; 4] {
+    let keyed = |ones: Ones<'s>| ones.map(|x| (x, ()));
+    let without = |ones: Ones<'s>, other: &Ones<'s>| keyed(ones).antijoin(other.clone()).map(|(x, ())| x);
+    // Of (x, y), those with y in the second.
+    let to = |pairs: Pairs<'s>, ones: &Ones<'s>| pairs.map(|(x, y)| (y, x)).semijoin(ones.clone()).map(|(y, x)| (x, y));
+    let both = |pairs: Pairs<'s>, other: Pairs<'s>| pairs.map(|pair| (pair, ())).semijoin(other).map(|(pair, ())| pair);
+    let first = |pairs: Pairs<'s>| pairs.map(|(x, _)| x);
+    let back = |pairs: Pairs<'s>| pairs.map(|(x, y)| (y, x));
+
+    let [
+        pedestrian,
+        car,
+        ambulance,
+        bus,
+        police,
+        tiro,
+        reckless,
+        old,
+        young,
+        at_inter,
+        in_inter,
+    ] = [
+        "IsPedestrian",
+        "IsCar",
+        "IsAmbulance",
+        "IsBus",
+        "IsPolice",
+        "IsTiro",
+        "IsReckless",
+        "IsOld",
+        "IsYoung",
+        "IsAtInter",
+        "IsInInter",
+    ]
+    .map(|name| base.ones(name));
+    let [close, next_to, higher_pri, colliding, left_of, right_of, sees] = [
+        "IsClose",
+        "NextTo",
+        "HigherPri",
+        "CollidingClose",
+        "LeftOf",
+        "RightOf",
+        "Sees",
+    ]
+    .map(|name| base.pairs(name));
+    let sees_from = |ones: Ones<'s>| sees.clone().semijoin(ones);
+    let lawful = |ones: &Ones<'s>| without(without(ones.clone(), &ambulance), &old);
+    let away = |ones: &Ones<'s>| without(without(ones.clone(), &in_inter), &at_inter);
+
+    let waiting = sees_from(lawful(&at_inter));
+    let stop = first(to(waiting.clone(), &in_inter))
+        .concat(first(both(to(waiting, &at_inter), back(higher_pri))))
+        .concat(first(to(to(sees_from(lawful(&in_inter)), &in_inter), &ambulance)))
+        .concat(first(both(
+            to(sees_from(ambulance.clone()), &old),
+            back(right_of.clone()),
+        )))
+        .concat(first(both(
+            colliding.semijoin(without(
+                without(sees.clone().map(|(x, _)| x).distinct(), &ambulance),
+                &old,
+            )),
+            sees.clone(),
+        )))
+        .concat(first(both(
+            both(to(sees_from(away(&bus)), &pedestrian), back(right_of)),
+            back(next_to.clone()),
+        )))
+        .concat(first(both(
+            both(
+                to(sees_from(away(&without(without(car, &ambulance), &police))), &police),
+                back(left_of),
+            ),
+            back(close.clone()),
+        )))
+        .distinct();
+
+    let beginner = without(tiro, &stop);
+    let patrol = without(police, &stop);
+    // (x, y) with a young y; then (x, z) with z next to such a y.
+    let children = to(sees_from(patrol.clone()), &young);
+    let beside = children
+        .map(|(x, y)| (y, x))
+        .join_map(to(next_to, &young), |_, &x, &z| (x, z));
+    let slow = first(both(to(close.semijoin(beginner.clone()), &pedestrian), sees.clone()))
+        .concat(first(to(
+            sees_from(keyed(beginner).semijoin(in_inter.clone()).map(|(x, ())| x)),
+            &at_inter,
+        )))
+        .concat(first(both(beside, sees.clone())))
+        .distinct();
+
+    let fast = first(to(
+        sees_from(without(without(reckless.clone(), &stop), &slow)),
+        &at_inter,
+    ))
+    .concat(without(without(bus, &stop), &slow))
+    .concat(first(to(sees_from(without(patrol, &slow)), &reckless)))
+    .distinct();
+
+    let all = sees.filter(|(x, y)| x == y).map(|(x, _)| x);
+    let normal = without(without(without(all, &stop), &slow), &fast);
+    [stop, slow, fast, normal]
+}

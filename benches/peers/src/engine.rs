@@ -1,0 +1,63 @@
+//! Our engine, as a library.
+
+#![allow(dead_code, reason = "each binary uses its own part")]
+
+use crate::case::Facts;
+use logicity::diag::{Sources, render};
+use logicity::engine::{Program, Session};
+use logicity::files;
+use logicity::lang::{self, BaseType, Value};
+
+/// How many rows of each of the relations follow.
+pub fn counts(text: &str, facts: &Facts, derived: &[&str]) -> Vec<usize> {
+    let mut session = load(text, facts);
+    session.commit().expect("within the limit");
+    lengths(&session, derived)
+}
+
+/// How many rows the relations have.
+pub fn lengths(session: &Session, relations: &[&str]) -> Vec<usize> {
+    let relation = |name: &&str| session.program().relation(name).expect("the program has the relation");
+    relations.iter().map(|name| session.len(relation(name))).collect()
+}
+
+/// A session for which the facts are noted.
+pub fn load(text: &str, facts: &Facts) -> Session {
+    let mut sources = Sources::new();
+    let entry = sources.add("program.dl", text);
+    let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
+    let rules = loaded
+        .rules
+        .unwrap_or_else(|| panic!("{}", render(&loaded.diagnostics, &sources, false)));
+    let program = Program::new(rules).expect("the program is small");
+    let mut session = program.session();
+    let relation = |name: &str| program.relation(name).expect("the program has the relation");
+
+    // Where a column holds symbols, the number stands for the symbol interned in that place.
+    let symbolic = |name: &str| program.rules().relations[relation(name).index()].columns[0].base == BaseType::Symbol;
+    if facts.unary.iter().any(|(name, _)| symbolic(name)) {
+        let largest = facts
+            .binary
+            .iter()
+            .flat_map(|(_, rows)| rows)
+            .map(|&(x, y)| x.max(y))
+            .max();
+        for number in session.symbols().len() as u32..=largest.unwrap_or(0) {
+            session.intern(&format!("agent {number}"));
+        }
+    }
+    for (name, rows) in &facts.unary {
+        let relation = relation(name);
+        rows.iter()
+            .for_each(|&x| session.insert(relation, &[Value(x)]).expect("a base relation"));
+    }
+    for (name, rows) in &facts.binary {
+        let relation = relation(name);
+        rows.iter().for_each(|&(x, y)| {
+            session
+                .insert(relation, &[Value(x), Value(y)])
+                .expect("a base relation")
+        });
+    }
+    session
+}

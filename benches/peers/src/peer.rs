@@ -1,0 +1,152 @@
+//! The peers, and how those that are programs of their own are started.
+
+use crate::case::Case;
+use std::fmt::{self, Write};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+/// An engine, or a way to use one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Peer {
+    /// Ours as a library
+    Engine,
+    /// Ours as `logicity query`, with starting, reading the rules and the facts
+    Query,
+    /// ascent
+    Ascent,
+    /// datafrog, by hand
+    Datafrog,
+    /// crepe
+    Crepe,
+    /// differential-dataflow, by hand
+    Differential,
+    /// Souffle's interpreter, with starting and reading
+    Souffle,
+    /// A program compiled by Souffle, with starting and reading the facts
+    SouffleCompiled,
+}
+
+impl fmt::Display for Peer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Peer::Engine => "logicity, library",
+            Peer::Query => "logicity query *",
+            Peer::Ascent => "ascent",
+            Peer::Datafrog => "datafrog, by hand",
+            Peer::Crepe => "crepe",
+            Peer::Differential => "differential-dataflow",
+            Peer::Souffle => "Souffle interpreted *",
+            Peer::SouffleCompiled => "Souffle compiled *",
+        })
+    }
+}
+
+/// Set for a process that is to be the `logicity` command.
+pub const AS_LOGICITY: &str = "LOGICITY_PEERS_AS_LOGICITY";
+
+impl Peer {
+    /// All, ours first.
+    pub const ALL: [Peer; 8] = [
+        Peer::Engine,
+        Peer::Query,
+        Peer::Ascent,
+        Peer::Datafrog,
+        Peer::Crepe,
+        Peer::Differential,
+        Peer::Souffle,
+        Peer::SouffleCompiled,
+    ];
+
+    /// Whether it needs Souffle.
+    pub fn is_souffle(self) -> bool {
+        matches!(self, Peer::Souffle | Peer::SouffleCompiled)
+    }
+
+    /// Whether it is measured as a whole process, from its start to its end.
+    pub fn is_whole(self) -> bool {
+        self == Peer::Query || self.is_souffle()
+    }
+
+    /// The command for one run; the folder is that of [`write_case`].
+    pub fn command(self, case: Case, folder: &Path) -> std::io::Result<Command> {
+        let ours = std::env::current_exe()?;
+        let program = folder.join("program.dl");
+        let mut command = match self {
+            Peer::Query => {
+                let mut command = Command::new(ours);
+                command
+                    .env(AS_LOGICITY, "1")
+                    .arg("query")
+                    .arg(program)
+                    .arg("-F")
+                    .arg(folder);
+                command
+            }
+            Peer::Souffle => {
+                let mut command = Command::new("souffle");
+                command.arg(program).arg("-F").arg(folder);
+                command
+            }
+            Peer::SouffleCompiled => {
+                let mut command = Command::new(folder.join("compiled"));
+                command.arg("-F").arg(folder);
+                command
+            }
+            _ => {
+                let mut command = Command::new(ours);
+                command.arg("once").arg(name(self)).arg(name(case));
+                command
+            }
+        };
+        command.stdin(Stdio::null()).stdout(Stdio::piped());
+        Ok(command)
+    }
+}
+
+/// Writes the program and its facts, one file a relation.
+pub fn write_case(case: Case, folder: &Path) -> std::io::Result<()> {
+    std::fs::create_dir_all(folder)?;
+    std::fs::write(folder.join("program.dl"), case.program())?;
+    let facts = case.facts();
+    let write = |name: &str, text: String| std::fs::write(folder.join(format!("{name}.facts")), text);
+    for (name, rows) in &facts.unary {
+        let mut text = String::new();
+        rows.iter().for_each(|x| _ = writeln!(text, "{x}"));
+        write(name, text)?;
+    }
+    for (name, rows) in &facts.binary {
+        let mut text = String::new();
+        rows.iter().for_each(|(x, y)| _ = writeln!(text, "{x}\t{y}"));
+        write(name, text)?;
+    }
+    Ok(())
+}
+
+/// What Souffle says of itself, if it is installed.
+pub fn souffle_version() -> Option<String> {
+    let output = Command::new("souffle").arg("--version").output().ok()?;
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let line = text.lines().find(|line| line.contains("ersion"));
+    Some(line.unwrap_or("unknown version").trim().to_owned())
+}
+
+/// Lets Souffle compile the program in the folder.
+pub fn compile(folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
+    let mut command = Command::new("souffle");
+    command
+        .arg("-o")
+        .arg(folder.join("compiled"))
+        .arg(folder.join("program.dl"));
+    let status = command.stdout(Stdio::null()).status()?;
+    if status.success() {
+        Ok(())
+    } else {
+        Err("souffle could not compile the program".into())
+    }
+}
+
+/// The name of a value on the command line.
+pub fn name(value: impl clap::ValueEnum) -> String {
+    let value = value.to_possible_value().expect("no value is left out");
+    value.get_name().to_owned()
+}

@@ -1,0 +1,166 @@
+//! Plans as text: what is scanned and tested in which order, by which columns, through which index.
+
+use crate::diag::Sources;
+use crate::engine::Program;
+use crate::engine::plan::{IndexId, Plan, Slot, Source, Step, Version};
+use crate::lang::{BaseType, Clause, ClauseId, Comparison, RelId, Value};
+use crate::symbol::Symbol;
+
+impl Program {
+    /// How every clause is evaluated, for people. The sources are those that the rules were loaded from.
+    ///
+    /// ```text
+    /// stratum 1: Path (recursive)
+    ///
+    ///   Path(x, z) :- Path(x, y), Edge(y, z).    path.dl:4:1
+    ///     for the new rows of Path
+    ///       scan   Path(x, y), new
+    ///       scan   Edge(y, z) by x
+    ///       derive Path(x, z)
+    /// ```
+    pub fn show_plans(&self, sources: &Sources) -> String {
+        let (rules, plans) = (&self.0.rules, &self.0.plans);
+        let mut out = String::new();
+        for (stratum, number) in plans.strata.iter().zip(1..) {
+            if stratum.clauses.is_empty() {
+                continue;
+            }
+            let names: Vec<&str> = stratum.members.iter().map(|&member| self.name(member)).collect();
+            let recursive = if stratum.recursive { " (recursive)" } else { "" };
+            out += &format!("stratum {number}: {}{recursive}\n", names.join(", "));
+            for &id in &stratum.clauses {
+                let clause = &rules.clauses[id.index()];
+                let plans = &plans.clauses[id.index()];
+                out += &format!("\n  {}\n", self.show_clause(id, sources));
+                if plans.deltas.is_empty() {
+                    out += "    once\n";
+                    self.show_steps(&mut out, clause, &plans.complete);
+                }
+                for ((over, plan), detours) in plans.deltas.iter().zip(&plans.detours) {
+                    out += &format!("    for the new rows of {}\n", self.name(*over));
+                    self.show_steps(&mut out, clause, plan);
+                    for detour in detours {
+                        out += "    or, in a round where that looks at less\n";
+                        self.show_steps(&mut out, clause, detour);
+                    }
+                }
+            }
+            out.push('\n');
+        }
+        out
+    }
+
+    /// A clause on one line, with its place.
+    pub fn show_clause(&self, id: ClauseId, sources: &Sources) -> String {
+        let span = self.0.rules.clauses[id.index()].span;
+        let words: Vec<&str> = sources.slice(span).split_whitespace().collect();
+        format!("{}    {}", words.join(" "), sources.locate(span))
+    }
+
+    fn name(&self, relation: RelId) -> &str {
+        &self.0.rules.relations[relation.index()].name
+    }
+
+    fn show_steps(&self, out: &mut String, clause: &Clause, plan: &Plan) {
+        let known = |slot: Slot| clause.variables.get(slot as usize).map(String::as_str);
+        let value = |slot: Slot, base: BaseType| {
+            let name = known(slot).map(str::to_owned);
+            name.unwrap_or_else(|| self.show_value(plan.slots[slot as usize], base))
+        };
+        for (position, step) in plan.steps.iter().enumerate() {
+            if position == plan.settled && position > 0 {
+                *out += "      the head is known: one match of the rest is enough\n";
+            }
+            let line = match step {
+                Step::Scan {
+                    source,
+                    key,
+                    bind,
+                    check,
+                    ..
+                } => {
+                    let found = key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot));
+                    let terms: Vec<(u16, Slot)> = found.chain(bind.iter().chain(check).copied()).collect();
+                    format!("scan   {}", self.show_lookup(*source, &terms, key.len(), &value))
+                }
+                Step::Exists { source, key } | Step::Absent { source, key } => {
+                    let terms: Vec<(u16, Slot)> =
+                        key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot)).collect();
+                    let what = if matches!(step, Step::Exists { .. }) {
+                        "exists"
+                    } else {
+                        "absent"
+                    };
+                    format!("{what} {}", self.show_lookup(*source, &terms, key.len(), &value))
+                }
+                Step::Copy { to, from } => {
+                    let name = |slot: Slot| value(slot, BaseType::Number);
+                    format!("let    {} = {}", name(*to), name(*from))
+                }
+                Step::Compare { op, left, right, base } => {
+                    format!("test   {} {} {}", value(*left, *base), sign(*op), value(*right, *base))
+                }
+            };
+            *out += &format!("      {line}\n");
+        }
+        let relation = &self.0.rules.relations[plan.head.index()];
+        let terms = relation.columns.iter().zip(&plan.output);
+        let terms: Vec<String> = terms.map(|(column, &slot)| value(slot, column.base)).collect();
+        *out += &format!("      derive {}({})\n", relation.name, terms.join(", "));
+    }
+
+    /// The atom, the columns by which it is looked up, the index if it is not the relation's own order, and which rows are meant.
+    fn show_lookup(
+        &self,
+        source: Source,
+        terms: &[(u16, Slot)],
+        key: usize,
+        value: &dyn Fn(Slot, BaseType) -> String,
+    ) -> String {
+        let order = &self.0.plans.indexes[source.index.index()];
+        let relation = &self.0.rules.relations[order.relation.index()];
+        let mut atom = vec!["_".to_owned(); relation.arity()];
+        for &(column, slot) in terms {
+            let column = order.columns[column as usize] as usize;
+            atom[column] = value(slot, relation.columns[column].base);
+        }
+        let columns = |range: &[u16]| {
+            let names = range
+                .iter()
+                .map(|&column| relation.columns[column as usize].name.as_str());
+            names.collect::<Vec<_>>().join(", ")
+        };
+        let mut text = format!("{}({})", relation.name, atom.join(", "));
+        if key > 0 {
+            text += &format!(" by {}", columns(&order.columns[..key]));
+        }
+        if source.index != IndexId(order.relation.0) {
+            text += &format!(", index ({})", columns(&order.columns));
+        }
+        text += match source.version {
+            Version::Complete => "",
+            Version::All => ", old and new",
+            Version::Old => ", old",
+            Version::New => ", new",
+        };
+        text
+    }
+
+    fn show_value(&self, value: Value, base: BaseType) -> String {
+        match base {
+            BaseType::Symbol => format!("{:?}", self.0.rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
+            BaseType::Number => value.as_number().to_string(),
+        }
+    }
+}
+
+fn sign(op: Comparison) -> &'static str {
+    match op {
+        Comparison::Equal => "=",
+        Comparison::NotEqual => "!=",
+        Comparison::Less => "<",
+        Comparison::LessEqual => "<=",
+        Comparison::Greater => ">",
+        Comparison::GreaterEqual => ">=",
+    }
+}
