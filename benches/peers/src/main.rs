@@ -27,7 +27,7 @@ struct Arguments {
     /// Only these peers, beside the engine
     #[arg(long, value_delimiter = ',')]
     peers: Vec<Peer>,
-    /// Runs of each peer on each case, interleaved; the median counts
+    /// Measured runs of each peer on each case, interleaved; the median counts. One more is made first to compare counts
     #[arg(long, default_value_t = 5)]
     repeats: usize,
     /// Where to write all figures
@@ -82,7 +82,7 @@ fn compare(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut peers: Vec<Peer> = Peer::ALL.into_iter().filter(wanted).collect();
     let souffle = peer::souffle_version();
     if souffle.is_none() && peers.iter().any(|peer| peer.is_souffle()) {
-        eprintln!("souffle was not found on the path: its two rows are missing");
+        eprintln!("souffle was not found on the path; it is not compared");
         peers.retain(|peer| !peer.is_souffle());
     }
 
