@@ -77,12 +77,9 @@ fn input_changed(
     before: &naive::Database,
     after: &naive::Database,
 ) -> bool {
-    rules.clauses[clause.index()].body.iter().any(|literal| match literal {
-        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
-            let own = own.contains(&atom.relation) && rules.relations[atom.relation.index()].derived;
-            !own && before[atom.relation.index()] != after[atom.relation.index()]
-        }
-        Literal::Compare { .. } => false,
+    rules.clauses[clause.index()].body.iter().filter_map(Literal::atom).any(|atom| {
+        let own = own.contains(&atom.relation) && rules.relations[atom.relation.index()].derived;
+        !own && before[atom.relation.index()] != after[atom.relation.index()]
     })
 }
 

@@ -72,6 +72,8 @@ codes! {
     DuplicateClause = "duplicate-clause", Warning;
     /// A clause that can never fire, since a predicate it needs is always empty.
     DeadClause = "dead-clause", Warning;
+    /// Something of Souffle that is accepted and has no effect here.
+    Ignored = "ignored", Warning;
 
     // --- facts
     /// A row of a facts file that does not fit its predicate's declaration.

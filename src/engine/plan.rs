@@ -9,7 +9,9 @@
 
 use crate::diag::{Code, Diagnostic};
 use crate::engine::row::WIDTHS;
-use crate::lang::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Rules, Stratum, Term, Value, VarId};
+use crate::lang::{
+    AggregateOp, Atom, BaseType, Clause, ClauseId, Comparison, Functor, Literal, RelId, Rules, Stratum, Term, Value, VarId,
+};
 
 /// A place for a value while a clause is evaluated: a variable, or after them a constant.
 pub(super) type Slot = u16;
@@ -80,14 +82,36 @@ pub(super) enum Step {
         right: Slot,
         base: BaseType,
     },
+    /// Go on if the functor has a value: the one in the slot if that is a `test`, else fill the slot with it.
+    Compute {
+        functor: Functor,
+        base: BaseType,
+        arguments: Vec<Slot>,
+        to: Slot,
+        test: bool,
+    },
+    /// The same for the aggregate over the rows that begin with the key.
+    Aggregate {
+        source: Source,
+        key: Vec<Slot>,
+        op: AggregateOp,
+        base: BaseType,
+        /// The column of the index that holds the values; 0 where rows are counted.
+        column: u16,
+        to: Slot,
+        test: bool,
+    },
 }
 
 impl Step {
     /// Where the step finds rows, if it looks at any.
     pub(super) fn source(&self) -> Option<Source> {
         match *self {
-            Step::Scan { source, .. } | Step::Exists { source, .. } | Step::Absent { source, .. } => Some(source),
-            Step::Copy { .. } | Step::Compare { .. } => None,
+            Step::Scan { source, .. }
+            | Step::Exists { source, .. }
+            | Step::Absent { source, .. }
+            | Step::Aggregate { source, .. } => Some(source),
+            Step::Copy { .. } | Step::Compare { .. } | Step::Compute { .. } => None,
         }
     }
 }
@@ -218,7 +242,7 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
         .filter(|clause| derived(&head(clause)))
         .collect();
     let bodies = clauses.iter().flat_map(|clause| &rules.clauses[clause.index()].body);
-    let mut inputs: Vec<RelId> = bodies.filter_map(|literal| Some(atom_of(literal)?.relation)).collect();
+    let mut inputs: Vec<RelId> = bodies.filter_map(|literal| Some(literal.atom()?.relation)).collect();
     inputs.retain(|relation| !members.contains(relation));
     inputs.sort_unstable();
     inputs.dedup();
@@ -226,14 +250,6 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
         members,
         inputs,
         clauses,
-    }
-}
-
-/// The atom of a literal that has one.
-fn atom_of(literal: &Literal) -> Option<&Atom> {
-    match literal {
-        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => Some(atom),
-        Literal::Compare { .. } => None,
     }
 }
 
@@ -293,7 +309,7 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
             std::cmp::Ordering::Greater => Version::All,
         };
         let plan = Planner::new(clause, indexer).plan(Some(delta), &version)?;
-        if let Some(atom) = atom_of(&clause.body[delta]) {
+        if let Some(atom) = clause.body[delta].atom() {
             deltas.push((atom.relation, plan));
         }
     }
@@ -318,7 +334,7 @@ struct Planner<'a> {
 impl<'a> Planner<'a> {
     fn new(clause: &'a Clause, indexer: &'a mut Indexer) -> Self {
         let mut uses = vec![0; clause.variables.len()];
-        let terms = clause.head.terms.iter().chain(clause.body.iter().flat_map(terms_of));
+        let terms = clause.head.terms.iter().chain(clause.body.iter().flat_map(Literal::terms));
         terms
             .filter_map(variable_of)
             .for_each(|variable| uses[variable.index()] += 1);
@@ -340,7 +356,7 @@ impl<'a> Planner<'a> {
         let mut next = first;
         loop {
             if let Some(position) = next {
-                if let Some(atom) = atom_of(&self.clause.body[position]) {
+                if let Some(atom) = self.clause.body[position].atom() {
                     self.scan(atom, version(position));
                 }
                 self.placed(position);
@@ -418,6 +434,44 @@ impl<'a> Planner<'a> {
                 Literal::Compare {
                     op, left, right, base, ..
                 } => self.compare(*op, left, right, *base),
+                Literal::Compute {
+                    to,
+                    functor,
+                    base,
+                    arguments,
+                    ..
+                } => {
+                    let arguments = arguments.iter().filter_map(|argument| self.slot(argument)).collect();
+                    let Some((to, test)) = self.result(to) else { continue };
+                    self.steps.push(Step::Compute {
+                        functor: *functor,
+                        base: *base,
+                        arguments,
+                        to,
+                        test,
+                    });
+                }
+                Literal::Aggregate {
+                    to,
+                    op,
+                    base,
+                    atom,
+                    column,
+                } => {
+                    let (source, key) = self.rows(atom);
+                    let columns = &self.indexer.specs[source.index.index()].columns;
+                    let place = column.and_then(|column| columns.iter().position(|other| *other as usize == column));
+                    let Some((to, test)) = self.result(to) else { continue };
+                    self.steps.push(Step::Aggregate {
+                        source,
+                        key,
+                        op: *op,
+                        base: *base,
+                        column: place.unwrap_or(0) as u16,
+                        to,
+                        test,
+                    });
+                }
             }
         }
     }
@@ -428,7 +482,8 @@ impl<'a> Planner<'a> {
                 let terms = || atom.terms.iter();
                 terms().all(|term| self.is_bound(term) || self.is_unneeded(term))
             }
-            Literal::Negative(atom) => atom.terms.iter().all(|term| self.is_bound(term)),
+            Literal::Negative(atom) | Literal::Aggregate { atom, .. } => atom.terms.iter().all(|term| self.is_bound(term)),
+            Literal::Compute { arguments, .. } => arguments.iter().all(|argument| self.is_bound(argument)),
             Literal::Compare {
                 op: Comparison::Equal,
                 left,
@@ -449,7 +504,7 @@ impl<'a> Planner<'a> {
     /// Strikes a literal off what is left.
     fn placed(&mut self, position: usize) {
         self.left.retain(|&other| other != position);
-        for variable in terms_of(&self.clause.body[position]).filter_map(variable_of) {
+        for variable in self.clause.body[position].terms().filter_map(variable_of) {
             self.uses[variable.index()] -= 1;
         }
     }
@@ -467,6 +522,26 @@ impl<'a> Planner<'a> {
             .filter_map(|&column| self.slot(&atom.terms[column as usize]))
             .collect();
         (Source { index, version }, key)
+    }
+
+    /// The source and key of an aggregate: an index of all columns, the bound ones first.
+    fn rows(&mut self, atom: &Atom) -> (Source, Vec<Slot>) {
+        let bound = |&column: &u16| atom.terms[column as usize] != Term::Wildcard;
+        let (known, rest): (Vec<u16>, Vec<u16>) = (0..atom.terms.len() as u16).partition(bound);
+        let key = (known.iter()).filter_map(|&column| self.slot(&atom.terms[column as usize])).collect();
+        let index = self.indexer.exact(atom.relation, [known, rest].concat());
+        let version = Version::Complete;
+        (Source { index, version }, key)
+    }
+
+    /// The slot for a value, and whether something is there already.
+    fn result(&mut self, to: &Term) -> Option<(Slot, bool)> {
+        let test = self.is_bound(to);
+        let slot = self.slot(to)?;
+        if let Some(variable) = variable_of(to) {
+            self.bound[variable.index()] = true;
+        }
+        Some((slot, test))
     }
 
     fn compare(&mut self, op: Comparison, left: &Term, right: &Term, base: BaseType) {
@@ -558,15 +633,6 @@ impl<'a> Planner<'a> {
         });
         self.repeated = true;
     }
-}
-
-/// The arguments of an atom or the sides of a comparison.
-fn terms_of(literal: &Literal) -> impl Iterator<Item = &Term> {
-    let (terms, sides): (&[Term], _) = match literal {
-        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => (&atom.terms, None),
-        Literal::Compare { left, right, .. } => (&[], Some([left, right])),
-    };
-    terms.iter().chain(sides.into_iter().flatten())
 }
 
 fn variable_of(term: &Term) -> Option<VarId> {

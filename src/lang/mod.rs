@@ -4,7 +4,8 @@
 //! file. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names.
 //!
 //! The stages, each in its own file: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
-//! list of items), `names` (types and predicates), `clause` (one clause: names, types, safety), `scope` (guards), `strata`
+//! list of items), `names` (types and predicates), `clause` (alternatives and several heads), `body` (one clause: names,
+//! expressions, types, safety), `aggregate` (hidden predicates for aggregates), `scope` (guards), `strata`
 //! (order of evaluation), `lint` (warnings that need all clauses). None stops at the first fault.
 //!
 //! This room refuses to know what a city is, how rules are evaluated, and where texts come from: the caller reads the files.
@@ -14,9 +15,12 @@ use std::path::Path;
 use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::ReadError;
 
+mod aggregate;
 pub mod ast;
+mod body;
 mod clause;
 mod faults;
+mod functor;
 mod include;
 mod lexer;
 mod lint;
@@ -27,11 +31,12 @@ mod rules;
 mod scope;
 mod strata;
 
+pub use functor::{AggregateOp, Functor, Patterns, parse as parse_value};
 pub use include::BUILTIN;
 pub use print::print;
 pub use rules::{
-    Atom, BaseType, Clause, ClauseId, Column, Comparison, Literal, RelId, Relation, Rules, Stratum, Term, Type, TypeId,
-    Value, VarId,
+    Atom, BaseType, Clause, ClauseId, Column, Comparison, Directive, Literal, MarkKind, RelId, Relation, RowFormat,
+    RowPlace, Rules, Stratum, Term, Type, TypeId, Value, VarId,
 };
 
 use faults::Faults;

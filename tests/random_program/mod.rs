@@ -203,6 +203,7 @@ fn declare(rules: &mut Rules, columns: &[bool], span: Span) {
         printsize: false,
         derived: false,
         hidden: false,
+        directives: Vec::new(),
     });
 }
 
