@@ -11,8 +11,16 @@ use std::path::{Path, PathBuf};
 /// A change of the facts or a question, in the order of the text.
 #[derive(Debug)]
 enum Step {
-    Change { present: bool, relation: String, rows: Vec<String> },
-    Expect { line: usize, relation: String, rows: Vec<String> },
+    Change {
+        present: bool,
+        relation: String,
+        rows: Vec<String>,
+    },
+    Expect {
+        line: usize,
+        relation: String,
+        rows: Vec<String>,
+    },
 }
 
 /// What a file says.
@@ -46,8 +54,16 @@ fn read_script(text: &str) -> Script {
         };
         let relation = relation.to_owned();
         script.steps.push(match verb {
-            "expect" => Step::Expect { line: number, relation, rows },
-            verb => Step::Change { present: verb == "insert", relation, rows },
+            "expect" => Step::Expect {
+                line: number,
+                relation,
+                rows,
+            },
+            verb => Step::Change {
+                present: verb == "insert",
+                relation,
+                rows,
+            },
         });
     }
     script
@@ -85,10 +101,19 @@ fn parse_row(rules: &Rules, symbols: &Symbols, relation: RelId, row: &str) -> Ve
 }
 
 fn change(facts: &mut Facts, step: &Step) {
-    if let Step::Change { present, relation, rows } = step {
+    if let Step::Change {
+        present,
+        relation,
+        rows,
+    } = step
+    {
         let known = facts.entry(relation.clone()).or_default();
         for row in rows {
-            if *present { known.insert(row.clone()) } else { known.remove(row) };
+            if *present {
+                known.insert(row.clone())
+            } else {
+                known.remove(row)
+            };
         }
     }
 }
@@ -107,7 +132,9 @@ fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
         let rows: Vec<(RelId, Vec<Value>)> = (facts.iter())
             .flat_map(|(name, rows)| {
                 let relation = find(rules, name);
-                rows.iter().map(|row| (relation, parse_row(rules, &symbols, relation, row))).collect::<Vec<_>>()
+                rows.iter()
+                    .map(|row| (relation, parse_row(rules, &symbols, relation, row)))
+                    .collect::<Vec<_>>()
             })
             .collect();
         let database = naive::evaluate(rules, &symbols, rows);
@@ -132,7 +159,13 @@ fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
 
 fn ask(session: &logicity::engine::Session, relation: &str) -> Answer {
     let text = facts::print(session, find(session.program().rules(), relation));
-    let rows = text.lines().map(|row| if row == "()" { String::new() } else { row.replace('\t', ", ") });
+    let rows = text.lines().map(|row| {
+        if row == "()" {
+            String::new()
+        } else {
+            row.replace('\t', ", ")
+        }
+    });
     let mut answer: Answer = rows.collect();
     answer.sort();
     answer
@@ -164,11 +197,19 @@ fn in_one_session(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
     let mut answers = Vec::new();
     for step in steps {
         match step {
-            Step::Change { present, relation, rows } => {
+            Step::Change {
+                present,
+                relation,
+                rows,
+            } => {
                 let relation = find(rules, relation);
                 for row in rows {
                     let row = parse_row(rules, session.symbols(), relation, row);
-                    let noted = if *present { session.insert(relation, &row) } else { session.retract(relation, &row) };
+                    let noted = if *present {
+                        session.insert(relation, &row)
+                    } else {
+                        session.retract(relation, &row)
+                    };
                     noted.expect("a row that fits");
                 }
             }
@@ -191,7 +232,10 @@ fn check(path: &Path) -> Result<(), String> {
     let found: BTreeSet<(usize, String)> = loaded.diagnostics.iter().map(|fault| place(fault, &sources)).collect();
     if found != script.diagnostics {
         let drawn = render(&loaded.diagnostics, &sources, false);
-        return Err(format!("diagnostics: expected {:?}, found {found:?}\n{drawn}", script.diagnostics));
+        return Err(format!(
+            "diagnostics: expected {:?}, found {found:?}\n{drawn}",
+            script.diagnostics
+        ));
     }
     let Some(rules) = loaded.rules else { return Ok(()) };
     if !script.steps.iter().any(|step| matches!(step, Step::Expect { .. })) {
@@ -200,12 +244,16 @@ fn check(path: &Path) -> Result<(), String> {
     for (mode, run) in MODES {
         let mut answers = run(&rules, &script.steps).into_iter();
         for step in &script.steps {
-            let Step::Expect { line, relation, rows } = step else { continue };
+            let Step::Expect { line, relation, rows } = step else {
+                continue;
+            };
             let mut expected: Answer = rows.iter().map(|row| row.replace("()", "")).collect();
             expected.sort();
             let answer = answers.next().expect("an answer for each question");
             if answer != expected {
-                return Err(format!("{mode}, line {line}: `{relation}` is {answer:?}, not {expected:?}"));
+                return Err(format!(
+                    "{mode}, line {line}: `{relation}` is {answer:?}, not {expected:?}"
+                ));
             }
         }
     }
@@ -213,8 +261,15 @@ fn check(path: &Path) -> Result<(), String> {
 }
 
 fn place(fault: &Diagnostic, sources: &Sources) -> (usize, String) {
-    let line = fault.primary.as_ref().map_or(0, |label| sources.position(label.span).line);
-    let kind = if fault.severity() == Severity::Error { "error" } else { "warning" };
+    let line = fault
+        .primary
+        .as_ref()
+        .map_or(0, |label| sources.position(label.span).line);
+    let kind = if fault.severity() == Severity::Error {
+        "error"
+    } else {
+        "warning"
+    };
     (line, format!("{kind}[{}]", fault.code.name()))
 }
 
@@ -241,7 +296,11 @@ fn every_program_of_the_corpus_has_its_answers_in_every_mode() {
     let files = corpus();
     assert!(files.len() > 20);
     let failures: Vec<String> = (files.iter())
-        .filter_map(|path| check(path).err().map(|failure| format!("{}: {failure}", path.display())))
+        .filter_map(|path| {
+            check(path)
+                .err()
+                .map(|failure| format!("{}: {failure}", path.display()))
+        })
         .collect();
     assert!(failures.is_empty(), "{}", failures.join("\n\n"));
 }
@@ -257,7 +316,11 @@ fn the_corpus_survives_printing() {
             let printed = lang::print(&parsed.file);
             let again = sources.add("printed.dl", printed.clone());
             let again = lang::parse(&sources, again);
-            assert!(again.diagnostics.is_empty(), "{}", render(&again.diagnostics, &sources, false));
+            assert!(
+                again.diagnostics.is_empty(),
+                "{}",
+                render(&again.diagnostics, &sources, false)
+            );
             assert_eq!(again.file, parsed.file, "{}\n{printed}", path.display());
         }
     }

@@ -77,10 +77,14 @@ fn input_changed(
     before: &naive::Database,
     after: &naive::Database,
 ) -> bool {
-    rules.clauses[clause.index()].body.iter().filter_map(Literal::atom).any(|atom| {
-        let own = own.contains(&atom.relation) && rules.relations[atom.relation.index()].derived;
-        !own && before[atom.relation.index()] != after[atom.relation.index()]
-    })
+    rules.clauses[clause.index()]
+        .body
+        .iter()
+        .filter_map(Literal::atom)
+        .any(|atom| {
+            let own = own.contains(&atom.relation) && rules.relations[atom.relation.index()].derived;
+            !own && before[atom.relation.index()] != after[atom.relation.index()]
+        })
 }
 
 proptest! {

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
 use logicity::files::{ReadError, read_text};
-use logicity::lang::{AggregateOp, Atom, BUILTIN, Clause, Comparison, Functor, Literal, Loaded, Rules, Term, ast, load, parse, print};
+use logicity::lang::{
+    AggregateOp, Atom, BUILTIN, Clause, Comparison, Functor, Literal, Loaded, Rules, Term, ast, load, parse, print,
+};
 use proptest::prelude::*;
 
 fn root() -> &'static Path {
@@ -368,11 +370,19 @@ fn written(rules: &Rules, clause: &Clause) -> String {
             Literal::Negative(one) => format!("!{}", atom(one)),
             Literal::Guard(one) => format!("[{}]", atom(one)),
             Literal::Compare { op, left, right, .. } => format!("{} {op} {}", term(left), term(right)),
-            Literal::Compute { to, functor, arguments, .. } => {
+            Literal::Compute {
+                to, functor, arguments, ..
+            } => {
                 let arguments: Vec<String> = arguments.iter().map(term).collect();
                 format!("{} = {}({})", term(to), functor.name(), arguments.join(", "))
             }
-            Literal::Aggregate { to, op, atom: over, column, .. } => {
+            Literal::Aggregate {
+                to,
+                op,
+                atom: over,
+                column,
+                ..
+            } => {
                 format!("{} = {} {column:?} : {}", term(to), op.name(), atom(over))
             }
         })
@@ -469,9 +479,9 @@ fn numbers_and_texts() {
 fn name() -> impl Strategy<Value = String> {
     "[a-zA-Z?_][a-zA-Z0-9_?]{0,5}".prop_filter("a word of the language", |name| {
         let words = [
-            "_", "Not", "not", "as", "nil", "true", "false", "bnot", "lnot", "band", "bor", "bxor", "bshl", "bshr", "bshru",
-            "land", "lor", "lxor", "min", "max", "sum", "count", "mean", "cat", "ord", "substr", "strlen", "match",
-            "range", "brie", "btree", "magic", "inline",
+            "_", "Not", "not", "as", "nil", "true", "false", "bnot", "lnot", "band", "bor", "bxor", "bshl", "bshr",
+            "bshru", "land", "lor", "lxor", "min", "max", "sum", "count", "mean", "cat", "ord", "substr", "strlen",
+            "match", "range", "brie", "btree", "magic", "inline",
         ];
         !words.contains(&name.as_str())
     })
@@ -541,8 +551,18 @@ fn term() -> impl Strategy<Value = ast::Term> {
 
 fn plain_atom(term: impl Strategy<Value = ast::Term> + 'static) -> impl Strategy<Value = ast::Literal> {
     (name(), proptest::collection::vec(term, 0..3), any::<bool>()).prop_map(|(predicate, terms, negated)| {
-        let predicate = ast::Name { text: predicate, place: place() };
-        ast::Literal::Atom { negated, atom: ast::Atom { predicate, terms, place: place() } }
+        let predicate = ast::Name {
+            text: predicate,
+            place: place(),
+        };
+        ast::Literal::Atom {
+            negated,
+            atom: ast::Atom {
+                predicate,
+                terms,
+                place: place(),
+            },
+        }
     })
 }
 
@@ -801,8 +821,12 @@ fn large_texts_take_time_in_proportion() {
         format!("{decl}P(x) :- {}, false.", vec!["(Q(x, x); Q(x, _))"; 1_000].join(", ")),
         format!("{decl}P(x) :- Q(x, x){}.", "; Q(x, x)".repeat(many)),
         format!("{decl}P(cat({})).", vec!["to_string(1 + 1)"; 20_000].join(", ")),
-        (0..20_000).map(|at| format!(".type U{} = U{at} | symbol\n", at + 1)).collect::<String>(),
-        (0..20_000).map(|at| format!(".type U{at} = symbol | U{}\n", at + 1)).collect::<String>(),
+        (0..20_000)
+            .map(|at| format!(".type U{} = U{at} | symbol\n", at + 1))
+            .collect::<String>(),
+        (0..20_000)
+            .map(|at| format!(".type U{at} = symbol | U{}\n", at + 1))
+            .collect::<String>(),
         "\u{e9}".repeat(many),
         "/*".repeat(many),
         "///\n".repeat(many),
@@ -1114,7 +1138,8 @@ fn check_promises(rules: &Rules) {
                     Term::Variable(id) => bound[id.index()],
                     _ => true,
                 };
-                let all_known = |mut terms: std::slice::Iter<'_, Term>, bound: &[bool]| terms.all(|term| known(term, bound));
+                let all_known =
+                    |mut terms: std::slice::Iter<'_, Term>, bound: &[bool]| terms.all(|term| known(term, bound));
                 let learnt: Vec<&Term> = match literal {
                     Literal::Compare {
                         op: Comparison::Equal,

@@ -80,7 +80,11 @@ fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> R
     let program = session.program().clone();
     let mut faults = Vec::new();
     for (id, relation) in relations(&program) {
-        for directive in relation.directives.iter().filter(|directive| directive.kind == MarkKind::Input) {
+        for directive in relation
+            .directives
+            .iter()
+            .filter(|directive| directive.kind == MarkKind::Input)
+        {
             let path = match &directive.place {
                 RowPlace::Usual => folder.join(format!("{}.facts", relation.name)),
                 RowPlace::File(name) => folder.join(name),

@@ -88,7 +88,9 @@ pub fn load_as(
                         Some(value) => rows.push(value),
                         None => {
                             let (what, label) = match column.base {
-                                BaseType::Unsigned => ("unsigned numbers", "not a 32-bit decimal number without a sign"),
+                                BaseType::Unsigned => {
+                                    ("unsigned numbers", "not a 32-bit decimal number without a sign")
+                                }
                                 BaseType::Float => ("floats", "not a decimal number"),
                                 _ => ("numbers", "not a 32-bit decimal number"),
                             };
@@ -229,10 +231,19 @@ pub fn print_as(session: &Session, rel: RelId, format: &RowFormat) -> String {
 pub fn print_float(x: f32) -> String {
     const DIGITS: i32 = 9;
     if !x.is_finite() {
-        return if x.is_nan() { "nan" } else if x > 0.0 { "inf" } else { "-inf" }.to_owned();
+        return if x.is_nan() {
+            "nan"
+        } else if x > 0.0 {
+            "inf"
+        } else {
+            "-inf"
+        }
+        .to_owned();
     }
     let scientific = format!("{:.*e}", (DIGITS - 1) as usize, x);
-    let Some((mantissa, exponent)) = scientific.split_once('e') else { return scientific };
+    let Some((mantissa, exponent)) = scientific.split_once('e') else {
+        return scientific;
+    };
     let exponent: i32 = exponent.parse().unwrap_or_default();
     let trim = |digits: &str| match digits.contains('.') {
         true => digits.trim_end_matches('0').trim_end_matches('.').to_owned(),

@@ -164,7 +164,9 @@ impl<const W: usize> Join<'_, W> {
                     ..
                 } => {
                     let words = self.key(key);
-                    let rows = views[depth].batches().flat_map(|batch| batch.range(&words[..key.len()]));
+                    let rows = views[depth]
+                        .batches()
+                        .flat_map(|batch| batch.range(&words[..key.len()]));
                     // Of rows without columns there are only as many as can be counted.
                     let values = rows.map(|row| row.0[*column as usize]);
                     let value = op.of(*base, values, self.symbols);

@@ -145,7 +145,11 @@ fn result(literal: &Literal, known: &Binding, database: &Database, symbols: &Sym
             }
             let rows = database[atom.relation.index()].iter();
             let rows = rows.filter(|row| unify(atom, row, known).is_some());
-            op.of(*base, rows.map(|row| column.map_or(Value(0), |column| row[column])), symbols)
+            op.of(
+                *base,
+                rows.map(|row| column.map_or(Value(0), |column| row[column])),
+                symbols,
+            )
         }
         _ => None,
     }

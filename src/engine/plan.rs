@@ -10,7 +10,8 @@
 use crate::diag::{Code, Diagnostic};
 use crate::engine::row::WIDTHS;
 use crate::lang::{
-    AggregateOp, Atom, BaseType, Clause, ClauseId, Comparison, Functor, Literal, RelId, Rules, Stratum, Term, Value, VarId,
+    AggregateOp, Atom, BaseType, Clause, ClauseId, Comparison, Functor, Literal, RelId, Rules, Stratum, Term, Value,
+    VarId,
 };
 
 /// A place for a value while a clause is evaluated: a variable, or after them a constant.
@@ -334,7 +335,11 @@ struct Planner<'a> {
 impl<'a> Planner<'a> {
     fn new(clause: &'a Clause, indexer: &'a mut Indexer) -> Self {
         let mut uses = vec![0; clause.variables.len()];
-        let terms = clause.head.terms.iter().chain(clause.body.iter().flat_map(Literal::terms));
+        let terms = clause
+            .head
+            .terms
+            .iter()
+            .chain(clause.body.iter().flat_map(Literal::terms));
         terms
             .filter_map(variable_of)
             .for_each(|variable| uses[variable.index()] += 1);
@@ -482,7 +487,9 @@ impl<'a> Planner<'a> {
                 let terms = || atom.terms.iter();
                 terms().all(|term| self.is_bound(term) || self.is_unneeded(term))
             }
-            Literal::Negative(atom) | Literal::Aggregate { atom, .. } => atom.terms.iter().all(|term| self.is_bound(term)),
+            Literal::Negative(atom) | Literal::Aggregate { atom, .. } => {
+                atom.terms.iter().all(|term| self.is_bound(term))
+            }
             Literal::Compute { arguments, .. } => arguments.iter().all(|argument| self.is_bound(argument)),
             Literal::Compare {
                 op: Comparison::Equal,
@@ -528,7 +535,9 @@ impl<'a> Planner<'a> {
     fn rows(&mut self, atom: &Atom) -> (Source, Vec<Slot>) {
         let bound = |&column: &u16| atom.terms[column as usize] != Term::Wildcard;
         let (known, rest): (Vec<u16>, Vec<u16>) = (0..atom.terms.len() as u16).partition(bound);
-        let key = (known.iter()).filter_map(|&column| self.slot(&atom.terms[column as usize])).collect();
+        let key = (known.iter())
+            .filter_map(|&column| self.slot(&atom.terms[column as usize]))
+            .collect();
         let index = self.indexer.exact(atom.relation, [known, rest].concat());
         let version = Version::Complete;
         (Source { index, version }, key)

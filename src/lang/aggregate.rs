@@ -121,7 +121,10 @@ impl<'c> Check<'_, 'c> {
         if !matches!(head.op, AggregateOp::Min | AggregateOp::Max) {
             for literal in &mut inner {
                 let Literal::Positive(atom) = literal else { continue };
-                let types = self.names.signatures[atom.relation.index()].columns.clone().unwrap_or_default();
+                let types = self.names.signatures[atom.relation.index()]
+                    .columns
+                    .clone()
+                    .unwrap_or_default();
                 for (term, ty) in atom.terms.iter_mut().zip(types) {
                     if *term == Term::Wildcard {
                         let ty = ty.map_or(VariableType::Unknown, VariableType::Type);
@@ -158,7 +161,13 @@ impl<'c> Check<'_, 'c> {
 
         let columns: Vec<VarId> = shared.iter().chain(&own).copied().collect();
         let relation = self.define(&columns, inner, head, finish);
-        let term = |id: &VarId| if shared.contains(id) { Term::Variable(*id) } else { Term::Wildcard };
+        let term = |id: &VarId| {
+            if shared.contains(id) {
+                Term::Variable(*id)
+            } else {
+                Term::Wildcard
+            }
+        };
         Some(Literal::Aggregate {
             to: Term::Variable(head.to),
             op: head.op,
@@ -203,19 +212,29 @@ impl<'c> Check<'_, 'c> {
 
     /// Under a scope, the aggregate's own variables and `_`s stand for what is in view.
     fn guards(&mut self, head: Head, inner: &mut [Literal], finish: &mut Finish<'_>) -> Vec<Literal> {
-        let Some((guard, ego)) = finish.scope else { return Vec::new() };
+        let Some((guard, ego)) = finish.scope else {
+            return Vec::new();
+        };
         let mut targets = BTreeSet::new();
         for literal in inner.iter_mut() {
             let negated = matches!(literal, Literal::Negative(_));
-            let (Literal::Positive(atom) | Literal::Negative(atom)) = literal else { continue };
-            let types = self.names.signatures[atom.relation.index()].columns.clone().unwrap_or_default();
+            let (Literal::Positive(atom) | Literal::Negative(atom)) = literal else {
+                continue;
+            };
+            let types = self.names.signatures[atom.relation.index()]
+                .columns
+                .clone()
+                .unwrap_or_default();
             for (term, ty) in atom.terms.iter_mut().zip(types) {
                 let in_view = ty.is_some_and(|ty| self.names.meet(ty, guard.seen).is_some());
                 match *term {
                     Term::Wildcard if in_view && negated => {
-                        let fault = Diagnostic::new(Code::Unsupported, "`_` in a negated atom of an aggregate under a scope is not supported")
-                            .at(atom.span, "")
-                            .help("define a predicate by a clause of its own, and negate that");
+                        let fault = Diagnostic::new(
+                            Code::Unsupported,
+                            "`_` in a negated atom of an aggregate under a scope is not supported",
+                        )
+                        .at(atom.span, "")
+                        .help("define a predicate by a clause of its own, and negate that");
                         self.report(fault);
                     }
                     Term::Wildcard if in_view => {
@@ -256,7 +275,11 @@ impl<'c> Check<'_, 'c> {
             terms: vec![Term::Variable(ego), Term::Variable(target)],
             span: guard.span,
         };
-        targets.into_iter().filter(|target| *target != ego).map(|target| Literal::Guard(atom(target))).collect()
+        targets
+            .into_iter()
+            .filter(|target| *target != ego)
+            .map(|target| Literal::Guard(atom(target)))
+            .collect()
     }
 
     /// Adds literals from around until the shared variables are bound. `None` if that cannot be done.
@@ -267,7 +290,9 @@ impl<'c> Check<'_, 'c> {
             let missing = |id: &VarId| !bound.contains(id);
             // What an added literal needs is missing too.
             let needed = inner.iter().filter_map(|literal| inputs(literal, &bound));
-            let Some(missing) = shared.iter().copied().chain(needed).find(missing) else { return Some(()) };
+            let Some(missing) = shared.iter().copied().chain(needed).find(missing) else {
+                return Some(());
+            };
             let gives = |literal: &Literal| match literal {
                 Literal::Positive(atom) | Literal::Guard(atom) => Some(atom.terms.contains(&Term::Variable(missing))),
                 Literal::Compare {
@@ -281,7 +306,9 @@ impl<'c> Check<'_, 'c> {
             };
             let atoms_first = |position: &usize| (!matches!(context[*position], Literal::Positive(_)), *position);
             let candidates = (0..context.len()).filter(|position| !taken.contains(position));
-            let best = candidates.filter(|&position| gives(&context[position]) == Some(true)).min_by_key(atoms_first)?;
+            let best = candidates
+                .filter(|&position| gives(&context[position]) == Some(true))
+                .min_by_key(atoms_first)?;
             taken.insert(best);
             if let Some(atom) = context[best].atom()
                 && !self.names.relation(atom.relation).hidden

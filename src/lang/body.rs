@@ -13,8 +13,8 @@ use std::collections::{HashMap, HashSet};
 use crate::diag::{Code, Diagnostic, Span};
 use crate::symbol::Symbols;
 
-use super::ast::{self, TermKind};
 use super::aggregate::Finish;
+use super::ast::{self, TermKind};
 use super::clause::{Clauses, Edge, EdgeKind, names_in, names_of};
 use super::faults::Faults;
 use super::functor::{AggregateOp, Functor, Shape};
@@ -80,11 +80,15 @@ pub(super) fn check(
         check.literal(literal);
     }
     let pending = check.pending.pop().unwrap_or_default();
-    let expressions = (0..check.variables.len()).filter(|&index| check.is_hidden(index)).count();
+    let expressions = (0..check.variables.len())
+        .filter(|&index| check.is_hidden(index))
+        .count();
     if expressions > MAX_EXPRESSIONS {
         let fault = Diagnostic::new(Code::LimitExceeded, format!("clause with {expressions} expressions"))
             .at(head.place.0, "")
-            .note(format!("a clause has at most {MAX_EXPRESSIONS} operators and functions"));
+            .note(format!(
+                "a clause has at most {MAX_EXPRESSIONS} operators and functions"
+            ));
         check.fault(fault);
         return None;
     }
@@ -109,13 +113,16 @@ pub(super) fn check(
         literals = check.finish(&pending, &[], &mut finish);
     } else {
         // Nobody will evaluate it; warnings are told of what is certain.
-        let simple = pending.iter().filter(|pending| !matches!(pending, Pending::Aggregate { .. }));
+        let simple = pending
+            .iter()
+            .filter(|pending| !matches!(pending, Pending::Aggregate { .. }));
         literals.extend(simple.map(|pending| check.written(pending)));
     }
     let (edges, lost, sound) = (check.edges, check.lost, check.sound);
     let mut lowered = lowered?;
     let from = lowered.relation;
-    out.edges.extend(edges.into_iter().map(|(to, kind, span)| Edge { from, to, kind, span }));
+    out.edges
+        .extend(edges.into_iter().map(|(to, kind, span)| Edge { from, to, kind, span }));
     out.hidden.append(&mut hidden);
     if lost {
         return None;
@@ -174,7 +181,10 @@ pub(super) fn renumber<'t>(
     heads: impl Iterator<Item = &'t mut Vec<Term>>,
     literals: &'t mut [Literal],
 ) -> Vec<Known> {
-    let mut terms: Vec<&mut Term> = heads.flatten().chain(literals.iter_mut().flat_map(Literal::terms_mut)).collect();
+    let mut terms: Vec<&mut Term> = heads
+        .flatten()
+        .chain(literals.iter_mut().flat_map(Literal::terms_mut))
+        .collect();
     let mut used = vec![false; variables.len()];
     for term in &terms {
         if let Term::Variable(id) = **term {
@@ -194,7 +204,12 @@ pub(super) fn renumber<'t>(
             *id = VarId(numbers[id.index()]);
         }
     }
-    variables.into_iter().zip(used).filter(|(_, used)| *used).map(|(known, _)| known).collect()
+    variables
+        .into_iter()
+        .zip(used)
+        .filter(|(_, used)| *used)
+        .map(|(known, _)| known)
+        .collect()
 }
 
 /// A column that a variable stands in.
@@ -346,7 +361,10 @@ impl<'c> Check<'_, 'c> {
 
     fn variable(&mut self, name: &'c str, span: Span) -> VarId {
         let here = self.levels.len() - 1;
-        let home = (0..=here).rev().find(|&level| self.levels[level].direct.contains(name)).unwrap_or(here);
+        let home = (0..=here)
+            .rev()
+            .find(|&level| self.levels[level].direct.contains(name))
+            .unwrap_or(here);
         let id = match self.levels[home].numbers.get(name) {
             Some(&id) => id,
             None => {
@@ -459,12 +477,16 @@ impl<'c> Check<'_, 'c> {
 
     fn aggregate(&mut self, aggregate: &'c ast::Aggregate, to: VarId, span: Span) {
         let (mut body, mut target): (HashSet<&str>, HashSet<&str>) = (HashSet::new(), HashSet::new());
-        aggregate.body.iter().for_each(|literal| names_in(literal, false, &mut |name| {
-            body.insert(name);
-        }));
-        aggregate.target.iter().for_each(|term| names_of(term, false, &mut |name| {
-            target.insert(name);
-        }));
+        aggregate.body.iter().for_each(|literal| {
+            names_in(literal, false, &mut |name| {
+                body.insert(name);
+            })
+        });
+        aggregate.target.iter().for_each(|term| {
+            names_of(term, false, &mut |name| {
+                target.insert(name);
+            })
+        });
         // A name of the target and the body is the aggregate's own; any other that is known further out is meant.
         let known = |name: &&&str| self.levels.iter().any(|level| level.direct.contains(**name));
         let own = |name: &&&str| (body.contains(**name) && target.contains(**name)) || !known(name);
@@ -540,7 +562,9 @@ impl<'c> Check<'_, 'c> {
             OperandKind::Constant(value, BaseType::Float) => (Some((value, BaseType::Float)), "a float"),
             OperandKind::Constant(value, base) => (Some((value, base)), "an unsigned number"),
         };
-        let Some((relation, ty)) = place.and_then(|(relation, column)| Some((relation, self.column(relation, column)?))) else {
+        let Some((relation, ty)) =
+            place.and_then(|(relation, column)| Some((relation, self.column(relation, column)?)))
+        else {
             return Term::Constant(Value(0));
         };
         let wanted = self.names.base(ty);
@@ -834,7 +858,9 @@ impl<'c> Check<'_, 'c> {
             self.hint(head);
         }
         let negated = pending.iter().filter_map(|pending| match pending {
-            Pending::Atom { negated: true, atom, .. } => Some(atom),
+            Pending::Atom {
+                negated: true, atom, ..
+            } => Some(atom),
             _ => None,
         });
         negated.for_each(|atom| self.hint(atom));
@@ -842,7 +868,10 @@ impl<'c> Check<'_, 'c> {
         for index in 0..ties.len() {
             let tie = &ties[index];
             let numeric = tie.allowed.len() < BaseType::ALL.len()
-                || tie.operands.iter().any(|operand| matches!(operand.kind, OperandKind::Whole(_)));
+                || tie
+                    .operands
+                    .iter()
+                    .any(|operand| matches!(operand.kind, OperandKind::Whole(_)));
             if numeric && tie.base(self).is_none() && tie.allowed.contains(&BaseType::Number) {
                 self.settle(&ties[index], BaseType::Number);
                 self.spread(&ties);
@@ -913,7 +942,12 @@ impl<'c> Check<'_, 'c> {
                     }
                 }
                 Pending::Aggregate {
-                    to, op, target, body, span, ..
+                    to,
+                    op,
+                    target,
+                    body,
+                    span,
+                    ..
                 } => {
                     self.ties(body, out);
                     let result = Operand {
@@ -986,7 +1020,11 @@ impl<'c> Check<'_, 'c> {
             let message = match tie.kind {
                 TieKind::Compare => format!("{what} of type {}, not `{}`", wanted.join(" or "), found.name()),
                 TieKind::Functor(name) => {
-                    format!("`{name}` {what} of type {}, not `{}`", wanted.join(" or "), found.name())
+                    format!(
+                        "`{name}` {what} of type {}, not `{}`",
+                        wanted.join(" or "),
+                        found.name()
+                    )
                 }
             };
             let fault = Diagnostic::new(Code::TypeMismatch, message).at(operand.span, format!("`{}`", found.name()));
@@ -997,11 +1035,7 @@ impl<'c> Check<'_, 'c> {
                 TieKind::Compare => "=",
                 TieKind::Functor(name) => name,
             };
-            let message = format!(
-                "`{name}` cannot mix a `{}` and a `{}`",
-                base.name(),
-                found.name()
-            );
+            let message = format!("`{name}` cannot mix a `{}` and a `{}`", base.name(), found.name());
             let fault = Diagnostic::new(Code::TypeMismatch, message)
                 .at(operand.span, format!("`{}`", found.name()))
                 .also(first.span, format!("`{}`", base.name()))
@@ -1123,7 +1157,9 @@ impl<'c> Check<'_, 'c> {
         let mut binds: Vec<VarId> = Vec::new();
         let mut changed = false;
         match pending {
-            Pending::Atom { negated: false, atom, .. } => {
+            Pending::Atom {
+                negated: false, atom, ..
+            } => {
                 binds.extend(atom.terms.iter().filter_map(|term| match term {
                     Term::Variable(id) => Some(*id),
                     _ => None,
@@ -1144,7 +1180,13 @@ impl<'c> Check<'_, 'c> {
             Pending::Compute { to, arguments, .. } if arguments.iter().all(|&argument| self.is_bound(argument)) => {
                 binds.push(*to);
             }
-            Pending::Aggregate { to, target, body, level: inner, .. } => {
+            Pending::Aggregate {
+                to,
+                target,
+                body,
+                level: inner,
+                ..
+            } => {
                 for pending in body {
                     changed |= self.bind(pending, *inner);
                 }
@@ -1223,7 +1265,9 @@ impl<'c> Check<'_, 'c> {
     }
 
     fn report_unbound(&mut self, head: &ast::Atom, is_fact: bool, chosen: impl Fn(usize) -> bool) {
-        let unbound: Vec<usize> = (0..self.variables.len()).filter(|&index| !self.bound[index] && chosen(index)).collect();
+        let unbound: Vec<usize> = (0..self.variables.len())
+            .filter(|&index| !self.bound[index] && chosen(index))
+            .collect();
         for index in unbound {
             if self.faults.full() {
                 self.sound = false;
@@ -1306,7 +1350,11 @@ impl<'c> Check<'_, 'c> {
             Pending::Compare { op, left, right, span } => {
                 let base = self.base_of(*left).or_else(|| self.base_of(*right));
                 let number = |side: &Operand| matches!(side.kind, OperandKind::Whole(_));
-                let usual = if number(left) { BaseType::Number } else { BaseType::Symbol };
+                let usual = if number(left) {
+                    BaseType::Number
+                } else {
+                    BaseType::Symbol
+                };
                 let base = base.unwrap_or(usual);
                 Literal::Compare {
                     op: *op,

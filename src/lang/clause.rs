@@ -126,9 +126,15 @@ fn count(body: &[ast::Literal]) -> usize {
 
 /// Every way to choose one alternative of each disjunction. `rest` are the lists of literals that are still to be gone through,
 /// the next one last.
-fn expand<'c>(mut rest: Vec<&'c [ast::Literal]>, mut done: Vec<&'c ast::Literal>, out: &mut Vec<Vec<&'c ast::Literal>>) {
+fn expand<'c>(
+    mut rest: Vec<&'c [ast::Literal]>,
+    mut done: Vec<&'c ast::Literal>,
+    out: &mut Vec<Vec<&'c ast::Literal>>,
+) {
     while let Some(list) = rest.pop() {
-        let Some((literal, others)) = list.split_first() else { continue };
+        let Some((literal, others)) = list.split_first() else {
+            continue;
+        };
         rest.push(others);
         match literal {
             ast::Literal::Any(alternatives) => {
@@ -209,8 +215,15 @@ fn lone_variables(clause: &ast::Clause, variables: &[body::Known], guarded: &[bo
         let counts = counts.get_or_insert_with(|| {
             let mut counts: HashMap<&str, usize> = HashMap::new();
             let mut count = |name| *counts.entry(name).or_default() += 1;
-            clause.heads.iter().flat_map(|head| &head.terms).for_each(|term| names_of(term, true, &mut count));
-            clause.body.iter().for_each(|literal| names_in(literal, true, &mut count));
+            clause
+                .heads
+                .iter()
+                .flat_map(|head| &head.terms)
+                .for_each(|term| names_of(term, true, &mut count));
+            clause
+                .body
+                .iter()
+                .for_each(|literal| names_in(literal, true, &mut count));
             counts
         });
         if counts.get(variable.name.as_str()).is_none_or(|&count| count > 1) {
@@ -236,8 +249,14 @@ pub(super) fn names_of<'c>(term: &'c ast::Term, inside: bool, each: &mut impl Fn
         TermKind::Functor(_, arguments) => arguments.iter().for_each(|argument| names_of(argument, inside, each)),
         TermKind::Cast(inner, _) => names_of(inner, inside, each),
         TermKind::Aggregate(aggregate) if inside => {
-            aggregate.target.iter().for_each(|target| names_of(target, inside, each));
-            aggregate.body.iter().for_each(|literal| names_in(literal, inside, each));
+            aggregate
+                .target
+                .iter()
+                .for_each(|target| names_of(target, inside, each));
+            aggregate
+                .body
+                .iter()
+                .for_each(|literal| names_in(literal, inside, each));
         }
         TermKind::Aggregate(_)
         | TermKind::Wildcard
@@ -252,9 +271,14 @@ pub(super) fn names_of<'c>(term: &'c ast::Term, inside: bool, each: &mut impl Fn
 pub(super) fn names_in<'c>(literal: &'c ast::Literal, inside: bool, each: &mut impl FnMut(&'c str)) {
     match literal {
         ast::Literal::Atom { atom, .. } => atom.terms.iter().for_each(|term| names_of(term, inside, each)),
-        ast::Literal::Compare { left, right, .. } => [left, right].into_iter().for_each(|side| names_of(side, inside, each)),
+        ast::Literal::Compare { left, right, .. } => {
+            [left, right].into_iter().for_each(|side| names_of(side, inside, each))
+        }
         ast::Literal::Any(alternatives) => {
-            alternatives.iter().flatten().for_each(|literal| names_in(literal, inside, each));
+            alternatives
+                .iter()
+                .flatten()
+                .for_each(|literal| names_in(literal, inside, each));
         }
     }
 }

@@ -211,16 +211,22 @@ impl Functor {
                     _ => None,
                 }
             }
-            BaseType::Number => fold(arguments, |value| value.as_number(), |operands| self.numbers(operands))
-                .map(Value::number),
+            BaseType::Number => {
+                fold(arguments, |value| value.as_number(), |operands| self.numbers(operands)).map(Value::number)
+            }
             BaseType::Unsigned => fold(arguments, |value| value.0, |operands| self.unsigned(operands)).map(Value),
-            BaseType::Float => fold(arguments, |value| value.as_float(), |operands| self.floats(operands))
-                .map(Value::float),
+            BaseType::Float => {
+                fold(arguments, |value| value.as_float(), |operands| self.floats(operands)).map(Value::float)
+            }
         }
     }
 
     fn convert(self, base: BaseType, value: Value, text: &str) -> Option<Value> {
-        #[allow(clippy::cast_possible_truncation, clippy::cast_precision_loss, clippy::cast_sign_loss)]
+        #[allow(
+            clippy::cast_possible_truncation,
+            clippy::cast_precision_loss,
+            clippy::cast_sign_loss
+        )]
         Some(match (self, base) {
             (ToNumber, BaseType::Number) | (ToUnsigned, BaseType::Unsigned) | (ToFloat, BaseType::Float) => value,
             (ToNumber, BaseType::Unsigned) | (ToUnsigned, BaseType::Number) => value,
@@ -308,7 +314,11 @@ impl Functor {
 }
 
 /// Most functors have one or two operands: no allocation for these.
-fn fold<T: Copy + Default>(arguments: &[Value], read: impl Fn(&Value) -> T, apply: impl Fn(&[T]) -> Option<T>) -> Option<T> {
+fn fold<T: Copy + Default>(
+    arguments: &[Value],
+    read: impl Fn(&Value) -> T,
+    apply: impl Fn(&[T]) -> Option<T>,
+) -> Option<T> {
     match arguments {
         [a] => apply(&[read(a)]),
         [a, b] => apply(&[read(a), read(b)]),

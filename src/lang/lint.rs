@@ -6,8 +6,8 @@ use crate::diag::{Code, Diagnostic, Span};
 
 use super::clause::{Checked, Clauses};
 use super::faults::Faults;
-use super::names::Names;
 use super::functor::Functor;
+use super::names::Names;
 use super::rules::{Atom, BaseType, Clause, Comparison, Literal, RelId, Term, Value};
 use super::strata;
 
@@ -288,10 +288,9 @@ impl Pattern {
                         Comparison::LessEqual => (LiteralKind::LessEqual(*base), false),
                         Comparison::Greater => (LiteralKind::Less(*base), true),
                         Comparison::GreaterEqual => (LiteralKind::LessEqual(*base), true),
-                        Comparison::Match
-                        | Comparison::NotMatch
-                        | Comparison::Contains
-                        | Comparison::NotContains => (LiteralKind::Text(*op), false),
+                        Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => {
+                            (LiteralKind::Text(*op), false)
+                        }
                     };
                     let sides = if swapped { [*right, *left] } else { [*left, *right] };
                     Normal {
@@ -307,7 +306,10 @@ impl Pattern {
                     ..
                 } => Normal {
                     kind: LiteralKind::Compute(*functor, *base),
-                    parts: std::iter::once(to).chain(arguments).map(|term| part(*term).unwrap_or(Part::Any)).collect(),
+                    parts: std::iter::once(to)
+                        .chain(arguments)
+                        .map(|term| part(*term).unwrap_or(Part::Any))
+                        .collect(),
                 },
                 Literal::Aggregate { .. } => continue,
             };

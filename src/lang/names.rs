@@ -1,6 +1,6 @@
 //! Types and predicates: who is declared, as what.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use crate::diag::{Code, Diagnostic, Span, did_you_mean};
 
@@ -13,6 +13,9 @@ const MAX_COLUMNS: usize = 64;
 
 /// A longer chain of subtypes is refused.
 const MAX_TYPE_DEPTH: usize = 64;
+
+/// More members of a union are refused.
+const MAX_MEMBERS: usize = 128;
 
 /// For so many unknown names a similar one is looked for; beyond that the text is too strange for it to help.
 const MAX_SUGGESTIONS: usize = 30;
@@ -120,7 +123,11 @@ impl Names {
 
     /// How many predicates were made while checking.
     pub fn hidden(&self) -> usize {
-        self.relations.iter().rev().take_while(|relation| relation.hidden).count()
+        self.relations
+            .iter()
+            .rev()
+            .take_while(|relation| relation.hidden)
+            .count()
     }
 
     pub fn type_name(&self, id: TypeId) -> &str {
@@ -162,7 +169,9 @@ impl Names {
             return Some(b);
         }
         let members = |id: TypeId| self.types[id.0 as usize].members.iter();
-        let parts = members(a).map(|&part| (part, b)).chain(members(b).map(|&part| (part, a)));
+        let parts = members(a)
+            .map(|&part| (part, b))
+            .chain(members(b).map(|&part| (part, a)));
         parts.into_iter().find_map(|(part, other)| self.meet(part, other))
     }
 
@@ -370,7 +379,8 @@ impl Names {
     /// The members of a union have one base, and none is the union itself.
     fn settle_unions(&mut self, declared: &[&TypeDecl], faulty: &mut [bool], faults: &mut Faults) {
         for decl in declared {
-            let (TypeDefinition::Union(written), Some(id)) = (&decl.definition, self.type_by_name[&decl.name.text]) else {
+            let (TypeDefinition::Union(written), Some(id)) = (&decl.definition, self.type_by_name[&decl.name.text])
+            else {
                 continue;
             };
             let at = id.0 as usize;
@@ -382,11 +392,11 @@ impl Names {
                 continue;
             }
             // A member that is itself a union is walked through, to find circles.
-            let mut seen = vec![false; self.types.len()];
+            let mut seen = HashSet::new();
             let mut work = members.clone();
             let mut leaves = Vec::new();
             while let Some(member) = work.pop() {
-                if !std::mem::replace(&mut seen[member.0 as usize], true) {
+                if seen.len() <= MAX_MEMBERS && seen.insert(member) {
                     let parts = &self.types[member.0 as usize].members;
                     work.extend(parts);
                     leaves.extend(parts.is_empty().then_some(member));
@@ -396,7 +406,14 @@ impl Names {
             let name = &decl.name.text;
             let base = self.base(id);
             let other = members.iter().position(|&member| self.base(member) != base);
-            if seen[at] {
+            if seen.len() > MAX_MEMBERS {
+                let fault = Diagnostic::new(Code::LimitExceeded, "union of too many types")
+                    .at(decl.name.place.0, "")
+                    .note(format!(
+                        "a union has at most {MAX_MEMBERS} members, those of its members included"
+                    ));
+                faults.push(fault);
+            } else if seen.contains(&id) {
                 let message = format!("the type `{name}` is a part of itself");
                 faults.push(Diagnostic::new(Code::CyclicType, message).at(decl.name.place.0, ""));
             } else if let Some(other) = other {
@@ -576,7 +593,12 @@ const MAX_USES_REMEMBERED: usize = 64;
 /// A place is remembered once, though a clause with alternatives is looked at several times.
 fn remember(unknown: &mut indexmap::IndexMap<String, Vec<Span>>, name: &Name) {
     let places = unknown.entry(name.text.clone()).or_default();
-    if !places.iter().rev().take(MAX_USES_REMEMBERED).any(|place| *place == name.place.0) {
+    if !places
+        .iter()
+        .rev()
+        .take(MAX_USES_REMEMBERED)
+        .any(|place| *place == name.place.0)
+    {
         places.push(name.place.0);
     }
 }

@@ -8,8 +8,8 @@
 use crate::diag::{Code, Diagnostic, SourceId, Span, did_you_mean};
 
 use super::ast::{
-    Aggregate, Atom, Clause, ColumnDecl, Decl, DirectiveOption, File, Include, Item, Literal, Mark, MarkKind, Name, Place,
-    Pragma, Scope, Term, TermKind, TypeDecl, TypeDefinition,
+    Aggregate, Atom, Clause, ColumnDecl, Decl, DirectiveOption, File, Include, Item, Literal, Mark, MarkKind, Name,
+    Place, Pragma, Scope, Term, TermKind, TypeDecl, TypeDefinition,
 };
 use super::faults::Faults;
 use super::functor::{AggregateOp, Functor};
@@ -23,7 +23,16 @@ const MAX_NESTING: usize = 64;
 const MAX_HEIGHT: usize = 256;
 
 /// Every directive, for suggestions.
-const DIRECTIVES: &[&str] = &["decl", "type", "input", "output", "printsize", "pragma", "include", "scope"];
+const DIRECTIVES: &[&str] = &[
+    "decl",
+    "type",
+    "input",
+    "output",
+    "printsize",
+    "pragma",
+    "include",
+    "scope",
+];
 
 /// Souffle's directives that this language does not have.
 const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
@@ -39,7 +48,15 @@ const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
 ];
 
 /// What Souffle allows after the columns of a declaration and what does not change the answer.
-const QUALIFIERS: &[&str] = &["inline", "no_inline", "magic", "no_magic", "brie", "btree", "overridable"];
+const QUALIFIERS: &[&str] = &[
+    "inline",
+    "no_inline",
+    "magic",
+    "no_magic",
+    "brie",
+    "btree",
+    "overridable",
+];
 
 /// The tree of one text.
 pub(super) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
@@ -493,7 +510,10 @@ impl<'a> Parser<'a> {
                 None
             }
         };
-        if let Some(name) = names.iter().find(|name| matches!(name.text.as_str(), "match" | "contains")) {
+        if let Some(name) = names
+            .iter()
+            .find(|name| matches!(name.text.as_str(), "match" | "contains"))
+        {
             let fault = Diagnostic::new(Code::Syntax, format!("`{}` is not a predicate's name", name.text))
                 .at(name.place.0, "")
                 .note("it is a comparison of texts");
@@ -705,7 +725,9 @@ impl<'a> Parser<'a> {
         }
         let fault = Diagnostic::new(Code::LimitExceeded, "nested too deeply")
             .at(self.span(self.token()), "")
-            .note(format!("at most {MAX_NESTING} negations, parentheses and braces may stand around anything"));
+            .note(format!(
+                "at most {MAX_NESTING} negations, parentheses and braces may stand around anything"
+            ));
         self.faults.push(fault);
         Err(Reported)
     }
@@ -815,8 +837,9 @@ impl<'a> Parser<'a> {
             };
             let (Some(right), Some(left), 0) = (atom.terms.pop(), atom.terms.pop(), atom.terms.len()) else {
                 let message = format!("`{}` takes 2 arguments", atom.predicate.text);
-                self.faults
-                    .push(Diagnostic::new(Code::ArityMismatch, message).at(atom.place.0, "a pattern or part, and a text"));
+                self.faults.push(
+                    Diagnostic::new(Code::ArityMismatch, message).at(atom.place.0, "a pattern or part, and a text"),
+                );
                 return Err(Reported);
             };
             let place = atom.place;
@@ -1111,7 +1134,8 @@ impl<'a> Parser<'a> {
             };
             let message = format!("`{}` takes {wanted}, not {}", functor.name(), arguments.len());
             let place = self.place_from(start).0;
-            self.faults.push(Diagnostic::new(Code::ArityMismatch, message).at(place, ""));
+            self.faults
+                .push(Diagnostic::new(Code::ArityMismatch, message).at(place, ""));
             return Err(Reported);
         }
         let height = self.higher(start, height)?;
@@ -1145,7 +1169,11 @@ impl<'a> Parser<'a> {
         let word = self.bump();
         let op = AggregateOp::ALL.into_iter().find(|op| op.name() == self.slice(word));
         let op = op.unwrap_or(AggregateOp::Count);
-        let target = if op == AggregateOp::Count { None } else { Some(self.term()?) };
+        let target = if op == AggregateOp::Count {
+            None
+        } else {
+            Some(self.term()?)
+        };
         if !self.eat(Kind::Colon) {
             return Err(self.expected("`:` and what to aggregate over: `{ ... }`"));
         }
@@ -1184,7 +1212,12 @@ impl<'a> Parser<'a> {
         if value > i64::from(u32::MAX) {
             let fault = Diagnostic::new(Code::LimitExceeded, "number out of range")
                 .at(self.span(token), "")
-                .note(format!("numbers go from {} to {}, unsigned ones to {}", i32::MIN, i32::MAX, u32::MAX));
+                .note(format!(
+                    "numbers go from {} to {}, unsigned ones to {}",
+                    i32::MIN,
+                    i32::MAX,
+                    u32::MAX
+                ));
             self.faults.push(fault);
             return 0;
         }

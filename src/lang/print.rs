@@ -43,7 +43,9 @@ impl Display for Item {
                     write!(f, "{}: {}", column.name.text, column.ty.text)
                 })?;
                 f.write_char(')')?;
-                decl.qualifiers.iter().try_for_each(|word| write!(f, " {}", word.text))?;
+                decl.qualifiers
+                    .iter()
+                    .try_for_each(|word| write!(f, " {}", word.text))?;
                 writeln!(f)
             }
             Item::Mark(mark) => {
@@ -64,7 +66,10 @@ impl Display for Item {
             }
             Item::Pragma(pragma) => {
                 f.write_str(".pragma")?;
-                pragma.words.iter().try_for_each(|word| write!(f, " {}", Quoted(word)))?;
+                pragma
+                    .words
+                    .iter()
+                    .try_for_each(|word| write!(f, " {}", Quoted(word)))?;
                 writeln!(f)
             }
             Item::Scope(scope) => match &scope.predicate {
@@ -170,17 +175,34 @@ impl Display for Term {
 fn write_functor(f: &mut fmt::Formatter<'_>, functor: Functor, arguments: &[Term]) -> fmt::Result {
     match (functor.precedence(), arguments) {
         // Else it would be read as the number.
-        (_, [number]) if functor == Functor::Negate && matches!(number.kind, TermKind::Number(_) | TermKind::Float(_)) => {
+        (_, [number])
+            if functor == Functor::Negate && matches!(number.kind, TermKind::Number(_) | TermKind::Float(_)) =>
+        {
             write!(f, "-({number})")
         }
         (Some(own), [operand]) => {
             let space = if functor == Functor::Negate { "" } else { " " };
-            write!(f, "{}{space}{}", functor.name(), Operand(operand, own.saturating_add(1)))
+            write!(
+                f,
+                "{}{space}{}",
+                functor.name(),
+                Operand(operand, own.saturating_add(1))
+            )
         }
         (Some(own), [left, right]) => {
             // `^` groups to the right, all others to the left.
-            let (for_left, for_right) = if functor == Functor::Power { (own + 1, own) } else { (own, own + 1) };
-            write!(f, "{} {} {}", Operand(left, for_left), functor.name(), Operand(right, for_right))
+            let (for_left, for_right) = if functor == Functor::Power {
+                (own + 1, own)
+            } else {
+                (own, own + 1)
+            };
+            write!(
+                f,
+                "{} {} {}",
+                Operand(left, for_left),
+                functor.name(),
+                Operand(right, for_right)
+            )
         }
         _ => {
             write!(f, "{}(", functor.name())?;

@@ -327,9 +327,10 @@ impl Literal {
     /// The atom of a literal that has one.
     pub fn atom(&self) -> Option<&Atom> {
         match self {
-            Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) | Literal::Aggregate { atom, .. } => {
-                Some(atom)
-            }
+            Literal::Positive(atom)
+            | Literal::Negative(atom)
+            | Literal::Guard(atom)
+            | Literal::Aggregate { atom, .. } => Some(atom),
             Literal::Compare { .. } | Literal::Compute { .. } => None,
         }
     }

@@ -34,7 +34,11 @@ pub(super) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
             return;
         }
         let home = component[edge.from.index()];
-        if edge.kind == EdgeKind::Needs || component[edge.to.index()] != home || covered[index] || reported[home] >= MAX_CYCLES {
+        if edge.kind == EdgeKind::Needs
+            || component[edge.to.index()] != home
+            || covered[index]
+            || reported[home] >= MAX_CYCLES
+        {
             continue;
         }
         reported[home] += 1;

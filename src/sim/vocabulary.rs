@@ -164,11 +164,7 @@ fn fits(relation: &Relation, arity: usize, faults: &mut Vec<Diagnostic>, fault: 
 }
 
 fn describe(relation: &Relation) -> String {
-    let columns: Vec<&str> = relation
-        .columns
-        .iter()
-        .map(|column| column.base.name())
-        .collect();
+    let columns: Vec<&str> = relation.columns.iter().map(|column| column.base.name()).collect();
     format!("({})", columns.join(", "))
 }
 
