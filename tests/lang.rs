@@ -1066,7 +1066,7 @@ fn check_promises(rules: &Rules) {
     for (index, relation) in rules.relations.iter().enumerate() {
         assert_eq!(relation.hidden, index >= hidden_from, "hidden predicates come last");
         assert_eq!(relation.hidden, relation.name.starts_with('+'));
-        assert!(!(relation.input && relation.derived));
+        assert_eq!(relation.given.is_some(), relation.input && relation.derived);
         let heads = || {
             rules
                 .clauses

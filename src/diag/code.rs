@@ -61,7 +61,7 @@ codes! {
     /// An included file that cannot be read.
     MissingInclude = "missing-include", Error;
     /// A predicate that is input and also head of a rule.
-    DerivedInput = "derived-input", Error;
+    DerivedInput = "derived-input", Warning;
     /// A `.scope` that cannot guard the rules it is given.
     InvalidScope = "invalid-scope", Error;
     /// A named variable that occurs only once in its rule.

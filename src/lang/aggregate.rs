@@ -344,6 +344,7 @@ impl<'c> Check<'_, 'c> {
             doc: format!("what `{}` is taken of", head.op.name()),
             span: head.span,
             input: false,
+            given: None,
             output: false,
             printsize: false,
             derived: true,

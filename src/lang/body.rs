@@ -720,11 +720,11 @@ impl<'c> Check<'_, 'c> {
         }
         if let Some(input) = self.names.signatures[relation.index()].input {
             let name = &head.predicate.text;
-            let fault = Diagnostic::new(Code::DerivedInput, format!("`{name}` is input and cannot be derived"))
+            let fault = Diagnostic::new(Code::DerivedInput, format!("`{name}` is input and also derived"))
                 .at(head.place.0, "derived here")
                 .also(input, "input here")
-                .help("derive a predicate of another name, or remove it from `.input`");
-            self.fault(fault);
+                .note("it holds what is given and what follows; nobody can tell the two apart");
+            self.faults.push(fault);
         }
     }
 

@@ -10,7 +10,7 @@ use super::ast::{self, Item, TermKind};
 use super::body::{self, Body};
 use super::faults::Faults;
 use super::names::Names;
-use super::rules::{Clause, RelId};
+use super::rules::{Atom, Clause, Literal, RelId, Relation, Term, VarId};
 use super::scope::{self, Scope};
 
 /// A longer body is refused.
@@ -68,7 +68,52 @@ pub(super) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> C
             _ => {}
         }
     }
+    for index in 0..names.relations.len() {
+        let relation = &names.relations[index];
+        if relation.input && relation.derived && relation.given.is_none() {
+            give(
+                RelId(u32::try_from(index).expect("fewer than 2^32 predicates")),
+                names,
+                &mut clauses,
+            );
+        }
+    }
     clauses
+}
+
+/// A predicate that is input and derived: what is given goes to a hidden one, `P(x, y) :- +1(x, y).`
+fn give(id: RelId, names: &mut Names, out: &mut Clauses) {
+    let given = RelId(u32::try_from(names.relations.len()).expect("fewer than 2^32 predicates"));
+    let hidden = Relation {
+        name: format!("+{}", names.hidden() + 1),
+        doc: format!("the rows of `{}` that are given", names.relation(id).name),
+        input: false,
+        output: false,
+        printsize: false,
+        derived: false,
+        hidden: true,
+        directives: Vec::new(),
+        ..names.relation(id).clone()
+    };
+    let span = hidden.span;
+    let terms: Vec<Term> = (0..hidden.columns.len())
+        .map(|column| Term::Variable(VarId(u32::try_from(column).expect("few columns"))))
+        .collect();
+    let atom = |relation| Atom {
+        relation,
+        terms: terms.clone(),
+        span,
+    };
+    out.hidden.push(Clause {
+        head: atom(id),
+        body: vec![Literal::Positive(atom(given))],
+        variables: hidden.columns.iter().map(|column| column.name.clone()).collect(),
+        doc: String::new(),
+        span,
+    });
+    names.signatures.push(names.signatures[id.index()].clone());
+    names.relations.push(hidden);
+    names.relations[id.index()].given = Some(given);
 }
 
 fn one(clause: &ast::Clause, scopes: &mut scope::Scopes, names: &mut Names, out: &mut Clauses, faults: &mut Faults) {

@@ -502,6 +502,7 @@ impl Names {
                 doc: decl.doc.clone(),
                 span,
                 input: false,
+                given: None,
                 output: false,
                 printsize: false,
                 derived: false,

@@ -118,6 +118,8 @@ pub struct Relation {
     pub span: Span,
     /// Marked `.input`.
     pub input: bool,
+    /// Where rows that are given go if rules derive further ones: a hidden predicate that the last of these rules reads.
+    pub given: Option<RelId>,
     /// Marked `.output`.
     pub output: bool,
     /// Marked `.printsize`.

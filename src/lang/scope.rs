@@ -302,6 +302,7 @@ impl Scopes {
             ),
             span,
             input: false,
+            given: None,
             output: false,
             printsize: false,
             derived: true,

@@ -200,6 +200,7 @@ fn declare(rules: &mut Rules, columns: &[bool], span: Span) {
         doc: String::new(),
         span,
         input: false,
+        given: None,
         output: true,
         printsize: false,
         derived: false,
