@@ -143,7 +143,7 @@ fn parse(session: &mut Session, column: &Column, text: &str, format: &RowFormat)
                 None => Some(session.intern(text)),
             }
         }
-        base => parse_value(base, text),
+        base => parse_value(base, text.trim_start_matches(' ')),
     }
 }
 

@@ -397,7 +397,11 @@ impl<'c> Check<'_, 'c> {
     }
 
     fn is_hidden(&self, index: usize) -> bool {
-        matches!(self.variables[index].name, Name::Expression(_))
+        match self.variables[index].name {
+            Name::Expression(_) => true,
+            // See `witness`.
+            Name::Written(name) => name.starts_with('+'),
+        }
     }
 
     fn known(&self, index: usize) -> Known {
@@ -691,6 +695,13 @@ impl<'c> Check<'_, 'c> {
                 };
                 let is_variable = |term: &ast::Term| matches!(term.kind, TermKind::Variable(_));
                 if *op == Comparison::Equal {
+                    // `_ = max x : { ... }`: whatever it is, if it is anything.
+                    for (any, value) in [(left, right), (right, left)] {
+                        if any.kind == TermKind::Wildcard && matches!(value.kind, TermKind::Aggregate(_)) {
+                            self.operand(value, None);
+                            return;
+                        }
+                    }
                     for (variable, value) in [(left, right), (right, left)] {
                         if is_variable(variable) && is_value(value) {
                             if let OperandKind::Variable(into) = self.operand(variable, None).kind {

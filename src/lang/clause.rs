@@ -12,6 +12,7 @@ use super::faults::Faults;
 use super::names::Names;
 use super::rules::{Atom, Clause, Literal, RelId, Relation, Term, VarId};
 use super::scope::{self, Scope};
+use super::witness;
 
 /// A longer body is refused.
 const MAX_LITERALS: usize = 1024;
@@ -206,6 +207,9 @@ fn alternative(
     out: &mut Clauses,
     faults: &mut Faults,
 ) {
+    let written_out = witness::write_out(head, body);
+    let written_out: Option<Vec<&ast::Literal>> = written_out.as_ref().map(|literals| literals.iter().collect());
+    let body = written_out.as_deref().unwrap_or(body);
     let checked = body::check(clause, head, body, scopes.current(), names, out, faults);
     let Some(Body {
         head,

@@ -4,7 +4,7 @@
 //! file. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names.
 //!
 //! The stages, each in its own file: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
-//! list of items), `names` (types and predicates), `clause` (alternatives and several heads), `body` (one clause: names,
+//! list of items), `names` (types and predicates), `clause` (alternatives and several heads), `witness` (who has the least), `body` (one clause: names,
 //! expressions, types, safety), `aggregate` (hidden predicates for aggregates), `scope` (guards), `strata`
 //! (order of evaluation), `lint` (warnings that need all clauses). None stops at the first fault.
 //!
@@ -30,6 +30,7 @@ mod print;
 mod rules;
 mod scope;
 mod strata;
+mod witness;
 
 pub use functor::{AggregateOp, Functor, Patterns, parse as parse_value};
 pub use include::BUILTIN;
