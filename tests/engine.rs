@@ -335,6 +335,30 @@ fn recursion_past_the_limit_fails() {
 }
 
 #[test]
+fn values_without_end_are_stopped() {
+    let program = program(
+        ".decl Seed(x: number)
+        .input Seed
+        .decl Number(x: number)
+        .decl Text(x: symbol)
+        Number(x) :- Seed(x).
+        Number(x + 1) :- Number(x).
+        Text(cat(to_string(x), \"!\")) :- Seed(x).
+        Text(cat(x, x)) :- Text(x), strlen(x) < 100.",
+    );
+    let mut session = program.session();
+    session.set_limit(1_000);
+    insert(&mut session, "Seed", &[&[1]]);
+    assert!(matches!(
+        session.commit(),
+        Err(EvalError::TooManyRows { limit: 1_000, .. })
+    ));
+    assert!(session.is_empty(program.relation("Number").unwrap()));
+    retract(&mut session, "Seed", &[&[1]]);
+    assert!(session.commit().unwrap().is_empty());
+}
+
+#[test]
 fn rows_that_do_not_fit_are_refused() {
     let program = program(COPY);
     let (base, copy) = (program.relation("Base").unwrap(), program.relation("Copy").unwrap());

@@ -21,6 +21,7 @@ const ONLY_IN: &[(&str, &str)] = &[
     ("datafrog", "src/engine/exec.rs"),
     ("serde_yaml", "src/config/yaml.rs"),
     ("rand_chacha", "src/rng.rs"),
+    ("regex", "src/lang/functor.rs"),
     ("annotate_snippets", "src/diag/render.rs"),
 ];
 

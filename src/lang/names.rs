@@ -589,7 +589,7 @@ impl Names {
 }
 
 /// How far back a place is looked for.
-const MAX_USES_REMEMBERED: usize = 64;
+const MAX_USES_REMEMBERED: usize = 8;
 
 /// A place is remembered once, though a clause with alternatives is looked at several times.
 fn remember(unknown: &mut indexmap::IndexMap<String, Vec<Span>>, name: &Name) {
