@@ -76,6 +76,16 @@ pub(super) fn check(
     body.iter().for_each(|literal| names_in(literal, false, &mut mark));
 
     let lowered = check.head(head, clause.body.is_empty());
+    if clause.body.is_empty() && (lowered.is_none() || check.variables.is_empty()) {
+        // There may be very many facts, and of this one nothing is left to ask.
+        let sound = check.sound;
+        return lowered.map(|head| Body {
+            head,
+            body: Vec::new(),
+            variables: Vec::new(),
+            sound,
+        });
+    }
     for literal in body {
         check.literal(literal);
     }

@@ -4,7 +4,8 @@
 //! file. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names.
 //!
 //! The stages, each in its own file: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
-//! list of items), `names` (types and predicates), `clause` (alternatives and several heads), `witness` (who has the least), `body` (one clause: names,
+//! list of items), `inline` (predicates that stand for their bodies),
+//! `names` (types and predicates), `clause` (alternatives and several heads), `witness` (who has the least), `body` (one clause: names,
 //! expressions, types, safety), `aggregate` (hidden predicates for aggregates), `scope` (guards), `strata`
 //! (order of evaluation), `lint` (warnings that need all clauses). None stops at the first fault.
 //!
@@ -22,6 +23,7 @@ mod clause;
 mod faults;
 mod functor;
 mod include;
+mod inline;
 mod lexer;
 mod lint;
 mod names;
@@ -68,9 +70,11 @@ pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn Fn(&Path) -> Resu
 }
 
 fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
+    let replaced = inline::replace(&gathered.items, faults);
     let syntax_is_good = !faults.failed();
-    let mut names = names::declare(&gathered.items, gathered.complete, faults);
-    let checked = clause::check(&gathered.items, &mut names, faults);
+    let items = replaced.as_ref().unwrap_or(&gathered.items);
+    let mut names = names::declare(items, gathered.complete, faults);
+    let checked = clause::check(items, &mut names, faults);
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
     // What could not be read might make a clause live, or tell two clauses apart.

@@ -1273,7 +1273,7 @@ fn comparison(kind: Kind) -> Option<Comparison> {
 }
 
 /// What holds if not all of these do.
-fn negate(mut all: Vec<Literal>) -> Vec<Literal> {
+pub(super) fn negate(mut all: Vec<Literal>) -> Vec<Literal> {
     match all.pop() {
         Some(only) if all.is_empty() => negate_one(only),
         Some(last) => {

@@ -113,7 +113,7 @@ fn selection(literal: &Literal) -> Option<(&Term, &Aggregate, &Term)> {
 }
 
 /// The names that the literals bind outside of aggregates; the results of aggregates count as bound.
-fn bound_names<'c>(body: &[&'c Literal]) -> HashSet<&'c str> {
+pub(super) fn bound_names<'c>(body: &[&'c Literal]) -> HashSet<&'c str> {
     let mut bound: HashSet<&str> = HashSet::new();
     loop {
         let before = bound.len();
@@ -157,16 +157,17 @@ fn variable(name: String, at: &Term) -> Term {
     }
 }
 
-type Names = HashMap<String, String>;
+/// What to put in the place of variables.
+pub(super) type Names = HashMap<String, TermKind>;
 
 fn rename(names: &HashSet<&str>, new: impl Fn(&str) -> Option<String>) -> Names {
     names
         .iter()
-        .filter_map(|name| Some(((*name).to_owned(), new(name)?)))
+        .filter_map(|name| Some(((*name).to_owned(), TermKind::Variable(new(name)?))))
         .collect()
 }
 
-fn renamed(literal: &Literal, names: &Names) -> Literal {
+pub(super) fn renamed(literal: &Literal, names: &Names) -> Literal {
     let mut literal = literal.clone();
     match &mut literal {
         Literal::Atom { atom, .. } => atom.terms.iter_mut().for_each(|term| *term = renamed_term(term, names)),
@@ -183,12 +184,12 @@ fn renamed(literal: &Literal, names: &Names) -> Literal {
     literal
 }
 
-fn renamed_term(term: &Term, names: &Names) -> Term {
+pub(super) fn renamed_term(term: &Term, names: &Names) -> Term {
     let mut term = term.clone();
     match &mut term.kind {
         TermKind::Variable(name) => {
             if let Some(new) = names.get(name.as_str()) {
-                name.clone_from(new);
+                term.kind = new.clone();
             }
         }
         TermKind::Functor(_, arguments) => {
