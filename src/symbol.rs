@@ -8,6 +8,7 @@
 
 use indexmap::IndexSet;
 use std::fmt;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
 /// An interned text; meaningful only with the [`Symbols`] that made it.
@@ -21,6 +22,8 @@ pub struct Symbols {
     numbers: RwLock<IndexSet<Arc<str>>>,
     /// From number to text: block b holds `FIRST_BLOCK << b` texts.
     texts: [OnceLock<Block>; BLOCKS],
+    /// How many texts there are; asked for every row that is inserted.
+    len: AtomicUsize,
 }
 
 type Block = Box<[OnceLock<Arc<str>>]>;
@@ -59,6 +62,7 @@ impl Symbols {
         let (block, at) = place(made.0);
         let block = self.texts[block].get_or_init(|| (0..FIRST_BLOCK << block).map(|_| OnceLock::new()).collect());
         block[at].get_or_init(|| text);
+        self.len.store(numbers.len(), Ordering::Release);
         made
     }
 
@@ -76,7 +80,7 @@ impl Symbols {
 
     /// How many symbols there are.
     pub fn len(&self) -> usize {
-        self.numbers.read().unwrap_or_else(PoisonError::into_inner).len()
+        self.len.load(Ordering::Acquire)
     }
 
     /// Whether there are none.
