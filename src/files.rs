@@ -104,8 +104,14 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
     if file.metadata().map_err(fail)?.is_dir() {
         return Err(ReadError::Io("it is a folder, not a file".into()));
     }
+    read_from(file)
+}
+
+/// Reads all there is as text.
+pub fn read_from(input: impl Read) -> Result<String, ReadError> {
+    let fail = |error: std::io::Error| ReadError::Io(error.to_string());
     let mut bytes = Vec::new();
-    file.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(fail)?;
+    input.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(fail)?;
     if bytes.len() as u64 > MAX_BYTES {
         return Err(ReadError::TooLarge);
     }

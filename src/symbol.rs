@@ -2,17 +2,43 @@
 //!
 //! A [`Symbol`] is a small number that stands for a text; [`Symbols`] is the table that knows both ways. Numbers are given in
 //! the order of first appearance, so they are the same in every run.
+//!
+//! A table only grows, and it grows through a shared reference: rules make texts while they are evaluated. A text, once there,
+//! never moves, so [`Symbols::text`] takes no lock.
 
 use indexmap::IndexSet;
+use std::fmt;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
 /// An interned text; meaningful only with the [`Symbols`] that made it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Symbol(pub u32);
 
 /// A table of interned texts.
-#[derive(Clone, Debug, Default)]
+#[derive(Default)]
 pub struct Symbols {
-    texts: IndexSet<Box<str>>,
+    /// From text to number.
+    numbers: RwLock<IndexSet<Arc<str>>>,
+    /// From number to text: block b holds `FIRST_BLOCK << b` texts.
+    texts: [OnceLock<Block>; BLOCKS],
+    /// How many texts there are; asked for every row that is inserted.
+    len: AtomicUsize,
+}
+
+type Block = Box<[OnceLock<Arc<str>>]>;
+
+/// Texts in the first block; a power of two.
+const FIRST_BLOCK: usize = 64;
+
+/// So many blocks hold 2^32 texts.
+const BLOCKS: usize = 27;
+
+/// The block of a number and its place there.
+fn place(number: u32) -> (usize, usize) {
+    let shifted = number as usize + FIRST_BLOCK;
+    let block = (shifted.ilog2() - FIRST_BLOCK.ilog2()) as usize;
+    (block, shifted - (FIRST_BLOCK << block))
 }
 
 impl Symbols {
@@ -22,32 +48,84 @@ impl Symbols {
     }
 
     /// The symbol of a text, made if it is new.
-    pub fn intern(&mut self, text: &str) -> Symbol {
-        let index = match self.texts.get_index_of(text) {
-            Some(index) => index,
-            None => self.texts.insert_full(text.into()).0,
-        };
-        Symbol(u32::try_from(index).expect("fewer than 2^32 symbols"))
+    pub fn intern(&self, text: &str) -> Symbol {
+        if let Some(known) = self.get(text) {
+            return known;
+        }
+        let mut numbers = self.numbers.write().unwrap_or_else(PoisonError::into_inner);
+        // Another thread may have been faster.
+        if let Some(index) = numbers.get_index_of(text) {
+            return symbol(index);
+        }
+        let text: Arc<str> = text.into();
+        let made = symbol(numbers.insert_full(Arc::clone(&text)).0);
+        let (block, at) = place(made.0);
+        let block = self.texts[block].get_or_init(|| (0..FIRST_BLOCK << block).map(|_| OnceLock::new()).collect());
+        block[at].get_or_init(|| text);
+        self.len.store(numbers.len(), Ordering::Release);
+        made
     }
 
     /// The symbol of a text, if it has one.
     pub fn get(&self, text: &str) -> Option<Symbol> {
-        let index = self.texts.get_index_of(text)?;
-        Some(Symbol(u32::try_from(index).expect("fewer than 2^32 symbols")))
+        let numbers = self.numbers.read().unwrap_or_else(PoisonError::into_inner);
+        numbers.get_index_of(text).map(symbol)
     }
 
     /// The text of a symbol; `None` if another table made it.
     pub fn text(&self, symbol: Symbol) -> Option<&str> {
-        self.texts.get_index(symbol.0 as usize).map(AsRef::as_ref)
+        let (block, at) = place(symbol.0);
+        self.texts.get(block)?.get()?.get(at)?.get().map(AsRef::as_ref)
     }
 
     /// How many symbols there are.
     pub fn len(&self) -> usize {
-        self.texts.len()
+        self.len.load(Ordering::Acquire)
     }
 
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
-        self.texts.is_empty()
+        self.len() == 0
+    }
+}
+
+fn symbol(index: usize) -> Symbol {
+    Symbol(u32::try_from(index).expect("fewer than 2^32 symbols"))
+}
+
+impl Clone for Symbols {
+    fn clone(&self) -> Self {
+        let copy = Symbols::new();
+        for text in self.numbers.read().unwrap_or_else(PoisonError::into_inner).iter() {
+            copy.intern(text);
+        }
+        copy
+    }
+}
+
+impl fmt::Debug for Symbols {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let numbers = self.numbers.read().unwrap_or_else(PoisonError::into_inner);
+        f.debug_list().entries(numbers.iter()).finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_and_numbers_go_both_ways() {
+        let symbols = Symbols::new();
+        for number in 0..1_000 {
+            assert_eq!(symbols.intern(&number.to_string()), Symbol(number));
+        }
+        for number in 0..1_000 {
+            assert_eq!(symbols.text(Symbol(number)), Some(number.to_string().as_str()));
+            assert_eq!(symbols.intern(&number.to_string()), Symbol(number));
+        }
+        assert_eq!((symbols.len(), symbols.clone().len()), (1_000, 1_000));
+        assert_eq!(symbols.text(Symbol(1_000)), None);
+        assert_eq!(symbols.text(Symbol(u32::MAX)), None);
     }
 }

@@ -656,6 +656,52 @@ stratum 3: path (recursive)
 }
 
 #[test]
+fn query_follows_the_options_of_directives() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "main.dl",
+        ".pragma \"legacy\"\n\
+         .decl speed(name: symbol, v: float)\n\
+         .input speed(IO=file, filename=\"in.csv\", delimiter=\",\", headers=true)\n\
+         .input speed(IO=stdin)\n\
+         .decl fast(name: symbol, v: float) inline\n\
+         .output fast(IO=stdout, headers=true)\n\
+         .output fast(filename=\"out.csv\", rfc4180=true)\n\
+         .decl any()\n\
+         .output any\n\
+         .printsize fast(IO=stdoutprintsize)\n\
+         fast(x, v), any() :- speed(x, v), v > 0.1.\n",
+    );
+    write(folder.path(), "in.csv", "name,v\na,0.5\nb,0.1\n");
+    let here = folder.path().to_str().unwrap();
+    let output = with_input(["query", &rules, "-F", here, "-D", here], b"say \"c\"\t1e10\n");
+    let expected =
+        "---------------\nfast\nname\tv\n===============\na\t0.5\nsay \"c\"\t1e+10\n===============\nfast\t2\n";
+    assert_eq!(
+        (code(&output), out(&output).as_str()),
+        (0, expected),
+        "{}",
+        err(&output)
+    );
+    assert!(err(&output).contains("warning[ignored]"), "{}", err(&output));
+    let written = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
+    assert_eq!(written("out.csv"), "\"a\",0.5\n\"say \"\"c\"\"\",1e+10\n");
+    assert_eq!(written("any.csv"), "()\n");
+
+    let rules = write(
+        folder.path(),
+        "bad.dl",
+        ".decl a(x: number)\n.input a(IO=sqlite)\na(x) :- a(y), x = y + \"1\".\n",
+    );
+    fails(
+        &logicity(["query", &rules, "-F", here]),
+        1,
+        &["unsupported", "type-mismatch"],
+    );
+}
+
+#[test]
 fn a_million_facts_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let rules = write(

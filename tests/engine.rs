@@ -179,13 +179,14 @@ fn input_changed(
     before: &naive::Database,
     after: &naive::Database,
 ) -> bool {
-    rules.clauses[clause.index()].body.iter().any(|literal| match literal {
-        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
+    rules.clauses[clause.index()]
+        .body
+        .iter()
+        .filter_map(Literal::atom)
+        .any(|atom| {
             let own = own.contains(&atom.relation) && rules.relations[atom.relation.index()].derived;
             !own && before[atom.relation.index()] != after[atom.relation.index()]
-        }
-        Literal::Compare { .. } => false,
-    })
+        })
 }
 
 proptest! {
@@ -583,6 +584,30 @@ fn recursion_past_the_limit_fails() {
     session.set_limit(10_000);
     session.commit().unwrap();
     assert_eq!(session.len(program.relation("Word").unwrap()), 10_000);
+}
+
+#[test]
+fn values_without_end_are_stopped() {
+    let program = program(
+        ".decl Seed(x: number)
+        .input Seed
+        .decl Number(x: number)
+        .decl Text(x: symbol)
+        Number(x) :- Seed(x).
+        Number(x + 1) :- Number(x).
+        Text(cat(to_string(x), \"!\")) :- Seed(x).
+        Text(cat(x, x)) :- Text(x), strlen(x) < 100.",
+    );
+    let mut session = program.session();
+    session.set_limit(1_000);
+    insert(&mut session, "Seed", &[&[1]]);
+    assert!(matches!(
+        session.commit(),
+        Err(EvalError::TooManyRows { limit: 1_000, .. })
+    ));
+    assert!(session.is_empty(program.relation("Number").unwrap()));
+    retract(&mut session, "Seed", &[&[1]]);
+    assert!(session.commit().unwrap().is_empty());
 }
 
 #[test]

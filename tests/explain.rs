@@ -30,12 +30,15 @@ fn database(session: &Session) -> naive::Database {
 
 /// What the atom says under the binding.
 fn pattern(atom: &Atom, binding: &[Option<Value>]) -> Vec<Option<Value>> {
-    let value = |term: &Term| match *term {
+    atom.terms.iter().map(|term| value_of(term, binding)).collect()
+}
+
+fn value_of(term: &Term, binding: &[Option<Value>]) -> Option<Value> {
+    match *term {
         Term::Constant(value) => Some(value),
         Term::Variable(variable) => binding[variable.index()],
         Term::Wildcard => None,
-    };
-    atom.terms.iter().map(value).collect()
+    }
 }
 
 fn matches(row: &[Value], pattern: &[Option<Value>]) -> bool {
@@ -81,6 +84,13 @@ fn check(session: &Session, model: &naive::Database, explanation: &Explanation) 
                                     little[atom.relation.index()] = model[atom.relation.index()].clone();
                                 }
                                 (Literal::Compare { .. }, Premise::Comparison { .. }) => {}
+                                (Literal::Compute { to, .. }, Premise::Computed { value }) => {
+                                    assert_eq!(value_of(to, &derivation.binding), Some(*value));
+                                }
+                                (Literal::Aggregate { to, atom, .. }, Premise::Computed { value }) => {
+                                    assert_eq!(value_of(to, &derivation.binding), Some(*value));
+                                    little[atom.relation.index()] = model[atom.relation.index()].clone();
+                                }
                                 other => panic!("{other:?}"),
                             }
                         }
@@ -177,6 +187,9 @@ fn check_miss(
                 assert!(matches(&fact.row, &pattern(atom, binding)));
             }
             (Literal::Compare { .. }, FailureKind::Comparison { .. }) => {}
+            (Literal::Compute { to, .. } | Literal::Aggregate { to, .. }, FailureKind::Computed { value }) => {
+                assert!(value.is_none() || value_of(to, binding) != *value);
+            }
             other => panic!("{other:?}"),
         }
     }
@@ -192,7 +205,7 @@ fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTr
         .map(|clause| {
             let mut clause = clause.clone();
             for literal in &mut clause.body {
-                if let Literal::Negative(atom) = literal {
+                if let Literal::Negative(atom) | Literal::Aggregate { atom, .. } = literal {
                     atom.relation = RelId(atom.relation.0 + count as u32);
                 }
             }
@@ -240,6 +253,8 @@ fn domain(rules: &Rules, rel: usize) -> Vec<Vec<Value>> {
     for column in &rules.relations[rel].columns {
         let values: Vec<Value> = match column.base {
             logicity::lang::BaseType::Symbol => (0..TEXTS.len() as u32).map(Value).collect(),
+            logicity::lang::BaseType::Unsigned => NUMBERS[..3].iter().map(|n| Value(n.unsigned_abs())).collect(),
+            logicity::lang::BaseType::Float => NUMBERS[..3].iter().map(|n| Value::float(*n as f32)).collect(),
             logicity::lang::BaseType::Number => NUMBERS[..3].iter().copied().map(Value::number).collect(),
         };
         rows = rows
@@ -376,6 +391,61 @@ fn a_long_chain_has_a_proof_of_logarithmic_height() {
     let Node::Fact(fact) = &proof.nodes()[0] else { panic!() };
     assert_eq!(fact.height, 7);
     check(&session, &database(&session), &proof);
+}
+
+#[test]
+fn expressions_and_aggregates_are_leaves_with_their_values() {
+    let text = ".decl edge(x: number, y: number)
+        .input edge
+        .decl degree, next, far(x: number, n: number)
+        .decl inverse(x: number)
+        degree(x, n) :- edge(x, _), n = count : { edge(x, _) }.
+        next(x, z) :- degree(x, n), z = n + 1.
+        far(x, s) :- edge(x, _), s = sum y : { edge(x, y), y > x }.
+        inverse(x) :- edge(x, y), 1 = 1 / y.";
+    let session = session(text, &[("edge", &[&[1, 2], &[1, 3], &[1, 0], &[2, 0]])]);
+    let rules = session.program().rules();
+    let model = database(&session);
+    let sources = Sources::new();
+    let teller = Teller::new(rules, session.symbols(), &sources);
+    let leaves = |name: &str, row: &[i32]| {
+        let rel = session.program().relation(name).unwrap();
+        let proof = session.explain(rel, &numbers(row)).unwrap().unwrap();
+        check(&session, &model, &proof);
+        let Node::Fact(fact) = &proof.nodes()[0] else { panic!() };
+        let Origin::Derived(derivation) = &fact.origin else {
+            panic!()
+        };
+        let clause = &rules.clauses[derivation.clause.index()];
+        let computed = |premise: &Premise| matches!(premise, Premise::Computed { .. });
+        let at = derivation.premises.iter().position(computed).unwrap();
+        teller.literal(clause, &clause.body[at], &derivation.binding)
+    };
+    assert_eq!(leaves("next", &[1, 4]), "4 = 3 + 1");
+    assert_eq!(leaves("degree", &[1, 3]), "3 = count : { edge(1, _) }");
+    assert_eq!(leaves("far", &[1, 5]), "5 = sum y : { edge(1, y), y > 1 }");
+    for (name, row, value) in [
+        ("next", [1, 9], Some(Value::number(4))),
+        ("degree", [1, 9], Some(Value::number(3))),
+    ] {
+        let rel = session.program().relation(name).unwrap();
+        let wanted: Vec<Option<Value>> = numbers(&row).into_iter().map(Some).collect();
+        let absence = session.explain_absence(rel, &wanted).unwrap().unwrap();
+        check(&session, &model, &absence);
+        let Node::Absence(told) = &absence.nodes()[0] else {
+            panic!()
+        };
+        let Reason::NoClause(misses) = &told.reason else {
+            panic!()
+        };
+        let Obstacle::Body { failures, .. } = &misses[0].obstacle else {
+            panic!()
+        };
+        assert_eq!(failures[0].kind, FailureKind::Computed { value });
+    }
+    let inverse = session.program().relation("inverse").unwrap();
+    let absence = session.explain_absence(inverse, &[Some(Value::number(2))]);
+    check(&session, &model, &absence.unwrap().unwrap());
 }
 
 #[test]

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
 use logicity::files::{BUILTIN_FOLDER, ReadError, read_text};
-use logicity::lang::{Atom, Clause, Comparison, Literal, Loaded, Rules, Term, ast, load, parse, print};
+use logicity::lang::{
+    AggregateOp, Atom, Clause, Comparison, Functor, Literal, Loaded, Rules, Term, ast, load, parse, print,
+};
 use proptest::prelude::*;
 
 fn root() -> &'static Path {
@@ -225,7 +227,7 @@ fn check_expectations(what: &str, files: &[(String, String)]) -> Result<(), Stri
 
 /// The codes that this room produces.
 fn rule_codes() -> impl Iterator<Item = Code> {
-    Code::ALL.iter().copied().filter(|code| *code <= Code::DeadClause)
+    Code::ALL.iter().copied().filter(|code| *code <= Code::Ignored)
 }
 
 #[test]
@@ -290,6 +292,7 @@ fn clause_lines(rules: &Rules) -> Vec<String> {
                     Literal::Negative(one) => format!("!{}", atom(one)),
                     Literal::Guard(one) => format!("guard {}", atom(one)),
                     Literal::Compare { op, left, right, .. } => format!("{left:?} {op} {right:?}"),
+                    other => format!("{other:?}"),
                 })
                 .collect();
             body.sort();
@@ -367,6 +370,21 @@ fn written(rules: &Rules, clause: &Clause) -> String {
             Literal::Negative(one) => format!("!{}", atom(one)),
             Literal::Guard(one) => format!("[{}]", atom(one)),
             Literal::Compare { op, left, right, .. } => format!("{} {op} {}", term(left), term(right)),
+            Literal::Compute {
+                to, functor, arguments, ..
+            } => {
+                let arguments: Vec<String> = arguments.iter().map(term).collect();
+                format!("{} = {}({})", term(to), functor.name(), arguments.join(", "))
+            }
+            Literal::Aggregate {
+                to,
+                op,
+                atom: over,
+                column,
+                ..
+            } => {
+                format!("{} = {} {column:?} : {}", term(to), op.name(), atom(over))
+            }
         })
         .collect();
     format!("{} :- {}", atom(&clause.head), body.join(", "))
@@ -460,7 +478,12 @@ fn numbers_and_texts() {
 
 fn name() -> impl Strategy<Value = String> {
     "[a-zA-Z?_][a-zA-Z0-9_?]{0,5}".prop_filter("a word of the language", |name| {
-        !matches!(name.as_str(), "_" | "Not" | "not" | "as" | "nil")
+        let words = [
+            "_", "Not", "not", "as", "nil", "true", "false", "bnot", "lnot", "band", "bor", "bxor", "bshl", "bshr",
+            "bshru", "land", "lor", "lxor", "min", "max", "sum", "count", "mean", "cat", "ord", "substr", "strlen",
+            "match", "range", "brie", "btree", "magic", "inline",
+        ];
+        !words.contains(&name.as_str())
     })
 }
 
@@ -481,14 +504,66 @@ fn doc() -> impl Strategy<Value = String> {
     ]
 }
 
-fn term() -> impl Strategy<Value = ast::Term> {
+fn leaf() -> impl Strategy<Value = ast::Term> {
     prop_oneof![
         4 => name().prop_map(ast::TermKind::Variable),
         1 => Just(ast::TermKind::Wildcard),
-        1 => any::<i32>().prop_map(ast::TermKind::Number),
+        1 => (-4_294_967_295_i64..=4_294_967_295).prop_map(ast::TermKind::Number),
+        1 => any::<u32>().prop_map(ast::TermKind::Unsigned),
+        1 => "-?[0-9]{1,3}\\.[0-9]{1,3}(e[+-]?[0-9])?".prop_map(ast::TermKind::Float),
         1 => any::<String>().prop_map(ast::TermKind::Text),
     ]
     .prop_map(|kind| ast::Term { kind, place: place() })
+}
+
+fn term() -> impl Strategy<Value = ast::Term> {
+    let unary = proptest::sample::select(vec![Functor::Negate, Functor::BitNot, Functor::Not]);
+    let binary = proptest::sample::select(vec![
+        Functor::Add,
+        Functor::Subtract,
+        Functor::Multiply,
+        Functor::Divide,
+        Functor::Power,
+        Functor::BitAnd,
+        Functor::ShiftLeft,
+        Functor::Or,
+        Functor::Min,
+        Functor::Cat,
+    ]);
+    let node = |kind| ast::Term { kind, place: place() };
+    leaf().prop_recursive(4, 12, 2, move |inner| {
+        let op = proptest::sample::select(vec![AggregateOp::Sum, AggregateOp::Min, AggregateOp::Count]);
+        let body = proptest::collection::vec(plain_atom(inner.clone()), 1..3);
+        prop_oneof![
+            2 => (unary.clone(), inner.clone()).prop_map(move |(op, a)| node(ast::TermKind::Functor(op, vec![a]))),
+            4 => (binary.clone(), inner.clone(), inner.clone())
+                .prop_map(move |(op, a, b)| node(ast::TermKind::Functor(op, vec![a, b]))),
+            1 => (inner.clone(), name()).prop_map(move |(a, ty)| {
+                node(ast::TermKind::Cast(Box::new(a), ast::Name { text: ty, place: place() }))
+            }),
+            1 => (op, leaf(), body).prop_map(move |(op, target, body)| {
+                let target = (op != AggregateOp::Count).then_some(target);
+                node(ast::TermKind::Aggregate(Box::new(ast::Aggregate { op, target, body })))
+            }),
+        ]
+    })
+}
+
+fn plain_atom(term: impl Strategy<Value = ast::Term> + 'static) -> impl Strategy<Value = ast::Literal> {
+    (name(), proptest::collection::vec(term, 0..3), any::<bool>()).prop_map(|(predicate, terms, negated)| {
+        let predicate = ast::Name {
+            text: predicate,
+            place: place(),
+        };
+        ast::Literal::Atom {
+            negated,
+            atom: ast::Atom {
+                predicate,
+                terms,
+                place: place(),
+            },
+        }
+    })
 }
 
 fn atom() -> impl Strategy<Value = ast::Atom> {
@@ -507,11 +582,21 @@ fn literal() -> impl Strategy<Value = ast::Literal> {
         Just(Comparison::LessEqual),
         Just(Comparison::Greater),
         Just(Comparison::GreaterEqual),
+        Just(Comparison::Match),
+        Just(Comparison::NotContains),
     ];
-    prop_oneof![
+    let plain = prop_oneof![
         3 => (any::<bool>(), atom()).prop_map(|(negated, atom)| ast::Literal::Atom { negated, atom }),
         1 => (op, term(), term()).prop_map(|(op, left, right)| ast::Literal::Compare { op, left, right, place: place() }),
-    ]
+    ];
+    plain.prop_recursive(3, 8, 3, |inner| {
+        let alternative = proptest::collection::vec(inner, 0..3);
+        let alternatives = prop_oneof![
+            1 => Just(Vec::new()),
+            5 => proptest::collection::vec(alternative, 2..4),
+        ];
+        alternatives.prop_map(ast::Literal::Any)
+    })
 }
 
 fn item() -> impl Strategy<Value = ast::Item> {
@@ -530,13 +615,25 @@ fn item() -> impl Strategy<Value = ast::Item> {
     ];
     prop_oneof![
         1 => any::<String>().prop_map(|path| ast::Item::Include(ast::Include { path, place: place() })),
-        1 => (name(), name(), any::<bool>(), doc()).prop_map(|(name, other, alias, doc)| {
-            let other = node(other);
-            let definition = if alias { ast::TypeDefinition::Alias(other) } else { ast::TypeDefinition::Subtype(other) };
+        1 => (name(), proptest::collection::vec(name(), 1..4), any::<bool>(), doc()).prop_map(|(name, others, alias, doc)| {
+            let mut others: Vec<ast::Name> = others.into_iter().map(node).collect();
+            let definition = match (others.len(), alias) {
+                (1, true) => ast::TypeDefinition::Alias(others.remove(0)),
+                (1, false) => ast::TypeDefinition::Subtype(others.remove(0)),
+                _ => ast::TypeDefinition::Union(others),
+            };
             ast::Item::Type(ast::TypeDecl { name: node(name), definition, doc })
         }),
-        2 => (names(), columns, doc()).prop_map(|(names, columns, doc)| {
-            ast::Item::Decl(ast::Decl { names, columns: Some(columns), doc })
+        2 => (names(), columns, any::<bool>(), doc()).prop_map(|(names, columns, inline, doc)| {
+            let qualifiers = inline.then(|| node("inline".to_owned())).into_iter().collect();
+            ast::Item::Decl(ast::Decl { names, columns: Some(columns), qualifiers, doc })
+        }),
+        1 => (kind, names(), proptest::collection::vec((name(), any::<String>()), 0..3)).prop_map(|(kind, names, options)| {
+            let option = |(key, value)| ast::DirectiveOption { key: node(key), value, place: place() };
+            ast::Item::Mark(ast::Mark { kind, names, options: options.into_iter().map(option).collect() })
+        }),
+        1 => proptest::collection::vec(any::<String>(), 1..3).prop_map(|words| {
+            ast::Item::Pragma(ast::Pragma { words, place: place() })
         }),
         1 => (kind, names()).prop_map(|(kind, names)| ast::Item::Mark(ast::Mark { kind, names })),
         1 => (0..4_usize, name(), name()).prop_map(|(kind, one, other)| {
@@ -547,8 +644,8 @@ fn item() -> impl Strategy<Value = ast::Item> {
         1 => proptest::option::of(name()).prop_map(|name| {
             ast::Item::Scope(ast::Scope { predicate: name.map(node), place: place() })
         }),
-        6 => (atom(), proptest::collection::vec(literal(), 0..5), doc()).prop_map(|(head, body, doc)| {
-            ast::Item::Clause(ast::Clause { head, body, doc, place: place() })
+        6 => (proptest::collection::vec(atom(), 1..3), proptest::collection::vec(literal(), 0..5), doc()).prop_map(|(heads, body, doc)| {
+            ast::Item::Clause(ast::Clause { heads, body, doc, place: place() })
         }),
     ]
 }
@@ -642,6 +739,21 @@ const PIECES: &[&str] = &[
     "0x",
     "9999999999",
     "count : {",
+    "sum x : { A(x) }",
+    "min(x, 1)",
+    "cat(x, \"a\")",
+    "match(x, ",
+    " + ",
+    "x * 2 ^ y",
+    "1.5e3",
+    "7u",
+    "-(",
+    "bnot ",
+    "as(x, t)",
+    ".type v = t | u",
+    "(IO=file, headers=true)",
+    "true",
+    "false",
     "[",
     ";",
     "<=",
@@ -705,6 +817,21 @@ fn large_texts_take_time_in_proportion() {
         ),
         (0..20_000)
             .map(|at| format!(".decl A{at}(x: symbol) A{at}(x) :- B{at}(x)."))
+            .collect::<String>(),
+        format!("{decl}P(x) :- Q(x, y), y = {}.", "1 + ".repeat(many)),
+        format!("{decl}P({}).", "cat(".repeat(many)),
+        format!("{decl}P(x) :- {}", "min(".repeat(many)),
+        format!("{decl}P(x) :- {}", "count : { Q(x, x), ".repeat(many)),
+        format!("{decl}P(x) :- {}.", "2 ^ ".repeat(many)),
+        format!("{decl}P(x) :- {}Q(x, x).", "(Q(x, x); Q(x, _)), ".repeat(20)),
+        format!("{decl}P(x) :- {}, false.", vec!["(Q(x, x); Q(x, _))"; 1_000].join(", ")),
+        format!("{decl}P(x) :- Q(x, x){}.", "; Q(x, x)".repeat(many)),
+        format!("{decl}P(cat({})).", vec!["to_string(1 + 1)"; 20_000].join(", ")),
+        (0..20_000)
+            .map(|at| format!(".type U{} = U{at} | symbol\n", at + 1))
+            .collect::<String>(),
+        (0..20_000)
+            .map(|at| format!(".type U{at} = symbol | U{}\n", at + 1))
             .collect::<String>(),
         "\u{e9}".repeat(many),
         "/*".repeat(many),
@@ -832,8 +959,10 @@ fn derived(clause: &Clause, database: &Database) -> BTreeSet<Vec<u32>> {
                     Comparison::LessEqual => left <= right,
                     Comparison::Greater => left > right,
                     Comparison::GreaterEqual => left >= right,
+                    _ => false,
                 }
             }
+            Literal::Compute { .. } | Literal::Aggregate { .. } => false,
         });
         if fires {
             heads.insert(clause.head.terms.iter().filter_map(value).collect());
@@ -943,7 +1072,7 @@ fn check_promises(rules: &Rules) {
     for (index, relation) in rules.relations.iter().enumerate() {
         assert_eq!(relation.hidden, index >= hidden_from, "hidden predicates come last");
         assert_eq!(relation.hidden, relation.name.starts_with('+'));
-        assert!(!(relation.input && relation.derived));
+        assert_eq!(relation.given.is_some(), relation.input && relation.derived);
         let heads = || {
             rules
                 .clauses
@@ -997,25 +1126,39 @@ fn check_promises(rules: &Rules) {
                     [left, right].into_iter().for_each(&mut mark);
                     assert!(*left != Term::Wildcard && *right != Term::Wildcard);
                 }
+                Literal::Compute { arguments, .. } => {
+                    literal.terms().for_each(&mut mark);
+                    assert!(!arguments.contains(&Term::Wildcard));
+                }
+                Literal::Aggregate { atom, column, .. } => {
+                    fits(atom);
+                    literal.terms().for_each(&mut mark);
+                    assert!(column.is_none_or(|column| column < atom.terms.len()));
+                    assert!(stratum_of[atom.relation.index()].is_none_or(|other| other < home));
+                }
             }
         }
         for _ in 0..clause.body.len() {
             for literal in &clause.body {
-                let Literal::Compare {
-                    op: Comparison::Equal,
-                    left,
-                    right,
-                    ..
-                } = literal
-                else {
-                    continue;
-                };
                 let known = |term: &Term, bound: &[bool]| match term {
                     Term::Variable(id) => bound[id.index()],
                     _ => true,
                 };
-                for (from, to) in [(left, right), (right, left)] {
-                    if let (true, Term::Variable(id)) = (known(from, &bound), to) {
+                let all_known =
+                    |mut terms: std::slice::Iter<'_, Term>, bound: &[bool]| terms.all(|term| known(term, bound));
+                let learnt: Vec<&Term> = match literal {
+                    Literal::Compare {
+                        op: Comparison::Equal,
+                        left,
+                        right,
+                        ..
+                    } if known(left, &bound) || known(right, &bound) => vec![left, right],
+                    Literal::Compute { to, arguments, .. } if all_known(arguments.iter(), &bound) => vec![to],
+                    Literal::Aggregate { to, atom, .. } if all_known(atom.terms.iter(), &bound) => vec![to],
+                    _ => Vec::new(),
+                };
+                for term in learnt {
+                    if let Term::Variable(id) = term {
                         bound[id.index()] = true;
                     }
                 }

@@ -13,6 +13,7 @@ const ONLY_IN: &[(&str, &str)] = &[
     ("egg", "src/engine/optimize/saturate.rs"),
     ("serde_yaml", "src/config/yaml.rs"),
     ("rand_chacha", "src/rng.rs"),
+    ("regex", "src/lang/functor.rs"),
     ("annotate_snippets", "src/diag/render.rs"),
 ];
 

@@ -74,6 +74,8 @@ codes! {
     DuplicateClause = "duplicate-clause", Warning;
     /// A clause that can never fire, since a predicate it needs is always empty.
     DeadClause = "dead-clause", Warning;
+    /// Something of Souffle that is accepted and has no effect here.
+    Ignored = "ignored", Warning;
 
     /// A body two literals of which never hold together.
     ContradictoryBody = "contradictory-body", Warning;

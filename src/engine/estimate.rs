@@ -97,10 +97,12 @@ fn effort<const W: usize>(plan: &Plan, indexes: &[IndexSpec], shape: &dyn Fn(Sou
             }
             Step::Exists { source, key } => flow *= found(*source, key.len()).min(1.0),
             Step::Absent { source, key } => flow *= 1.0 - found(*source, key.len()).min(0.9),
-            Step::Copy { .. } => {}
+            Step::Copy { .. } | Step::Compute { test: false, .. } => {}
+            Step::Aggregate { source, key, .. } => effort += flow * found(*source, key.len()),
             Step::Compare {
                 op: Comparison::Equal, ..
-            } => flow *= 0.1,
+            }
+            | Step::Compute { test: true, .. } => flow *= 0.1,
             Step::Compare { .. } => flow *= 0.5,
         }
     }

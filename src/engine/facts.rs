@@ -1,11 +1,11 @@
 //! Relations as text, by Souffle's conventions.
 //!
-//! One row is one line, its values are separated by tabs: a symbol as it is, a number in decimal. The only row of a relation
-//! without columns is `()`. This module turns text into rows and rows into text; reading and writing files is for others.
+//! One row is one line, its values are separated by tabs or what a [`RowFormat`] says: a symbol as it is, a number in decimal,
+//! a float with up to nine significant digits. The only row of a relation without columns is `()`. This module turns text into rows and rows into text; reading and writing files is for others.
 
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::engine::Session;
-use crate::lang::{BaseType, Column, RelId, Value};
+use crate::lang::{BaseType, Column, RelId, RowFormat, Value, parse_value};
 use crate::symbol::Symbol;
 use std::cmp::Ordering;
 use std::fmt::Write;
@@ -21,6 +21,17 @@ pub const FAULTS_MAX: usize = 20;
 /// Car_2<tab>-3
 /// ```
 pub fn load(session: &mut Session, rel: RelId, sources: &Sources, source: SourceId) -> Result<usize, Vec<Diagnostic>> {
+    load_as(session, rel, sources, source, &RowFormat::default())
+}
+
+/// The same for rows in any format.
+pub fn load_as(
+    session: &mut Session,
+    rel: RelId,
+    sources: &Sources,
+    source: SourceId,
+    format: &RowFormat,
+) -> Result<usize, Vec<Diagnostic>> {
     let program = session.program().clone();
     let Some(relation) = program.rules().relations.get(rel.index()) else {
         return Err(vec![Diagnostic::new(
@@ -40,6 +51,10 @@ pub fn load(session: &mut Session, rel: RelId, sources: &Sources, source: Source
         .split('\n')
         .take(if text.is_empty() { 0 } else { usize::MAX })
     {
+        if format.headers && start == 0 {
+            start += line.len() + 1;
+            continue;
+        }
         let content = line.strip_suffix('\r').unwrap_or(line);
         let span = |from: usize, to: usize| Span::new(source, start + from..start + to);
         if relation.columns.is_empty() {
@@ -48,7 +63,8 @@ pub fn load(session: &mut Session, rel: RelId, sources: &Sources, source: Source
                 faults.push(Diagnostic::new(Code::InvalidFact, message).at(span(0, content.len()), "expected `()`"));
             }
         } else {
-            let found = content.split('\t').count();
+            let parts = split(content, format);
+            let found = parts.len();
             if found != relation.arity() {
                 let message = if content.is_empty() {
                     format!("an empty line where a row of `{}` was expected", relation.name)
@@ -60,21 +76,30 @@ pub fn load(session: &mut Session, rel: RelId, sources: &Sources, source: Source
                 faults.push(
                     fault
                         .also(relation.span, "declared here")
-                        .help("values are separated by single tabs"),
+                        .help(if format.delimiter == "\t" {
+                            "values are separated by single tabs".to_owned()
+                        } else {
+                            format!("values are separated by `{}`", format.delimiter)
+                        }),
                 );
             } else {
-                let mut from = 0;
-                for (column, value) in relation.columns.iter().zip(content.split('\t')) {
-                    match parse(session, column, value) {
+                for (column, part) in relation.columns.iter().zip(parts) {
+                    let value = &content[part.clone()];
+                    match parse(session, column, value, format) {
                         Some(value) => rows.push(value),
                         None => {
-                            let message = format!("column `{}` of `{}` holds numbers", column.name, relation.name);
+                            let (what, label) = match column.base {
+                                BaseType::Unsigned => {
+                                    ("unsigned numbers", "not a 32-bit decimal number without a sign")
+                                }
+                                BaseType::Float => ("floats", "not a decimal number"),
+                                _ => ("numbers", "not a 32-bit decimal number"),
+                            };
+                            let message = format!("column `{}` of `{}` holds {what}", column.name, relation.name);
                             let fault = Diagnostic::new(Code::InvalidFact, message);
-                            let label = "not a 32-bit decimal number";
-                            faults.push(fault.at(span(from, from + value.len()), label));
+                            faults.push(fault.at(span(part.start, part.end), label));
                         }
                     }
-                    from += value.len() + 1;
                 }
             }
         }
@@ -94,10 +119,32 @@ pub fn load(session: &mut Session, rel: RelId, sources: &Sources, source: Source
     if faults.is_empty() { Ok(count) } else { Err(faults) }
 }
 
-fn parse(session: &mut Session, column: &Column, text: &str) -> Option<Value> {
+/// Where the values of a line stand.
+fn split(line: &str, format: &RowFormat) -> Vec<std::ops::Range<usize>> {
+    let mut parts = Vec::new();
+    let mut from = 0;
+    for (at, delimiter) in line.match_indices(format.delimiter.as_str()) {
+        // A delimiter between quotes is part of the text. A doubled quote opens and closes.
+        let quotes = || line[from..at].bytes().filter(|byte| *byte == b'"').count();
+        if !format.quoted || quotes() % 2 == 0 {
+            parts.push(from..at);
+            from = at + delimiter.len();
+        }
+    }
+    parts.push(from..line.len());
+    parts
+}
+
+fn parse(session: &mut Session, column: &Column, text: &str, format: &RowFormat) -> Option<Value> {
     match column.base {
-        BaseType::Symbol => Some(session.intern(text)),
-        BaseType::Number => text.parse().ok().map(Value::number),
+        BaseType::Symbol => {
+            let inner = text.strip_prefix('"').and_then(|text| text.strip_suffix('"'));
+            match inner.filter(|_| format.quoted) {
+                Some(inner) => Some(session.intern(&inner.replace("\"\"", "\""))),
+                None => Some(session.intern(text)),
+            }
+        }
+        base => parse_value(base, text.trim_start_matches(' ')),
     }
 }
 
@@ -129,6 +176,11 @@ impl Faults {
 
 /// The rows of a relation as text, ordered by what is shown: numbers by value, symbols by text.
 pub fn print(session: &Session, rel: RelId) -> String {
+    print_as(session, rel, &RowFormat::default())
+}
+
+/// The same in any format.
+pub fn print_as(session: &Session, rel: RelId, format: &RowFormat) -> String {
     let Some(relation) = session.program().rules().relations.get(rel.index()) else {
         return String::new();
     };
@@ -140,21 +192,32 @@ pub fn print(session: &Session, rel: RelId) -> String {
             let order = match column.base {
                 BaseType::Symbol => text(*a).cmp(text(*b)),
                 BaseType::Number => a.as_number().cmp(&b.as_number()),
+                BaseType::Unsigned => a.cmp(b),
+                BaseType::Float => a.as_float().total_cmp(&b.as_float()),
             };
             order.is_ne().then_some(order)
         });
         order.unwrap_or(Ordering::Equal)
     });
     let mut out = String::new();
+    if format.headers {
+        let names: Vec<&str> = relation.columns.iter().map(|column| column.name.as_str()).collect();
+        out.push_str(&names.join(&format.delimiter));
+        out.push('\n');
+    }
     for row in rows {
         for (position, (column, value)) in relation.columns.iter().zip(row).enumerate() {
             if position > 0 {
-                out.push('\t');
+                out.push_str(&format.delimiter);
             }
-            match column.base {
-                BaseType::Symbol => out.push_str(text(*value)),
-                BaseType::Number => write!(out, "{}", value.as_number()).expect("writing to a string cannot fail"),
-            }
+            let written = match column.base {
+                BaseType::Symbol if format.quoted => write!(out, "\"{}\"", text(*value).replace('"', "\"\"")),
+                BaseType::Symbol => out.write_str(text(*value)),
+                BaseType::Number => write!(out, "{}", value.as_number()),
+                BaseType::Unsigned => write!(out, "{}", value.0),
+                BaseType::Float => out.write_str(&print_float(value.as_float())),
+            };
+            written.expect("writing to a string cannot fail");
         }
         if relation.columns.is_empty() {
             out.push_str("()");
@@ -162,4 +225,36 @@ pub fn print(session: &Session, rel: RelId) -> String {
         out.push('\n');
     }
     out
+}
+
+/// A float as text: nine significant digits without trailing zeros, which is enough to read the same float back; an exponent where the number
+/// is very small or large.
+pub fn print_float(x: f32) -> String {
+    const DIGITS: i32 = 9;
+    if !x.is_finite() {
+        return if x.is_nan() {
+            "nan"
+        } else if x > 0.0 {
+            "inf"
+        } else {
+            "-inf"
+        }
+        .to_owned();
+    }
+    let scientific = format!("{:.*e}", (DIGITS - 1) as usize, x);
+    let Some((mantissa, exponent)) = scientific.split_once('e') else {
+        return scientific;
+    };
+    let exponent: i32 = exponent.parse().unwrap_or_default();
+    let trim = |digits: &str| match digits.contains('.') {
+        true => digits.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => digits.to_owned(),
+    };
+    if (-4..DIGITS).contains(&exponent) {
+        let decimals = usize::try_from(DIGITS - 1 - exponent).unwrap_or_default();
+        trim(&format!("{x:.decimals$}"))
+    } else {
+        let sign = if exponent < 0 { '-' } else { '+' };
+        format!("{}e{sign}{:02}", trim(mantissa), exponent.abs())
+    }
 }

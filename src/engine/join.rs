@@ -3,7 +3,7 @@
 use crate::engine::plan::{Plan, Slot, Step};
 use crate::engine::row::{Batch, Row, gallop, normalise};
 use crate::engine::seen::{Added, Seen};
-use crate::lang::{BaseType, Comparison, Value};
+use crate::lang::{BaseType, Comparison, Functor, Patterns, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
 
@@ -237,6 +237,7 @@ pub(super) fn run<const W: usize>(
         slots: &mut effort.slots,
         looked_at: effort.looked_at,
         budget: effort.budget,
+        patterns: None,
         out,
     };
     let result = join.from(0);
@@ -254,6 +255,8 @@ struct Join<'a, const W: usize> {
     slots: &'a mut [Value],
     looked_at: u64,
     budget: u64,
+    /// Made when first needed.
+    patterns: Option<Patterns>,
     out: &'a mut Output<W>,
 }
 
@@ -280,13 +283,43 @@ impl<const W: usize> Join<'_, W> {
                     self.slots[*to as usize] = self.slots[*from as usize];
                     true
                 }
-                Step::Compare { op, left, right, base } => compare(
-                    self.symbols,
-                    *op,
-                    self.slots[*left as usize],
-                    self.slots[*right as usize],
-                    *base,
-                ),
+                Step::Compare { op, left, right, base } => {
+                    let (left, right) = (self.slots[*left as usize], self.slots[*right as usize]);
+                    match op {
+                        Comparison::Match => self.matches(left, right),
+                        Comparison::NotMatch => !self.matches(left, right),
+                        _ => compare(self.symbols, *op, left, right, *base),
+                    }
+                }
+                Step::Compute {
+                    functor,
+                    base,
+                    arguments,
+                    to,
+                    test,
+                } => {
+                    let value = self.compute(*functor, *base, arguments);
+                    self.fill(*to, *test, value)
+                }
+                Step::Aggregate {
+                    key,
+                    op,
+                    base,
+                    column,
+                    to,
+                    test,
+                    ..
+                } => {
+                    let words = self.key(key);
+                    let views = self.views;
+                    let rows = views[depth]
+                        .batches()
+                        .flat_map(|batch| batch.range(&words[..key.len()]));
+                    // Of rows without columns there are only as many as can be counted.
+                    let values = rows.map(|row| row.0[*column as usize]);
+                    let value = op.of(*base, values, self.symbols);
+                    self.fill(*to, *test, value)
+                }
             };
             if !passed {
                 return Ok(false);
@@ -384,6 +417,38 @@ impl<const W: usize> Join<'_, W> {
         Ok(any)
     }
 
+    /// Puts a value into a slot, or compares it with what is there.
+    fn fill(&mut self, to: Slot, test: bool, value: Option<Value>) -> bool {
+        let slot = &mut self.slots[to as usize];
+        match value {
+            Some(value) if test => *slot == value,
+            Some(value) => {
+                *slot = value;
+                true
+            }
+            None => false,
+        }
+    }
+
+    fn compute(&self, functor: Functor, base: BaseType, arguments: &[Slot]) -> Option<Value> {
+        let slot = |slot: Slot| self.slots[slot as usize];
+        match *arguments {
+            [a] => functor.apply(base, &[slot(a)], self.symbols),
+            [a, b] => functor.apply(base, &[slot(a), slot(b)], self.symbols),
+            ref many => {
+                let values: Vec<Value> = many.iter().map(|&at| slot(at)).collect();
+                functor.apply(base, &values, self.symbols)
+            }
+        }
+    }
+
+    #[cold]
+    fn matches(&mut self, pattern: Value, text: Value) -> bool {
+        let text = self.symbols.text(Symbol(text.0)).unwrap_or_default();
+        let patterns = self.patterns.get_or_insert_default();
+        patterns.matches(pattern, text, self.symbols)
+    }
+
     #[inline]
     fn emit(&mut self) -> Result<bool, Stop> {
         let row = self.key(&self.plan.output);
@@ -402,19 +467,26 @@ impl<const W: usize> Join<'_, W> {
 }
 
 /// Whether a comparison holds. Numbers compare by value; symbols are equal by word and ordered by text.
-pub(super) fn compare(symbols: &Symbols, op: Comparison, left: Value, right: Value, base: BaseType) -> bool {
+fn compare(symbols: &Symbols, op: Comparison, left: Value, right: Value, base: BaseType) -> bool {
+    let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
     let order = || match base {
-        BaseType::Number => left.as_number().cmp(&right.as_number()),
-        BaseType::Symbol if left == right => Ordering::Equal,
-        BaseType::Symbol => symbols.text(Symbol(left.0)).cmp(&symbols.text(Symbol(right.0))),
+        BaseType::Number => Some(left.as_number().cmp(&right.as_number())),
+        BaseType::Symbol if left == right => Some(Ordering::Equal),
+        BaseType::Symbol => Some(text(left).cmp(text(right))),
+        BaseType::Unsigned => Some(left.cmp(&right)),
+        BaseType::Float => left.as_float().partial_cmp(&right.as_float()),
     };
     match op {
         Comparison::Equal => left == right,
         Comparison::NotEqual => left != right,
-        Comparison::Less => order().is_lt(),
-        Comparison::LessEqual => order().is_le(),
-        Comparison::Greater => order().is_gt(),
-        Comparison::GreaterEqual => order().is_ge(),
+        Comparison::Less => order().is_some_and(Ordering::is_lt),
+        Comparison::LessEqual => order().is_some_and(Ordering::is_le),
+        Comparison::Greater => order().is_some_and(Ordering::is_gt),
+        Comparison::GreaterEqual => order().is_some_and(Ordering::is_ge),
+        Comparison::Contains => text(right).contains(text(left)),
+        Comparison::NotContains => !text(right).contains(text(left)),
+        Comparison::Match => Patterns::default().matches(left, text(right), symbols),
+        Comparison::NotMatch => !Patterns::default().matches(left, text(right), symbols),
     }
 }
 

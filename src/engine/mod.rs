@@ -191,7 +191,7 @@ impl Session {
 
     /// Notes that the row holds from the next commit on. Noting both for one row, the last one counts.
     pub fn insert(&mut self, rel: RelId, row: &[Value]) -> Result<(), RowError> {
-        self.check(rel, row)?;
+        let rel = self.check(rel, row)?;
         self.store.change(rel, row, true);
         Ok(())
     }
@@ -199,7 +199,7 @@ impl Session {
     /// Notes that the row does not hold from the next commit on. A fact in the text of the rules holds nevertheless: this takes
     /// back an [`insert`](Session::insert), not a rule.
     pub fn retract(&mut self, rel: RelId, row: &[Value]) -> Result<(), RowError> {
-        self.check(rel, row)?;
+        let rel = self.check(rel, row)?;
         self.store.change(rel, row, false);
         Ok(())
     }
@@ -209,11 +209,12 @@ impl Session {
         self.store.rollback();
     }
 
-    fn check(&self, rel: RelId, row: &[Value]) -> Result<(), RowError> {
+    /// Where the row goes.
+    fn check(&self, rel: RelId, row: &[Value]) -> Result<RelId, RowError> {
         let Some(relation) = self.program.rules().relations.get(rel.index()) else {
             return Err(RowError::UnknownRelation);
         };
-        if relation.derived {
+        if relation.derived && relation.given.is_none() {
             return Err(RowError::Derived {
                 relation: relation.name.clone(),
             });
@@ -232,7 +233,7 @@ impl Session {
                 relation: relation.name.clone(),
             });
         }
-        Ok(())
+        Ok(relation.given.unwrap_or(rel))
     }
 
     /// Makes what was noted true and derives what follows. Says exactly what became true and what stopped being true, in every
@@ -471,7 +472,7 @@ impl WorkLog {
 pub enum RowError {
     /// The program has no relation with that id.
     UnknownRelation,
-    /// The relation is head of a clause with a body, so its rows follow from others.
+    /// The relation is head of a clause with a body and not input, so its rows follow from others.
     Derived {
         /// Its name.
         relation: String,

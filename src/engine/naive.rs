@@ -3,7 +3,7 @@
 //! It tries every clause on every combination of rows until nothing new is derived, one stratum after the other. It shares no
 //! code with the real executor and is never made faster; tests compare the two.
 
-use crate::lang::{Atom, BaseType, Clause, Comparison, Literal, RelId, Rules, Term, Value};
+use crate::lang::{Atom, BaseType, Clause, Comparison, Literal, Patterns, RelId, Rules, Term, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::collections::BTreeSet;
 
@@ -51,19 +51,25 @@ pub fn consequences(clause: &Clause, symbols: &Symbols, database: &Database) -> 
         }
     }
 
-    // x = y: what one side is, the other is. As often as there could be a chain of such literals.
+    // x = y, x = y + 1, x = sum z : { P(y, z) }: what one side is, the other is. As often as there could be a chain of such
+    // literals.
     for _ in &clause.body {
-        for literal in &clause.body {
-            if let Literal::Compare {
-                op: Comparison::Equal,
-                left,
-                right,
-                ..
-            } = literal
-            {
-                for known in &mut bindings {
-                    copy(left, right, known);
-                    copy(right, left, known);
+        for known in &mut bindings {
+            for literal in &clause.body {
+                match literal {
+                    Literal::Compare {
+                        op: Comparison::Equal,
+                        left,
+                        right,
+                        ..
+                    } => {
+                        learn(left, value(right, known), known);
+                        learn(right, value(left, known), known);
+                    }
+                    Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => {
+                        learn(to, result(literal, known, database, symbols), known);
+                    }
+                    _ => {}
                 }
             }
         }
@@ -82,6 +88,9 @@ pub fn consequences(clause: &Clause, symbols: &Symbols, database: &Database) -> 
                 (Some(left), Some(right)) => compare(*op, left, right, *base, symbols),
                 _ => false,
             },
+            Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => {
+                value(to, known).is_some() && value(to, known) == result(literal, known, database, symbols)
+            }
         })
     });
 
@@ -108,10 +117,41 @@ fn unify(atom: &Atom, row: &[Value], known: &Binding) -> Option<Binding> {
     Some(known)
 }
 
-/// If `to` is an unknown variable, it becomes what `from` is.
-fn copy(to: &Term, from: &Term, known: &mut Binding) {
+/// If `to` is an unknown variable, it becomes what was found.
+fn learn(to: &Term, found: Option<Value>, known: &mut Binding) {
     if let Term::Variable(variable) = to {
-        known[variable.index()] = known[variable.index()].or(value(from, known));
+        known[variable.index()] = known[variable.index()].or(found);
+    }
+}
+
+/// The value of an expression or aggregate, if it has one and all that it needs is known.
+fn result(literal: &Literal, known: &Binding, database: &Database, symbols: &Symbols) -> Option<Value> {
+    match literal {
+        Literal::Compute {
+            functor,
+            base,
+            arguments,
+            ..
+        } => {
+            let arguments: Option<Vec<Value>> = arguments.iter().map(|argument| value(argument, known)).collect();
+            functor.apply(*base, &arguments?, symbols)
+        }
+        Literal::Aggregate {
+            op, base, atom, column, ..
+        } => {
+            let ready = |term: &Term| *term == Term::Wildcard || value(term, known).is_some();
+            if !atom.terms.iter().all(ready) {
+                return None;
+            }
+            let rows = database[atom.relation.index()].iter();
+            let rows = rows.filter(|row| unify(atom, row, known).is_some());
+            op.of(
+                *base,
+                rows.map(|row| column.map_or(Value(0), |column| row[column])),
+                symbols,
+            )
+        }
+        _ => None,
     }
 }
 
@@ -124,17 +164,24 @@ fn value(term: &Term, known: &Binding) -> Option<Value> {
 }
 
 fn compare(op: Comparison, left: Value, right: Value, base: BaseType, symbols: &Symbols) -> bool {
-    let text = |value: Value| symbols.text(Symbol(value.0));
-    let order = match base {
-        BaseType::Number => left.as_number().cmp(&right.as_number()),
-        BaseType::Symbol => text(left).cmp(&text(right)),
+    let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
+    let less = |left: Value, right: Value| match base {
+        BaseType::Number => left.as_number() < right.as_number(),
+        BaseType::Symbol => text(left) < text(right),
+        BaseType::Unsigned => left.0 < right.0,
+        BaseType::Float => left.as_float() < right.as_float(),
     };
+    let nan = base == BaseType::Float && (left.as_float().is_nan() || right.as_float().is_nan());
     match op {
         Comparison::Equal => left == right,
         Comparison::NotEqual => left != right,
-        Comparison::Less => order.is_lt(),
-        Comparison::LessEqual => order.is_le(),
-        Comparison::Greater => order.is_gt(),
-        Comparison::GreaterEqual => order.is_ge(),
+        Comparison::Less => less(left, right),
+        Comparison::LessEqual => !nan && !less(right, left),
+        Comparison::Greater => less(right, left),
+        Comparison::GreaterEqual => !nan && !less(left, right),
+        Comparison::Contains => text(right).contains(text(left)),
+        Comparison::NotContains => !text(right).contains(text(left)),
+        Comparison::Match => Patterns::default().matches(left, text(right), symbols),
+        Comparison::NotMatch => !Patterns::default().matches(left, text(right), symbols),
     }
 }

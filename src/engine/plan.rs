@@ -14,7 +14,10 @@
 
 use crate::diag::{Code, Diagnostic};
 use crate::engine::row::WIDTHS;
-use crate::lang::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Rules, Stratum, Term, Value, VarId};
+use crate::lang::{
+    AggregateOp, Atom, BaseType, Clause, ClauseId, Comparison, Functor, Literal, RelId, Rules, Stratum, Term, Value,
+    VarId,
+};
 
 /// A place for a value while a clause is evaluated: a variable, or after them a constant.
 pub(super) type Slot = u16;
@@ -96,14 +99,36 @@ pub(super) enum Step {
         right: Slot,
         base: BaseType,
     },
+    /// Go on if the functor has a value: the one in the slot if that is a `test`, else fill the slot with it.
+    Compute {
+        functor: Functor,
+        base: BaseType,
+        arguments: Vec<Slot>,
+        to: Slot,
+        test: bool,
+    },
+    /// The same for the aggregate over the rows that begin with the key.
+    Aggregate {
+        source: Source,
+        key: Vec<Slot>,
+        op: AggregateOp,
+        base: BaseType,
+        /// The column of the index that holds the values; 0 where rows are counted.
+        column: u16,
+        to: Slot,
+        test: bool,
+    },
 }
 
 impl Step {
     /// Where the step finds rows, if it looks at any.
     pub(super) fn source(&self) -> Option<Source> {
         match *self {
-            Step::Scan { source, .. } | Step::Exists { source, .. } | Step::Absent { source, .. } => Some(source),
-            Step::Copy { .. } | Step::Compare { .. } => None,
+            Step::Scan { source, .. }
+            | Step::Exists { source, .. }
+            | Step::Absent { source, .. }
+            | Step::Aggregate { source, .. } => Some(source),
+            Step::Copy { .. } | Step::Compare { .. } | Step::Compute { .. } => None,
         }
     }
 }
@@ -267,26 +292,18 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
         .filter(|clause| derived(&head(clause)))
         .collect();
     let bodies = clauses.iter().flat_map(|clause| &rules.clauses[clause.index()].body);
-    let mut inputs: Vec<RelId> = bodies.filter_map(|literal| Some(atom_of(literal)?.relation)).collect();
+    let mut inputs: Vec<RelId> = bodies.filter_map(|literal| Some(literal.atom()?.relation)).collect();
     inputs.sort_unstable();
     let recursive = inputs.iter().any(|relation| members.contains(relation));
     inputs.retain(|relation| !members.contains(relation));
     inputs.dedup();
-    let small = |clause: &ClauseId| rules.clauses[clause.index()].body.len() <= MAINTAINED_LITERALS_MAX;
+    let small = |clause: &ClauseId| is_maintainable(&rules.clauses[clause.index()]);
     StratumPlan {
         recursive,
         maintainable: clauses.iter().all(small),
         members,
         inputs,
         clauses,
-    }
-}
-
-/// The atom of a literal that has one.
-fn atom_of(literal: &Literal) -> Option<&Atom> {
-    match literal {
-        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => Some(atom),
-        Literal::Compare { .. } => None,
     }
 }
 
@@ -328,6 +345,12 @@ impl Indexer {
     }
 }
 
+/// Whether the change of the clause's rows can be had from the change of its inputs. An aggregate may change with any row.
+fn is_maintainable(clause: &Clause) -> bool {
+    let aggregates = |literal: &Literal| matches!(literal, Literal::Aggregate { .. });
+    clause.body.len() <= MAINTAINED_LITERALS_MAX && !clause.body.iter().any(aggregates)
+}
+
 /// All plans of a clause. `stratum` holds the relations computed together with its head.
 fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Result<ClausePlans, Diagnostic> {
     for (what, count) in [("literals", clause.body.len()), ("variables", clause.variables.len())] {
@@ -367,7 +390,7 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
                 }
             }
         }
-        if let Some(atom) = atom_of(&clause.body[delta]) {
+        if let Some(atom) = clause.body[delta].atom() {
             deltas.push((atom.relation, plan));
             detours.push(others);
         }
@@ -375,9 +398,9 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
     // In maintenance a recursive relation is no longer small, as it is when a computation from scratch begins.
     let mut changes = Vec::new();
     let mut check = None;
-    if clause.body.len() <= MAINTAINED_LITERALS_MAX {
+    if is_maintainable(clause) {
         for (position, literal) in clause.body.iter().enumerate() {
-            let Some(atom) = atom_of(literal) else { continue };
+            let Some(atom) = literal.atom() else { continue };
             let version = |other: usize| {
                 if other == position {
                     Version::New
@@ -441,7 +464,11 @@ struct Planner<'a> {
 impl<'a> Planner<'a> {
     fn new(clause: &'a Clause, indexer: &'a mut Indexer) -> Self {
         let mut uses = vec![0; clause.variables.len()];
-        let terms = clause.head.terms.iter().chain(clause.body.iter().flat_map(terms_of));
+        let terms = clause
+            .head
+            .terms
+            .iter()
+            .chain(clause.body.iter().flat_map(Literal::terms));
         terms
             .filter_map(variable_of)
             .for_each(|variable| uses[variable.index()] += 1);
@@ -478,7 +505,7 @@ impl<'a> Planner<'a> {
         loop {
             if let Some(position) = next {
                 let literal = &clause.body[position];
-                let atom = atom_of(literal);
+                let atom = literal.atom();
                 if let Some(atom) = atom {
                     self.scan(atom, version(position));
                 }
@@ -562,7 +589,7 @@ impl<'a> Planner<'a> {
         // An equality may bind what an earlier literal waits for. A comparison costs less than finding a row, and a short row is
         // found faster than a long one.
         let clause = self.clause;
-        let cost = |position: usize| atom_of(&clause.body[position]).map_or(0, |atom| atom.terms.len());
+        let cost = |position: usize| clause.body[position].atom().map_or(0, |atom| atom.terms.len());
         let ready = |planner: &Self| {
             let ready = planner
                 .left
@@ -585,6 +612,44 @@ impl<'a> Planner<'a> {
                 Literal::Compare {
                     op, left, right, base, ..
                 } => self.compare(*op, left, right, *base),
+                Literal::Compute {
+                    to,
+                    functor,
+                    base,
+                    arguments,
+                    ..
+                } => {
+                    let arguments = arguments.iter().filter_map(|argument| self.slot(argument)).collect();
+                    let Some((to, test)) = self.result(to) else { continue };
+                    self.steps.push(Step::Compute {
+                        functor: *functor,
+                        base: *base,
+                        arguments,
+                        to,
+                        test,
+                    });
+                }
+                Literal::Aggregate {
+                    to,
+                    op,
+                    base,
+                    atom,
+                    column,
+                } => {
+                    let (source, key) = self.rows(atom);
+                    let columns = &self.indexer.specs[source.index.index()].columns;
+                    let place = column.and_then(|column| columns.iter().position(|other| *other as usize == column));
+                    let Some((to, test)) = self.result(to) else { continue };
+                    self.steps.push(Step::Aggregate {
+                        source,
+                        key,
+                        op: *op,
+                        base: *base,
+                        column: place.unwrap_or(0) as u16,
+                        to,
+                        test,
+                    });
+                }
             }
         }
     }
@@ -595,7 +660,10 @@ impl<'a> Planner<'a> {
                 let terms = || atom.terms.iter();
                 terms().all(|term| self.is_bound(term) || self.is_unneeded(term))
             }
-            Literal::Negative(atom) => atom.terms.iter().all(|term| self.is_bound(term)),
+            Literal::Negative(atom) | Literal::Aggregate { atom, .. } => {
+                atom.terms.iter().all(|term| self.is_bound(term))
+            }
+            Literal::Compute { arguments, .. } => arguments.iter().all(|argument| self.is_bound(argument)),
             Literal::Compare {
                 op: Comparison::Equal,
                 left,
@@ -616,7 +684,7 @@ impl<'a> Planner<'a> {
     /// Strikes a literal off what is left.
     fn placed(&mut self, position: usize) {
         self.left.retain(|&other| other != position);
-        for variable in terms_of(&self.clause.body[position]).filter_map(variable_of) {
+        for variable in self.clause.body[position].terms().filter_map(variable_of) {
             self.uses[variable.index()] -= 1;
         }
     }
@@ -634,6 +702,28 @@ impl<'a> Planner<'a> {
             .filter_map(|&column| self.slot(&atom.terms[column as usize]))
             .collect();
         (Source { index, version }, key)
+    }
+
+    /// The source and key of an aggregate: an index of all columns, the bound ones first.
+    fn rows(&mut self, atom: &Atom) -> (Source, Vec<Slot>) {
+        let bound = |&column: &u16| atom.terms[column as usize] != Term::Wildcard;
+        let known: Vec<u16> = (0..atom.terms.len() as u16).filter(bound).collect();
+        let (index, order) = self.indexer.prefix(atom.relation, [&known, &[]]);
+        let key = (order[..known.len()].iter())
+            .filter_map(|&column| self.slot(&atom.terms[column as usize]))
+            .collect();
+        let version = Version::Complete;
+        (Source { index, version }, key)
+    }
+
+    /// The slot for a value, and whether something is there already.
+    fn result(&mut self, to: &Term) -> Option<(Slot, bool)> {
+        let test = self.is_bound(to);
+        let slot = self.slot(to)?;
+        if let Some(variable) = variable_of(to) {
+            self.bound[variable.index()] = true;
+        }
+        Some((slot, test))
     }
 
     fn compare(&mut self, op: Comparison, left: &Term, right: &Term, base: BaseType) {
@@ -730,15 +820,6 @@ impl<'a> Planner<'a> {
         });
         self.repeated = true;
     }
-}
-
-/// The arguments of an atom or the sides of a comparison.
-fn terms_of(literal: &Literal) -> impl Iterator<Item = &Term> {
-    let (terms, sides): (&[Term], _) = match literal {
-        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => (&atom.terms, None),
-        Literal::Compare { left, right, .. } => (&[], Some([left, right])),
-    };
-    terms.iter().chain(sides.into_iter().flatten())
 }
 
 fn variable_of(term: &Term) -> Option<VarId> {

@@ -1,9 +1,9 @@
 //! Plans as text: what is scanned and tested in which order, by which columns, through which index.
 
 use crate::diag::Sources;
-use crate::engine::Program;
 use crate::engine::plan::{IndexId, Plan, Slot, Source, Step, Version};
-use crate::lang::{BaseType, Clause, ClauseId, Comparison, RelId, Value};
+use crate::engine::{Program, facts};
+use crate::lang::{BaseType, Clause, ClauseId, Functor, RelId, Value};
 use crate::symbol::Symbol;
 
 impl Program {
@@ -98,7 +98,49 @@ impl Program {
                     format!("let    {} = {}", name(*to), name(*from))
                 }
                 Step::Compare { op, left, right, base } => {
-                    format!("test   {} {} {}", value(*left, *base), sign(*op), value(*right, *base))
+                    format!("test   {} {op} {}", value(*left, *base), value(*right, *base))
+                }
+                Step::Compute {
+                    functor,
+                    base,
+                    arguments,
+                    to,
+                    test,
+                } => {
+                    // Of the arguments of `substr` only the first is a text.
+                    let base_of = |position: usize| match (functor, position) {
+                        (Functor::Substring, 1..) => BaseType::Number,
+                        _ => *base,
+                    };
+                    let arguments: Vec<String> = arguments
+                        .iter()
+                        .enumerate()
+                        .map(|(position, &slot)| value(slot, base_of(position)))
+                        .collect();
+                    let name = functor.name();
+                    let expression = match arguments.as_slice() {
+                        [left, right] if !matches!(functor, Functor::Min | Functor::Max | Functor::Cat) => {
+                            format!("{left} {name} {right}")
+                        }
+                        many => format!("{name}({})", many.join(", ")),
+                    };
+                    let what = if *test { "test" } else { "let " };
+                    format!("{what}   {} = {expression}", value(*to, *base))
+                }
+                Step::Aggregate {
+                    source,
+                    key,
+                    op,
+                    base,
+                    to,
+                    test,
+                    ..
+                } => {
+                    let terms: Vec<(u16, Slot)> =
+                        key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot)).collect();
+                    let rows = self.show_lookup(*source, &terms, key.len(), &value);
+                    let what = if *test { "test" } else { "let " };
+                    format!("{what}   {} = {} : {{ {rows} }}", value(*to, *base), op.name())
                 }
             };
             *out += &format!("      {line}\n");
@@ -150,17 +192,8 @@ impl Program {
         match base {
             BaseType::Symbol => format!("{:?}", self.0.rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
             BaseType::Number => value.as_number().to_string(),
+            BaseType::Unsigned => value.0.to_string(),
+            BaseType::Float => facts::print_float(value.as_float()),
         }
-    }
-}
-
-fn sign(op: Comparison) -> &'static str {
-    match op {
-        Comparison::Equal => "=",
-        Comparison::NotEqual => "!=",
-        Comparison::Less => "<",
-        Comparison::LessEqual => "<=",
-        Comparison::Greater => ">",
-        Comparison::GreaterEqual => ">=",
     }
 }

@@ -2,7 +2,9 @@
 
 use crate::diag::Span;
 
+use super::functor::{AggregateOp, Functor};
 use super::rules::Comparison;
+pub use super::rules::MarkKind;
 
 /// Where a part of the tree stands in its text. Two places are always equal, so trees are compared by what they say.
 #[derive(Clone, Copy, Debug)]
@@ -45,6 +47,8 @@ pub enum Item {
     Mark(Mark),
     /// `.disjoint A, B`, `.implies A, B`, `.irreflexive A`, `.symmetric A`
     Promise(Promise),
+    /// `.pragma "key" "value"`: read and ignored.
+    Pragma(Pragma),
     /// `.scope P`, or `.scope` alone
     Scope(Scope),
     /// A fact or a rule.
@@ -57,6 +61,15 @@ pub struct Include {
     /// The path between the quotes.
     pub path: String,
     /// The quoted path.
+    pub place: Place,
+}
+
+/// `.pragma "key" "value"`
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Pragma {
+    /// The texts after it: a key and perhaps a value.
+    pub words: Vec<String>,
+    /// The directive.
     pub place: Place,
 }
 
@@ -78,6 +91,8 @@ pub enum TypeDefinition {
     Subtype(Name),
     /// `= other`: one type under two names.
     Alias(Name),
+    /// `= a | b`: all values of several types; at least two.
+    Union(Vec<Name>),
     /// Something that is not understood and was reported; the name is kept so that its uses are not reported too.
     Faulty,
 }
@@ -89,6 +104,8 @@ pub struct Decl {
     pub names: Vec<Name>,
     /// Their columns; `None` if they could not be read, which was reported.
     pub columns: Option<Vec<ColumnDecl>>,
+    /// How they are to be stored or evaluated (`btree`, `inline` ...): read and ignored.
+    pub qualifiers: Vec<Name>,
     /// Text of the doc comment before it.
     pub doc: String,
 }
@@ -109,17 +126,19 @@ pub struct Mark {
     pub kind: MarkKind,
     /// The predicates it names; at least one.
     pub names: Vec<Name>,
+    /// `(key=value, ...)`; for all of them.
+    pub options: Vec<DirectiveOption>,
 }
 
-/// What a [`Mark`] says of its predicates.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MarkKind {
-    /// `.input`
-    Input,
-    /// `.output`
-    Output,
-    /// `.printsize`
-    PrintSize,
+/// `key=value`
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DirectiveOption {
+    /// The key.
+    pub key: Name,
+    /// The value; a word is the same as a text.
+    pub value: String,
+    /// The value's place.
+    pub place: Place,
 }
 
 /// `.disjoint A, B` and the like.
@@ -170,9 +189,9 @@ pub struct Scope {
 /// A fact (no body) or a rule.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Clause {
-    /// What is derived.
-    pub head: Atom,
-    /// When.
+    /// What is derived; at least one.
+    pub heads: Vec<Atom>,
+    /// When: all of these hold.
     pub body: Vec<Literal>,
     /// Text of the doc comment before it.
     pub doc: String,
@@ -180,7 +199,7 @@ pub struct Clause {
     pub place: Place,
 }
 
-/// A literal. Double negations and negated comparisons are folded when they are read.
+/// A literal. Negations of anything but an atom are folded when they are read, and so are parentheses and `true`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Literal {
     /// `P(X)`, or `Not(P(X))`, `not P(X)`, `!P(X)`
@@ -190,7 +209,7 @@ pub enum Literal {
         /// The atom.
         atom: Atom,
     },
-    /// `X < Y`
+    /// `X < Y`, `match(X, Y)`, `contains(X, Y)`
     Compare {
         /// The operator.
         op: Comparison,
@@ -201,6 +220,8 @@ pub enum Literal {
         /// Both sides.
         place: Place,
     },
+    /// `(A(x), B(x); C(x))`: all literals of one of the alternatives hold. None for `false`.
+    Any(Vec<Vec<Literal>>),
 }
 
 /// A predicate with arguments.
@@ -230,8 +251,29 @@ pub enum TermKind {
     Variable(String),
     /// `_`
     Wildcard,
-    /// A number.
-    Number(i32),
+    /// A whole number; what base type it is of depends on where it stands.
+    Number(i64),
+    /// `1u`
+    Unsigned(u32),
+    /// `2.5`, as it is written.
+    Float(String),
     /// A text in quotes, after its escapes were replaced.
     Text(String),
+    /// `x + 1`, `cat(x, y)`
+    Functor(Functor, Vec<Term>),
+    /// `as(x, type)`
+    Cast(Box<Term>, Name),
+    /// `sum x : { A(x) }`
+    Aggregate(Box<Aggregate>),
+}
+
+/// `op target : { body }`
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Aggregate {
+    /// What is computed.
+    pub op: AggregateOp,
+    /// Of what; `None` for `count` only.
+    pub target: Option<Term>,
+    /// For which values of the variables.
+    pub body: Vec<Literal>,
 }

@@ -41,10 +41,15 @@ impl Faults {
         let full = self.full();
         let mut list = self.errors;
         list.append(&mut self.warnings);
-        list.sort_by_key(|fault| {
-            let span = fault.primary.as_ref().map(|label| label.span);
-            (span.map(|span| (span.source, span.start, span.end)), fault.code)
-        });
+        let place = |fault: &Diagnostic| {
+            fault
+                .primary
+                .as_ref()
+                .map(|label| (label.span.source, label.span.start, label.span.end))
+        };
+        list.sort_by(|a, b| (place(a), a.code, &a.message).cmp(&(place(b), b.code, &b.message)));
+        // A clause with alternatives or several heads is looked at several times.
+        list.dedup();
         if full {
             // The parser stops at the limit, so how many more there are is not known.
             list.push(Diagnostic::new(

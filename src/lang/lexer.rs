@@ -234,31 +234,22 @@ impl Lexer<'_> {
     }
 
     fn number(&mut self) {
-        let radix_prefix = self.peek(0) == Some(b'0') && matches!(self.peek(1), Some(b'x' | b'b'));
         let length = self.count_while(self.at, |byte| byte.is_ascii_alphanumeric() || byte == b'_');
         let word = &self.bytes[self.at..self.at + length];
-        let after_dot = self.peek(length + 1).is_some_and(|byte| byte.is_ascii_digit());
-        if radix_prefix {
-            let digits = &word[2..];
-            let good = match word[1] {
-                b'x' => digits.iter().all(u8::is_ascii_hexdigit),
-                _ => digits.iter().all(|byte| matches!(byte, b'0' | b'1')),
-            };
-            if good && !digits.is_empty() {
-                return self.push(Kind::Number, length);
-            }
-        } else if word.iter().all(u8::is_ascii_digit) {
-            if self.peek(length) != Some(b'.') || !after_dot {
-                return self.push(Kind::Number, length);
-            }
-            let fraction = self.count_while(self.at + length, |byte| byte.is_ascii_alphanumeric() || byte == b'.');
-            return self.push(Kind::Float, length + fraction);
-        } else if let Some((b'u', digits)) = word.split_last()
-            && digits.iter().all(u8::is_ascii_digit)
-        {
-            return self.push(Kind::Unsigned, length);
-        } else if word.iter().all(|byte| byte.is_ascii_digit() || *byte == b'e') {
-            return self.push(Kind::Float, length);
+        let (digits, suffix) = match word.split_last() {
+            Some((b'u', digits)) => (digits, Kind::Unsigned),
+            _ => (word, Kind::Number),
+        };
+        let good = match digits {
+            [b'0', b'x', hexadecimal @ ..] => !hexadecimal.is_empty() && hexadecimal.iter().all(u8::is_ascii_hexdigit),
+            [b'0', b'b', bits @ ..] => !bits.is_empty() && bits.iter().all(|bit| matches!(bit, b'0' | b'1')),
+            decimal => decimal.iter().all(u8::is_ascii_digit),
+        };
+        if let Some(float) = self.float() {
+            return self.push(Kind::Float, float);
+        }
+        if good {
+            return self.push(suffix, length);
         }
         self.faults.push(
             Diagnostic::new(Code::Syntax, "not a number")
@@ -268,6 +259,25 @@ impl Lexer<'_> {
                 ),
         );
         self.push(Kind::Faulty, length);
+    }
+
+    /// The length of a floating-point number: digits, and a fraction or an exponent or both.
+    fn float(&self) -> Option<usize> {
+        let digits = |from: usize| self.count_while(self.at + from, |byte| byte.is_ascii_digit());
+        let whole = digits(0);
+        let mut length = whole;
+        if self.peek(length) == Some(b'.') && digits(length + 1) > 0 {
+            length += 1 + digits(length + 1);
+        }
+        if matches!(self.peek(length), Some(b'e' | b'E')) {
+            let sign = usize::from(matches!(self.peek(length + 1), Some(b'+' | b'-')));
+            let exponent = digits(length + 1 + sign);
+            if exponent > 0 {
+                length += 1 + sign + exponent;
+            }
+        }
+        let ends = !self.peek(length).is_some_and(is_name_part);
+        (length > whole && ends).then_some(length)
     }
 
     fn name(&mut self) {

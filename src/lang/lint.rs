@@ -6,6 +6,7 @@ use crate::diag::{Code, Diagnostic, Span};
 
 use super::clause::{Checked, Clauses};
 use super::faults::Faults;
+use super::functor::Functor;
 use super::names::Names;
 use super::rules::{Atom, BaseType, Clause, Comparison, Literal, RelId, Term, Value};
 use super::strata;
@@ -147,7 +148,9 @@ pub(super) fn redundant(clauses: &[Checked], faults: &mut Faults) {
     }
     let mut by_head: indexmap::IndexMap<RelId, Vec<Pattern>> = indexmap::IndexMap::new();
     for Checked { clause, sound } in clauses {
-        if *sound && !clause.body.is_empty() {
+        // Of aggregates nothing is known.
+        let known = !(clause.body.iter()).any(|literal| matches!(literal, Literal::Aggregate { .. }));
+        if *sound && known && !clause.body.is_empty() {
             if let Some(&fact) = facts.get(&(clause.head.relation, clause.head.terms.as_slice())) {
                 report(Code::SubsumedClause, clause.span, fact, faults);
             } else {
@@ -168,7 +171,8 @@ pub(super) fn redundant(clauses: &[Checked], faults: &mut Faults) {
                 if gone[later] {
                     break;
                 }
-                if gone[earlier] {
+                // Alternatives and heads of one clause are not the author's fault.
+                if gone[earlier] || group[earlier].span == group[later].span {
                     continue;
                 }
                 if let Some((code, redundant)) = compare(&group[earlier], &group[later], &mut steps) {
@@ -238,10 +242,12 @@ enum Part {
 enum LiteralKind {
     Positive(RelId),
     Negative(RelId),
-    Equal(bool),
-    NotEqual(bool),
-    Less(bool),
-    LessEqual(bool),
+    Equal(BaseType),
+    NotEqual(BaseType),
+    Less(BaseType),
+    LessEqual(BaseType),
+    Text(Comparison),
+    Compute(Functor, BaseType),
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -275,14 +281,16 @@ impl Pattern {
                 Literal::Compare {
                     op, left, right, base, ..
                 } => {
-                    let is_number = *base == BaseType::Number;
                     let (kind, swapped) = match op {
-                        Comparison::Equal => (LiteralKind::Equal(is_number), false),
-                        Comparison::NotEqual => (LiteralKind::NotEqual(is_number), false),
-                        Comparison::Less => (LiteralKind::Less(is_number), false),
-                        Comparison::LessEqual => (LiteralKind::LessEqual(is_number), false),
-                        Comparison::Greater => (LiteralKind::Less(is_number), true),
-                        Comparison::GreaterEqual => (LiteralKind::LessEqual(is_number), true),
+                        Comparison::Equal => (LiteralKind::Equal(*base), false),
+                        Comparison::NotEqual => (LiteralKind::NotEqual(*base), false),
+                        Comparison::Less => (LiteralKind::Less(*base), false),
+                        Comparison::LessEqual => (LiteralKind::LessEqual(*base), false),
+                        Comparison::Greater => (LiteralKind::Less(*base), true),
+                        Comparison::GreaterEqual => (LiteralKind::LessEqual(*base), true),
+                        Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => {
+                            (LiteralKind::Text(*op), false)
+                        }
                     };
                     let sides = if swapped { [*right, *left] } else { [*left, *right] };
                     Normal {
@@ -290,6 +298,20 @@ impl Pattern {
                         parts: sides.map(|side| part(side).unwrap_or(Part::Any)).to_vec(),
                     }
                 }
+                Literal::Compute {
+                    to,
+                    functor,
+                    base,
+                    arguments,
+                    ..
+                } => Normal {
+                    kind: LiteralKind::Compute(*functor, *base),
+                    parts: std::iter::once(to)
+                        .chain(arguments)
+                        .map(|term| part(*term).unwrap_or(Part::Any))
+                        .collect(),
+                },
+                Literal::Aggregate { .. } => continue,
             };
             literals.push(normal);
         }
@@ -335,7 +357,7 @@ impl LiteralKind {
             LiteralKind::Equal(_) => 60,
             LiteralKind::NotEqual(_) => 61,
             LiteralKind::Less(_) => 62,
-            LiteralKind::LessEqual(_) => 63,
+            LiteralKind::LessEqual(_) | LiteralKind::Text(_) | LiteralKind::Compute(..) => 63,
         };
         1 << number
     }

@@ -5,8 +5,10 @@
 //! text out and keeps its comments.
 //!
 //! The stages, each in its own file: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
-//! list of items), `names` (types and predicates), `clause` (one clause: names, types, safety), `scope` (guards), `promise` (what
-//! is promised of facts), `strata` (order of evaluation), `lint` (warnings that need all clauses). None stops at the first fault.
+//! list of items), `inline` (predicates that stand for their bodies), `names` (types and predicates), `clause` (alternatives and
+//! several heads), `witness` (who has the least), `body` (one clause: names, expressions, types, safety), `aggregate` (hidden
+//! predicates for aggregates), `scope` (guards), `promise` (what is promised of facts), `strata` (order of evaluation), `lint`
+//! (warnings that need all clauses). None stops at the first fault.
 //!
 //! This room refuses to know what a city is, how rules are evaluated, and where texts come from: the caller reads the files.
 
@@ -15,11 +17,15 @@ use std::path::Path;
 use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::ReadError;
 
+mod aggregate;
 pub mod ast;
+mod body;
 mod clause;
 mod faults;
 mod format;
+mod functor;
 mod include;
+mod inline;
 mod lexer;
 mod lint;
 mod names;
@@ -29,12 +35,14 @@ mod promise;
 mod rules;
 mod scope;
 mod strata;
+mod witness;
 
 pub use format::format;
+pub use functor::{AggregateOp, Functor, Patterns, parse as parse_value};
 pub use print::print;
 pub use rules::{
-    Atom, BaseType, Clause, ClauseId, Column, Comparison, Constraint, Literal, Promise, RelId, Relation, Rules,
-    Stratum, Term, Type, TypeId, Value, VarId,
+    Atom, BaseType, Clause, ClauseId, Column, Comparison, Constraint, Directive, Literal, MarkKind, Promise, RelId,
+    Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, Value, VarId,
 };
 
 use faults::Faults;
@@ -65,10 +73,12 @@ pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn Fn(&Path) -> Resu
 }
 
 fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
+    let replaced = inline::replace(&gathered.items, faults);
     let syntax_is_good = !faults.failed();
-    let mut names = names::declare(&gathered.items, gathered.complete, faults);
-    let checked = clause::check(&gathered.items, &mut names, faults);
-    let promises = promise::check(&gathered.items, &mut names, faults);
+    let items = replaced.as_ref().unwrap_or(&gathered.items);
+    let mut names = names::declare(items, gathered.complete, faults);
+    let checked = clause::check(items, &mut names, faults);
+    let promises = promise::check(items, &mut names, faults);
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
     // What could not be read might make a clause live, or tell two clauses apart.

@@ -1,18 +1,21 @@
 //! Types and predicates: who is declared, as what.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use crate::diag::{Code, Diagnostic, Span, did_you_mean};
 
-use super::ast::{Decl, Item, MarkKind, Name, TypeDecl, TypeDefinition};
+use super::ast::{Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
 use super::faults::Faults;
-use super::rules::{BaseType, Column, RelId, Relation, Type, TypeId};
+use super::rules::{BaseType, Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
 
 /// More columns than this are refused.
 const MAX_COLUMNS: usize = 64;
 
 /// A longer chain of subtypes is refused.
 const MAX_TYPE_DEPTH: usize = 64;
+
+/// More members of a union are refused.
+const MAX_MEMBERS: usize = 128;
 
 /// For so many unknown names a similar one is looked for; beyond that the text is too strange for it to help.
 const MAX_SUGGESTIONS: usize = 30;
@@ -37,6 +40,8 @@ pub(super) struct Names {
     /// Where each type is declared, for labels; none for `symbol` and `number`.
     type_spans: Vec<Option<Span>>,
     type_by_name: HashMap<String, Option<TypeId>>,
+    /// The unions that a type is a member of.
+    unions_of: HashMap<TypeId, Vec<TypeId>>,
     relation_by_name: HashMap<String, RelId>,
     unknown: Unknown,
     /// Whether every declaration was read; if not, unknown names are not reported.
@@ -57,6 +62,7 @@ pub(super) fn declare(items: &[Item], complete: bool, faults: &mut Faults) -> Na
         signatures: Vec::new(),
         type_spans: Vec::new(),
         type_by_name: HashMap::new(),
+        unions_of: HashMap::new(),
         relation_by_name: HashMap::new(),
         unknown: Unknown::default(),
         complete,
@@ -68,10 +74,14 @@ pub(super) fn declare(items: &[Item], complete: bool, faults: &mut Faults) -> Na
         }
     }
     for item in items {
-        if let Item::Mark(mark) = item {
-            for name in &mark.names {
-                names.mark(mark.kind, name);
-            }
+        match item {
+            Item::Mark(mark) => names.mark(mark, faults),
+            Item::Pragma(pragma) => faults.push(
+                Diagnostic::new(Code::Ignored, "`.pragma` has no effect")
+                    .at(pragma.place.0, "")
+                    .help("remove it"),
+            ),
+            _ => {}
         }
     }
     names
@@ -82,11 +92,7 @@ impl Names {
     pub fn predicate(&mut self, name: &Name) -> Option<RelId> {
         let known = self.find(&name.text);
         if known.is_none() {
-            self.unknown
-                .predicates
-                .entry(name.text.clone())
-                .or_default()
-                .push(name.place.0);
+            remember(&mut self.unknown.predicates, name);
         }
         known
     }
@@ -105,12 +111,23 @@ impl Names {
         &self.relations[id.index()]
     }
 
-    /// `symbol` or `number` itself.
+    /// The base type itself.
     pub fn base_type(base: BaseType) -> TypeId {
         match base {
             BaseType::Symbol => TypeId(0),
             BaseType::Number => TypeId(1),
+            BaseType::Unsigned => TypeId(2),
+            BaseType::Float => TypeId(3),
         }
+    }
+
+    /// How many predicates were made while checking.
+    pub fn hidden(&self) -> usize {
+        self.relations
+            .iter()
+            .rev()
+            .take_while(|relation| relation.hidden)
+            .count()
     }
 
     pub fn type_name(&self, id: TypeId) -> &str {
@@ -123,25 +140,39 @@ impl Names {
 
     /// Whether every value of type `sub` is one of type `sup`.
     pub fn is_subtype(&self, sub: TypeId, sup: TypeId) -> bool {
-        let mut at = Some(sub);
-        while let Some(id) = at {
+        if self.unions_of.is_empty() {
+            let parent = |id: &TypeId| self.types[id.0 as usize].parent;
+            return std::iter::successors(Some(sub), parent).any(|id| id == sup);
+        }
+        let mut seen = vec![false; self.types.len()];
+        let mut work = vec![sub];
+        while let Some(id) = work.pop() {
             if id == sup {
                 return true;
             }
-            at = self.types[id.0 as usize].parent;
+            if std::mem::replace(&mut seen[id.0 as usize], true) {
+                continue;
+            }
+            work.extend(self.types[id.0 as usize].parent);
+            work.extend(self.unions_of.get(&id).into_iter().flatten());
         }
-        false
+        let members = &self.types[sub.0 as usize].members;
+        !members.is_empty() && members.iter().all(|&member| self.is_subtype(member, sup))
     }
 
-    /// The narrower of two types of one line; `None` if neither is a subtype of the other.
+    /// The narrower of two types of one line, or a type that both have as a part; `None` if no value is of both.
     pub fn meet(&self, a: TypeId, b: TypeId) -> Option<TypeId> {
-        if self.is_subtype(a, b) {
-            Some(a)
-        } else if self.is_subtype(b, a) {
-            Some(b)
-        } else {
-            None
+        if a == b || self.is_subtype(a, b) {
+            return Some(a);
         }
+        if self.is_subtype(b, a) {
+            return Some(b);
+        }
+        let members = |id: TypeId| self.types[id.0 as usize].members.iter();
+        let parts = members(a)
+            .map(|&part| (part, b))
+            .chain(members(b).map(|&part| (part, a)));
+        parts.into_iter().find_map(|(part, other)| self.meet(part, other))
     }
 
     /// `P(x: agent, y: agent)`
@@ -156,8 +187,8 @@ impl Names {
     // --- types
 
     fn declare_types(&mut self, items: &[Item], faults: &mut Faults) {
-        for (name, base) in [("symbol", BaseType::Symbol), ("number", BaseType::Number)] {
-            self.add_type(name, base, None, String::new());
+        for base in BaseType::ALL {
+            self.add_type(base.name(), base, None, String::new());
         }
         let mut declared: Vec<&TypeDecl> = Vec::new();
         let mut first: HashMap<&str, &TypeDecl> = HashMap::new();
@@ -183,7 +214,7 @@ impl Names {
         }
         // Every subtype gets its number before parents are looked up, so that declarations may come in any order.
         for decl in &declared {
-            if let TypeDefinition::Subtype(_) = decl.definition {
+            if let TypeDefinition::Subtype(_) | TypeDefinition::Union(_) = decl.definition {
                 let id = self.add_type(
                     &decl.name.text,
                     BaseType::Symbol,
@@ -195,7 +226,7 @@ impl Names {
         }
         for decl in &declared {
             match &decl.definition {
-                TypeDefinition::Subtype(_) => {}
+                TypeDefinition::Subtype(_) | TypeDefinition::Union(_) => {}
                 TypeDefinition::Alias(_) => {
                     let target = self.alias_target(decl, &first, faults);
                     self.type_by_name.insert(decl.name.text.clone(), target);
@@ -216,7 +247,19 @@ impl Names {
                 }
             }
         }
+        for decl in &declared {
+            if let TypeDefinition::Union(members) = &decl.definition
+                && let Some(id) = self.type_by_name[&decl.name.text]
+            {
+                let known: Vec<TypeId> = members.iter().filter_map(|member| self.type_named(member)).collect();
+                faulty[id.0 as usize] |= known.len() < members.len();
+                // Until all bases are known the first member stands for the base.
+                self.types[id.0 as usize].parent = known.first().copied();
+                self.types[id.0 as usize].members = known;
+            }
+        }
         self.settle_parents(&mut faulty, faults);
+        self.settle_unions(&declared, &mut faulty, faults);
         for decl in &declared {
             if let Some(id) = self.type_by_name[&decl.name.text]
                 && faulty[id.0 as usize]
@@ -232,6 +275,7 @@ impl Names {
             name: name.to_owned(),
             base,
             parent: None,
+            members: Vec::new(),
             doc,
         });
         self.type_spans.push(span);
@@ -277,10 +321,9 @@ impl Names {
     fn settle_parents(&mut self, faulty: &mut [bool], faults: &mut Faults) {
         // 0: not looked at; otherwise the distance from the base, plus one.
         let mut depth = vec![0_usize; self.types.len()];
-        depth[0] = 1;
-        depth[1] = 1;
+        depth[..BaseType::ALL.len()].fill(1);
         let mut reported_on = vec![usize::MAX; self.types.len()];
-        for start in 2..self.types.len() {
+        for start in BaseType::ALL.len()..self.types.len() {
             let mut path = Vec::new();
             let mut at = start;
             while depth[at] == 0 && !faulty[at] && reported_on[at] != start {
@@ -333,15 +376,74 @@ impl Names {
         }
     }
 
-    fn type_named(&mut self, name: &Name) -> Option<TypeId> {
+    /// The members of a union have one base, and none is the union itself.
+    fn settle_unions(&mut self, declared: &[&TypeDecl], faulty: &mut [bool], faults: &mut Faults) {
+        for decl in declared {
+            let (TypeDefinition::Union(written), Some(id)) = (&decl.definition, self.type_by_name[&decl.name.text])
+            else {
+                continue;
+            };
+            let at = id.0 as usize;
+            let members = self.types[at].members.clone();
+            faulty[at] |= members.iter().any(|member| faulty[member.0 as usize]);
+            if faulty[at] {
+                self.types[at].members.clear();
+                self.types[at].parent = None;
+                continue;
+            }
+            // A member that is itself a union is walked through, to find circles.
+            let mut seen = HashSet::new();
+            let mut work = members.clone();
+            let mut leaves = Vec::new();
+            while let Some(member) = work.pop() {
+                if seen.len() <= MAX_MEMBERS && seen.insert(member) {
+                    let parts = &self.types[member.0 as usize].members;
+                    work.extend(parts);
+                    leaves.extend(parts.is_empty().then_some(member));
+                }
+            }
+            leaves.sort_unstable();
+            let name = &decl.name.text;
+            let base = self.base(id);
+            let other = members.iter().position(|&member| self.base(member) != base);
+            if seen.len() > MAX_MEMBERS {
+                let fault = Diagnostic::new(Code::LimitExceeded, "union of too many types")
+                    .at(decl.name.place.0, "")
+                    .note(format!(
+                        "a union has at most {MAX_MEMBERS} members, those of its members included"
+                    ));
+                faults.push(fault);
+            } else if seen.contains(&id) {
+                let message = format!("the type `{name}` is a part of itself");
+                faults.push(Diagnostic::new(Code::CyclicType, message).at(decl.name.place.0, ""));
+            } else if let Some(other) = other {
+                let message = format!(
+                    "the union `{name}` has values of type `{}` and of type `{}`",
+                    base.name(),
+                    self.base(members[other]).name()
+                );
+                let fault = Diagnostic::new(Code::TypeMismatch, message).at(written[other].place.0, "");
+                faults.push(fault.also(written[0].place.0, format!("`{}` here", base.name())));
+            } else {
+                self.types[at].parent = Some(Self::base_type(base));
+                self.types[at].members.clone_from(&leaves);
+                for member in members.into_iter().chain(leaves) {
+                    self.unions_of.entry(member).or_default().push(id);
+                }
+                continue;
+            }
+            faulty[at] = true;
+            self.types[at].members.clear();
+            self.types[at].parent = None;
+        }
+    }
+
+    /// The type of that name; an unknown one is remembered for [`Names::report_unknown`].
+    pub fn type_named(&mut self, name: &Name) -> Option<TypeId> {
         match self.type_by_name.get(&name.text) {
             Some(known) => *known,
             None => {
-                self.unknown
-                    .types
-                    .entry(name.text.clone())
-                    .or_default()
-                    .push(name.place.0);
+                remember(&mut self.unknown.types, name);
                 None
             }
         }
@@ -378,6 +480,10 @@ impl Names {
                 .note(format!("a predicate has at most {MAX_COLUMNS}"));
             faults.push(fault);
         }
+        for word in &decl.qualifiers {
+            let fault = Diagnostic::new(Code::Ignored, format!("`{}` has no effect", word.text));
+            faults.push(fault.at(word.place.0, "").help("remove it"));
+        }
         for name in &decl.names {
             let span = name.place.0;
             if let Some(&earlier) = self.relation_by_name.get(&name.text) {
@@ -396,10 +502,12 @@ impl Names {
                 doc: decl.doc.clone(),
                 span,
                 input: false,
+                given: None,
                 output: false,
                 printsize: false,
                 derived: false,
                 hidden: false,
+                directives: Vec::new(),
             });
             self.signatures.push(Signature {
                 columns: decl.columns.is_some().then(|| types.clone()),
@@ -408,16 +516,20 @@ impl Names {
         }
     }
 
-    fn mark(&mut self, kind: MarkKind, name: &Name) {
-        let Some(id) = self.predicate(name) else { return };
-        let relation = &mut self.relations[id.index()];
-        match kind {
-            MarkKind::Input => {
-                relation.input = true;
-                self.signatures[id.index()].input.get_or_insert(name.place.0);
+    fn mark(&mut self, mark: &Mark, faults: &mut Faults) {
+        let directive = read_options(mark, faults);
+        for name in &mark.names {
+            let Some(id) = self.predicate(name) else { continue };
+            let relation = &mut self.relations[id.index()];
+            match mark.kind {
+                MarkKind::Input => {
+                    relation.input = true;
+                    self.signatures[id.index()].input.get_or_insert(name.place.0);
+                }
+                MarkKind::Output => relation.output = true,
+                MarkKind::PrintSize => relation.printsize = true,
             }
-            MarkKind::Output => relation.output = true,
-            MarkKind::PrintSize => relation.printsize = true,
+            relation.directives.push(directive.clone());
         }
     }
 
@@ -432,35 +544,25 @@ impl Names {
         for (index, (name, uses)) in unknown.types.iter().enumerate() {
             let fault = Diagnostic::new(Code::UnknownType, format!("no type `{name}` is declared"));
             let mut fault = with_uses(fault, uses);
-            if matches!(name.as_str(), "float" | "unsigned") {
-                fault = Diagnostic::new(Code::Unsupported, format!("the type `{name}` is not supported"));
-                fault = with_uses(fault, uses).help("the types are `symbol`, `number` and subtypes of them");
+            let candidates = self.types.iter().map(|ty| ty.name.as_str());
+            let near = if index < MAX_SUGGESTIONS {
+                did_you_mean(name, candidates)
             } else {
-                let candidates = self.types.iter().map(|ty| ty.name.as_str());
-                let near = if index < MAX_SUGGESTIONS {
-                    did_you_mean(name, candidates)
-                } else {
-                    None
-                };
-                fault = match near {
-                    Some(near) => {
-                        let id = self.types.iter().position(|ty| ty.name == near);
-                        if let Some(span) = id.and_then(|id| self.type_spans[id]) {
-                            fault = fault.also(span, format!("`{near}` is declared here"));
-                        }
-                        fault.help(format!("did you mean `{near}`?"))
+                None
+            };
+            fault = match near {
+                Some(near) => {
+                    let id = self.types.iter().position(|ty| ty.name == near);
+                    if let Some(span) = id.and_then(|id| self.type_spans[id]) {
+                        fault = fault.also(span, format!("`{near}` is declared here"));
                     }
-                    None => fault.help(format!("declare it: `.type {name} <: symbol`")),
-                };
-            }
+                    fault.help(format!("did you mean `{near}`?"))
+                }
+                None => fault.help(format!("declare it: `.type {name} <: symbol`")),
+            };
             faults.push(fault);
         }
         for (index, (name, uses)) in unknown.predicates.iter().enumerate() {
-            if matches!(name.as_str(), "match" | "contains") {
-                let fault = Diagnostic::new(Code::Unsupported, format!("the constraint `{name}` is not supported"));
-                faults.push(with_uses(fault, uses));
-                continue;
-            }
             let fault = Diagnostic::new(Code::UnknownPredicate, format!("no predicate `{name}` is declared"));
             let mut fault = with_uses(fault, uses);
             let candidates = self.relations.iter().map(|relation| relation.name.as_str());
@@ -478,11 +580,79 @@ impl Names {
                     fault.help(format!("did you mean `{near}`?"))
                 }
                 None => fault.help(format!(
-                    "declare it: `.decl {name}(...)`, or include the file that does"
+                    "declare it: `.decl {name}(...)`, or include the file that does; `.include \"vocabulary.dl\"` declares all that \
+                     rules of the city speak of"
                 )),
             };
             faults.push(fault);
         }
+    }
+}
+
+/// How far back a place is looked for.
+const MAX_USES_REMEMBERED: usize = 8;
+
+/// A place is remembered once, though a clause with alternatives is looked at several times.
+fn remember(unknown: &mut indexmap::IndexMap<String, Vec<Span>>, name: &Name) {
+    let places = unknown.entry(name.text.clone()).or_default();
+    if !places
+        .iter()
+        .rev()
+        .take(MAX_USES_REMEMBERED)
+        .any(|place| *place == name.place.0)
+    {
+        places.push(name.place.0);
+    }
+}
+
+/// What the options of an `.input`, `.output` or `.printsize` say.
+fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
+    let mut place = RowPlace::Usual;
+    let mut format = RowFormat::default();
+    let mut delimiter = None;
+    let mut terminal = false;
+    for option in &mark.options {
+        let flag = option.value == "true";
+        match option.key.text.as_str() {
+            "IO" => match (mark.kind, option.value.as_str()) {
+                (MarkKind::Input | MarkKind::Output, "file") | (MarkKind::PrintSize, "stdoutprintsize") => {}
+                (MarkKind::Input, "stdin") | (MarkKind::Output, "stdout") => terminal = true,
+                (_, value) => {
+                    let fault = Diagnostic::new(Code::Unsupported, format!("`IO={value}` is not supported here"));
+                    let known = match mark.kind {
+                        MarkKind::Input => "`file` and `stdin`",
+                        MarkKind::Output => "`file` and `stdout`",
+                        MarkKind::PrintSize => "`stdoutprintsize`",
+                    };
+                    faults.push(fault.at(option.place.0, "").help(format!("it may be {known}")));
+                }
+            },
+            "filename" if mark.kind != MarkKind::PrintSize => place = RowPlace::File(option.value.clone()),
+            "delimiter" if option.value.is_empty() => {
+                faults.push(Diagnostic::new(Code::Syntax, "empty delimiter").at(option.place.0, ""));
+            }
+            "delimiter" => delimiter = Some(option.value.clone()),
+            "headers" => format.headers = flag,
+            "rfc4180" => format.quoted = flag,
+            key @ ("columns" | "compress" | "dbname") => {
+                let fault = Diagnostic::new(Code::Unsupported, format!("the option `{key}` is not supported"));
+                faults.push(fault.at(option.key.place.0, ""));
+            }
+            key => {
+                let fault = Diagnostic::new(Code::Ignored, format!("the option `{key}` has no effect"));
+                faults.push(fault.at(option.key.place.0, "").help("remove it"));
+            }
+        }
+    }
+    let usual = if format.quoted { "," } else { "\t" };
+    format.delimiter = delimiter.unwrap_or_else(|| usual.to_owned());
+    if terminal {
+        place = RowPlace::Terminal;
+    }
+    Directive {
+        kind: mark.kind,
+        place,
+        format,
     }
 }
 

@@ -1,21 +1,26 @@
 //! Tokens to a syntax tree.
 //!
 //! The parser never fails: a fault is reported, the faulty clause or directive is left out (or kept as far as it is
-//! understood, so that its name is not reported as unknown) and reading goes on at the next one. Nothing here recurses, so no
-//! text can exhaust the stack, and each token is looked at a bounded number of times.
+//! understood, so that its name is not reported as unknown) and reading goes on at the next one. Recursion is as deep as
+//! parentheses and braces are nested, and that is bounded, as is the height of an expression: no text can exhaust the stack.
+//! Each token is looked at a bounded number of times.
 
 use crate::diag::{Code, Diagnostic, SourceId, Span, did_you_mean};
 
 use super::ast::{
-    Atom, Clause, ColumnDecl, Decl, File, Include, Item, Literal, Mark, MarkKind, Name, Place, Promise, PromiseKind,
-    Scope, Term, TermKind, TypeDecl, TypeDefinition,
+    Aggregate, Atom, Clause, ColumnDecl, Decl, DirectiveOption, File, Include, Item, Literal, Mark, MarkKind, Name,
+    Place, Pragma, Promise, PromiseKind, Scope, Term, TermKind, TypeDecl, TypeDefinition,
 };
 use super::faults::Faults;
+use super::functor::{AggregateOp, Functor};
 use super::lexer::{self, DocLine, Kind, Lexed, Token};
 use super::rules::Comparison;
 
-/// More negations and parentheses than this around one literal are refused.
+/// More negations, parentheses and braces than this around anything are refused.
 const MAX_NESTING: usize = 64;
+
+/// Higher expressions are refused: an operator or function is one higher than its highest operand.
+const MAX_HEIGHT: usize = 256;
 
 /// Every directive, for suggestions.
 const DIRECTIVES: &[&str] = &[
@@ -24,6 +29,7 @@ const DIRECTIVES: &[&str] = &[
     "input",
     "output",
     "printsize",
+    "pragma",
     "include",
     "scope",
     "disjoint",
@@ -39,14 +45,22 @@ const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
     ("override", "components (`.override`)"),
     ("functor", "user-defined functors (`.functor`)"),
     ("lattice", "lattices (`.lattice`)"),
-    ("pragma", "`.pragma`"),
     ("plan", "`.plan`"),
     ("limitsize", "`.limitsize`"),
     ("symbol_type", "the old form `.symbol_type`"),
     ("number_type", "the old form `.number_type`"),
 ];
 
-const AGGREGATES: &[&str] = &["count", "sum", "min", "max", "mean", "range"];
+/// What Souffle allows after the columns of a declaration and what does not change the answer.
+const QUALIFIERS: &[&str] = &[
+    "inline",
+    "no_inline",
+    "magic",
+    "no_magic",
+    "brie",
+    "btree",
+    "overridable",
+];
 
 /// The tree of one text.
 pub(super) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
@@ -64,6 +78,7 @@ pub(super) fn parse_tokens(source: SourceId, text: &str, lexed: &Lexed, faults: 
         next_doc: 0,
         at: 0,
         starts: Vec::new(),
+        nesting: 0,
         faults,
     };
     let file = parser.file();
@@ -84,6 +99,8 @@ struct Parser<'a> {
     at: usize,
     /// Where items begin.
     starts: Vec<usize>,
+    /// Parentheses, braces and negations around what is being read.
+    nesting: usize,
     faults: &'a mut Faults,
 }
 
@@ -131,10 +148,6 @@ impl<'a> Parser<'a> {
     /// From the first byte of `start` to the last byte read.
     fn place_from(&self, start: Token) -> Place {
         Place(self.span(start).to(self.span(self.previous())))
-    }
-
-    fn is_arithmetic(&self, token: Token) -> bool {
-        token.kind == Kind::Operator && self.slice(token) != "&"
     }
 
     fn indent(&self, token: Token) -> usize {
@@ -202,7 +215,7 @@ impl<'a> Parser<'a> {
         let (token, next) = (self.token(), self.ahead(1));
         match self.slice(token) {
             "and" | "&" => Some("literals are separated by commas, which mean \"and\""),
-            "or" | "|" => Some("write a clause for each alternative"),
+            "or" | "|" => Some("alternatives are separated by `;`"),
             "if" => Some("head and body are separated by `:-`"),
             "<" | ":" if next.kind == Kind::Minus => Some("head and body are separated by `:-`"),
             "=" if self.at > 0 && self.previous().kind == Kind::Equal => Some("equality is written `=`"),
@@ -238,6 +251,7 @@ impl<'a> Parser<'a> {
         while self.kind() != Kind::End && !self.faults.full() {
             let start = self.at;
             self.starts.push(start);
+            self.nesting = 0;
             match self.item() {
                 Ok(item) => file.items.extend(item),
                 Err(Reported) => self.recover(start),
@@ -356,6 +370,20 @@ impl<'a> Parser<'a> {
                     place: Place(self.span(token)),
                 })))
             }
+            "pragma" => {
+                let mut words = Vec::new();
+                while matches!(self.kind(), Kind::Text | Kind::OpenText) {
+                    let token = self.bump();
+                    words.push(self.unescape(token));
+                }
+                if words.is_empty() {
+                    return Err(self.expected("a text in quotes"));
+                }
+                Ok(Some(Item::Pragma(Pragma {
+                    words,
+                    place: Place(span),
+                })))
+            }
             "scope" => {
                 let named = self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen;
                 let predicate = if named { Some(self.name("a predicate")?) } else { None };
@@ -365,7 +393,14 @@ impl<'a> Parser<'a> {
             _ => {
                 if let Some((_, what)) = FOREIGN_DIRECTIVES.iter().find(|(foreign, _)| *foreign == name) {
                     let verb = if what.contains('(') { "are" } else { "is" };
-                    let reported = self.unsupported(span, &format!("{what} {verb}"), "");
+                    let help = match name {
+                        "limitsize" => "remove it; a query stops by itself when it derives too many rows",
+                        "plan" => "remove it; the order of literals is chosen by itself",
+                        "symbol_type" => "write `.type name <: symbol`",
+                        "number_type" => "write `.type name <: number`",
+                        _ => "",
+                    };
+                    let reported = self.unsupported(span, &format!("{what} {verb}"), help);
                     self.skip_braces();
                     return Err(reported);
                 }
@@ -448,26 +483,39 @@ impl<'a> Parser<'a> {
     }
 
     fn mark(&mut self, kind: MarkKind) -> Parse<Mark> {
-        let mut names = Vec::new();
-        loop {
-            names.push(self.name("a predicate")?);
-            if self.kind() == Kind::LParen {
-                let open = self.bump();
-                while !matches!(self.kind(), Kind::RParen | Kind::End) && !self.token().first_on_line {
-                    self.bump();
+        let names = self.names("a predicate")?;
+        let mut options = Vec::new();
+        if self.eat(Kind::LParen) && !self.eat(Kind::RParen) {
+            loop {
+                options.push(self.option()?);
+                if self.eat(Kind::RParen) {
+                    break;
                 }
-                self.eat(Kind::RParen);
-                let span = self.place_from(open).0;
-                self.unsupported(
-                    span,
-                    "options of `.input`, `.output` and `.printsize` are",
-                    "write the name alone; facts are read from `<name>.facts` and results written to `<name>.csv`",
-                );
-            }
-            if !self.eat(Kind::Comma) {
-                return Ok(Mark { kind, names });
+                if !self.eat(Kind::Comma) {
+                    return Err(self.expected("`,` or `)`"));
+                }
             }
         }
+        Ok(Mark { kind, names, options })
+    }
+
+    fn option(&mut self) -> Parse<DirectiveOption> {
+        let key = self.name("an option: `name=value`")?;
+        if !self.eat(Kind::Equal) {
+            return Err(self.expected("`=` and the option's value"));
+        }
+        let token = self.token();
+        let value = match token.kind {
+            Kind::Text | Kind::OpenText => self.unescape(token),
+            Kind::Ident | Kind::Number => self.slice(token).to_owned(),
+            _ => return Err(self.expected("the option's value")),
+        };
+        self.bump();
+        Ok(DirectiveOption {
+            key,
+            value,
+            place: Place(self.span(token)),
+        })
     }
 
     /// Names with or without commas between them; a name before a parenthesis begins a clause.
@@ -501,10 +549,31 @@ impl<'a> Parser<'a> {
                 None
             }
         };
-        if columns.is_some() {
-            self.qualifiers();
+        if let Some(name) = names
+            .iter()
+            .find(|name| matches!(name.text.as_str(), "match" | "contains"))
+        {
+            let fault = Diagnostic::new(Code::Syntax, format!("`{}` is not a predicate's name", name.text))
+                .at(name.place.0, "")
+                .note("it is a comparison of texts");
+            self.faults.push(fault);
         }
-        Ok(Decl { names, columns, doc })
+        let mut qualifiers = Vec::new();
+        if columns.is_some() {
+            while self.kind() == Kind::Ident
+                && QUALIFIERS.contains(&self.slice(self.token()))
+                && self.ahead(1).kind != Kind::LParen
+            {
+                qualifiers.push(self.name("a qualifier")?);
+            }
+            self.foreign_qualifiers();
+        }
+        Ok(Decl {
+            names,
+            columns,
+            qualifiers,
+            doc,
+        })
     }
 
     fn columns(&mut self) -> Parse<Vec<ColumnDecl>> {
@@ -531,25 +600,12 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// What Souffle allows after the columns: `inline`, `eqrel`, `choice-domain ...`.
-    fn qualifiers(&mut self) {
+    /// What Souffle allows after the columns and this language does not: `eqrel`, `choice-domain ...`.
+    fn foreign_qualifiers(&mut self) {
         let first = self.token();
         let known = matches!(
             self.slice(first),
-            "inline"
-                | "no_inline"
-                | "magic"
-                | "no_magic"
-                | "brie"
-                | "btree"
-                | "btree_delete"
-                | "eqrel"
-                | "override"
-                | "overridable"
-                | "input"
-                | "output"
-                | "printsize"
-                | "choice"
+            "btree_delete" | "provenance" | "eqrel" | "override" | "input" | "output" | "printsize" | "choice"
         );
         let clause_follows = self.ahead(1).kind == Kind::LParen;
         if first.kind != Kind::Ident || !known || clause_follows {
@@ -603,11 +659,13 @@ impl<'a> Parser<'a> {
         let next = self.token();
         match next.kind {
             Kind::LBrace => Err(self.unsupported(self.span(next), "algebraic data types are", "")),
-            Kind::Pipe => Err(self.unsupported(
-                self.span(next),
-                "union types are",
-                "declare a common parent and make each a subtype of it: `.type car <: agent`",
-            )),
+            Kind::Pipe => {
+                let mut members = vec![other];
+                while self.eat(Kind::Pipe) {
+                    members.push(self.name("a type")?);
+                }
+                Ok(TypeDefinition::Union(members))
+            }
             _ => Ok(TypeDefinition::Alias(other)),
         }
     }
@@ -623,22 +681,16 @@ impl<'a> Parser<'a> {
             let help = "mark a predicate as a result with `.output`";
             return Err(self.unsupported(self.span(start), "queries (`?-`) are", help));
         }
-        let head = self.atom("the arguments of the head: `(`")?;
+        let mut heads = vec![self.atom("the arguments of the head: `(`")?];
+        while self.eat(Kind::Comma) {
+            heads.push(self.atom("the arguments of the head: `(`")?);
+        }
         let mut body = Vec::new();
         match self.kind() {
             Kind::If => {
                 self.bump();
-                loop {
-                    body.push(self.literal()?);
-                    if !self.eat(Kind::Comma) {
-                        break;
-                    }
-                }
+                body = self.disjunction()?;
                 self.full_stop("`,` or `.`", start)?;
-            }
-            Kind::Comma => {
-                let span = self.span(self.token());
-                return Err(self.unsupported(span, "several heads in one clause are", "write a clause for each head"));
             }
             Kind::LessEqual => {
                 let span = self.span(self.token());
@@ -647,7 +699,7 @@ impl<'a> Parser<'a> {
             _ => self.full_stop("`:-` or `.`", start)?,
         }
         Ok(Clause {
-            head,
+            heads,
             body,
             doc,
             place: self.place_from(start),
@@ -666,11 +718,6 @@ impl<'a> Parser<'a> {
                 self.bump();
                 Ok(())
             }
-            Kind::Semicolon => Err(self.unsupported(
-                self.span(token),
-                "disjunction (`;`) is",
-                "write a clause for each alternative",
-            )),
             Kind::End => {
                 self.expected(what);
                 Ok(())
@@ -709,72 +756,145 @@ impl<'a> Parser<'a> {
         })
     }
 
-    fn literal(&mut self) -> Parse<Literal> {
-        let start = self.token();
+    /// One more parenthesis or brace around what follows.
+    fn deeper(&mut self) -> Parse<()> {
+        self.nesting += 1;
+        if self.nesting <= MAX_NESTING {
+            return Ok(());
+        }
+        let fault = Diagnostic::new(Code::LimitExceeded, "nested too deeply")
+            .at(self.span(self.token()), "")
+            .note(format!(
+                "at most {MAX_NESTING} negations, parentheses and braces may stand around anything"
+            ));
+        self.faults.push(fault);
+        Err(Reported)
+    }
+
+    /// `A(x), B(x); C(x)`
+    fn disjunction(&mut self) -> Parse<Vec<Literal>> {
+        let first = self.conjunction()?;
+        if self.kind() != Kind::Semicolon {
+            return Ok(first);
+        }
+        let mut alternatives = vec![first];
+        while self.eat(Kind::Semicolon) {
+            alternatives.push(self.conjunction()?);
+        }
+        Ok(vec![Literal::Any(alternatives)])
+    }
+
+    fn conjunction(&mut self) -> Parse<Vec<Literal>> {
+        let mut all = self.literals()?;
+        while self.eat(Kind::Comma) {
+            all.append(&mut self.literals()?);
+        }
+        Ok(all)
+    }
+
+    /// A literal, or what stands in parentheses, perhaps negated.
+    fn literals(&mut self) -> Parse<Vec<Literal>> {
+        let outside = self.nesting;
         let mut negated = false;
-        let mut open = 0_usize;
-        let mut nesting = 0_usize;
         loop {
             let token = self.token();
             match token.kind {
                 Kind::Bang => negated = !negated,
-                Kind::LParen => open += 1,
                 Kind::Ident if matches!(self.slice(token), "Not" | "not") => negated = !negated,
                 _ => break,
             }
-            nesting += 1;
-            if nesting > MAX_NESTING {
-                let fault = Diagnostic::new(Code::LimitExceeded, "literal nested too deeply")
-                    .at(self.span(start), "it begins here")
-                    .note(format!(
-                        "at most {MAX_NESTING} negations and parentheses may stand around a literal"
-                    ));
-                self.faults.push(fault);
-                return Err(Reported);
-            }
+            self.deeper()?;
             self.bump();
         }
-        let literal = self.atom_or_comparison(negated)?;
-        for _ in 0..open {
-            let token = self.token();
-            match token.kind {
-                Kind::RParen => {
-                    self.bump();
-                }
-                Kind::Comma => {
-                    return Err(self.unsupported(
-                        self.span(token),
-                        "a conjunction in parentheses is",
-                        "define a predicate for it by a clause of its own",
-                    ));
-                }
-                Kind::Semicolon => {
-                    return Err(self.unsupported(
-                        self.span(token),
-                        "disjunction (`;`) is",
-                        "write a clause for each alternative",
-                    ));
-                }
-                _ => return Err(self.expected("`)`")),
+        let all = if self.kind() == Kind::LParen && !self.is_operand_in_parentheses(0) {
+            self.deeper()?;
+            self.bump();
+            let all = self.disjunction()?;
+            if !self.eat(Kind::RParen) {
+                return Err(self.expected("`)`"));
             }
-        }
-        Ok(literal)
+            all
+        } else {
+            self.atom_or_comparison()?
+        };
+        self.nesting = outside;
+        Ok(if negated { negate(all) } else { all })
     }
 
-    fn atom_or_comparison(&mut self, negated: bool) -> Parse<Literal> {
+    /// The token after the `)` that closes the parenthesis so many tokens ahead, if the clause goes on until there.
+    fn after_parenthesis(&self, ahead: usize) -> Option<Token> {
+        let mut depth = 0_usize;
+        for (at, &token) in self.tokens.iter().enumerate().skip(self.at + ahead) {
+            match token.kind {
+                Kind::LParen => depth += 1,
+                Kind::RParen => depth = depth.checked_sub(1)?,
+                // No clause ends and no body begins within parentheses.
+                Kind::Dot | Kind::If | Kind::End => return None,
+                _ => {}
+            }
+            if depth == 0 {
+                return self.tokens.get(at + 1).copied();
+            }
+        }
+        None
+    }
+
+    /// Whether what stands in the parenthesis so many tokens ahead is an operand of something.
+    fn is_operand_in_parentheses(&self, ahead: usize) -> bool {
+        self.after_parenthesis(ahead)
+            .is_some_and(|after| comparison(after.kind).is_some() || self.infix(after).is_some())
+    }
+
+    /// The operator that stands between two operands.
+    fn infix(&self, token: Token) -> Option<Functor> {
+        match token.kind {
+            Kind::Operator | Kind::Minus | Kind::Ident => Functor::infix(self.slice(token)),
+            _ => None,
+        }
+    }
+
+    fn atom_or_comparison(&mut self) -> Parse<Vec<Literal>> {
         let start = self.token();
         let next = self.ahead(1);
-        if start.kind == Kind::Ident && next.kind == Kind::LParen && self.slice(start) != "as" {
-            let atom = self.atom("`(`")?;
-            let after = self.token();
-            if comparison(after.kind).is_some() || after.kind == Kind::Minus || self.is_arithmetic(after) {
-                return Err(self.unsupported(
-                    atom.place.0,
-                    "functors are",
-                    "an atom has no value that could be compared",
-                ));
+        if start.kind == Kind::Ident && next.kind == Kind::LParen && !self.is_term_with_parentheses() {
+            let op = match self.slice(start) {
+                "match" => Some(Comparison::Match),
+                "contains" => Some(Comparison::Contains),
+                _ => None,
+            };
+            let mut atom = self.atom("`(`")?;
+            let Some(op) = op else {
+                let after = self.token();
+                if comparison(after.kind).is_some() || self.infix(after).is_some() {
+                    return Err(self.unsupported(
+                        atom.place.0,
+                        &format!("the functor `{}` is", atom.predicate.text),
+                        "an atom has no value that could be compared",
+                    ));
+                }
+                return Ok(vec![Literal::Atom { negated: false, atom }]);
+            };
+            let (Some(right), Some(left), 0) = (atom.terms.pop(), atom.terms.pop(), atom.terms.len()) else {
+                let message = format!("`{}` takes 2 arguments", atom.predicate.text);
+                self.faults.push(
+                    Diagnostic::new(Code::ArityMismatch, message).at(atom.place.0, "a pattern or part, and a text"),
+                );
+                return Err(Reported);
+            };
+            let place = atom.place;
+            return Ok(vec![Literal::Compare { op, left, right, place }]);
+        }
+        let is_alone = comparison(next.kind).is_none() && self.infix(next).is_none();
+        match self.slice(start) {
+            "true" if is_alone => {
+                self.bump();
+                return Ok(Vec::new());
             }
-            return Ok(Literal::Atom { negated, atom });
+            "false" if is_alone => {
+                self.bump();
+                return Ok(vec![Literal::Any(Vec::new())]);
+            }
+            _ => {}
         }
         let part = self.ahead(2);
         if start.kind == Kind::Ident
@@ -799,6 +919,7 @@ impl<'a> Parser<'a> {
             | Kind::Text
             | Kind::OpenText
             | Kind::Minus
+            | Kind::LParen
             | Kind::LBracket
             | Kind::Dollar
             | Kind::At => self.term()?,
@@ -806,15 +927,16 @@ impl<'a> Parser<'a> {
         };
         let op_token = self.token();
         let Some(op) = comparison(op_token.kind) else {
-            if let TermKind::Variable(name) = &left.kind {
-                if matches!(name.as_str(), "true" | "false") {
-                    return Err(self.unsupported(left.place.0, &format!("the literal `{name}` is"), ""));
-                }
+            if let TermKind::Variable(_) = &left.kind {
                 let help = match op_token.kind {
                     Kind::Ident | Kind::Underscore => {
-                        format!("arguments stand in parentheses: `{name}({})`", self.slice(op_token))
+                        format!(
+                            "arguments stand in parentheses: `{}({})`",
+                            self.slice(start),
+                            self.slice(op_token)
+                        )
                     }
-                    _ => format!("a predicate without arguments is written `{name}()`"),
+                    _ => format!("a predicate without arguments is written `{}()`", self.slice(start)),
                 };
                 let fault = Diagnostic::new(Code::Syntax, format!("`{}` is not a literal", self.slice(start)))
                     .at(left.place.0, "expected an atom or a comparison")
@@ -826,102 +948,294 @@ impl<'a> Parser<'a> {
         };
         self.bump();
         let right = self.term()?;
-        Ok(Literal::Compare {
-            op: if negated { opposite(op) } else { op },
+        Ok(vec![Literal::Compare {
+            op,
             left,
             right,
             place: self.place_from(start),
-        })
+        }])
     }
 
+    // --- expressions
+
     fn term(&mut self) -> Parse<Term> {
+        self.expression(0).map(|(term, _)| term)
+    }
+
+    /// An expression of operators that bind at least so tightly, and its height.
+    fn expression(&mut self, least: u8) -> Parse<(Term, usize)> {
         let start = self.token();
-        let kind = match start.kind {
+        let (mut left, mut height) = self.operand()?;
+        while let Some(functor) = self.infix(self.token())
+            && let Some(own) = functor.precedence()
+            && own >= least
+        {
+            self.bump();
+            let outside = self.nesting;
+            if functor == Functor::Power {
+                self.deeper()?;
+            }
+            // `^` groups to the right, all others to the left.
+            let (right, right_height) = self.expression(own + u8::from(functor != Functor::Power))?;
+            self.nesting = outside;
+            height = self.higher(start, height.max(right_height))?;
+            left = Term {
+                kind: TermKind::Functor(functor, vec![left, right]),
+                place: self.place_from(start),
+            };
+        }
+        Ok((left, height))
+    }
+
+    fn higher(&mut self, start: Token, height: usize) -> Parse<usize> {
+        if height < MAX_HEIGHT {
+            return Ok(height + 1);
+        }
+        let fault = Diagnostic::new(Code::LimitExceeded, "expression with too many operators")
+            .at(self.span(start), "it begins here")
+            .note(format!("an expression is at most {MAX_HEIGHT} operators high"));
+        self.faults.push(fault);
+        Err(Reported)
+    }
+
+    /// Whether a term begins here that has parentheses: a function, or an aggregate of something in parentheses.
+    fn is_term_with_parentheses(&self) -> bool {
+        let word = self.slice(self.token());
+        let is_function = word == "as" || Functor::function(word).is_some();
+        self.is_aggregate() || (is_function && self.is_operand_in_parentheses(1)) || self.is_prefix_operator()
+    }
+
+    fn is_prefix_operator(&self) -> bool {
+        matches!(self.slice(self.token()), "bnot" | "lnot") && self.begins_operand(self.ahead(1))
+    }
+
+    fn begins_operand(&self, token: Token) -> bool {
+        match token.kind {
+            Kind::Number | Kind::Float | Kind::Unsigned | Kind::Text | Kind::LParen | Kind::Minus => true,
+            Kind::Ident | Kind::Underscore => self.infix(token).is_none(),
+            _ => false,
+        }
+    }
+
+    fn is_aggregate(&self) -> bool {
+        let next = self.ahead(1);
+        match self.slice(self.token()) {
+            "count" => matches!(next.kind, Kind::Colon | Kind::LBrace),
+            "sum" | "mean" => next.kind != Kind::Minus && self.begins_operand(next),
+            "min" | "max" if next.kind == Kind::LParen => {
+                (self.after_parenthesis(1)).is_some_and(|after| after.kind == Kind::Colon)
+            }
+            "min" | "max" => next.kind != Kind::Minus && self.begins_operand(next),
+            _ => false,
+        }
+    }
+
+    /// What operators stand between, and its height.
+    fn operand(&mut self) -> Parse<(Term, usize)> {
+        let start = self.token();
+        let outside = self.nesting;
+        let prefix = match start.kind {
+            Kind::Minus => Some(Functor::Negate),
+            Kind::Ident if self.is_prefix_operator() && self.slice(start) == "bnot" => Some(Functor::BitNot),
+            Kind::Ident if self.is_prefix_operator() => Some(Functor::Not),
+            _ => None,
+        };
+        if let Some(functor) = prefix {
+            self.bump();
+            let number = self.token();
+            let powered = self.infix(self.ahead(1)) == Some(Functor::Power);
+            let kind = match number.kind {
+                Kind::Number if functor == Functor::Negate && !powered => {
+                    self.bump();
+                    Some(TermKind::Number(-self.number(number)))
+                }
+                Kind::Float if functor == Functor::Negate && !powered => {
+                    self.bump();
+                    Some(TermKind::Float(format!("-{}", self.slice(number))))
+                }
+                _ => None,
+            };
+            if let Some(kind) = kind {
+                let place = self.place_from(start);
+                return Ok((Term { kind, place }, 0));
+            }
+            self.deeper()?;
+            // An operand may have a sign of its own; only `^` binds more tightly.
+            let tighter = Functor::Power.precedence().unwrap_or(0);
+            let (operand, height) = self.expression(tighter)?;
+            self.nesting = outside;
+            let height = self.higher(start, height)?;
+            let term = Term {
+                kind: TermKind::Functor(functor, vec![operand]),
+                place: self.place_from(start),
+            };
+            return Ok((term, height));
+        }
+        if start.kind == Kind::LParen {
+            self.deeper()?;
+            self.bump();
+            let inner = self.expression(0)?;
+            if !self.eat(Kind::RParen) {
+                return Err(self.expected("`)`"));
+            }
+            self.nesting = outside;
+            return Ok(inner);
+        }
+        let (kind, height) = match start.kind {
             Kind::Ident => {
-                let next = self.ahead(1);
-                let word = self.slice(start);
-                if AGGREGATES.contains(&word)
-                    && matches!(
-                        next.kind,
-                        Kind::Colon | Kind::LBrace | Kind::Ident | Kind::Number | Kind::LParen
-                    )
-                {
-                    let what = format!("the aggregate `{word}` is");
-                    return Err(self.unsupported(self.span(start), &what, ""));
+                let applied = self.ahead(1).kind == Kind::LParen;
+                match self.slice(start) {
+                    _ if self.is_aggregate() => (self.aggregate()?, 0),
+                    "as" if applied => self.cast()?,
+                    "range" | "autoinc" if applied => {
+                        let what = format!("the functor `{}` is", self.slice(start));
+                        return Err(self.unsupported(self.span(start), &what, ""));
+                    }
+                    "nil" => return Err(self.unsupported(self.span(start), "records (`nil`) are", "")),
+                    word if applied => match Functor::function(word) {
+                        Some(functor) => self.function(functor)?,
+                        None => {
+                            let what = format!("the functor `{word}` is");
+                            let help = "an argument is a variable, a constant, `_` or an expression of the functors listed \
+                                        in the reference";
+                            return Err(self.unsupported(self.span(start), &what, help));
+                        }
+                    },
+                    word => {
+                        self.bump();
+                        (TermKind::Variable(word.to_owned()), 0)
+                    }
                 }
-                if next.kind == Kind::LParen {
-                    let what = match word {
-                        "as" => "type casts (`as`) are".to_owned(),
-                        _ => format!("the functor `{word}` is"),
-                    };
-                    return Err(self.unsupported(
-                        self.span(start),
-                        &what,
-                        "an argument is a variable, a constant or `_`",
-                    ));
-                }
-                if word == "nil" {
-                    return Err(self.unsupported(self.span(start), "records (`nil`) are", ""));
-                }
-                let name = word.to_owned();
-                self.bump();
-                TermKind::Variable(name)
             }
             Kind::Underscore => {
                 self.bump();
-                TermKind::Wildcard
+                (TermKind::Wildcard, 0)
             }
             Kind::Number => {
                 self.bump();
-                TermKind::Number(self.number(start, false))
+                (TermKind::Number(self.number(start)), 0)
             }
-            Kind::Minus => {
+            Kind::Unsigned => {
                 self.bump();
-                let number = self.token();
-                match number.kind {
-                    Kind::Number => {
-                        self.bump();
-                        TermKind::Number(self.number(number, true))
-                    }
-                    Kind::Float => {
-                        return Err(self.unsupported(self.span(number), "floating-point numbers are", ""));
-                    }
-                    _ => return Err(self.unsupported(self.span(start), "arithmetic is", "")),
-                }
+                let number = self.number(start);
+                (TermKind::Unsigned(u32::try_from(number).unwrap_or(0)), 0)
+            }
+            Kind::Float => {
+                self.bump();
+                (TermKind::Float(self.slice(start).to_owned()), 0)
             }
             Kind::Text | Kind::OpenText => {
                 self.bump();
-                TermKind::Text(self.unescape(start))
+                (TermKind::Text(self.unescape(start)), 0)
             }
             // Reported by the lexer.
             Kind::Faulty => return Err(Reported),
-            Kind::Float => return Err(self.unsupported(self.span(start), "floating-point numbers are", "")),
-            Kind::Unsigned => {
-                return Err(self.unsupported(self.span(start), "unsigned numbers are", "write it without the `u`"));
-            }
             Kind::LBracket => return Err(self.unsupported(self.span(start), "records (`[...]`) are", "")),
             Kind::Dollar => {
                 return Err(self.unsupported(self.span(start), "algebraic data types and counters (`$`) are", ""));
             }
             Kind::At => return Err(self.unsupported(self.span(start), "user-defined functors (`@`) are", "")),
-            _ => return Err(self.expected("an argument: a variable, a constant or `_`")),
+            _ => return Err(self.expected("an argument: a variable, a constant, `_` or an expression")),
         };
         let place = self.place_from(start);
-        let after = self.token();
-        let word_operator = after.kind == Kind::Ident
-            && matches!(
-                self.slice(after),
-                "band" | "bor" | "bxor" | "bshl" | "bshr" | "bshru" | "land" | "lor" | "lxor"
-            );
-        if after.kind == Kind::Minus || self.is_arithmetic(after) || word_operator {
-            return Err(self.unsupported(self.span(after), "arithmetic is", ""));
-        }
-        Ok(Term { kind, place })
+        Ok((Term { kind, place }, height))
     }
 
-    /// The value of a number; one that does not fit is reported and becomes 0.
-    fn number(&mut self, token: Token, negative: bool) -> i32 {
+    /// `cat(x, y)`
+    fn function(&mut self, functor: Functor) -> Parse<(TermKind, usize)> {
+        let start = self.token();
+        let outside = self.nesting;
+        self.deeper()?;
+        self.bump();
+        self.bump();
+        let mut arguments = Vec::new();
+        let mut height = 0;
+        if !self.eat(Kind::RParen) {
+            loop {
+                let (argument, own) = self.expression(0)?;
+                arguments.push(argument);
+                height = height.max(own);
+                if self.eat(Kind::RParen) {
+                    break;
+                }
+                if !self.eat(Kind::Comma) {
+                    return Err(self.expected("`,` or `)`"));
+                }
+            }
+        }
+        self.nesting = outside;
+        let (least, most) = functor.arity();
+        if arguments.len() < least || arguments.len() > most {
+            let wanted = match (least, most) {
+                (1, 1) => "1 argument".to_owned(),
+                (least, most) if least == most => format!("{least} arguments"),
+                (least, most) => format!("{least} to {most} arguments"),
+            };
+            let message = format!("`{}` takes {wanted}, not {}", functor.name(), arguments.len());
+            let place = self.place_from(start).0;
+            self.faults
+                .push(Diagnostic::new(Code::ArityMismatch, message).at(place, ""));
+            return Err(Reported);
+        }
+        let height = self.higher(start, height)?;
+        Ok((TermKind::Functor(functor, arguments), height))
+    }
+
+    /// `as(x, type)`
+    fn cast(&mut self) -> Parse<(TermKind, usize)> {
+        let start = self.token();
+        let outside = self.nesting;
+        self.deeper()?;
+        self.bump();
+        self.bump();
+        let (term, height) = self.expression(0)?;
+        if !self.eat(Kind::Comma) {
+            return Err(self.expected("`,` and a type"));
+        }
+        let ty = self.name("a type")?;
+        if !self.eat(Kind::RParen) {
+            return Err(self.expected("`)`"));
+        }
+        self.nesting = outside;
+        let height = self.higher(start, height)?;
+        Ok((TermKind::Cast(Box::new(term), ty), height))
+    }
+
+    /// `sum x : { A(x) }`, `count : A(_)`
+    fn aggregate(&mut self) -> Parse<TermKind> {
+        let outside = self.nesting;
+        self.deeper()?;
+        let word = self.bump();
+        let op = AggregateOp::ALL.into_iter().find(|op| op.name() == self.slice(word));
+        let op = op.unwrap_or(AggregateOp::Count);
+        let target = if op == AggregateOp::Count {
+            None
+        } else {
+            Some(self.term()?)
+        };
+        if !self.eat(Kind::Colon) {
+            return Err(self.expected("`:` and what to aggregate over: `{ ... }`"));
+        }
+        let body = if self.eat(Kind::LBrace) {
+            let body = self.disjunction()?;
+            if !self.eat(Kind::RBrace) {
+                return Err(self.expected("`,`, `;` or `}`"));
+            }
+            body
+        } else {
+            vec![Literal::Atom {
+                negated: false,
+                atom: self.atom("`(`")?,
+            }]
+        };
+        self.nesting = outside;
+        Ok(TermKind::Aggregate(Box::new(Aggregate { op, target, body })))
+    }
+
+    /// The value of a number; one that no type has is reported and becomes 0.
+    fn number(&mut self, token: Token) -> i64 {
         let text = self.slice(token);
+        let text = text.strip_suffix('u').unwrap_or(text);
         let (digits, radix) = match text.get(..2) {
             Some("0x") => (&text[2..], 16),
             Some("0b") => (&text[2..], 2),
@@ -934,14 +1248,19 @@ impl<'a> Parser<'a> {
                 None => return 0, // the lexer has reported it
             }
         }
-        let value = if negative { -value } else { value };
-        i32::try_from(value).unwrap_or_else(|_| {
+        if value > i64::from(u32::MAX) {
             let fault = Diagnostic::new(Code::LimitExceeded, "number out of range")
                 .at(self.span(token), "")
-                .note(format!("numbers go from {} to {}", i32::MIN, i32::MAX));
+                .note(format!(
+                    "numbers go from {} to {}, unsigned ones to {}",
+                    i32::MIN,
+                    i32::MAX,
+                    u32::MAX
+                ));
             self.faults.push(fault);
-            0
-        })
+            return 0;
+        }
+        value
     }
 
     /// The text between the quotes with its escapes replaced.
@@ -992,14 +1311,31 @@ fn comparison(kind: Kind) -> Option<Comparison> {
     })
 }
 
-fn opposite(op: Comparison) -> Comparison {
-    match op {
-        Comparison::Equal => Comparison::NotEqual,
-        Comparison::NotEqual => Comparison::Equal,
-        Comparison::Less => Comparison::GreaterEqual,
-        Comparison::LessEqual => Comparison::Greater,
-        Comparison::Greater => Comparison::LessEqual,
-        Comparison::GreaterEqual => Comparison::Less,
+/// What holds if not all of these do.
+pub(super) fn negate(mut all: Vec<Literal>) -> Vec<Literal> {
+    match all.pop() {
+        Some(only) if all.is_empty() => negate_one(only),
+        Some(last) => {
+            all.push(last);
+            vec![Literal::Any(all.into_iter().map(negate_one).collect())]
+        }
+        None => vec![Literal::Any(Vec::new())],
+    }
+}
+
+fn negate_one(literal: Literal) -> Vec<Literal> {
+    match literal {
+        Literal::Atom { negated, atom } => vec![Literal::Atom {
+            negated: !negated,
+            atom,
+        }],
+        Literal::Compare { op, left, right, place } => vec![Literal::Compare {
+            op: op.opposite(),
+            left,
+            right,
+            place,
+        }],
+        Literal::Any(alternatives) => alternatives.into_iter().flat_map(negate).collect(),
     }
 }
 

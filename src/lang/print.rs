@@ -3,6 +3,7 @@
 use std::fmt::{self, Display, Write};
 
 use super::ast::{Atom, Clause, File, Item, Literal, MarkKind, Term, TermKind, TypeDefinition};
+use super::functor::Functor;
 use super::rules::Comparison;
 
 /// The text of a tree. Ordinary comments and spacing are not in the tree and so not in the text. A declaration that was
@@ -22,12 +23,16 @@ impl Display for Item {
         match self {
             Item::Include(include) => writeln!(f, ".include {}", Quoted(&include.path)),
             Item::Type(decl) => {
-                let (sign, other) = match &decl.definition {
-                    TypeDefinition::Subtype(parent) => ("<:", parent),
-                    TypeDefinition::Alias(other) => ("=", other),
-                    TypeDefinition::Faulty => return Ok(()),
-                };
-                writeln!(f, "{}.type {} {sign} {}", Doc(&decl.doc), decl.name.text, other.text)
+                let doc = Doc(&decl.doc);
+                match &decl.definition {
+                    TypeDefinition::Subtype(parent) => writeln!(f, "{doc}.type {} <: {}", decl.name.text, parent.text),
+                    TypeDefinition::Alias(other) => writeln!(f, "{doc}.type {} = {}", decl.name.text, other.text),
+                    TypeDefinition::Union(members) => {
+                        let members: Vec<&str> = members.iter().map(|member| member.text.as_str()).collect();
+                        writeln!(f, "{doc}.type {} = {}", decl.name.text, members.join(" | "))
+                    }
+                    TypeDefinition::Faulty => Ok(()),
+                }
             }
             Item::Decl(decl) => {
                 let Some(columns) = &decl.columns else { return Ok(()) };
@@ -37,7 +42,11 @@ impl Display for Item {
                 separated(f, columns, |f, column| {
                     write!(f, "{}: {}", column.name.text, column.ty.text)
                 })?;
-                writeln!(f, ")")
+                f.write_char(')')?;
+                decl.qualifiers
+                    .iter()
+                    .try_for_each(|word| write!(f, " {}", word.text))?;
+                writeln!(f)
             }
             Item::Mark(mark) => {
                 f.write_str(match mark.kind {
@@ -46,6 +55,21 @@ impl Display for Item {
                     MarkKind::PrintSize => ".printsize ",
                 })?;
                 separated(f, &mark.names, |f, name| f.write_str(&name.text))?;
+                if !mark.options.is_empty() {
+                    f.write_char('(')?;
+                    separated(f, &mark.options, |f, option| {
+                        write!(f, "{}={}", option.key.text, Quoted(&option.value))
+                    })?;
+                    f.write_char(')')?;
+                }
+                writeln!(f)
+            }
+            Item::Pragma(pragma) => {
+                f.write_str(".pragma")?;
+                pragma
+                    .words
+                    .iter()
+                    .try_for_each(|word| write!(f, " {}", Quoted(word)))?;
                 writeln!(f)
             }
             Item::Promise(promise) => {
@@ -64,20 +88,56 @@ impl Display for Item {
 
 impl Display for Clause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}{}", Doc(&self.doc), self.head)?;
-        if !self.body.is_empty() {
-            f.write_str(" :- ")?;
-            separated(f, &self.body, |f, literal| write!(f, "{literal}"))?;
+        write!(f, "{}", Doc(&self.doc))?;
+        separated(f, &self.heads, |f, head| write!(f, "{head}"))?;
+        match self.body.as_slice() {
+            [] => {}
+            [Literal::Any(alternatives)] if !alternatives.is_empty() => {
+                f.write_str(" :- ")?;
+                write_alternatives(f, alternatives)?;
+            }
+            body => {
+                f.write_str(" :- ")?;
+                write_all(f, body)?;
+            }
         }
         f.write_char('.')
     }
+}
+
+/// Literals that all hold.
+fn write_all(f: &mut fmt::Formatter<'_>, literals: &[Literal]) -> fmt::Result {
+    if literals.is_empty() {
+        return f.write_str("true");
+    }
+    separated(f, literals, |f, literal| write!(f, "{literal}"))
+}
+
+fn write_alternatives(f: &mut fmt::Formatter<'_>, alternatives: &[Vec<Literal>]) -> fmt::Result {
+    for (index, alternative) in alternatives.iter().enumerate() {
+        if index > 0 {
+            f.write_str("; ")?;
+        }
+        write_all(f, alternative)?;
+    }
+    Ok(())
 }
 
 impl Display for Literal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Literal::Atom { negated, atom } => write!(f, "{}{atom}", if *negated { "!" } else { "" }),
-            Literal::Compare { op, left, right, .. } => write!(f, "{left} {op} {right}"),
+            Literal::Compare { op, left, right, .. } => match op {
+                Comparison::Match | Comparison::Contains => write!(f, "{op}({left}, {right})"),
+                Comparison::NotMatch | Comparison::NotContains => write!(f, "!{}({left}, {right})", op.opposite()),
+                _ => write!(f, "{left} {op} {right}"),
+            },
+            Literal::Any(alternatives) if alternatives.is_empty() => f.write_str("false"),
+            Literal::Any(alternatives) => {
+                f.write_char('(')?;
+                write_alternatives(f, alternatives)?;
+                f.write_char(')')
+            }
         }
     }
 }
@@ -96,7 +156,85 @@ impl Display for Term {
             TermKind::Variable(name) => f.write_str(name),
             TermKind::Wildcard => f.write_char('_'),
             TermKind::Number(number) => write!(f, "{number}"),
+            TermKind::Unsigned(number) => write!(f, "{number}u"),
+            TermKind::Float(number) => f.write_str(number),
             TermKind::Text(text) => write!(f, "{}", Quoted(text)),
+            TermKind::Functor(functor, arguments) => write_functor(f, *functor, arguments),
+            TermKind::Cast(term, ty) => write!(f, "as({term}, {})", ty.text),
+            TermKind::Aggregate(aggregate) => {
+                f.write_str(aggregate.op.name())?;
+                if let Some(target) = &aggregate.target {
+                    write!(f, " {}", Operand(target, u8::MAX))?;
+                }
+                f.write_str(" : { ")?;
+                match aggregate.body.as_slice() {
+                    [Literal::Any(alternatives)] if !alternatives.is_empty() => write_alternatives(f, alternatives)?,
+                    body => write_all(f, body)?,
+                }
+                f.write_str(" }")
+            }
+        }
+    }
+}
+
+fn write_functor(f: &mut fmt::Formatter<'_>, functor: Functor, arguments: &[Term]) -> fmt::Result {
+    match (functor.precedence(), arguments) {
+        // Else it would be read as the number.
+        (_, [number])
+            if functor == Functor::Negate && matches!(number.kind, TermKind::Number(_) | TermKind::Float(_)) =>
+        {
+            write!(f, "-({number})")
+        }
+        (Some(own), [operand]) => {
+            let space = if functor == Functor::Negate { "" } else { " " };
+            write!(
+                f,
+                "{}{space}{}",
+                functor.name(),
+                Operand(operand, own.saturating_add(1))
+            )
+        }
+        (Some(own), [left, right]) => {
+            // `^` groups to the right, all others to the left.
+            let (for_left, for_right) = if functor == Functor::Power {
+                (own + 1, own)
+            } else {
+                (own, own + 1)
+            };
+            write!(
+                f,
+                "{} {} {}",
+                Operand(left, for_left),
+                functor.name(),
+                Operand(right, for_right)
+            )
+        }
+        _ => {
+            write!(f, "{}(", functor.name())?;
+            separated(f, arguments, |f, argument| write!(f, "{argument}"))?;
+            f.write_char(')')
+        }
+    }
+}
+
+/// An operand of something that binds so tightly; in parentheses if it binds less.
+struct Operand<'a>(&'a Term, u8);
+
+impl Display for Operand<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Operand(term, tightness) = self;
+        let own = match &term.kind {
+            TermKind::Functor(functor, _) => functor.precedence().unwrap_or(u8::MAX),
+            // As its minus sign does.
+            TermKind::Number(..0) => 10,
+            TermKind::Float(text) if text.starts_with('-') => 10,
+            TermKind::Aggregate(_) => 0,
+            _ => u8::MAX,
+        };
+        if own < *tightness {
+            write!(f, "({term})")
+        } else {
+            write!(f, "{term}")
         }
     }
 }
@@ -110,6 +248,10 @@ impl Display for Comparison {
             Comparison::LessEqual => "<=",
             Comparison::Greater => ">",
             Comparison::GreaterEqual => ">=",
+            Comparison::Match => "match",
+            Comparison::NotMatch => "!match",
+            Comparison::Contains => "contains",
+            Comparison::NotContains => "!contains",
         })
     }
 }

@@ -1,14 +1,16 @@
 //! Checked rules: what the engine is given.
 //!
 //! A [`Rules`] is made by [`super::load`] from parsed text once every check has passed, and never changes afterwards. In it every name is
-//! resolved, `.scope` guards are written out as ordinary atoms, every clause is safe (each variable is bound by a positive
-//! atom; in the clause of a hidden predicate by a positive atom or a guard) and the predicates are stratified.
+//! resolved, expressions, aggregates and disjunctions are taken apart, `.scope` guards are written out as ordinary atoms, every clause is safe (each variable is bound by a positive
+//! atom or computed from bound ones; in the clause of a hidden predicate by a positive atom or a guard) and the predicates are stratified.
 
 use crate::diag::Span;
 use crate::symbol::Symbols;
 
+use super::functor::{AggregateOp, Functor};
+
 /// One 32-bit word of a row. A column of base type `symbol` holds the number of a [`crate::symbol::Symbol`], one of base type
-/// `number` the bits of an `i32`.
+/// `number` the bits of an `i32`, of `unsigned` a `u32`, of `float` the bits of an `f32`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Value(pub u32);
 
@@ -22,30 +24,61 @@ impl Value {
     pub fn as_number(self) -> i32 {
         self.0.cast_signed()
     }
+
+    /// The word for a float. There is one zero and one "not a number", so floats are equal if their words are.
+    pub fn float(x: f32) -> Self {
+        Value(if x.is_nan() { f32::NAN } else { x + 0.0 }.to_bits())
+    }
+
+    /// The float that the word holds, if its column is of base type `float`.
+    pub fn as_float(self) -> f32 {
+        f32::from_bits(self.0)
+    }
 }
 
 /// What a word means.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum BaseType {
     /// An interned text.
     Symbol,
     /// A 32-bit signed integer.
     Number,
+    /// A 32-bit unsigned integer.
+    Unsigned,
+    /// A floating-point number of single precision.
+    Float,
+}
+
+impl BaseType {
+    /// All of them; the type of that name is at the same position of [`Rules::types`].
+    pub const ALL: [BaseType; 4] = [BaseType::Symbol, BaseType::Number, BaseType::Unsigned, BaseType::Float];
+
+    /// Its name in the language.
+    pub fn name(self) -> &'static str {
+        match self {
+            BaseType::Symbol => "symbol",
+            BaseType::Number => "number",
+            BaseType::Unsigned => "unsigned",
+            BaseType::Float => "float",
+        }
+    }
 }
 
 /// Names a type of [`Rules::types`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TypeId(pub u32);
 
-/// A type: `symbol`, `number`, or a declared subtype of one of them.
+/// A type: a base type, a declared subtype, or a union of types.
 #[derive(Clone, Debug)]
 pub struct Type {
     /// Its name.
     pub name: String,
     /// What its values are made of.
     pub base: BaseType,
-    /// The type it was declared a subtype of; `None` for `symbol` and `number`.
+    /// The type it was declared a subtype of; for a union its base; `None` for a base type.
     pub parent: Option<TypeId>,
+    /// The types that a union is made of; empty for other types.
+    pub members: Vec<TypeId>,
     /// Text of its doc comment.
     pub doc: String,
 }
@@ -85,6 +118,8 @@ pub struct Relation {
     pub span: Span,
     /// Marked `.input`.
     pub input: bool,
+    /// Where rows that are given go if rules derive further ones: a hidden predicate that the last of these rules reads.
+    pub given: Option<RelId>,
     /// Marked `.output`.
     pub output: bool,
     /// Marked `.printsize`.
@@ -93,6 +128,62 @@ pub struct Relation {
     pub derived: bool,
     /// Made while checking, not declared.
     pub hidden: bool,
+    /// What its `.input`, `.output` and `.printsize` say beyond that, one for each.
+    pub directives: Vec<Directive>,
+}
+
+/// One `.input`, `.output` or `.printsize` of a predicate.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Directive {
+    /// Which of them.
+    pub kind: MarkKind,
+    /// Where rows come from or go to.
+    pub place: RowPlace,
+    /// How rows are written.
+    pub format: RowFormat,
+}
+
+/// What a [`Directive`] says of its predicate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MarkKind {
+    /// `.input`
+    Input,
+    /// `.output`
+    Output,
+    /// `.printsize`
+    PrintSize,
+}
+
+/// Where rows come from or go to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RowPlace {
+    /// The file that is named after the predicate.
+    Usual,
+    /// `filename=`
+    File(String),
+    /// `IO=stdin`, `IO=stdout`
+    Terminal,
+}
+
+/// How rows are written as text.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RowFormat {
+    /// `delimiter=`: what stands between the values of a row.
+    pub delimiter: String,
+    /// `headers=`: whether the first line names the columns.
+    pub headers: bool,
+    /// `rfc4180=`: whether texts stand in double quotes, with a double quote in them written twice.
+    pub quoted: bool,
+}
+
+impl Default for RowFormat {
+    fn default() -> Self {
+        RowFormat {
+            delimiter: "\t".to_owned(),
+            headers: false,
+            quoted: false,
+        }
+    }
 }
 
 impl Relation {
@@ -137,7 +228,7 @@ pub struct Atom {
 }
 
 /// A comparison operator.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Comparison {
     /// `=`
     Equal,
@@ -151,6 +242,32 @@ pub enum Comparison {
     Greater,
     /// `>=`
     GreaterEqual,
+    /// `match(pattern, text)`
+    Match,
+    /// `!match(pattern, text)`
+    NotMatch,
+    /// `contains(part, text)`
+    Contains,
+    /// `!contains(part, text)`
+    NotContains,
+}
+
+impl Comparison {
+    /// The comparison that holds when this one does not.
+    pub fn opposite(self) -> Comparison {
+        match self {
+            Comparison::Equal => Comparison::NotEqual,
+            Comparison::NotEqual => Comparison::Equal,
+            Comparison::Less => Comparison::GreaterEqual,
+            Comparison::LessEqual => Comparison::Greater,
+            Comparison::Greater => Comparison::LessEqual,
+            Comparison::GreaterEqual => Comparison::Less,
+            Comparison::Match => Comparison::NotMatch,
+            Comparison::NotMatch => Comparison::Match,
+            Comparison::Contains => Comparison::NotContains,
+            Comparison::NotContains => Comparison::Contains,
+        }
+    }
 }
 
 /// A literal of a clause's body.
@@ -175,8 +292,72 @@ pub enum Literal {
         /// The place in the text.
         span: Span,
     },
+    /// `to` is the value of the functor; if there is none, the literal does not hold. The arguments are variables or constants.
+    /// Besides testing it binds `to` when all arguments are bound.
+    Compute {
+        /// A variable.
+        to: Term,
+        /// What is computed.
+        functor: Functor,
+        /// The base type of the first argument, which decides what the functor means.
+        base: BaseType,
+        /// Its arguments.
+        arguments: Vec<Term>,
+        /// The place in the text.
+        span: Span,
+    },
+    /// `to` is the aggregate over the rows of the atom that have its constants and the values of its variables; if it has no
+    /// value, the literal does not hold. The atom's predicate is in a lower stratum. Besides testing it binds `to` when all
+    /// variables of the atom are bound.
+    Aggregate {
+        /// A variable.
+        to: Term,
+        /// What is computed.
+        op: AggregateOp,
+        /// The base type of the values.
+        base: BaseType,
+        /// The rows.
+        atom: Atom,
+        /// The column of the values; `None` for `count`.
+        column: Option<usize>,
+    },
     /// `.scope` guard: like `Positive`, but not written by the author.
     Guard(Atom),
+}
+
+impl Literal {
+    /// The atom of a literal that has one.
+    pub fn atom(&self) -> Option<&Atom> {
+        match self {
+            Literal::Positive(atom)
+            | Literal::Negative(atom)
+            | Literal::Guard(atom)
+            | Literal::Aggregate { atom, .. } => Some(atom),
+            Literal::Compare { .. } | Literal::Compute { .. } => None,
+        }
+    }
+
+    /// Its variables, constants and wildcards.
+    pub fn terms(&self) -> impl Iterator<Item = &Term> {
+        let (list, further): (&[Term], [Option<&Term>; 2]) = match self {
+            Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => (&atom.terms, [None; 2]),
+            Literal::Compare { left, right, .. } => (&[], [Some(left), Some(right)]),
+            Literal::Compute { to, arguments, .. } => (arguments, [Some(to), None]),
+            Literal::Aggregate { to, atom, .. } => (&atom.terms, [Some(to), None]),
+        };
+        list.iter().chain(further.into_iter().flatten())
+    }
+
+    /// The same, to be changed.
+    pub(super) fn terms_mut(&mut self) -> impl Iterator<Item = &mut Term> {
+        let (list, further): (&mut [Term], [Option<&mut Term>; 2]) = match self {
+            Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => (&mut atom.terms, [None, None]),
+            Literal::Compare { left, right, .. } => (&mut [], [Some(left), Some(right)]),
+            Literal::Compute { to, arguments, .. } => (arguments, [Some(to), None]),
+            Literal::Aggregate { to, atom, .. } => (&mut atom.terms, [Some(to), None]),
+        };
+        list.iter_mut().chain(further.into_iter().flatten())
+    }
 }
 
 /// Names a clause of [`Rules::clauses`].
@@ -241,7 +422,7 @@ pub struct Stratum {
 /// Checked rules.
 #[derive(Clone, Debug)]
 pub struct Rules {
-    /// Types; the first two are `symbol` and `number`.
+    /// Types; the first ones are the base types, in the order of [`BaseType::ALL`].
     pub types: Vec<Type>,
     /// Predicates in the order of declaration, hidden ones last.
     pub relations: Vec<Relation>,

@@ -13,7 +13,8 @@ use indexmap::IndexMap;
 use crate::diag::{Code, Diagnostic, Span};
 
 use super::ast;
-use super::clause::{Clauses, Edge, VariableType};
+use super::body::VariableType;
+use super::clause::{Clauses, Edge, EdgeKind};
 use super::faults::Faults;
 use super::names::{Names, Signature};
 use super::rules::{Atom, Clause, Column, Literal, RelId, Relation, Term, TypeId, VarId};
@@ -32,11 +33,12 @@ pub(super) struct Scope<'a> {
 
 /// The scope in force.
 #[derive(Clone, Copy, Debug)]
-struct Guard {
-    relation: RelId,
-    ego: TypeId,
-    seen: TypeId,
-    span: Span,
+pub(super) struct Guard {
+    pub relation: RelId,
+    pub ego: TypeId,
+    pub seen: TypeId,
+    /// The `.scope`.
+    pub span: Span,
 }
 
 /// The scopes of a program, as its clauses are read in order.
@@ -58,6 +60,11 @@ struct Hidden {
 }
 
 impl Scopes {
+    /// The scope in force.
+    pub fn current(&self) -> Option<Guard> {
+        self.current
+    }
+
     /// A `.scope` directive.
     pub fn enter(&mut self, scope: &ast::Scope, names: &mut Names, faults: &mut Faults) {
         self.current = None;
@@ -189,12 +196,12 @@ impl Scopes {
                     out.edges.push(Edge {
                         from: head,
                         to: guard.relation,
-                        negative: true,
+                        kind: EdgeKind::Negates,
                         span: guard.span,
                     });
                     *atom = self.hide(atom, ego, wildcards, &clause.names, guard, names, out);
                 }
-                Literal::Compare { .. } | Literal::Guard(_) => {}
+                Literal::Compare { .. } | Literal::Compute { .. } | Literal::Aggregate { .. } | Literal::Guard(_) => {}
             }
         }
         let atom = |target: VarId| Atom {
@@ -214,7 +221,7 @@ impl Scopes {
         out.edges.push(Edge {
             from: head,
             to: guard.relation,
-            negative: false,
+            kind: EdgeKind::Needs,
             span: guard.span,
         });
     }
@@ -280,7 +287,7 @@ impl Scopes {
     ) -> RelId {
         let relation = RelId(u32::try_from(names.relations.len()).expect("fewer than 2^32 predicates"));
         names.relations.push(Relation {
-            name: format!("+{}", self.hidden.len() + 1),
+            name: format!("+{}", names.hidden() + 1),
             columns: (columns.iter())
                 .map(|(ty, name)| Column {
                     name: name.clone(),
@@ -295,10 +302,12 @@ impl Scopes {
             ),
             span,
             input: false,
+            given: None,
             output: false,
             printsize: false,
             derived: true,
             hidden: true,
+            directives: Vec::new(),
         });
         names.signatures.push(Signature {
             columns: Some(columns.iter().map(|(ty, _)| Some(*ty)).collect()),
@@ -347,7 +356,7 @@ fn variable(index: usize) -> VarId {
 }
 
 /// Whether a variable of that type may stand in a column of the scope.
-fn fits(ty: VariableType, column: TypeId, names: &Names) -> bool {
+pub(super) fn fits(ty: VariableType, column: TypeId, names: &Names) -> bool {
     match ty {
         VariableType::Unknown => false,
         VariableType::Base(base) => base == names.base(column),

@@ -6,10 +6,10 @@ use std::collections::{BinaryHeap, VecDeque};
 
 use crate::diag::{Code, Diagnostic};
 
-use super::clause::Edge;
+use super::clause::{Edge, EdgeKind};
 use super::faults::Faults;
 use super::names::Names;
-use super::rules::{Clause, ClauseId, Literal, RelId, Relation, Stratum};
+use super::rules::{Clause, ClauseId, RelId, Relation, Stratum};
 
 /// In one component so many cycles are reported; more would not help to mend it.
 const MAX_CYCLES: usize = 8;
@@ -34,7 +34,11 @@ pub(super) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
             return;
         }
         let home = component[edge.from.index()];
-        if !edge.negative || component[edge.to.index()] != home || covered[index] || reported[home] >= MAX_CYCLES {
+        if edge.kind == EdgeKind::Needs
+            || component[edge.to.index()] != home
+            || covered[index]
+            || reported[home] >= MAX_CYCLES
+        {
             continue;
         }
         reported[home] += 1;
@@ -44,31 +48,29 @@ pub(super) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
             covered[step] = true;
         }
         let name = |id: RelId| names.relation(id).name.as_str();
+        let what = match edge.kind {
+            EdgeKind::Aggregates => "an aggregate over itself",
+            _ => "its own negation",
+        };
         let message = match back.as_slice() {
-            [] => format!("`{}` depends on its own negation", name(edge.from)),
+            [] => format!("`{}` depends on {what}", name(edge.from)),
             _ => format!(
-                "`{}` depends on its own negation, through {}",
+                "`{}` depends on {what}, through {}",
                 name(edge.from),
                 through(edge, &back, edges, names)
             ),
         };
-        let mut fault = Diagnostic::new(Code::CyclicNegation, message).at(
-            edge.span,
-            format!("`{}` needs that `{}` does not hold", name(edge.from), name(edge.to)),
-        );
-        for step in back {
-            let Edge {
-                from,
-                to,
-                negative,
-                span,
-            } = edges[step];
-            let verb = if negative { "needs that" } else { "needs" };
-            let end = if negative { " does not hold" } else { "" };
-            fault = fault.also(span, format!("`{}` {verb} `{}`{end}", name(from), name(to)));
+        let step = |edge: &Edge| match edge.kind {
+            EdgeKind::Needs => format!("`{}` needs `{}`", name(edge.from), name(edge.to)),
+            EdgeKind::Negates => format!("`{}` needs that `{}` does not hold", name(edge.from), name(edge.to)),
+            EdgeKind::Aggregates => format!("`{}` needs all of `{}`", name(edge.from), name(edge.to)),
+        };
+        let mut fault = Diagnostic::new(Code::CyclicNegation, message).at(edge.span, step(edge));
+        for at in back {
+            fault = fault.also(edges[at].span, step(&edges[at]));
         }
         faults.push(
-            fault.note("what a negated atom says must be settled before it is used, so no circle may lead through one"),
+            fault.note("what a negated atom or an aggregate says must be settled before it is used, so no circle may lead through one"),
         );
     }
 }
@@ -171,7 +173,7 @@ pub(super) fn order(relations: &[Relation], clauses: &[Clause]) -> Vec<Stratum> 
         let head = clause.head.relation.index();
         defining[head].push(ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")));
         for literal in &clause.body {
-            if let Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) = literal {
+            if let Some(atom) = literal.atom() {
                 successors[head].push(atom.relation.index());
             }
         }

@@ -3,7 +3,8 @@
 //! For every pair of clauses of two actions the literals of both are put into one scene: every way to let their variables stand for
 //! the same or for different entities, smallest first, with nothing but the facts that the two clauses ask for. The engine decides whether
 //! both actions follow. Positive literals over derived predicates are unfolded to what they rest on, and where a clause negates a
-//! derived predicate, what keeps that from holding may be added once. What is found is true; what is not found may exist all the same.
+//! derived predicate, what keeps that from holding may be added once. Clauses with expressions,
+//! aggregates, `match` or `contains`, and with values other than symbols, are left out. What is found is true; what is not found may exist all the same.
 
 use crate::config::Speed;
 use crate::engine::{Program, Session};
@@ -141,6 +142,8 @@ struct Body {
     /// Negated derived atoms.
     blocked: Vec<(RelId, Vec<Place>)>,
     equal: Vec<(Place, Place)>,
+    /// Asks for more than facts of entities can be put up for: expressions, aggregates, parts of names.
+    beyond: bool,
     unfolded: usize,
 }
 
@@ -243,6 +246,10 @@ impl<'p> Search<'p> {
             if !self.step(body.positive.len()) {
                 return false;
             }
+            if body.beyond {
+                all = false;
+                continue;
+            }
             let derived = |(rel, _): &(RelId, Vec<Place>)| self.rules.relations[rel.index()].derived;
             let Some(at) = body.positive.iter().position(derived) else {
                 closed += 1;
@@ -297,7 +304,7 @@ impl<'p> Search<'p> {
     fn identify(&mut self, body: &Body, candidates: &mut BTreeSet<Candidate>) -> bool {
         let Some(classes) = body.classes() else { return true };
         let relations = || body.positive.iter().map(|(rel, _)| &self.rules.relations[rel.index()]);
-        let numbers = |relation: &Relation| relation.columns.iter().any(|column| column.base == BaseType::Number);
+        let numbers = |relation: &Relation| relation.columns.iter().any(|column| column.base != BaseType::Symbol);
         // Scenes have entities only, and facts of what is input only.
         if relations().any(|relation| numbers(relation) || !relation.input) {
             return false;
@@ -560,6 +567,12 @@ impl Body {
                     let places: Option<Vec<Place>> = atom.terms.iter().map(known).collect();
                     self.blocked.extend(places.map(|places| (atom.relation, places)));
                 }
+                Literal::Compare {
+                    op: Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains,
+                    ..
+                }
+                | Literal::Compute { .. }
+                | Literal::Aggregate { .. } => self.beyond = true,
                 Literal::Compare { .. } => {}
             }
         }

@@ -166,14 +166,7 @@ fn fits(relation: &Relation, arity: usize, faults: &mut Vec<Diagnostic>, fault: 
 }
 
 fn describe(relation: &Relation) -> String {
-    let columns: Vec<&str> = relation
-        .columns
-        .iter()
-        .map(|column| match column.base {
-            BaseType::Symbol => "symbol",
-            BaseType::Number => "number",
-        })
-        .collect();
+    let columns: Vec<&str> = relation.columns.iter().map(|column| column.base.name()).collect();
     format!("({})", columns.join(", "))
 }
 
@@ -182,13 +175,8 @@ fn unknown_inputs<'a>(program: &'a Program, predicates: &[Predicate]) -> Vec<&'a
     let rules = program.rules();
     let mut read = vec![false; rules.relations.len()];
     for clause in &rules.clauses {
-        for literal in &clause.body {
-            match literal {
-                Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
-                    read[atom.relation.index()] = true;
-                }
-                Literal::Compare { .. } => {}
-            }
+        for atom in clause.body.iter().filter_map(Literal::atom) {
+            read[atom.relation.index()] = true;
         }
     }
     rules

@@ -7,8 +7,8 @@
 
 use logicity::diag::{Sources, Span};
 use logicity::lang::{
-    Atom, BaseType, Clause, ClauseId, Column, Comparison, Literal, RelId, Relation, Rules, Stratum, Term, Type, TypeId,
-    Value, VarId,
+    AggregateOp, Atom, BaseType, Clause, ClauseId, Column, Comparison, Functor, Literal, RelId, Relation, Rules,
+    Stratum, Term, Type, TypeId, Value, VarId,
 };
 use logicity::symbol::Symbols;
 use proptest::collection::vec;
@@ -109,7 +109,7 @@ impl Genome {
     /// The program.
     pub fn rules(&self) -> Rules {
         let span = Span::new(Sources::new().add("random.dl", ""), 0..0);
-        let mut symbols = Symbols::new();
+        let symbols = Symbols::new();
         TEXTS.iter().for_each(|text| _ = symbols.intern(text));
         let mut rules = Rules {
             types: [("symbol", BaseType::Symbol), ("number", BaseType::Number)]
@@ -117,6 +117,7 @@ impl Genome {
                     name: name.into(),
                     base,
                     parent: None,
+                    members: Vec::new(),
                     doc: String::new(),
                 })
                 .into(),
@@ -200,17 +201,19 @@ fn declare(rules: &mut Rules, columns: &[bool], span: Span) {
         doc: String::new(),
         span,
         input: false,
+        given: None,
         output: true,
         printsize: false,
         derived: false,
         hidden: false,
+        directives: Vec::new(),
     });
 }
 
 fn constant(base: BaseType, gene: u8) -> Value {
     match base {
         BaseType::Symbol => Value(u32::from(gene) % TEXTS.len() as u32),
-        BaseType::Number => Value::number(NUMBERS[gene as usize % NUMBERS.len()]),
+        _ => Value::number(NUMBERS[gene as usize % NUMBERS.len()]),
     }
 }
 
@@ -305,7 +308,64 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
                     span,
                 }
             }
-            225.. => {
+            225..233 => {
+                // An expression that may bind what it computes. Its values are few, so that recursion ends.
+                let (functor, argument) = [
+                    (Functor::Min, BaseType::Number),
+                    (Functor::Max, BaseType::Symbol),
+                    (Functor::And, BaseType::Number),
+                    (Functor::Not, BaseType::Number),
+                    (Functor::Length, BaseType::Symbol),
+                    (Functor::ToNumber, BaseType::Symbol),
+                ][literal.relation as usize % 6];
+                let count = if matches!(functor, Functor::Min | Functor::Max | Functor::And) {
+                    2
+                } else {
+                    1
+                };
+                let arguments = (0..count)
+                    .map(|at| bound_term(argument, literal.terms[at], &bound))
+                    .collect();
+                let result = if functor == Functor::Max {
+                    BaseType::Symbol
+                } else {
+                    BaseType::Number
+                };
+                let to = variable(result, literal.terms[3]);
+                bound[to] = true;
+                Literal::Compute {
+                    to: Term::Variable(VarId(to as u32)),
+                    functor,
+                    base: argument,
+                    arguments,
+                    span,
+                }
+            }
+            233..241 => {
+                use AggregateOp::*;
+                let relation = literal.relation as usize % first;
+                let term = |(column, gene): (&Column, u8)| match gene % 2 {
+                    0 => Term::Wildcard,
+                    _ => bound_term(column.base, gene, &bound),
+                };
+                let terms = columns(relation).zip(literal.terms).map(term).collect();
+                let op = [Count, Min, Max, Sum][literal.terms[4] as usize % 4];
+                let fits = |column: &Column| column.base == BaseType::Number;
+                let column = columns(relation).position(fits);
+                let op = if column.is_none() { Count } else { op };
+                // A sum within a recursion would make new values without end.
+                let op = if op == Sum { Min } else { op };
+                let to = variable(BaseType::Number, literal.terms[3]);
+                bound[to] = true;
+                Literal::Aggregate {
+                    to: Term::Variable(VarId(to as u32)),
+                    op,
+                    base: BaseType::Number,
+                    atom: atom(relation, terms),
+                    column: column.filter(|_| op != Count),
+                }
+            }
+            241.. => {
                 use Comparison::*;
                 Literal::Compare {
                     op: [NotEqual, Less, LessEqual, Greater, GreaterEqual, Equal][literal.terms[3] as usize % 6],

@@ -8,7 +8,8 @@
 //! ```
 //!
 //! **A proof is shortest by height.** A fact that was inserted or stands in the text has height 0; a derived one has 1 more than
-//! the highest fact its derivation needs. Negated literals and comparisons add nothing. To know the height of a fact, all instances
+//! the highest fact its derivation needs. Negated literals, comparisons, expressions and aggregates
+//! add nothing; the rows that an aggregate looks at are not told, only its value. To know the height of a fact, all instances
 //! of clauses that it could rest on are collected backwards, and heights go forwards through them in ascending order, as Knuth
 //! generalised Dijkstra's algorithm; if too much is relevant, whole strata are settled in that order until the fact is reached. Of
 //! derivations equally high the first clause of the text is taken, of one clause's the one whose variables have the smallest words
@@ -122,6 +123,11 @@ pub enum Premise {
         /// The right one.
         right: Value,
     },
+    /// An expression or aggregate, and this is its value. Why the rows of an aggregate hold is not unfolded; it can be asked.
+    Computed {
+        /// The value.
+        value: Value,
+    },
 }
 
 /// Something that does not hold, and why.
@@ -201,6 +207,11 @@ pub enum FailureKind {
         left: Value,
         /// The right one.
         right: Value,
+    },
+    /// An expression or aggregate, whose value is not what it should be.
+    Computed {
+        /// The value; `None` if it has none.
+        value: Option<Value>,
     },
 }
 
@@ -456,6 +467,10 @@ impl Making {
                         left: search::value(left, &binding).unwrap_or_default(),
                         right: search::value(right, &binding).unwrap_or_default(),
                     },
+                    // It holds, so what it is equal to is its value.
+                    Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => Premise::Computed {
+                        value: search::value(to, &binding).unwrap_or_default(),
+                    },
                 };
                 let premises = body.iter().zip(rows).map(premise).collect();
                 Origin::Derived(Derivation {
@@ -535,6 +550,12 @@ impl Making {
                     match (search::value(left, &binding), search::value(right, &binding)) {
                         (Some(left), Some(right)) => FailureKind::Comparison { left, right },
                         _ => continue,
+                    }
+                }
+                Literal::Compute { .. } | Literal::Aggregate { .. } => {
+                    match search.result(&clause.body[literal], &binding)? {
+                        Some(value) => FailureKind::Computed { value },
+                        None => continue,
                     }
                 }
             };

@@ -3,10 +3,10 @@
 use super::{ExplainError, Pattern};
 use crate::engine::Session;
 use crate::engine::provenance::heights::Heights;
-use crate::lang::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Rules, Term, Value};
+use crate::lang::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, Patterns, RelId, Rules, Term, Value};
 use crate::symbol::Symbol;
 use std::cell::{Cell, OnceCell, RefCell};
-use std::cmp::Reverse;
+use std::cmp::{Ordering, Reverse};
 use std::collections::HashMap;
 use std::rc::Rc;
 
@@ -36,6 +36,7 @@ pub(super) struct Search<'s> {
     clauses: Vec<Vec<ClauseId>>,
     limit: Cell<u64>,
     left: Cell<u64>,
+    patterns: RefCell<Patterns>,
     pub(super) heights: Heights,
 }
 
@@ -123,6 +124,7 @@ impl<'s> Search<'s> {
             clauses,
             limit: Cell::new(0),
             left: Cell::new(0),
+            patterns: RefCell::default(),
             heights: Heights::new(rules),
         }
     }
@@ -340,7 +342,7 @@ impl<'s> Search<'s> {
         Ok(true)
     }
 
-    /// Tests the negated literals and comparisons whose variables are bound. Whether the attempt can go on.
+    /// Tests the negated literals, comparisons, expressions and aggregates whose variables are bound. Whether the attempt can go on.
     fn test(&self, attempt: &mut Attempt<'_>, undo: &mut Undo, force: bool) -> Result<bool, ExplainError> {
         let clause = attempt.clause;
         loop {
@@ -351,9 +353,9 @@ impl<'s> Search<'s> {
                 }
                 let holds = match body {
                     Literal::Positive(_) | Literal::Guard(_) => continue,
-                    Literal::Negative(_) | Literal::Compare { .. } => match self.decide(body, &attempt.binding)? {
+                    _ => match self.decide(body, &attempt.binding)? {
                         Some(holds) => holds,
-                        None if force => match copy(body, &attempt.binding) {
+                        None if force => match self.learn(body, &attempt.binding)? {
                             Some((variable, value)) => {
                                 attempt.binding[variable] = Some(value);
                                 undo.bound.push(variable);
@@ -397,23 +399,89 @@ impl<'s> Search<'s> {
                 (Some(left), Some(right)) => Some(self.compare(*op, left, right, *base)),
                 _ => None,
             }),
+            Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => {
+                Ok(match (self.result(literal, binding)?, value(to, binding)) {
+                    (None, _) | (Some(Some(_)), None) => None,
+                    (Some(None), _) => Some(false),
+                    (Some(Some(found)), Some(to)) => Some(found == to),
+                })
+            }
             _ => Ok(None),
         }
     }
 
+    /// The value of an expression or aggregate, the inner `None` being that it has none; `None` for other literals and while not
+    /// all that it speaks of is bound.
+    pub(super) fn result(
+        &self,
+        literal: &Literal,
+        binding: &[Option<Value>],
+    ) -> Result<Option<Option<Value>>, ExplainError> {
+        match literal {
+            Literal::Compute {
+                functor,
+                base,
+                arguments,
+                ..
+            } => {
+                let arguments: Option<Vec<Value>> = arguments.iter().map(|term| value(term, binding)).collect();
+                Ok(arguments.map(|arguments| functor.apply(*base, &arguments, self.session.symbols())))
+            }
+            Literal::Aggregate {
+                op, base, atom, column, ..
+            } if determined(atom, binding) => {
+                let rows = self.rows(atom.relation, &pattern(atom, binding));
+                (0..rows.len()).try_for_each(|_| self.step())?;
+                let values = (0..rows.len()).map(|at| match column {
+                    Some(column) => self.row(atom.relation, rows.get(at))[*column],
+                    None => Value(0),
+                });
+                Ok(Some(op.of(*base, values, self.session.symbols())))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// The value that an equality, expression or aggregate gives to its one unbound variable.
+    fn learn(&self, literal: &Literal, binding: &[Option<Value>]) -> Result<Option<(usize, Value)>, ExplainError> {
+        match literal {
+            Literal::Compute {
+                to: to @ Term::Variable(variable),
+                ..
+            }
+            | Literal::Aggregate {
+                to: to @ Term::Variable(variable),
+                ..
+            } if value(to, binding).is_none() => Ok(self
+                .result(literal, binding)?
+                .flatten()
+                .map(|value| (variable.index(), value))),
+            _ => Ok(copy(literal, binding)),
+        }
+    }
+
     fn compare(&self, op: Comparison, left: Value, right: Value, base: BaseType) -> bool {
-        let text = |value: Value| self.session.symbols().text(Symbol(value.0));
-        let order = match base {
-            BaseType::Number => left.as_number().cmp(&right.as_number()),
-            BaseType::Symbol => text(left).cmp(&text(right)),
+        let symbols = self.session.symbols();
+        let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
+        // Nothing is less or greater than what is not a number.
+        let order = || match base {
+            BaseType::Number => Some(left.as_number().cmp(&right.as_number())),
+            BaseType::Symbol => Some(text(left).cmp(text(right))),
+            BaseType::Unsigned => Some(left.0.cmp(&right.0)),
+            BaseType::Float => left.as_float().partial_cmp(&right.as_float()),
         };
+        let matches = || self.patterns.borrow_mut().matches(left, text(right), symbols);
         match op {
             Comparison::Equal => left == right,
             Comparison::NotEqual => left != right,
-            Comparison::Less => order.is_lt(),
-            Comparison::LessEqual => order.is_le(),
-            Comparison::Greater => order.is_gt(),
-            Comparison::GreaterEqual => order.is_ge(),
+            Comparison::Less => order().is_some_and(Ordering::is_lt),
+            Comparison::LessEqual => order().is_some_and(Ordering::is_le),
+            Comparison::Greater => order().is_some_and(Ordering::is_gt),
+            Comparison::GreaterEqual => order().is_some_and(Ordering::is_ge),
+            Comparison::Match => matches(),
+            Comparison::NotMatch => !matches(),
+            Comparison::Contains => text(right).contains(text(left)),
+            Comparison::NotContains => !text(right).contains(text(left)),
         }
     }
 
@@ -535,6 +603,12 @@ fn binds(literal: &Literal, bound: &[bool]) -> Option<Vec<usize>> {
             _ if *op == Comparison::Equal => Some([left, right].into_iter().filter_map(variable).collect()),
             _ => None,
         },
+        Literal::Compute { to, arguments, .. } => {
+            (arguments.iter().all(known)).then(|| variable(to).into_iter().collect())
+        }
+        Literal::Aggregate { to, atom, .. } => {
+            (atom.terms.iter().all(known)).then(|| variable(to).into_iter().collect())
+        }
     }
 }
 

@@ -2,7 +2,9 @@
 
 use super::{Absence, Explanation, Fact, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise, Reason};
 use crate::diag::Sources;
-use crate::lang::{Atom, BaseType, Clause, ClauseId, Literal, RelId, Rules, Term, Value};
+use crate::lang::{
+    AggregateOp, Atom, BaseType, Clause, ClauseId, Comparison, Functor, Literal, RelId, Rules, Term, Value,
+};
 use crate::symbol::{Symbol, Symbols};
 use serde_json::{Map, json};
 use std::collections::HashSet;
@@ -79,7 +81,7 @@ impl<'a> Teller<'a> {
     /// A node is `{"holds", "height", "by": "input" | "text" | "clause", "clause", "binding", "premises"}` or
     /// `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into", "clauses": [{"clause", "binding", "fails"}]}`. An entry
     /// of `premises` and `fails` has the `literal` as it reads under the binding, the `kind` (`fact`, `in-view`, `not`,
-    /// `comparison`) and, except for comparisons, the `node` that tells why it holds or does not. A `clause` has `head`, `file`, `line`
+    /// `comparison`, `expression`, `aggregate`) and, except for the last three, the `node` that tells why it holds or does not. A `clause` has `head`, `file`, `line`
     /// and `doc`; where only the head does not fit, `fails` is empty.
     pub fn json(&self, explanation: &Explanation) -> serde_json::Value {
         let nodes: Vec<serde_json::Value> = (explanation.nodes().iter())
@@ -105,7 +107,7 @@ impl<'a> Teller<'a> {
                     .map(|(literal, premise)| {
                         let node = match premise {
                             Premise::Fact(node) | Premise::Absence(node) => Some(node.0),
-                            Premise::Comparison { .. } => None,
+                            Premise::Comparison { .. } | Premise::Computed { .. } => None,
                         };
                         self.literal_json(clause, literal, &derivation.binding, node)
                     })
@@ -137,7 +139,9 @@ impl<'a> Teller<'a> {
                                 let fails = failures.iter().map(|failure| {
                                     let node = match failure.kind {
                                         FailureKind::Absent(node) | FailureKind::Holds(node) => Some(node.0),
-                                        FailureKind::AbsentTwice | FailureKind::Comparison { .. } => None,
+                                        FailureKind::AbsentTwice
+                                        | FailureKind::Comparison { .. }
+                                        | FailureKind::Computed { .. } => None,
                                     };
                                     self.literal_json(clause, failure.literal, binding, node)
                                 });
@@ -165,6 +169,8 @@ impl<'a> Teller<'a> {
             Literal::Guard(_) => "in-view",
             Literal::Negative(_) => "not",
             Literal::Compare { .. } => "comparison",
+            Literal::Compute { .. } => "expression",
+            Literal::Aggregate { .. } => "aggregate",
         };
         let mut entry = json!({ "literal": self.literal(clause, literal, binding), "kind": kind });
         if let Some(node) = node {
@@ -190,6 +196,10 @@ impl<'a> Teller<'a> {
             .map(|(name, value, base)| {
                 let value = match base {
                     BaseType::Number => json!(value.as_number()),
+                    BaseType::Unsigned => json!(value.0),
+                    BaseType::Float if value.as_float().is_finite() => json!(value.as_float()),
+                    // JSON has no such numbers.
+                    BaseType::Float => json!(value.as_float().to_string()),
                     BaseType::Symbol => json!(self.symbols.text(Symbol(value.0)).unwrap_or_default()),
                 };
                 (name.to_owned(), value)
@@ -227,8 +237,27 @@ impl<'a> Teller<'a> {
                     see(left, *base);
                     see(right, *base);
                 }
+                Literal::Compute {
+                    to,
+                    functor,
+                    base,
+                    arguments,
+                    ..
+                } => {
+                    for (at, argument) in arguments.iter().enumerate() {
+                        see(argument, argument_base(*functor, *base, at));
+                    }
+                    result_base(*functor, *base).into_iter().for_each(|base| see(to, base));
+                }
+                Literal::Aggregate { to, op, base, atom, .. } => {
+                    let columns = &self.rules.relations[atom.relation.index()].columns;
+                    (atom.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
+                    see(to, aggregate_base(*op, *base));
+                }
             }
         }
+        let columns = &self.rules.relations[clause.head.relation.index()].columns;
+        (clause.head.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
         bases
     }
 
@@ -265,6 +294,8 @@ impl<'a> Teller<'a> {
     pub fn value(&self, value: Value, base: BaseType) -> String {
         match base {
             BaseType::Number => value.as_number().to_string(),
+            BaseType::Unsigned => value.0.to_string(),
+            BaseType::Float => crate::engine::facts::print_float(value.as_float()),
             BaseType::Symbol => {
                 let text = self.symbols.text(Symbol(value.0)).unwrap_or_default();
                 let bare = |c: char| c.is_alphanumeric() || "_-.".contains(c);
@@ -284,14 +315,23 @@ impl<'a> Teller<'a> {
 
     fn row_within(&self, rel: RelId, pattern: &[Option<Value>], depth: usize) -> String {
         let relation = &self.rules.relations[rel.index()];
-        if relation.hidden {
+        if relation.hidden && relation.derived {
             return self.unfold(rel, pattern, depth);
         }
         let columns = relation.columns.iter().zip(pattern);
         let values: Vec<String> = columns
             .map(|(column, value)| value.map_or("_".to_owned(), |value| self.value(value, column.base)))
             .collect();
-        format!("{}({})", relation.name, values.join(", "))
+        self.named_atom(rel, &values)
+    }
+
+    /// An atom of a predicate that is not unfolded.
+    fn named_atom(&self, rel: RelId, arguments: &[String]) -> String {
+        let arguments = arguments.join(", ");
+        match self.rules.relations.iter().find(|relation| relation.given == Some(rel)) {
+            Some(owner) => format!("given {}({arguments})", owner.name),
+            None => format!("{}({arguments})", self.rules.relations[rel.index()].name),
+        }
     }
 
     /// What a hidden predicate stands for: the bodies of its clauses.
@@ -339,24 +379,73 @@ impl<'a> Teller<'a> {
             Literal::Negative(atom) => format!("Not({})", self.atom(clause, atom, binding, depth)),
             Literal::Compare {
                 op, left, right, base, ..
-            } => format!(
-                "{} {op} {}",
-                self.term(clause, left, *base, binding),
-                self.term(clause, right, *base, binding)
-            ),
+            } => {
+                let left = self.term(clause, left, *base, binding);
+                let right = self.term(clause, right, *base, binding);
+                match op {
+                    Comparison::Match | Comparison::Contains => format!("{op}({left}, {right})"),
+                    Comparison::NotMatch | Comparison::NotContains => {
+                        format!("Not({}({left}, {right}))", op.opposite())
+                    }
+                    _ => format!("{left} {op} {right}"),
+                }
+            }
+            Literal::Compute {
+                to,
+                functor,
+                base,
+                arguments,
+                ..
+            } => {
+                let arguments: Vec<String> = (arguments.iter().enumerate())
+                    .map(|(at, term)| self.term(clause, term, argument_base(*functor, *base, at), binding))
+                    .collect();
+                let to = match to {
+                    Term::Variable(variable) => self.term(clause, to, self.bases(clause)[variable.index()], binding),
+                    _ => self.term(clause, to, result_base(*functor, *base).unwrap_or(*base), binding),
+                };
+                format!("{to} = {}", applied(*functor, &arguments))
+            }
+            Literal::Aggregate {
+                to,
+                op,
+                base,
+                atom,
+                column,
+            } => {
+                let to = self.term(clause, to, aggregate_base(*op, *base), binding);
+                let rows = self.atom(clause, atom, binding, depth);
+                let of = match column {
+                    Some(column) => format!(" {}", self.column(atom.relation, *column)),
+                    None => String::new(),
+                };
+                format!("{to} = {}{of} : {{ {rows} }}", op.name())
+            }
+        }
+    }
+
+    /// The name of a column: of a hidden predicate, as the text that it stands for has it.
+    fn column(&self, rel: RelId, column: usize) -> &str {
+        let mut clauses = self.rules.clauses.iter();
+        match clauses.find(|clause| self.rules.relations[rel.index()].hidden && clause.head.relation == rel) {
+            Some(clause) => match clause.head.terms[column] {
+                Term::Variable(variable) => &clause.variables[variable.index()],
+                _ => "_",
+            },
+            None => &self.rules.relations[rel.index()].columns[column].name,
         }
     }
 
     fn atom(&self, clause: &Clause, atom: &Atom, binding: &[Option<Value>], depth: usize) -> String {
         let relation = &self.rules.relations[atom.relation.index()];
-        if relation.hidden {
+        if relation.hidden && relation.derived {
             return self.unfold(atom.relation, &super::search::pattern(atom, binding), depth);
         }
         let columns = relation.columns.iter().zip(&atom.terms);
         let terms: Vec<String> = columns
             .map(|(column, term)| self.term(clause, term, column.base, binding))
             .collect();
-        format!("{}({})", relation.name, terms.join(", "))
+        self.named_atom(atom.relation, &terms)
     }
 
     fn term(&self, clause: &Clause, term: &Term, base: BaseType, binding: &[Option<Value>]) -> String {
@@ -365,6 +454,60 @@ impl<'a> Teller<'a> {
             (None, Term::Variable(variable)) => clause.variables[variable.index()].clone(),
             (None, _) => "_".to_owned(),
         }
+    }
+}
+
+/// What the argument at a position is made of, if the first is of base type `base`.
+fn argument_base(functor: Functor, base: BaseType, at: usize) -> BaseType {
+    if functor == Functor::Substring && at > 0 {
+        BaseType::Number
+    } else {
+        base
+    }
+}
+
+/// What the value of a functor is made of; `None` for a cast, which says so elsewhere.
+fn result_base(functor: Functor, base: BaseType) -> Option<BaseType> {
+    match functor {
+        Functor::Cast => None,
+        Functor::Length | Functor::Ordinal | Functor::ToNumber => Some(BaseType::Number),
+        Functor::ToText => Some(BaseType::Symbol),
+        Functor::ToFloat => Some(BaseType::Float),
+        Functor::ToUnsigned => Some(BaseType::Unsigned),
+        _ => Some(base),
+    }
+}
+
+/// What the value of an aggregate is made of.
+fn aggregate_base(op: AggregateOp, base: BaseType) -> BaseType {
+    match op {
+        AggregateOp::Count => BaseType::Number,
+        AggregateOp::Mean => BaseType::Float,
+        AggregateOp::Sum | AggregateOp::Min | AggregateOp::Max => base,
+    }
+}
+
+/// A functor with its arguments.
+fn applied(functor: Functor, arguments: &[String]) -> String {
+    let name = functor.name();
+    let word = name.starts_with(char::is_alphabetic);
+    match (functor, arguments) {
+        (Functor::Negate, [only]) => format!("-({only})"),
+        (Functor::BitNot | Functor::Not, [only]) => format!("{name} {only}"),
+        (
+            Functor::BitAnd
+            | Functor::BitOr
+            | Functor::BitXor
+            | Functor::ShiftLeft
+            | Functor::ShiftRight
+            | Functor::ShiftRightUnsigned
+            | Functor::And
+            | Functor::Or
+            | Functor::Xor,
+            [left, right],
+        ) => format!("{left} {name} {right}"),
+        (_, [left, right]) if !word => format!("{left} {name} {right}"),
+        _ => format!("{name}({})", arguments.join(", ")),
     }
 }
 
@@ -440,7 +583,9 @@ impl Drawing<'_> {
                     child
                 }
                 Premise::Absence(node) => self.node(*node, depth + 1),
-                Premise::Comparison { .. } => Item::leaf(self.teller.literal(clause, literal, &derivation.binding)),
+                Premise::Comparison { .. } | Premise::Computed { .. } => {
+                    Item::leaf(self.teller.literal(clause, literal, &derivation.binding))
+                }
             };
             item.children.push(child);
         }
@@ -507,6 +652,18 @@ impl Drawing<'_> {
                     (FailureKind::AbsentTwice, _) => (format!("{text} does not hold"), None),
                     (FailureKind::Holds(node), _) => (format!("{text} fails"), Some(*node)),
                     (FailureKind::Comparison { .. }, _) => (format!("{text} fails"), None),
+                    (FailureKind::Computed { value: None }, _) => (format!("{text} fails: it has no value"), None),
+                    (FailureKind::Computed { value: Some(value) }, _) => {
+                        let base = match literal {
+                            Literal::Compute {
+                                to: Term::Variable(to), ..
+                            } => self.teller.bases(clause)[to.index()],
+                            Literal::Compute { functor, base, .. } => result_base(*functor, *base).unwrap_or(*base),
+                            Literal::Aggregate { op, base, .. } => aggregate_base(*op, *base),
+                            _ => BaseType::Number,
+                        };
+                        (format!("{text} fails: it is {}", self.teller.value(*value, base)), None)
+                    }
                 };
                 let mut item = Item::leaf(format!("{inline}{text}"));
                 if let Some(id) = node {

@@ -1,0 +1,1511 @@
+//! One head and one list of literals: looks their names up, takes expressions apart, finds the type of each variable, and makes
+//! sure that the body binds it.
+//!
+//! ```text
+//! A(x + 1) :- B(x, y), y * 2 < 7.     becomes    A(a) :- B(x, y), a = x + 1, b = y * 2, b < 7.
+//! ```
+//!
+//! What base type a number without a sign of its own (`1`) or an operator is of follows from where it stands, so constants of
+//! comparisons and expressions stay open until the types of all variables are known.
+
+use std::collections::{HashMap, HashSet};
+
+use crate::diag::{Code, Diagnostic, Span};
+use crate::symbol::Symbols;
+
+use super::aggregate::Finish;
+use super::ast::{self, TermKind};
+use super::clause::{Clauses, Edge, EdgeKind, names_in, names_of};
+use super::faults::Faults;
+use super::functor::{AggregateOp, Functor, Shape};
+use super::names::Names;
+use super::rules::{Atom, BaseType, Comparison, Literal, RelId, Term, TypeId, Value, VarId};
+use super::scope::Guard;
+
+/// More operators and functions in a clause are refused.
+const MAX_EXPRESSIONS: usize = 1024;
+
+/// What is known of a clause after all checks.
+pub(super) struct Body {
+    pub head: Atom,
+    pub body: Vec<Literal>,
+    pub variables: Vec<Known>,
+    /// Whether no error was found.
+    pub sound: bool,
+}
+
+/// A variable of a checked clause.
+#[derive(Clone)]
+pub(super) struct Known {
+    pub name: String,
+    pub ty: VariableType,
+    pub first: Span,
+    /// How often it occurs.
+    pub count: usize,
+    /// It is the value of an expression.
+    pub hidden: bool,
+}
+
+/// Checks one head and one alternative of a clause. `None` if a predicate is not known or has not as many columns.
+pub(super) fn check(
+    clause: &ast::Clause,
+    head: &ast::Atom,
+    body: &[&ast::Literal],
+    guard: Option<Guard>,
+    names: &mut Names,
+    out: &mut Clauses,
+    faults: &mut Faults,
+) -> Option<Body> {
+    let mut check = Check {
+        names,
+        faults,
+        symbols: &out.symbols,
+        levels: vec![Level::default()],
+        pending: vec![Vec::new()],
+        variables: Vec::new(),
+        bound: Vec::new(),
+        edges: Vec::new(),
+        sound: true,
+        lost: false,
+    };
+    // Which variables stand outside of all aggregates must be known when the first aggregate is read.
+    let mut mark = |name| {
+        check.levels[0].direct.insert(name);
+    };
+    head.terms.iter().for_each(|term| names_of(term, false, &mut mark));
+    body.iter().for_each(|literal| names_in(literal, false, &mut mark));
+
+    let lowered = check.head(head, clause.body.is_empty());
+    if clause.body.is_empty() && (lowered.is_none() || check.variables.is_empty()) {
+        // There may be very many facts, and of this one nothing is left to ask.
+        let sound = check.sound;
+        return lowered.map(|head| Body {
+            head,
+            body: Vec::new(),
+            variables: Vec::new(),
+            sound,
+        });
+    }
+    for literal in body {
+        check.literal(literal);
+    }
+    let pending = check.pending.pop().unwrap_or_default();
+    let expressions = (0..check.variables.len())
+        .filter(|&index| check.is_hidden(index))
+        .count();
+    if expressions > MAX_EXPRESSIONS {
+        let fault = Diagnostic::new(Code::LimitExceeded, format!("clause with {expressions} expressions"))
+            .at(head.place.0, "")
+            .note(format!(
+                "a clause has at most {MAX_EXPRESSIONS} operators and functions"
+            ));
+        check.fault(fault);
+        return None;
+    }
+    if let Some(lowered) = &lowered {
+        check.derivable(lowered.relation, clause, head);
+    }
+    check.join_equals(&pending);
+    check.infer(lowered.as_ref(), &pending);
+    check.types(head, lowered.as_ref(), &pending);
+    check.bindings(head, clause.body.is_empty(), &pending);
+
+    let mut variables: Vec<Known> = (0..check.variables.len()).map(|index| check.known(index)).collect();
+    let mut hidden = Vec::new();
+    let mut literals = Vec::with_capacity(pending.len());
+    if check.sound && !check.lost {
+        let ego = lowered.as_ref().and_then(|head| head.terms.first().copied());
+        let mut finish = Finish {
+            scope: guard.map(|guard| (guard, ego)),
+            variables: &mut variables,
+            hidden: &mut hidden,
+        };
+        literals = check.finish(&pending, &[], &mut finish);
+    } else {
+        // Nobody will evaluate it; warnings are told of what is certain.
+        let simple = pending
+            .iter()
+            .filter(|pending| !matches!(pending, Pending::Aggregate { .. }));
+        literals.extend(simple.map(|pending| check.written(pending)));
+    }
+    let (edges, lost, sound) = (check.edges, check.lost, check.sound);
+    let mut lowered = lowered?;
+    let from = lowered.relation;
+    out.edges
+        .extend(edges.into_iter().map(|(to, kind, span)| Edge { from, to, kind, span }));
+    out.hidden.append(&mut hidden);
+    if lost {
+        return None;
+    }
+    if clause.body.is_empty() {
+        fold(&mut lowered, &mut literals, &out.symbols);
+    }
+    let variables = renumber(variables, std::iter::once(&mut lowered.terms), &mut literals);
+    Some(Body {
+        head: lowered,
+        body: literals,
+        variables,
+        sound,
+    })
+}
+
+/// Computes the expressions of a fact, if all have a value.
+fn fold(head: &mut Atom, literals: &mut Vec<Literal>, symbols: &Symbols) {
+    let mut values: HashMap<VarId, Value> = HashMap::new();
+    for literal in literals.iter() {
+        let Literal::Compute {
+            to: Term::Variable(to),
+            functor,
+            base,
+            arguments,
+            ..
+        } = literal
+        else {
+            return;
+        };
+        let arguments: Option<Vec<Value>> = (arguments.iter())
+            .map(|argument| match argument {
+                Term::Constant(value) => Some(*value),
+                Term::Variable(id) => values.get(id).copied(),
+                Term::Wildcard => None,
+            })
+            .collect();
+        let Some(value) = arguments.and_then(|arguments| functor.apply(*base, &arguments, symbols)) else {
+            return;
+        };
+        values.insert(*to, value);
+    }
+    literals.clear();
+    for term in &mut head.terms {
+        if let Term::Variable(id) = term
+            && let Some(value) = values.get(id)
+        {
+            *term = Term::Constant(*value);
+        }
+    }
+}
+
+/// Numbers anew the variables that occur, in their old order, and gives them.
+pub(super) fn renumber<'t>(
+    variables: Vec<Known>,
+    heads: impl Iterator<Item = &'t mut Vec<Term>>,
+    literals: &'t mut [Literal],
+) -> Vec<Known> {
+    let mut terms: Vec<&mut Term> = heads
+        .flatten()
+        .chain(literals.iter_mut().flat_map(Literal::terms_mut))
+        .collect();
+    let mut used = vec![false; variables.len()];
+    for term in &terms {
+        if let Term::Variable(id) = **term {
+            used[id.index()] = true;
+        }
+    }
+    let mut next = 0;
+    let numbers: Vec<u32> = (used.iter())
+        .map(|&used| {
+            let number = next;
+            next += u32::from(used);
+            number
+        })
+        .collect();
+    for term in &mut terms {
+        if let Term::Variable(id) = &mut **term {
+            *id = VarId(numbers[id.index()]);
+        }
+    }
+    variables
+        .into_iter()
+        .zip(used)
+        .filter(|(_, used)| *used)
+        .map(|(known, _)| known)
+        .collect()
+}
+
+/// A column that a variable stands in.
+#[derive(Clone, Copy)]
+struct Use {
+    ty: TypeId,
+    span: Span,
+}
+
+/// What is known of a variable. Variables that `=` makes equal form a group and share all but name and places; the group is
+/// named by the variable at the end of the chain of `equal_to`.
+struct Variable<'c> {
+    name: Name<'c>,
+    first: Span,
+    count: usize,
+    /// The aggregates it is within; 0 for the clause itself.
+    level: usize,
+    /// `None`: it stands for the group itself.
+    equal_to: Option<usize>,
+    /// It occurs in something that was reported, so nothing follows from what is not known of it.
+    excused: bool,
+    /// The narrowest column it stands in.
+    narrowest: Option<Use>,
+    /// The base type that follows from constants and expressions it is equal to, and where.
+    base: Option<(BaseType, Span)>,
+    /// A negated atom it stands in and the column there, to suggest what could bind it.
+    negated: Option<(TypeId, Span)>,
+    /// The type of what it is compared with, to the same end.
+    compared: Option<TypeId>,
+    /// An occurrence in an aggregate further in.
+    further_in: Option<Span>,
+}
+
+#[derive(Clone)]
+enum Name<'c> {
+    Written(&'c str),
+    /// The expression whose value it is.
+    Expression(&'c ast::Term),
+}
+
+/// The type of a variable as far as it is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum VariableType {
+    Unknown,
+    /// It only equals constants and expressions of this base and so fits every subtype of it.
+    Base(BaseType),
+    Type(TypeId),
+}
+
+/// Something with a value, and where it stands.
+#[derive(Clone, Copy)]
+pub(super) struct Operand {
+    pub kind: OperandKind,
+    pub span: Span,
+}
+
+#[derive(Clone, Copy)]
+pub(super) enum OperandKind {
+    Variable(VarId),
+    /// `1`: of any of the numeric base types.
+    Whole(i64),
+    Constant(Value, BaseType),
+    /// It was reported.
+    Nothing,
+}
+
+/// A literal whose constants have no type yet.
+pub(super) enum Pending<'c> {
+    Atom {
+        negated: bool,
+        atom: Atom,
+        syntax: &'c ast::Atom,
+    },
+    Compare {
+        op: Comparison,
+        left: Operand,
+        right: Operand,
+        span: Span,
+    },
+    Compute {
+        to: VarId,
+        functor: Functor,
+        arguments: Vec<Operand>,
+        /// The type of a cast.
+        ty: Option<TypeId>,
+        span: Span,
+    },
+    Aggregate {
+        to: VarId,
+        op: AggregateOp,
+        target: Option<Operand>,
+        body: Vec<Pending<'c>>,
+        /// Of its body.
+        level: usize,
+        span: Span,
+    },
+}
+
+/// The variables of a clause or of an aggregate's body.
+#[derive(Default)]
+struct Level<'c> {
+    /// Only asked, never walked.
+    numbers: HashMap<&'c str, VarId>,
+    /// The names that belong here, met or not.
+    direct: HashSet<&'c str>,
+}
+
+pub(super) struct Check<'a, 'c> {
+    pub names: &'a mut Names,
+    faults: &'a mut Faults,
+    pub symbols: &'a Symbols,
+    levels: Vec<Level<'c>>,
+    /// For each level what was read so far.
+    pending: Vec<Vec<Pending<'c>>>,
+    variables: Vec<Variable<'c>>,
+    /// By variable, once [`Check::bindings`] is done.
+    bound: Vec<bool>,
+    edges: Vec<(RelId, EdgeKind, Span)>,
+    sound: bool,
+    /// Whether an atom could not be understood.
+    lost: bool,
+}
+
+impl<'c> Check<'_, 'c> {
+    fn fault(&mut self, fault: Diagnostic) {
+        self.sound = false;
+        self.faults.push(fault);
+    }
+
+    // --- names
+
+    fn new_variable(&mut self, name: Name<'c>, level: usize, span: Span) -> VarId {
+        let id = VarId(u32::try_from(self.variables.len()).expect("fewer than 2^32 variables"));
+        self.variables.push(Variable {
+            name,
+            first: span,
+            count: 0,
+            level,
+            equal_to: None,
+            excused: false,
+            narrowest: None,
+            base: None,
+            negated: None,
+            compared: None,
+            further_in: None,
+        });
+        id
+    }
+
+    fn variable(&mut self, name: &'c str, span: Span) -> VarId {
+        let here = self.levels.len() - 1;
+        let home = (0..=here)
+            .rev()
+            .find(|&level| self.levels[level].direct.contains(name))
+            .unwrap_or(here);
+        let id = match self.levels[home].numbers.get(name) {
+            Some(&id) => id,
+            None => {
+                let id = self.new_variable(Name::Written(name), home, span);
+                self.levels[home].numbers.insert(name, id);
+                id
+            }
+        };
+        let variable = &mut self.variables[id.index()];
+        variable.count += 1;
+        if home < here {
+            variable.further_in.get_or_insert(span);
+        }
+        id
+    }
+
+    /// A variable that stands for an expression.
+    fn value_of(&mut self, term: &'c ast::Term) -> VarId {
+        let level = self.levels.len() - 1;
+        let id = self.new_variable(Name::Expression(term), level, term.place.0);
+        self.variables[id.index()].count = 2;
+        id
+    }
+
+    fn name(&self, id: VarId) -> String {
+        match &self.variables[id.index()].name {
+            Name::Written(name) => (*name).to_owned(),
+            Name::Expression(term) => term.to_string(),
+        }
+    }
+
+    fn is_hidden(&self, index: usize) -> bool {
+        match self.variables[index].name {
+            Name::Expression(_) => true,
+            // See `witness`.
+            Name::Written(name) => name.starts_with('+'),
+        }
+    }
+
+    fn known(&self, index: usize) -> Known {
+        let id = VarId(u32::try_from(index).expect("fewer than 2^32 variables"));
+        let hidden = self.is_hidden(index);
+        let variable = &self.variables[index];
+        Known {
+            name: self.name(id),
+            ty: self.type_of_variable(id),
+            first: variable.first,
+            count: variable.count,
+            hidden,
+        }
+    }
+
+    /// A term whose value is needed; an expression is computed, into `into` if that is given.
+    fn operand(&mut self, term: &'c ast::Term, into: Option<VarId>) -> Operand {
+        let span = term.place.0;
+        let kind = match &term.kind {
+            TermKind::Variable(name) => OperandKind::Variable(self.variable(name, span)),
+            TermKind::Wildcard => {
+                let fault = Diagnostic::new(Code::UnboundVariable, "`_` where a value is needed")
+                    .at(span, "nothing says what this is")
+                    .help("write a variable that an atom binds, or a constant");
+                self.fault(fault);
+                OperandKind::Nothing
+            }
+            TermKind::Number(number) => OperandKind::Whole(*number),
+            TermKind::Unsigned(number) => OperandKind::Constant(Value(*number), BaseType::Unsigned),
+            TermKind::Float(text) => {
+                OperandKind::Constant(Value::float(text.parse().unwrap_or_default()), BaseType::Float)
+            }
+            TermKind::Text(text) => OperandKind::Constant(Value(self.symbols.intern(text).0), BaseType::Symbol),
+            TermKind::Functor(functor, arguments) => {
+                let arguments = arguments.iter().map(|argument| self.operand(argument, None)).collect();
+                let to = into.unwrap_or_else(|| self.value_of(term));
+                self.push(Pending::Compute {
+                    to,
+                    functor: *functor,
+                    arguments,
+                    ty: None,
+                    span,
+                });
+                OperandKind::Variable(to)
+            }
+            TermKind::Cast(inner, ty) => {
+                let argument = self.operand(inner, None);
+                let ty = self.names.type_named(ty);
+                let to = into.unwrap_or_else(|| self.value_of(term));
+                match ty {
+                    Some(ty) => self.narrow(to.index(), Use { ty, span }),
+                    None => self.excuse(to),
+                }
+                self.push(Pending::Compute {
+                    to,
+                    functor: Functor::Cast,
+                    arguments: vec![argument],
+                    ty,
+                    span,
+                });
+                OperandKind::Variable(to)
+            }
+            TermKind::Aggregate(aggregate) => {
+                let to = into.unwrap_or_else(|| self.value_of(term));
+                self.aggregate(aggregate, to, span);
+                OperandKind::Variable(to)
+            }
+        };
+        Operand { kind, span }
+    }
+
+    fn push(&mut self, pending: Pending<'c>) {
+        if let Some(list) = self.pending.last_mut() {
+            list.push(pending);
+        }
+    }
+
+    fn aggregate(&mut self, aggregate: &'c ast::Aggregate, to: VarId, span: Span) {
+        let (mut body, mut target): (HashSet<&str>, HashSet<&str>) = (HashSet::new(), HashSet::new());
+        aggregate.body.iter().for_each(|literal| {
+            names_in(literal, false, &mut |name| {
+                body.insert(name);
+            })
+        });
+        aggregate.target.iter().for_each(|term| {
+            names_of(term, false, &mut |name| {
+                target.insert(name);
+            })
+        });
+        // A name of the target and the body is the aggregate's own; any other that is known further out is meant.
+        let known = |name: &&&str| self.levels.iter().any(|level| level.direct.contains(**name));
+        let own = |name: &&&str| (body.contains(**name) && target.contains(**name)) || !known(name);
+        let direct = body.union(&target).filter(own).copied().collect();
+        if aggregate.body.is_empty() {
+            self.fault(Diagnostic::new(Code::Syntax, "an aggregate over nothing").at(span, ""));
+        }
+        self.levels.push(Level {
+            numbers: HashMap::new(),
+            direct,
+        });
+        self.pending.push(Vec::new());
+        for literal in &aggregate.body {
+            if let ast::Literal::Any(_) = literal {
+                let fault = Diagnostic::new(Code::Unsupported, "alternatives in an aggregate are not supported")
+                    .at(span, "")
+                    .help("define a predicate by a clause with these alternatives, and aggregate over that");
+                self.fault(fault);
+                self.lost = true;
+            }
+            self.literal(literal);
+        }
+        let target = aggregate.target.as_ref().map(|target| self.operand(target, None));
+        let body = self.pending.pop().unwrap_or_default();
+        let level = self.levels.len() - 1;
+        self.levels.pop();
+        self.push(Pending::Aggregate {
+            to,
+            op: aggregate.op,
+            target,
+            body,
+            level,
+            span,
+        });
+    }
+
+    /// The atom, if its predicate is known and has as many columns; if not, its variables are excused.
+    fn atom(&mut self, atom: &'c ast::Atom) -> Option<Atom> {
+        let relation = self.names.predicate(&atom.predicate);
+        let fits = relation.is_some_and(|relation| self.arity(relation, atom));
+        let relation = relation.filter(|_| fits);
+        let terms: Vec<Term> = (atom.terms.iter().enumerate())
+            .map(|(column, term)| self.argument(relation.map(|relation| (relation, column)), term))
+            .collect();
+        let Some(relation) = relation else {
+            self.sound = false;
+            self.lost = true;
+            for term in &terms {
+                if let Term::Variable(id) = term {
+                    self.excuse(*id);
+                }
+            }
+            return None;
+        };
+        Some(Atom {
+            relation,
+            terms,
+            span: atom.place.0,
+        })
+    }
+
+    /// A term of an atom: a constant gets the base type of its column.
+    fn argument(&mut self, place: Option<(RelId, usize)>, term: &'c ast::Term) -> Term {
+        if term.kind == TermKind::Wildcard {
+            return Term::Wildcard;
+        }
+        let operand = self.operand(term, None);
+        let (constant, found) = match operand.kind {
+            OperandKind::Variable(id) => return Term::Variable(id),
+            OperandKind::Nothing => return Term::Wildcard,
+            OperandKind::Whole(_) => (None, "a number"),
+            OperandKind::Constant(value, BaseType::Symbol) => (Some((value, BaseType::Symbol)), "a text"),
+            OperandKind::Constant(value, BaseType::Float) => (Some((value, BaseType::Float)), "a float"),
+            OperandKind::Constant(value, base) => (Some((value, base)), "an unsigned number"),
+        };
+        let Some((relation, ty)) =
+            place.and_then(|(relation, column)| Some((relation, self.column(relation, column)?)))
+        else {
+            return Term::Constant(Value(0));
+        };
+        let wanted = self.names.base(ty);
+        match (operand.kind, constant) {
+            (OperandKind::Whole(_), _) if wanted != BaseType::Symbol => {
+                return Term::Constant(self.value(operand, wanted));
+            }
+            (_, Some((value, base))) if base == wanted => return Term::Constant(value),
+            _ => {}
+        }
+        let message = format!("expected a value of type `{}`, found {found}", self.names.type_name(ty));
+        let fault = Diagnostic::new(Code::TypeMismatch, message)
+            .at(term.place.0, found)
+            .also(self.names.relation(relation).span, "declared here")
+            .note(format!("the declaration is `{}`", self.names.signature_text(relation)));
+        self.fault(fault);
+        Term::Constant(Value(0))
+    }
+
+    /// The word of a constant in a place of a base type; one that does not fit is reported.
+    fn value(&mut self, operand: Operand, base: BaseType) -> Value {
+        let number = match operand.kind {
+            OperandKind::Constant(value, _) => return value,
+            OperandKind::Whole(number) => number,
+            _ => return Value(0),
+        };
+        #[allow(clippy::cast_precision_loss)]
+        let value = match base {
+            BaseType::Unsigned => u32::try_from(number).ok().map(Value),
+            BaseType::Float => Some(Value::float(number as f32)),
+            BaseType::Number | BaseType::Symbol => i32::try_from(number).ok().map(Value::number),
+        };
+        value.unwrap_or_else(|| {
+            let range = match base {
+                BaseType::Unsigned => format!("unsigned numbers go from 0 to {}", u32::MAX),
+                _ => format!("numbers go from {} to {}", i32::MIN, i32::MAX),
+            };
+            let fault = Diagnostic::new(Code::LimitExceeded, "number out of range")
+                .at(operand.span, "")
+                .note(range);
+            self.fault(fault);
+            Value(0)
+        })
+    }
+
+    fn excuse(&mut self, id: VarId) {
+        self.variables[id.index()].excused = true;
+    }
+
+    fn arity(&mut self, relation: RelId, atom: &ast::Atom) -> bool {
+        let Some(columns) = &self.names.signatures[relation.index()].columns else {
+            return false;
+        };
+        let (wanted, found) = (columns.len(), atom.terms.len());
+        if wanted != found {
+            let plural = |count: usize| if count == 1 { "argument" } else { "arguments" };
+            let name = &atom.predicate.text;
+            let message = format!("`{name}` takes {wanted} {}, not {found}", plural(wanted));
+            let fault = Diagnostic::new(Code::ArityMismatch, message)
+                .at(atom.place.0, format!("{found} {} here", plural(found)))
+                .also(self.names.relation(relation).span, "declared here")
+                .note(format!("the declaration is `{}`", self.names.signature_text(relation)));
+            self.fault(fault);
+        }
+        wanted == found
+    }
+
+    fn column(&self, relation: RelId, column: usize) -> Option<TypeId> {
+        let columns = self.names.signatures[relation.index()].columns.as_ref()?;
+        columns.get(column).copied().flatten()
+    }
+
+    fn head(&mut self, atom: &'c ast::Atom, fact: bool) -> Option<Atom> {
+        for term in &atom.terms {
+            if term.kind == TermKind::Wildcard {
+                let fault = Diagnostic::new(Code::UnboundVariable, "`_` in a head")
+                    .at(term.place.0, "nothing says what this is")
+                    .help(if fact {
+                        "write a constant"
+                    } else {
+                        "write a variable that the body binds"
+                    });
+                self.fault(fault);
+            }
+        }
+        self.atom(atom)
+    }
+
+    fn literal(&mut self, literal: &'c ast::Literal) {
+        match literal {
+            ast::Literal::Atom { negated, atom: syntax } => {
+                let kind = match (self.levels.len(), negated) {
+                    (1, false) => EdgeKind::Needs,
+                    (1, true) => EdgeKind::Negates,
+                    _ => EdgeKind::Aggregates,
+                };
+                let Some(atom) = self.atom(syntax) else { return };
+                self.edges.push((atom.relation, kind, atom.span));
+                for (column, (term, place)) in atom.terms.iter().zip(&syntax.terms).enumerate() {
+                    let Term::Variable(id) = *term else { continue };
+                    let Some(ty) = self.column(atom.relation, column) else {
+                        self.excuse(id);
+                        continue;
+                    };
+                    let span = place.place.0;
+                    if *negated {
+                        self.variables[id.index()].negated.get_or_insert((ty, span));
+                    } else {
+                        self.narrow(id.index(), Use { ty, span });
+                    }
+                }
+                self.push(Pending::Atom {
+                    negated: *negated,
+                    atom,
+                    syntax,
+                });
+            }
+            ast::Literal::Compare { op, left, right, place } => {
+                let is_value = |term: &ast::Term| {
+                    matches!(
+                        term.kind,
+                        TermKind::Functor(..) | TermKind::Cast(..) | TermKind::Aggregate(_)
+                    )
+                };
+                let is_variable = |term: &ast::Term| matches!(term.kind, TermKind::Variable(_));
+                if *op == Comparison::Equal {
+                    // `_ = max x : { ... }`: whatever it is, if it is anything.
+                    for (any, value) in [(left, right), (right, left)] {
+                        if any.kind == TermKind::Wildcard && matches!(value.kind, TermKind::Aggregate(_)) {
+                            self.operand(value, None);
+                            return;
+                        }
+                    }
+                    for (variable, value) in [(left, right), (right, left)] {
+                        if is_variable(variable) && is_value(value) {
+                            if let OperandKind::Variable(into) = self.operand(variable, None).kind {
+                                self.operand(value, Some(into));
+                            }
+                            return;
+                        }
+                    }
+                }
+                let left = self.operand(left, None);
+                let right = self.operand(right, None);
+                self.push(Pending::Compare {
+                    op: *op,
+                    left,
+                    right,
+                    span: place.0,
+                });
+            }
+            ast::Literal::Any(_) => {}
+        }
+    }
+
+    /// A rule for a predicate whose facts come from outside.
+    fn derivable(&mut self, relation: RelId, clause: &ast::Clause, head: &ast::Atom) {
+        if clause.body.is_empty() {
+            return;
+        }
+        if let Some(input) = self.names.signatures[relation.index()].input {
+            let name = &head.predicate.text;
+            let fault = Diagnostic::new(Code::DerivedInput, format!("`{name}` is input and also derived"))
+                .at(head.place.0, "derived here")
+                .also(input, "input here")
+                .help("derive another predicate, with one clause that takes over what is given");
+            self.faults.push(fault);
+        }
+    }
+
+    // --- types
+
+    fn group(&self, mut at: usize) -> usize {
+        while let Some(next) = self.variables[at].equal_to {
+            at = next;
+        }
+        at
+    }
+
+    /// A further column that a variable, or a group, stands in.
+    fn narrow(&mut self, variable: usize, further: Use) {
+        let Some(known) = self.variables[variable].narrowest else {
+            self.variables[variable].narrowest = Some(further);
+            return;
+        };
+        match self.names.meet(known.ty, further.ty) {
+            Some(meet) => {
+                if meet != known.ty {
+                    self.variables[variable].narrowest = Some(Use { ty: meet, ..further });
+                }
+            }
+            None => self.clash(variable, known, further),
+        }
+    }
+
+    fn clash(&mut self, variable: usize, known: Use, further: Use) {
+        if self.variables[variable].excused {
+            return;
+        }
+        self.variables[variable].excused = true;
+        let name = self.name(VarId(u32::try_from(variable).expect("fewer than 2^32 variables")));
+        let (first, second) = (
+            self.names.type_name(known.ty).to_owned(),
+            self.names.type_name(further.ty).to_owned(),
+        );
+        let fault = Diagnostic::new(
+            Code::TypeMismatch,
+            format!("`{name}` cannot be both `{first}` and `{second}`"),
+        )
+        .at(further.span, format!("`{second}` here"))
+        .also(known.span, format!("`{first}` here"));
+        self.fault(fault);
+    }
+
+    /// Makes a group of the variables that `=` makes equal.
+    fn join_equals(&mut self, pending: &[Pending<'c>]) {
+        for pending in pending {
+            match pending {
+                Pending::Compare {
+                    op: Comparison::Equal,
+                    left,
+                    right,
+                    ..
+                } => {
+                    if let (OperandKind::Variable(a), OperandKind::Variable(b)) = (left.kind, right.kind) {
+                        self.join(a.index(), b.index());
+                    }
+                }
+                Pending::Aggregate { body, .. } => self.join_equals(body),
+                _ => {}
+            }
+        }
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.group(a), self.group(b));
+        if a == b {
+            return;
+        }
+        // The later joins the earlier, so chains stay as short as the text makes them.
+        let (into, from) = (a.min(b), a.max(b));
+        self.variables[from].equal_to = Some(into);
+        let (excused, narrowest) = (self.variables[from].excused, self.variables[from].narrowest);
+        self.variables[into].excused |= excused;
+        if let Some(narrowest) = narrowest {
+            self.narrow(into, narrowest);
+        }
+    }
+
+    fn type_of_variable(&self, id: VarId) -> VariableType {
+        let group = &self.variables[self.group(id.index())];
+        match (group.narrowest, group.base) {
+            (Some(narrowest), _) => VariableType::Type(narrowest.ty),
+            (None, Some((base, _))) => VariableType::Base(base),
+            (None, None) => VariableType::Unknown,
+        }
+    }
+
+    /// The type of a variable about which nothing was reported.
+    fn type_of(&self, id: VarId) -> VariableType {
+        if self.variables[self.group(id.index())].excused {
+            VariableType::Unknown
+        } else {
+            self.type_of_variable(id)
+        }
+    }
+
+    fn base_of_variable(&self, id: VarId) -> Option<BaseType> {
+        match self.type_of(id) {
+            VariableType::Unknown => None,
+            VariableType::Base(base) => Some(base),
+            VariableType::Type(ty) => Some(self.names.base(ty)),
+        }
+    }
+
+    fn base_of(&self, operand: Operand) -> Option<BaseType> {
+        match operand.kind {
+            OperandKind::Variable(id) => self.base_of_variable(id),
+            OperandKind::Constant(_, base) => Some(base),
+            OperandKind::Whole(_) | OperandKind::Nothing => None,
+        }
+    }
+
+    /// Where the type of a variable comes from.
+    fn origin(&self, id: VarId) -> Option<Span> {
+        let group = &self.variables[self.group(id.index())];
+        let narrowest = group.narrowest.map(|narrowest| narrowest.span);
+        narrowest.or(group.base.map(|(_, span)| span))
+    }
+
+    /// Finds the base types of variables and constants in comparisons and expressions, and reports what does not fit.
+    fn infer(&mut self, head: Option<&Atom>, pending: &[Pending<'c>]) {
+        let mut ties = Vec::new();
+        self.ties(pending, &mut ties);
+        self.spread(&ties);
+        // Where nothing else says what a variable is, the places that it is used in do.
+        if let Some(head) = head {
+            self.hint(head);
+        }
+        let negated = pending.iter().filter_map(|pending| match pending {
+            Pending::Atom {
+                negated: true, atom, ..
+            } => Some(atom),
+            _ => None,
+        });
+        negated.for_each(|atom| self.hint(atom));
+        self.spread(&ties);
+        for index in 0..ties.len() {
+            let tie = &ties[index];
+            let numeric = tie.allowed.len() < BaseType::ALL.len()
+                || tie
+                    .operands
+                    .iter()
+                    .any(|operand| matches!(operand.kind, OperandKind::Whole(_)));
+            if numeric && tie.base(self).is_none() && tie.allowed.contains(&BaseType::Number) {
+                self.settle(&ties[index], BaseType::Number);
+                self.spread(&ties);
+            }
+        }
+        for tie in &ties {
+            self.check_tie(tie);
+        }
+    }
+
+    /// A variable of the atom whose base is not known gets that of its column.
+    fn hint(&mut self, atom: &Atom) {
+        for (column, term) in atom.terms.iter().enumerate() {
+            if let (Term::Variable(id), Some(ty)) = (term, self.column(atom.relation, column)) {
+                let (base, span) = (self.names.base(ty), self.variables[id.index()].first);
+                let group = self.group(id.index());
+                if self.base_of_variable(*id).is_none() {
+                    self.variables[group].base = Some((base, span));
+                }
+            }
+        }
+    }
+
+    /// What the literals say of base types.
+    fn ties(&self, pending: &[Pending<'c>], out: &mut Vec<Tie>) {
+        for pending in pending {
+            match pending {
+                Pending::Atom { .. } => {}
+                Pending::Compare { op, left, right, span } => {
+                    let allowed: &[BaseType] = match op {
+                        Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => {
+                            &[BaseType::Symbol]
+                        }
+                        _ => &BaseType::ALL,
+                    };
+                    out.push(Tie::new(TieKind::Compare, &[*left, *right], allowed, *span));
+                }
+                Pending::Compute {
+                    to,
+                    functor,
+                    arguments,
+                    ty,
+                    span,
+                } => {
+                    let result = Operand {
+                        kind: OperandKind::Variable(*to),
+                        span: *span,
+                    };
+                    let kind = TieKind::Functor(functor.name());
+                    match functor.shape() {
+                        Shape::Same(allowed) => {
+                            let all: Vec<Operand> = std::iter::once(result).chain(arguments.iter().copied()).collect();
+                            out.push(Tie::new(kind, &all, allowed, *span));
+                        }
+                        Shape::Convert(allowed, base) => {
+                            out.push(Tie::new(kind, arguments, allowed, *span));
+                            let base = ty.map_or(base, |ty| self.names.base(ty));
+                            if *functor != Functor::Cast || ty.is_some() {
+                                out.push(Tie::new(kind, &[result], only(base), *span));
+                            }
+                        }
+                        Shape::Fixed(bases, base) => {
+                            for (argument, base) in arguments.iter().zip(bases) {
+                                out.push(Tie::new(kind, &[*argument], only(*base), *span));
+                            }
+                            out.push(Tie::new(kind, &[result], only(base), *span));
+                        }
+                    }
+                }
+                Pending::Aggregate {
+                    to,
+                    op,
+                    target,
+                    body,
+                    span,
+                    ..
+                } => {
+                    self.ties(body, out);
+                    let result = Operand {
+                        kind: OperandKind::Variable(*to),
+                        span: *span,
+                    };
+                    let kind = TieKind::Functor(op.name());
+                    match (op, target) {
+                        (AggregateOp::Mean, Some(target)) => {
+                            out.push(Tie::new(kind, &[*target], op.takes(), *span));
+                            out.push(Tie::new(kind, &[result], only(BaseType::Float), *span));
+                        }
+                        (_, Some(target)) => out.push(Tie::new(kind, &[result, *target], op.takes(), *span)),
+                        (_, None) => out.push(Tie::new(kind, &[result], only(BaseType::Number), *span)),
+                    }
+                }
+            }
+        }
+    }
+
+    /// Hands what is known along the ties until nothing more follows.
+    fn spread(&mut self, ties: &[Tie]) {
+        let mut changed = true;
+        while std::mem::take(&mut changed) {
+            for tie in ties {
+                if let Some(base) = tie.base(self) {
+                    changed |= self.settle(tie, base);
+                }
+            }
+        }
+    }
+
+    /// Gives the base type to all variables of a tie that have none.
+    fn settle(&mut self, tie: &Tie, base: BaseType) -> bool {
+        let mut changed = false;
+        for operand in &tie.operands {
+            if let OperandKind::Variable(id) = operand.kind {
+                let group = self.group(id.index());
+                if !self.variables[group].excused && self.base_of_variable(id).is_none() {
+                    self.variables[group].base = Some((base, operand.span));
+                    changed = true;
+                }
+            }
+        }
+        changed
+    }
+
+    fn check_tie(&mut self, tie: &Tie) {
+        let known: Vec<(Operand, BaseType)> = (tie.operands.iter())
+            .filter_map(|&operand| match operand.kind {
+                // A number fits every base type but one.
+                OperandKind::Whole(_) if tie.base(self) == Some(BaseType::Symbol) => Some((operand, BaseType::Number)),
+                _ => Some((operand, self.base_of(operand)?)),
+            })
+            .collect();
+        let Some(&(first, base)) = known.first() else { return };
+        let other = known.iter().find(|(_, other)| *other != base).copied();
+        if let (TieKind::Compare, Some(other)) = (tie.kind, other)
+            && tie.allowed.len() > 1
+        {
+            self.incomparable([(first, base), other], tie.span);
+            return;
+        }
+        if let Some((operand, found)) = known.iter().find(|(_, found)| !tie.allowed.contains(found)) {
+            let wanted: Vec<String> = tie.allowed.iter().map(|base| format!("`{}`", base.name())).collect();
+            let what = match tie.kind {
+                TieKind::Compare => "this takes values",
+                TieKind::Functor(_) => "has to do with values",
+            };
+            let message = match tie.kind {
+                TieKind::Compare => format!("{what} of type {}, not `{}`", wanted.join(" or "), found.name()),
+                TieKind::Functor(name) => {
+                    format!(
+                        "`{name}` {what} of type {}, not `{}`",
+                        wanted.join(" or "),
+                        found.name()
+                    )
+                }
+            };
+            let fault = Diagnostic::new(Code::TypeMismatch, message).at(operand.span, format!("`{}`", found.name()));
+            let operand = *operand;
+            self.tell_origin(fault, operand);
+        } else if let Some((operand, found)) = other {
+            let name = match tie.kind {
+                TieKind::Compare => "=",
+                TieKind::Functor(name) => name,
+            };
+            let message = format!("`{name}` cannot mix a `{}` and a `{}`", base.name(), found.name());
+            let fault = Diagnostic::new(Code::TypeMismatch, message)
+                .at(operand.span, format!("`{}`", found.name()))
+                .also(first.span, format!("`{}`", base.name()))
+                .help("convert one of them: `to_number(x)`, `to_unsigned(x)`, `to_float(x)` or `to_string(x)`");
+            self.tell_origin(fault, operand);
+        }
+    }
+
+    fn tell_origin(&mut self, mut fault: Diagnostic, operand: Operand) {
+        if let OperandKind::Variable(id) = operand.kind {
+            if let Some(origin) = self.origin(id)
+                && origin != operand.span
+            {
+                fault = fault.also(origin, "its type comes from here");
+            }
+            let group = self.group(id.index());
+            self.variables[group].excused = true;
+        }
+        self.fault(fault);
+    }
+
+    fn incomparable(&mut self, sides: [(Operand, BaseType); 2], span: Span) {
+        let message = format!(
+            "a `{}` cannot be compared with a `{}`",
+            sides[0].1.name(),
+            sides[1].1.name()
+        );
+        let mut fault = Diagnostic::new(Code::TypeMismatch, message).at(span, "");
+        for (operand, base) in sides {
+            if let OperandKind::Variable(id) = operand.kind
+                && let Some(origin) = self.origin(id)
+            {
+                fault = fault.also(origin, format!("`{}` is a `{}` here", self.name(id), base.name()));
+            }
+        }
+        self.fault(fault);
+    }
+
+    /// Variables in heads and negated atoms must fit what stands there.
+    fn types(&mut self, head: &ast::Atom, lowered: Option<&Atom>, pending: &[Pending<'c>]) {
+        if let Some(lowered) = lowered {
+            for column in 0..lowered.terms.len() {
+                self.fits(lowered, column, head.terms[column].place.0, true);
+            }
+        }
+        self.types_of(pending);
+    }
+
+    fn types_of(&mut self, pending: &[Pending<'c>]) {
+        for pending in pending {
+            match pending {
+                Pending::Atom {
+                    negated: true,
+                    atom,
+                    syntax,
+                } => {
+                    for (column, term) in syntax.terms.iter().enumerate() {
+                        self.fits(atom, column, term.place.0, false);
+                    }
+                }
+                Pending::Compare { left, right, .. } => {
+                    for (side, other) in [(left, right), (right, left)] {
+                        if let (OperandKind::Variable(id), Some(base)) = (side.kind, self.base_of(*other)) {
+                            self.variables[id.index()].compared = Some(Names::base_type(base));
+                        }
+                    }
+                }
+                Pending::Aggregate { body, .. } => self.types_of(body),
+                Pending::Atom { .. } | Pending::Compute { .. } => {}
+            }
+        }
+    }
+
+    /// In a head the variable must be of a subtype of the column; in a negated atom of the same line.
+    fn fits(&mut self, atom: &Atom, column: usize, span: Span, is_head: bool) {
+        let (Term::Variable(id), Some(wanted)) = (atom.terms[column], self.column(atom.relation, column)) else {
+            return;
+        };
+        let fits = match self.type_of(id) {
+            VariableType::Unknown => true,
+            VariableType::Base(base) => base == self.names.base(wanted),
+            VariableType::Type(found) if is_head => self.names.is_subtype(found, wanted),
+            VariableType::Type(found) => self.names.meet(found, wanted).is_some(),
+        };
+        if fits {
+            return;
+        }
+        let name = self.name(id);
+        let found = match self.type_of(id) {
+            VariableType::Type(found) => self.names.type_name(found).to_owned(),
+            VariableType::Base(base) => base.name().to_owned(),
+            VariableType::Unknown => String::new(),
+        };
+        let wanted = self.names.type_name(wanted).to_owned();
+        let message = format!("expected a value of type `{wanted}`, found `{name}` of type `{found}`");
+        let mut fault = Diagnostic::new(Code::TypeMismatch, message).at(span, format!("must be of type `{wanted}`"));
+        if let Some(origin) = self.origin(id) {
+            fault = fault.also(origin, format!("`{name}` is of type `{found}` here"));
+        }
+        let group = self.group(id.index());
+        self.variables[group].excused = true;
+        self.fault(fault.note(format!(
+            "the declaration is `{}`",
+            self.names.signature_text(atom.relation)
+        )));
+    }
+
+    // --- safety
+
+    fn is_bound(&self, operand: Operand) -> bool {
+        match operand.kind {
+            OperandKind::Variable(id) => self.bound[id.index()],
+            _ => true,
+        }
+    }
+
+    /// Marks what a literal of a level binds, given what is bound so far. What an aggregate's body binds stays within.
+    fn bind(&mut self, pending: &Pending<'c>, level: usize) -> bool {
+        let mut binds: Vec<VarId> = Vec::new();
+        let mut changed = false;
+        match pending {
+            Pending::Atom {
+                negated: false, atom, ..
+            } => {
+                binds.extend(atom.terms.iter().filter_map(|term| match term {
+                    Term::Variable(id) => Some(*id),
+                    _ => None,
+                }));
+            }
+            Pending::Compare {
+                op: Comparison::Equal,
+                left,
+                right,
+                ..
+            } => {
+                for (from, to) in [(*left, *right), (*right, *left)] {
+                    if let (true, OperandKind::Variable(id)) = (self.is_bound(from), to.kind) {
+                        binds.push(id);
+                    }
+                }
+            }
+            Pending::Compute { to, arguments, .. } if arguments.iter().all(|&argument| self.is_bound(argument)) => {
+                binds.push(*to);
+            }
+            Pending::Aggregate {
+                to,
+                target,
+                body,
+                level: inner,
+                ..
+            } => {
+                for pending in body {
+                    changed |= self.bind(pending, *inner);
+                }
+                let mut ready = true;
+                self.each_variable(body, *target, &mut |id, check| {
+                    ready &= check.variables[id.index()].level >= *inner || check.bound[id.index()];
+                });
+                if ready {
+                    binds.push(*to);
+                }
+            }
+            _ => {}
+        }
+        for id in binds {
+            if self.variables[id.index()].level == level && !self.bound[id.index()] {
+                self.bound[id.index()] = true;
+                changed = true;
+            }
+        }
+        changed
+    }
+
+    /// Every variable of literals and of an aggregate's target.
+    fn each_variable(&self, pending: &[Pending<'c>], target: Option<Operand>, each: &mut dyn FnMut(VarId, &Self)) {
+        let operand = |operand: Operand, each: &mut dyn FnMut(VarId, &Self)| {
+            if let OperandKind::Variable(id) = operand.kind {
+                each(id, self);
+            }
+        };
+        for pending in pending {
+            match pending {
+                Pending::Atom { atom, .. } => {
+                    for term in &atom.terms {
+                        if let Term::Variable(id) = term {
+                            each(*id, self);
+                        }
+                    }
+                }
+                Pending::Compare { left, right, .. } => {
+                    operand(*left, each);
+                    operand(*right, each);
+                }
+                Pending::Compute { to, arguments, .. } => {
+                    arguments.iter().for_each(|&argument| operand(argument, each));
+                    each(*to, self);
+                }
+                Pending::Aggregate { to, target, body, .. } => {
+                    each(*to, self);
+                    self.each_variable(body, *target, each);
+                }
+            }
+        }
+        if let Some(target) = target {
+            operand(target, each);
+        }
+    }
+
+    fn bindings(&mut self, head: &ast::Atom, is_fact: bool, pending: &[Pending<'c>]) {
+        self.bound = vec![false; self.variables.len()];
+        self.bind_all(pending);
+        // First the causes: what is computed from an unbound variable is not told besides.
+        let mut computed = vec![false; self.variables.len()];
+        mark_computed(pending, &mut computed);
+        self.report_unbound(head, is_fact, |index| !computed[index]);
+        self.bind_all(pending);
+        self.report_unbound(head, is_fact, |_| true);
+    }
+
+    fn bind_all(&mut self, pending: &[Pending<'c>]) {
+        let mut changed = true;
+        while std::mem::take(&mut changed) {
+            for pending in pending {
+                changed |= self.bind(pending, 0);
+            }
+        }
+    }
+
+    fn report_unbound(&mut self, head: &ast::Atom, is_fact: bool, chosen: impl Fn(usize) -> bool) {
+        let unbound: Vec<usize> = (0..self.variables.len())
+            .filter(|&index| !self.bound[index] && chosen(index))
+            .collect();
+        for index in unbound {
+            if self.faults.full() {
+                self.sound = false;
+                return;
+            }
+            self.bound[index] = true;
+            let group = self.group(index);
+            if self.variables[group].excused || self.variables[index].excused {
+                continue;
+            }
+            if self.is_hidden(index) {
+                // It is computed from what was reported itself.
+                self.sound = false;
+                continue;
+            }
+            let name = self.name(VarId(u32::try_from(index).expect("fewer than 2^32 variables")));
+            let mut fault = Diagnostic::new(Code::UnboundVariable, format!("no positive atom binds `{name}`"))
+                .at(self.variables[index].first, "");
+            if is_fact {
+                fault = fault
+                    .note("a fact has no variables; a name without quotes is one")
+                    .help(format!("write the constant in quotes: `\"{name}\"`"));
+            } else {
+                if let Some((_, span)) = self.variables[index].negated
+                    && span != self.variables[index].first
+                {
+                    fault = fault.also(span, "a negated atom binds nothing");
+                }
+                if let Some(span) = self.variables[index].further_in {
+                    fault = fault.also(span, "what stands in an aggregate binds nothing outside of it");
+                }
+                fault = match self.binder(index, head, &name) {
+                    Some(binder) => fault.help(format!(
+                        "add a positive atom that says what `{name}` is, such as `{binder}`"
+                    )),
+                    None => fault.help(format!("add a positive atom with `{name}` to the body")),
+                };
+            }
+            self.fault(fault);
+        }
+    }
+
+    /// An atom that could bind the variable: over a declared predicate, with few columns, one of which has its type.
+    fn binder(&self, index: usize, head: &ast::Atom, name: &str) -> Option<String> {
+        let Variable { negated, compared, .. } = self.variables[index];
+        let wanted = negated.map(|(ty, _)| ty).or(compared).or_else(|| {
+            let relation = self.names.find(&head.predicate.text)?;
+            let is_it = |term: &ast::Term| term.kind == TermKind::Variable(name.to_owned());
+            self.column(relation, head.terms.iter().position(is_it)?)
+        })?;
+        let mut best: Option<(usize, String)> = None;
+        for (relation, signature) in self.names.relations.iter().zip(&self.names.signatures).take(1000) {
+            let columns = signature.columns.as_deref().unwrap_or_default();
+            let place = columns
+                .iter()
+                .position(|ty| ty.is_some_and(|ty| self.names.is_subtype(ty, wanted)));
+            let Some(place) = place else { continue };
+            // Of predicates with as many columns an input one is better: it surely has rows.
+            let rank = 2 * columns.len() + usize::from(!relation.input);
+            if relation.name != head.predicate.text
+                && !relation.hidden
+                && best.as_ref().is_none_or(|(least, _)| rank < *least)
+            {
+                let terms: Vec<&str> = (0..columns.len())
+                    .map(|at| if at == place { name } else { "_" })
+                    .collect();
+                best = Some((rank, format!("{}({})", relation.name, terms.join(", "))));
+            }
+        }
+        best.map(|(_, text)| text)
+    }
+
+    // --- the checked literals
+
+    /// A literal other than an aggregate as the engine gets it.
+    pub fn written(&mut self, pending: &Pending<'c>) -> Literal {
+        match pending {
+            Pending::Atom { negated, atom, .. } if *negated => Literal::Negative(atom.clone()),
+            Pending::Atom { atom, .. } => Literal::Positive(atom.clone()),
+            Pending::Compare { op, left, right, span } => {
+                let base = self.base_of(*left).or_else(|| self.base_of(*right));
+                let number = |side: &Operand| matches!(side.kind, OperandKind::Whole(_));
+                let usual = if number(left) {
+                    BaseType::Number
+                } else {
+                    BaseType::Symbol
+                };
+                let base = base.unwrap_or(usual);
+                Literal::Compare {
+                    op: *op,
+                    left: self.finished(*left, base),
+                    right: self.finished(*right, base),
+                    base,
+                    span: *span,
+                }
+            }
+            Pending::Compute {
+                to,
+                functor,
+                arguments,
+                span,
+                ..
+            } => {
+                let known = arguments.iter().find_map(|&argument| self.base_of(argument));
+                let base = match functor.shape() {
+                    Shape::Same(_) => known.or_else(|| self.base_of_variable(*to)),
+                    _ => known,
+                };
+                let base = base.unwrap_or(BaseType::Number);
+                let bases: Vec<BaseType> = match functor.shape() {
+                    Shape::Fixed(bases, _) => bases.to_vec(),
+                    _ => vec![base; arguments.len()],
+                };
+                Literal::Compute {
+                    to: Term::Variable(*to),
+                    functor: *functor,
+                    base,
+                    arguments: (arguments.iter().zip(bases))
+                        .map(|(&argument, base)| self.finished(argument, base))
+                        .collect(),
+                    span: *span,
+                }
+            }
+            // See `Check::finish`; it stands in no list of these.
+            Pending::Aggregate { to, span, .. } => Literal::Compare {
+                op: Comparison::Equal,
+                left: Term::Variable(*to),
+                right: Term::Variable(*to),
+                base: BaseType::Symbol,
+                span: *span,
+            },
+        }
+    }
+
+    pub fn finished(&mut self, operand: Operand, base: BaseType) -> Term {
+        match operand.kind {
+            OperandKind::Variable(id) => Term::Variable(id),
+            OperandKind::Nothing => Term::Wildcard,
+            OperandKind::Whole(_) | OperandKind::Constant(..) => Term::Constant(self.value(operand, base)),
+        }
+    }
+
+    /// The base type of an operand, when all are known.
+    pub fn settled_base(&self, operand: Operand) -> BaseType {
+        self.base_of(operand).unwrap_or(BaseType::Number)
+    }
+
+    /// Within how many aggregates a variable lives; `None` for one that was made later.
+    pub fn level(&self, id: VarId) -> Option<usize> {
+        self.variables.get(id.index()).map(|variable| variable.level)
+    }
+
+    pub fn report(&mut self, fault: Diagnostic) {
+        self.fault(fault);
+    }
+
+    pub fn unsound(&mut self) {
+        self.sound = false;
+    }
+
+    pub fn edge(&mut self, to: RelId, kind: EdgeKind, span: Span) {
+        self.edges.push((to, kind, span));
+    }
+}
+
+/// Marks the variables that literals compute.
+fn mark_computed(pending: &[Pending<'_>], computed: &mut [bool]) {
+    for pending in pending {
+        match pending {
+            Pending::Compute { to, .. } => computed[to.index()] = true,
+            Pending::Aggregate { to, body, .. } => {
+                computed[to.index()] = true;
+                mark_computed(body, computed);
+            }
+            Pending::Atom { .. } | Pending::Compare { .. } => {}
+        }
+    }
+}
+
+/// Operands of one base type.
+struct Tie {
+    kind: TieKind,
+    operands: Vec<Operand>,
+    allowed: &'static [BaseType],
+    span: Span,
+}
+
+#[derive(Clone, Copy)]
+enum TieKind {
+    Compare,
+    Functor(&'static str),
+}
+
+impl Tie {
+    fn new(kind: TieKind, operands: &[Operand], allowed: &'static [BaseType], span: Span) -> Tie {
+        Tie {
+            kind,
+            operands: operands.to_vec(),
+            allowed,
+            span,
+        }
+    }
+
+    fn base(&self, check: &Check<'_, '_>) -> Option<BaseType> {
+        match self.allowed {
+            [only] => Some(*only),
+            _ => self.operands.iter().find_map(|&operand| check.base_of(operand)),
+        }
+    }
+}
+
+/// The list of one base type.
+fn only(base: BaseType) -> &'static [BaseType] {
+    match base {
+        BaseType::Symbol => &[BaseType::Symbol],
+        BaseType::Number => &[BaseType::Number],
+        BaseType::Unsigned => &[BaseType::Unsigned],
+        BaseType::Float => &[BaseType::Float],
+    }
+}
