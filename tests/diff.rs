@@ -292,7 +292,7 @@ fn written(genes: &[(u8, u8, u8, u8)], promises: u8) -> String {
 
 /// The rows of P, S and T in a scene, by bits: A, B, R over the first entities.
 fn outputs(rules: &Rules, entities: u32, scene: u32) -> Option<Vec<(RelId, Vec<Vec<Value>>)>> {
-    let mut symbols = rules.symbols.clone();
+    let symbols = rules.symbols.clone();
     let names: Vec<Value> = (0..entities)
         .map(|index| Value(symbols.intern(&format!("e{index}")).0))
         .collect();
@@ -426,4 +426,15 @@ fn the_command_says_what_it_knows() {
     let output = logicity(&["diff", "rules/easy.dl", "rules/medium.dl", "--json"]);
     let answer: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(answer["verdict"], "different");
+}
+
+#[test]
+fn expressions_and_aggregates_are_refused() {
+    let plain = rules(".decl a(x: number)\n.input a\n.decl b(x: number)\n.output b\nb(x) :- a(x).");
+    for body in ["a(y), x = y + 1", "a(x), 2 = count : { a(_) }"] {
+        let text = format!(".decl a(x: number)\n.input a\n.decl b(x: number)\n.output b\nb(x) :- {body}.");
+        let faults = diff(&plain, &rules(&text), &Options::default()).unwrap_err();
+        assert_eq!(faults.len(), 1, "{faults:?}");
+        assert!(faults[0].message.contains("expressions, aggregates"));
+    }
 }

@@ -211,3 +211,12 @@ fn the_command_writes_checks_and_pipes() {
     assert_eq!(run(&[]).status.code(), Some(1));
     assert_eq!(std::fs::read_to_string(&file).unwrap(), "A(1");
 }
+
+#[test]
+fn expressions_alternatives_and_aggregates_are_laid_out() {
+    let text = "B(x) :- A(x,y),(x<3;x>5),y>2.5, x = 1+2*3 . // c\nC(n,1u),C(n+1,2u) :- n = sum y:{B(y),y<3}.\n";
+    let wanted = "B(x) :- A(x, y), (x < 3; x > 5), y > 2.5, x = 1 + 2 * 3. // c\n\
+                  C(n, 1u), C(n + 1, 2u) :- n = sum y: { B(y), y < 3 }.\n";
+    assert_eq!(formatted(text), wanted);
+    assert_eq!(formatted(wanted), wanted);
+}

@@ -635,7 +635,6 @@ fn item() -> impl Strategy<Value = ast::Item> {
         1 => proptest::collection::vec(any::<String>(), 1..3).prop_map(|words| {
             ast::Item::Pragma(ast::Pragma { words, place: place() })
         }),
-        1 => (kind, names()).prop_map(|(kind, names)| ast::Item::Mark(ast::Mark { kind, names })),
         1 => (0..4_usize, name(), name()).prop_map(|(kind, one, other)| {
             use ast::PromiseKind::{Disjoint, Implies, Irreflexive, Symmetric};
             let kind = [Disjoint, Implies, Irreflexive, Symmetric][kind];

@@ -1,7 +1,7 @@
 //! Whether facts are as the rules promise.
 
 use crate::diag::{Code, Diagnostic};
-use crate::engine::Session;
+use crate::engine::{Session, facts};
 use crate::lang::{BaseType, Constraint, RelId, Value};
 use crate::symbol::Symbol;
 
@@ -53,6 +53,8 @@ fn shown(session: &Session, relation: RelId, row: &[Value]) -> String {
         .zip(row)
         .map(|(column, value)| match column.base {
             BaseType::Number => value.as_number().to_string(),
+            BaseType::Unsigned => value.0.to_string(),
+            BaseType::Float => facts::print_float(value.as_float()),
             BaseType::Symbol => format!("{:?}", session.symbols().text(Symbol(value.0)).unwrap_or_default()),
         });
     format!("`{}({})`", relation.name, values.collect::<Vec<_>>().join(", "))

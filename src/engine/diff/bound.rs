@@ -120,7 +120,7 @@ impl Side<'_> {
     /// The clauses of a derived predicate, none for others; `None` if it is recursive.
     fn derivations(&self, relation: RelId) -> Option<Vec<&Clause>> {
         let declared = &self.rules.relations[relation.index()];
-        if declared.columns.iter().any(|column| column.base == BaseType::Number) {
+        if declared.columns.iter().any(|column| column.base != BaseType::Symbol) {
             return None;
         }
         if !declared.derived {
@@ -134,13 +134,14 @@ impl Side<'_> {
     fn plain(&self, clause: &Clause) -> Option<()> {
         let numbers = |atom: &Atom| {
             let columns = &self.rules.relations[atom.relation.index()].columns;
-            columns.iter().any(|column| column.base == BaseType::Number)
+            columns.iter().any(|column| column.base != BaseType::Symbol)
         };
         let plain = clause.body.iter().all(|literal| match literal {
             Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => !numbers(atom),
             Literal::Compare { op, base, .. } => {
                 *base == BaseType::Symbol && matches!(op, Comparison::Equal | Comparison::NotEqual)
             }
+            Literal::Compute { .. } | Literal::Aggregate { .. } => false,
         });
         plain.then_some(())
     }
@@ -154,7 +155,7 @@ impl Side<'_> {
             let (atom, positive) = match literal {
                 Literal::Positive(atom) | Literal::Guard(atom) => (atom, true),
                 Literal::Negative(atom) => (atom, false),
-                Literal::Compare { .. } => continue,
+                Literal::Compare { .. } | Literal::Compute { .. } | Literal::Aggregate { .. } => continue,
             };
             let wild = atom.terms.iter().filter(|term| **term == Term::Wildcard).count();
             let local = variables(literal).any(|id| !head.contains(&id));
@@ -173,7 +174,7 @@ impl Side<'_> {
         clause.body.iter().filter_map(|literal| match literal {
             Literal::Positive(atom) | Literal::Guard(atom) => self.is_derived(atom).then_some((true, atom)),
             Literal::Negative(atom) => self.is_derived(atom).then_some((false, atom)),
-            Literal::Compare { .. } => None,
+            Literal::Compare { .. } | Literal::Compute { .. } | Literal::Aggregate { .. } => None,
         })
     }
 

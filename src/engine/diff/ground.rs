@@ -319,6 +319,8 @@ impl<'a> Circuit<'a> {
                 };
                 Ok(if holds { self.yes } else { !self.yes })
             }
+            // `diff` refuses rules that have them.
+            Literal::Compute { .. } | Literal::Aggregate { .. } => Ok(!self.yes),
         }
     }
 
@@ -361,6 +363,8 @@ impl<'a> Circuit<'a> {
             Comparison::LessEqual => order.is_le(),
             Comparison::Greater => order.is_gt(),
             Comparison::GreaterEqual => order.is_ge(),
+            // `diff` refuses rules that have them.
+            Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => false,
         }
     }
 
@@ -390,6 +394,7 @@ impl<'a> Circuit<'a> {
                         return *base;
                     }
                 }
+                Literal::Compute { .. } | Literal::Aggregate { .. } => {}
             }
         }
         BaseType::Symbol
@@ -450,15 +455,8 @@ struct Search<'a> {
 
 /// The variables of a literal.
 pub(super) fn variables(literal: &Literal) -> impl Iterator<Item = usize> + '_ {
-    let (terms, sides): (&[Term], _) = match literal {
-        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => (&atom.terms, None),
-        Literal::Compare { left, right, .. } => (&[], Some([left, right])),
-    };
-    terms
-        .iter()
-        .chain(sides.into_iter().flatten())
-        .filter_map(|term| match term {
-            Term::Variable(variable) => Some(variable.index()),
-            _ => None,
-        })
+    literal.terms().filter_map(|term| match term {
+        Term::Variable(variable) => Some(variable.index()),
+        _ => None,
+    })
 }

@@ -14,6 +14,7 @@ mod sat;
 
 use crate::diag::{Code, Diagnostic};
 use crate::engine::naive;
+use crate::engine::optimize::speaks_of;
 use crate::lang::{BaseType, Clause, Literal, RelId, Rules, Term, Value};
 use crate::symbol::{Symbol, Symbols};
 use ground::{BaseFact, Circuit, TooLarge, View};
@@ -116,7 +117,7 @@ impl Individual {
 impl Side<'_> {
     fn individual(&self, value: Value, base: BaseType) -> Individual {
         match base {
-            BaseType::Number => Individual::Number(value.as_number()),
+            BaseType::Number | BaseType::Unsigned | BaseType::Float => Individual::Number(value.as_number()),
             BaseType::Symbol => {
                 Individual::Text(self.rules.symbols.text(Symbol(value.0)).unwrap_or_default().to_owned())
             }
@@ -137,9 +138,13 @@ const ROOM: usize = 3_000_000;
 /// Compares two sets of rules.
 ///
 /// # Errors
-/// If a predicate does not fit: it has other columns on the other side, is given on one side and derived on the other, or is to be
+/// If a rule set has expressions, aggregates, floats or unsigned numbers; if a predicate does not fit: it has other columns on the other side, is given on one side and derived on the other, or is to be
 /// compared and is not declared on both.
 pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, Vec<Diagnostic>> {
+    let unknown: Vec<Diagnostic> = [left, right].into_iter().flat_map(unknown).collect();
+    if !unknown.is_empty() {
+        return Err(unknown);
+    }
     let base = shared_base(left, right)?;
     let outputs = outputs(left, right, options)?;
     let sides = [left, right].map(|rules| side(rules, &base));
@@ -186,6 +191,24 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, V
             proof,
         },
     })
+}
+
+/// What the search cannot speak of: clauses with expressions or aggregates, columns of floats or unsigned numbers.
+fn unknown(rules: &Rules) -> Vec<Diagnostic> {
+    let refused = |what: &str, span| {
+        let message = format!("`diff` does not compare rules with {what}");
+        Diagnostic::new(Code::Unsupported, message).at(span, "")
+    };
+    let clauses = rules.clauses.iter().filter(|clause| !speaks_of(clause));
+    let clauses = clauses.map(|clause| refused("expressions, aggregates, `match` or `contains`", clause.span));
+    let wide = |base: &BaseType| matches!(base, BaseType::Float | BaseType::Unsigned);
+    let relations = (rules.relations.iter())
+        .filter(|relation| relation.columns.iter().any(|column| wide(&column.base)))
+        .map(|relation| refused("floats or unsigned numbers", relation.span));
+    let mut refused: Vec<Diagnostic> = relations.chain(clauses).collect();
+    // Alternatives and heads of one clause stand in one place.
+    refused.dedup();
+    refused
 }
 
 // --- what the two have in common
@@ -396,7 +419,7 @@ fn individuals(sides: [&Side<'_>; 2], entities: usize) -> Vec<Individual> {
             for literal in &clause.body {
                 match literal {
                     Literal::Positive(one) | Literal::Negative(one) | Literal::Guard(one) => atom(one),
-                    Literal::Compare { .. } => {}
+                    Literal::Compare { .. } | Literal::Compute { .. } | Literal::Aggregate { .. } => {}
                 }
             }
             for literal in &clause.body {
@@ -582,8 +605,8 @@ fn tell(
         }
     }
     let derived = sides.map(|side| {
-        let mut symbols: Symbols = side.rules.symbols.clone();
-        let mut word = |index: usize| match &individuals[index] {
+        let symbols: Symbols = side.rules.symbols.clone();
+        let word = |index: usize| match &individuals[index] {
             Individual::Text(text) => Value(symbols.intern(text).0),
             Individual::Number(number) => Value::number(*number),
         };
@@ -610,7 +633,7 @@ fn tell(
             };
             for row in &database[relation.index()] {
                 let shown = (output.columns.iter().zip(row)).map(|(base, value)| match base {
-                    BaseType::Number => value.as_number().to_string(),
+                    BaseType::Number | BaseType::Unsigned | BaseType::Float => value.as_number().to_string(),
                     BaseType::Symbol => symbols.text(Symbol(value.0)).unwrap_or_default().to_owned(),
                 });
                 derived.push((output.name.clone(), shown.collect()));

@@ -18,6 +18,7 @@ use crate::lang::{
 use crate::symbol::Symbol;
 use saturate::Knowledge;
 use std::collections::{BTreeMap, BTreeSet};
+pub(in crate::engine) use theory::speaks_of;
 use theory::{Arg, Fact, Theory, covers, facts};
 
 /// Longer bodies are left as they are.
@@ -205,7 +206,7 @@ impl Knowledge for Literals<'_> {
 /// The positions of the literals that are needed; `None` inside if the body never holds, outside if it was not looked at.
 #[allow(clippy::option_option)]
 fn simplest(clause: &Clause, theory: &Theory) -> Option<Option<Vec<usize>>> {
-    if clause.body.is_empty() || clause.body.len() > LITERALS_MAX {
+    if clause.body.is_empty() || clause.body.len() > LITERALS_MAX || !theory::speaks_of(clause) {
         return None;
     }
     let literals = Literals::new(theory, facts(clause, true));
@@ -262,7 +263,8 @@ fn subsumed(rules: &Rules, theory: &Theory, findings: &mut Vec<Finding>) {
     let never: BTreeSet<usize> = findings.iter().filter_map(contradictory).collect();
     let mut by_head: BTreeMap<RelId, Vec<usize>> = BTreeMap::new();
     for (index, clause) in rules.clauses.iter().enumerate() {
-        if !clause.body.is_empty() && clause.body.len() <= LITERALS_MAX && !never.contains(&index) {
+        let is_known = !clause.body.is_empty() && clause.body.len() <= LITERALS_MAX && theory::speaks_of(clause);
+        if is_known && !never.contains(&index) {
             by_head.entry(clause.head.relation).or_default().push(index);
         }
     }
@@ -441,8 +443,10 @@ impl Cover<'_> {
 
 fn span(literal: &Literal) -> crate::diag::Span {
     match literal {
-        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => atom.span,
-        Literal::Compare { span, .. } => *span,
+        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) | Literal::Aggregate { atom, .. } => {
+            atom.span
+        }
+        Literal::Compare { span, .. } | Literal::Compute { span, .. } => *span,
     }
 }
 
@@ -456,6 +460,8 @@ fn shown_literal(rules: &Rules, clause: &Clause, index: usize) -> String {
             let term = |term| shown_term(rules, clause, term, *base);
             format!("{} {op} {}", term(left), term(right))
         }
+        // Clauses with them are left as they are, so nothing is said of them.
+        Literal::Compute { .. } | Literal::Aggregate { .. } => String::new(),
     }
 }
 
@@ -477,6 +483,8 @@ fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> St
         Term::Variable(VarId(id)) => clause.variables[id as usize].clone(),
         Term::Constant(value) => match base {
             BaseType::Number => value.as_number().to_string(),
+            BaseType::Unsigned => value.0.to_string(),
+            BaseType::Float => crate::engine::facts::print_float(value.as_float()),
             BaseType::Symbol => format!("{:?}", rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
         },
     }

@@ -40,14 +40,7 @@ pub(super) fn facts(clause: &Clause, once_is_any: bool) -> Vec<Fact> {
         }
     };
     clause.head.terms.iter().for_each(&mut count);
-    for literal in &clause.body {
-        match literal {
-            Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
-                atom.terms.iter().for_each(&mut count);
-            }
-            Literal::Compare { left, right, .. } => [left, right].into_iter().for_each(&mut count),
-        }
-    }
+    clause.body.iter().flat_map(Literal::terms).for_each(&mut count);
     let mut fresh = clause.variables.len();
     let mut arg = |term: &Term, positive: bool| match *term {
         Term::Variable(id) if positive && once_is_any && uses[id.index()] == 1 => Arg::Any,
@@ -59,22 +52,43 @@ pub(super) fn facts(clause: &Clause, once_is_any: bool) -> Vec<Fact> {
         }
         Term::Wildcard => Arg::Any,
     };
-    let fact = |literal: &Literal| match literal {
-        Literal::Positive(atom) | Literal::Guard(atom) => Fact::Atom {
-            holds: true,
-            relation: atom.relation,
-            args: atom.terms.iter().map(|term| arg(term, true)).collect(),
-        },
-        Literal::Negative(atom) => Fact::Atom {
-            holds: false,
-            relation: atom.relation,
-            args: atom.terms.iter().map(|term| arg(term, false)).collect(),
-        },
-        Literal::Compare {
-            op, left, right, base, ..
-        } => comparison(allowed(*op), arg(left, false), arg(right, false), *base),
+    let fact = |literal: &Literal| {
+        Some(match literal {
+            Literal::Positive(atom) | Literal::Guard(atom) => Fact::Atom {
+                holds: true,
+                relation: atom.relation,
+                args: atom.terms.iter().map(|term| arg(term, true)).collect(),
+            },
+            Literal::Negative(atom) => Fact::Atom {
+                holds: false,
+                relation: atom.relation,
+                args: atom.terms.iter().map(|term| arg(term, false)).collect(),
+            },
+            Literal::Compare {
+                op, left, right, base, ..
+            } => comparison(allowed(*op), arg(left, false), arg(right, false), *base),
+            Literal::Compute { .. } | Literal::Aggregate { .. } => return None,
+        })
     };
-    clause.body.iter().map(fact).collect()
+    clause.body.iter().filter_map(fact).collect()
+}
+
+/// Whether all literals of a clause are atoms, or comparisons of texts or whole numbers. Of expressions and aggregates nothing is
+/// known here, and floats have values that are not even equal to themselves; a clause with any of them is left as it is.
+pub(in crate::engine) fn speaks_of(clause: &Clause) -> bool {
+    clause.body.iter().all(|literal| match literal {
+        Literal::Positive(_) | Literal::Negative(_) | Literal::Guard(_) => true,
+        Literal::Compare { op, base, .. } => {
+            let texts = [
+                Comparison::Match,
+                Comparison::NotMatch,
+                Comparison::Contains,
+                Comparison::NotContains,
+            ];
+            matches!(base, BaseType::Symbol | BaseType::Number) && !texts.contains(op)
+        }
+        Literal::Compute { .. } | Literal::Aggregate { .. } => false,
+    })
 }
 
 fn allowed(op: Comparison) -> u8 {
@@ -85,6 +99,10 @@ fn allowed(op: Comparison) -> u8 {
         Comparison::LessEqual => LESS | EQUAL,
         Comparison::Greater => GREATER,
         Comparison::GreaterEqual => GREATER | EQUAL,
+        // Nothing is known.
+        Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => {
+            LESS | EQUAL | GREATER
+        }
     }
 }
 
