@@ -646,13 +646,50 @@ stratum 3: path (recursive)
     let output = logicity(["query", &rules, "--profile"]);
     assert_eq!((code(&output), out(&output).as_str()), (0, "path\t3\n"));
     let lines: Vec<String> = err(&output).lines().map(str::to_owned).collect();
-    assert!(lines[0].contains("looked at") && lines.len() == 3, "{lines:?}");
     assert!(
-        lines[1].contains("path(x, z) :- path(x, y)") && lines[1].ends_with(":7:1"),
+        lines[0].ends_with("new rows in     looked at       derived   runs  clause") && lines.len() == 5,
         "{lines:?}"
     );
-    let numbers: Vec<&str> = lines[2].split_whitespace().take(4).collect();
-    assert_eq!(numbers, ["0", "2", "2", "2"]);
+    let find = |what: &str| lines.iter().find(|line| line.contains(what)).unwrap().as_str();
+    assert!(find("path(x, z) :- path(x, y)").ends_with(":7:1"), "{lines:?}");
+    assert!(lines[3].ends_with("(sorting, merging, indexes)") && lines[4].contains(" ms 100.0% "));
+    let numbers: Vec<&str> = find("path(x, y) :- edge").split_whitespace().skip(3).take(4).collect();
+    assert_eq!(numbers, ["0", "2", "2", "1"]);
+}
+
+#[test]
+fn query_takes_threads_and_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path().to_str().unwrap();
+    let facts: String = (0..300).map(|n| format!("a({n}). ")).collect();
+    let text = ".decl a(x: number)\n.decl b(x: number, y: number)\n.output b\nb(x, y) :- a(x), a(y).\n";
+    let rules = write(folder.path(), "product.dl", &(text.to_owned() + &facts));
+    let answer = out(&logicity(["query", &rules, "-D", "-"]));
+    assert!(answer.lines().count() > 90_000);
+    for threads in ["0", "1", "2", "9"] {
+        let output = logicity(["query", &rules, "-D", "-", "--threads", threads]);
+        assert_eq!((code(&output), out(&output)), (0, answer.clone()));
+    }
+    fails(&logicity(["query", &rules, "--threads", "5000"]), 2, &["--threads"]);
+    for (option, value) in [("--max-rows", "89999"), ("--max-steps", "90000"), ("--max-memory", "0")] {
+        for threads in ["1", "2"] {
+            let output = logicity(["query", &rules, "-D", here, option, value, "--threads", threads]);
+            fails(
+                &output,
+                1,
+                &[
+                    "limit-exceeded",
+                    "product.dl:4",
+                    option,
+                    "shares no variable",
+                    "makes the join large",
+                ],
+            );
+            assert!(!folder.path().join("b.csv").exists());
+        }
+    }
+    let output = logicity(["query", &rules, "-D", here, "--max-rows", "90000", "--max-memory", "20"]);
+    assert_eq!(code(&output), 0);
 }
 
 #[test]

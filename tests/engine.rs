@@ -5,7 +5,8 @@ mod written_program;
 
 use logicity::diag::{Code, Sources};
 use logicity::engine::{
-    EvalError, Options, Program, RowError, RuleWork, Session, Strategy, StratumWork, Work, facts, naive,
+    EvalError, Limits, Options, Program, RowError, RuleWork, Session, Strategy, StratumWork, Threads, Work, facts,
+    naive,
 };
 use logicity::lang::{ClauseId, Literal, RelId, Rules, Value};
 use proptest::prelude::*;
@@ -193,6 +194,62 @@ fn input_changed(
             let own = own.contains(&atom.relation) && rules.relations[atom.relation.index()].derived;
             !own && before[atom.relation.index()] != after[atom.relation.index()]
         })
+}
+
+/// So many threads that share every work, however small.
+fn eager(count: usize) -> Threads {
+    Threads {
+        split_from: 0,
+        ..Threads::new(count.try_into().unwrap())
+    }
+}
+
+/// Runs the genome's script with several numbers of threads: everything is as with one, also where a limit is passed.
+fn check_threads(genome: &Genome, limits: Limits) -> Result<(), TestCaseError> {
+    let rules = genome.rules();
+    let program = Program::new(rules.clone()).expect("a generated program is safe and small");
+    for strategy in [Strategy::Auto, Strategy::Maintain, Strategy::Recompute] {
+        let mut sessions = [1, 2, 5].map(|count| {
+            let mut session = program.session();
+            session.set_strategy(strategy);
+            session.set_threads(eager(count)).unwrap();
+            session.set_limits(limits);
+            session
+        });
+        for batch in 0..genome.script.len() {
+            for (present, rel, row) in genome.batch(&rules, batch) {
+                for session in &mut sessions {
+                    match present {
+                        true => session.insert(rel, &row).unwrap(),
+                        false => session.retract(rel, &row).unwrap(),
+                    }
+                }
+            }
+            let [one, others @ ..] = &mut sessions;
+            let expected = one.commit();
+            for session in others {
+                prop_assert_eq!(&session.commit(), &expected);
+                prop_assert_eq!(session.work(), one.work());
+                prop_assert_eq!(database(session), database(one));
+                prop_assert_eq!(session.symbols().len(), one.symbols().len());
+            }
+        }
+    }
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, max_shrink_iters: 20_000, ..ProptestConfig::default() })]
+
+    #[test]
+    fn threads_change_nothing(
+        genome in prop_oneof![genomes(1..4), recursive_genomes(1..4)],
+        rows in prop_oneof![Just(usize::MAX), 0..60_usize],
+        steps in prop_oneof![Just(u64::MAX), 0..2_000_u64],
+        bytes in prop_oneof![Just(u64::MAX), 0..8_000_u64],
+    ) {
+        check_threads(&genome, Limits { rows, steps, bytes })?;
+    }
 }
 
 proptest! {
@@ -539,6 +596,14 @@ fn facts_in_the_text_hold_and_cannot_be_retracted() {
     assert!(session.fired(ClauseId(99)).is_empty());
 }
 
+/// The usual limits but for the rows.
+fn rows(rows: usize) -> Limits {
+    Limits {
+        rows,
+        ..Limits::default()
+    }
+}
+
 #[test]
 fn a_failed_commit_changes_nothing() {
     let program = program(
@@ -549,7 +614,7 @@ fn a_failed_commit_changes_nothing() {
         Odd(x) :- Node(x), !Pair(x, x).",
     );
     let mut session = program.session();
-    session.set_limit(9);
+    session.set_limits(rows(9));
     insert(&mut session, "Node", &[&[1], &[2]]);
     session.commit().unwrap();
     insert(&mut session, "Node", &[&[3], &[4]]);
@@ -580,14 +645,14 @@ fn recursion_past_the_limit_fails() {
         Word(b, c, d, a) :- Word(a, b, c, d).",
     );
     let mut session = program.session();
-    session.set_limit(1_000);
+    session.set_limits(rows(1_000));
     insert(&mut session, "Seed", &[&[0, 0, 0, 0]]);
     (0..10).for_each(|letter| insert(&mut session, "Letter", &[&[letter]]));
     assert!(matches!(
         session.commit(),
         Err(EvalError::TooManyRows { limit: 1_000, .. })
     ));
-    session.set_limit(10_000);
+    session.set_limits(rows(10_000));
     session.commit().unwrap();
     assert_eq!(session.len(program.relation("Word").unwrap()), 10_000);
 }
@@ -605,7 +670,7 @@ fn values_without_end_are_stopped() {
         Text(cat(x, x)) :- Text(x), strlen(x) < 100.",
     );
     let mut session = program.session();
-    session.set_limit(1_000);
+    session.set_limits(rows(1_000));
     insert(&mut session, "Seed", &[&[1]]);
     assert!(matches!(
         session.commit(),
@@ -614,6 +679,89 @@ fn values_without_end_are_stopped() {
     assert!(session.is_empty(program.relation("Number").unwrap()));
     retract(&mut session, "Seed", &[&[1]]);
     assert!(session.commit().unwrap().is_empty());
+}
+
+/// What a commit of the program's facts says about a limit, with one thread and with three; the session is empty afterwards.
+fn stopped(text: &str, limits: Limits) -> EvalError {
+    let program = program(text);
+    let [one, three] = [1, 3].map(|threads| {
+        let mut session = program.session();
+        session.set_threads(eager(threads)).unwrap();
+        session.set_limits(limits);
+        let error = session.commit().map(|_| ()).unwrap_err();
+        assert!(database(&session).iter().all(BTreeSet::is_empty));
+        assert_eq!(session.commit().map(|_| ()).as_ref(), Err(&error));
+        error
+    });
+    assert_eq!(one, three);
+    one
+}
+
+/// So many facts.
+fn facts_of(name: &str, count: usize) -> String {
+    (0..count).map(|n| format!("{name}({n}).\n")).collect()
+}
+
+#[test]
+fn a_product_that_derives_nothing_is_stopped() {
+    let text = facts_of("A", 100)
+        + ".decl A(x: number)
+        .decl B(x: number)
+        B(x) :- A(x), x > 50.
+        B(x) :- A(x), A(y), A(z), A(w), x + y + z + w < 0.";
+    let steps = 1_000_000;
+    let limits = Limits {
+        steps,
+        ..Limits::default()
+    };
+    let error = stopped(&text, limits);
+    assert_eq!(
+        error,
+        EvalError::TooManySteps {
+            limit: steps,
+            clause: ClauseId(101)
+        }
+    );
+    let fault = error.diagnostic(program(&text).rules());
+    assert_eq!((fault.code, fault.secondary.len()), (Code::LimitExceeded, 1));
+    // An aggregate looks at rows, too.
+    let counted = facts_of("A", 2_000)
+        + ".decl A(x: number)
+        .decl Group(x: number, g: number)
+        .decl Size(x: number, n: number)
+        Group(x, 0) :- A(x).
+        Size(x, n) :- Group(x, g), n = count : { Group(_, g) }.";
+    assert!(matches!(stopped(&counted, limits), EvalError::TooManySteps { .. }));
+}
+
+#[test]
+fn wide_rows_indexes_and_texts_are_counted_in_bytes() {
+    let limits = Limits {
+        bytes: 1 << 20,
+        ..Limits::default()
+    };
+    let columns = |end: &str| (0..30).map(|n| format!("c{n}{end}")).collect::<Vec<_>>().join(", ");
+    let wide = facts_of("A", 200)
+        + &format!(
+            ".decl A(x: number)\n.decl W(x: number, y: number, {})\nW(x, y, {}) :- A(x), A(y).\n",
+            columns(": number"),
+            vec!["0"; 30].join(", ")
+        );
+    assert!(matches!(stopped(&wide, limits), EvalError::TooMuchMemory { .. }));
+
+    let doubled = ".decl Text(x: symbol)\nText(\"0123456789\").\nText(cat(x, x)) :- Text(x).";
+    assert!(matches!(stopped(doubled, limits), EvalError::TooMuchMemory { .. }));
+    let spread = ".decl Text(x: symbol)\nText(\"0123456789\").\nText(cat(x, x, x, x, x, x, x, x)) :- Text(x), strlen(x) < 1000000000.";
+    assert!(matches!(stopped(spread, limits), EvalError::TooMuchMemory { .. }));
+
+    // The rows fit, an index over them in another order does not.
+    let index = facts_of("A", 280)
+        + ".decl A(x: number)
+        .decl P(x: number, y: number)
+        .decl Q(x: number)
+        P(x, y) :- A(x), A(y).
+        Q(x) :- A(y), y < 3, P(x, y), x < 3.";
+    assert!(matches!(stopped(&index, limits), EvalError::TooMuchMemory { .. }));
 }
 
 #[test]

@@ -2,11 +2,16 @@
 
 use super::{Failure, load_program, make_folder, report};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::engine::{Options, Program, RuleWork, Session, StratumWork, facts, promise};
+use crate::engine::{EvalError, Limits, Moment, Options, Program, RuleWork, Session, Threads, facts, promise};
 use crate::files::{self, Output, ReadError};
-use crate::lang::{MarkKind, RelId, RowPlace};
-use std::io::Write;
+use crate::lang::{ClauseId, MarkKind, RelId, RowPlace, Rules};
+use std::cell::{Cell, RefCell};
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -22,9 +27,35 @@ pub struct Arguments {
     /// Print how every clause is evaluated, and do nothing else
     #[arg(long, conflicts_with = "profile")]
     plan: bool,
-    /// Tell on standard error what every clause did
+    /// Tell on standard error how long every clause took (wall clock) and on how many rows
     #[arg(long)]
     profile: bool,
+    /// Evaluate on so many threads; 0 is one for each core. The answers and their order are the same
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(..=1024))]
+    threads: u16,
+    /// Stop with an error if the rules derive more rows
+    #[arg(long, value_name = "COUNT", default_value_t = Limits::default().rows)]
+    max_rows: usize,
+    /// Stop with an error if more rows have to be looked at
+    #[arg(long, value_name = "COUNT", default_value_t = Limits::default().steps)]
+    max_steps: u64,
+    /// Stop with an error if rows, indexes and texts take more memory, in MiB; the process may need about three times as much
+    #[arg(long, value_name = "MIB", default_value_t = Limits::default().bytes >> 20)]
+    max_memory: u64,
+}
+
+impl Arguments {
+    fn limits(&self) -> Limits {
+        Limits {
+            rows: self.max_rows,
+            steps: self.max_steps,
+            bytes: self.max_memory.saturating_mul(1 << 20),
+        }
+    }
+
+    fn threads(&self) -> Threads {
+        NonZeroUsize::new(self.threads.into()).map_or_else(Threads::all, Threads::new)
+    }
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -44,25 +75,33 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Ok(());
     }
     let mut session = program.session();
+    session.set_limits(arguments.limits());
+    (session.set_threads(arguments.threads()))
+        .map_err(|error| Failure::Usage(format!("cannot start {} threads: {error}", arguments.threads)))?;
     load_inputs(&arguments.facts, &mut session, sources)?;
-    session.commit().map_err(Diagnostic::from)?;
+    let times = match arguments.profile {
+        true => timed_commit(&mut session).map(Some),
+        false => session.commit().map(|_| None),
+    };
+    let times = times.map_err(|error| too_much(&error, program.rules()))?;
 
     let broken = promise::broken(&session);
     if !broken.is_empty() {
         return Err(broken.into());
     }
 
-    if arguments.profile {
+    if let Some(times) = times {
         // Nobody may be there to read it; the results are worth more.
-        let _ = write!(anstream::stderr(), "{}", profile(&session, sources));
+        let _ = write!(anstream::stderr(), "{}", profile(&session, &times, sources));
     }
-    let mut out = anstream::stdout();
+    let mut out = io::BufWriter::new(anstream::stdout());
     for (id, relation) in relations(&program) {
         for directive in &relation.directives {
             match directive.kind {
                 MarkKind::Input => {}
                 MarkKind::Output => {
-                    let text = facts::print_as(&session, id, &directive.format);
+                    let header = facts::header(relation, &directive.format);
+                    let rows = |out: &mut dyn Write| facts::write_rows(&session, id, &directive.format, out);
                     let path = match &directive.place {
                         _ if arguments.output == Path::new("-") => None,
                         RowPlace::Terminal => None,
@@ -70,49 +109,102 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
                         RowPlace::File(name) => Some(arguments.output.join(name)),
                     };
                     match path {
-                        Some(path) => write_relation(&path, &text)?,
-                        None => print_relation(&mut out, &relation.name, &text, directive.format.headers)?,
+                        Some(path) => write_relation(&path, &header, rows)?,
+                        None => print_relation(&mut out, &relation.name, &header, rows)?,
                     }
                 }
                 MarkKind::PrintSize => writeln!(out, "{}\t{}", relation.name, session.len(id))?,
             }
         }
     }
+    out.flush()?;
     Ok(())
 }
 
-/// What every clause did, those that looked at most rows first.
-fn profile(session: &Session, sources: &Sources) -> String {
-    let rounds = session.work().strata.iter().filter_map(StratumWork::work);
-    let mut rules: Vec<(usize, &RuleWork)> = rounds
-        .flat_map(|work| work.rules.iter().map(|rule| (work.rounds, rule)))
-        .collect();
-    rules.sort_by_key(|(_, rule)| std::cmp::Reverse(rule.looked_at));
+/// The fault of a commit, with what can be done about it.
+fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
+    let option = match error {
+        EvalError::TooManyRows { .. } => "--max-rows",
+        EvalError::TooManySteps { .. } => "--max-steps",
+        EvalError::TooMuchMemory { .. } => "--max-memory",
+    };
+    error.diagnostic(rules).note(format!("`{option}` allows more"))
+}
+
+/// Wall-clock times of a commit.
+#[derive(Default)]
+struct Times {
+    total: Duration,
+    /// How long the evaluation of a clause took, and how often it was evaluated.
+    clauses: BTreeMap<ClauseId, (Duration, u64)>,
+}
+
+/// Commits and takes the time.
+fn timed_commit(session: &mut Session) -> Result<Times, EvalError> {
+    let start = Instant::now();
+    let (begun, times) = (Cell::new(start), RefCell::new(Times::default()));
+    session.commit_watched(&|moment| match moment {
+        Moment::Begin(_) => begun.set(Instant::now()),
+        Moment::End(clause) => {
+            let mut times = times.borrow_mut();
+            let (time, count) = times.clauses.entry(clause).or_default();
+            *time += begun.get().elapsed();
+            *count += 1;
+        }
+    })?;
+    let mut times = times.into_inner();
+    times.total = start.elapsed();
+    Ok(times)
+}
+
+/// What every clause did and how long it took, the longest first.
+fn profile(session: &Session, times: &Times, sources: &Sources) -> String {
     let mut text = format!(
-        "{:>13} {:>13} {:>13} {:>7}  clause\n",
-        "new rows in", "looked at", "derived", "rounds"
+        "{:>10} {:>6} {:>13} {:>13} {:>13} {:>6}  clause\n",
+        "time", "", "new rows in", "looked at", "derived", "runs"
     );
-    for (rounds, rule) in rules {
-        let clause = session.program().show_clause(rule.clause, sources);
-        let RuleWork {
-            given,
-            looked_at,
-            derived,
-            ..
-        } = rule;
-        text += &format!("{given:>13} {looked_at:>13} {derived:>13} {rounds:>7}  {clause}\n");
+    let mut line = |time: Duration, numbers: [String; 4], what: &str| {
+        let share = 100.0 * time.as_secs_f64() / times.total.as_secs_f64().max(f64::MIN_POSITIVE);
+        let [given, looked_at, derived, runs] = numbers;
+        let time = format!("{:.3} ms", time.as_secs_f64() * 1e3);
+        text += &format!("{time:>10} {share:>5.1}% {given:>13} {looked_at:>13} {derived:>13} {runs:>6}  {what}\n");
+    };
+    let mut rules: Vec<(Duration, u64, &RuleWork)> = (session.work().rules())
+        .map(|rule| {
+            let (time, runs) = times.clauses.get(&rule.clause).copied().unwrap_or_default();
+            (time, runs, rule)
+        })
+        .collect();
+    rules.sort_by_key(|&(time, _, rule)| (Reverse(time), rule.clause));
+    for &(time, runs, rule) in &rules {
+        let numbers = [rule.given, rule.looked_at, rule.derived, runs].map(|number| number.to_string());
+        line(time, numbers, &session.program().show_clause(rule.clause, sources));
     }
+    let clauses: Duration = times.clauses.values().map(|(time, _)| *time).sum();
+    let rest = times.total.saturating_sub(clauses);
+    line(rest, Default::default(), "(sorting, merging, indexes)");
+    let sum = |number: fn(&RuleWork) -> u64| rules.iter().map(|&(_, _, rule)| number(rule)).sum::<u64>();
+    let runs = rules.iter().map(|&(_, runs, _)| runs).sum();
+    let totals = [
+        sum(|rule| rule.given),
+        sum(|rule| rule.looked_at),
+        sum(|rule| rule.derived),
+        runs,
+    ];
+    line(times.total, totals.map(|number| number.to_string()), "(all)");
     text
 }
 
 /// Prints a relation between rules, its header above them.
-fn print_relation(out: &mut impl Write, name: &str, text: &str, headers: bool) -> std::io::Result<()> {
-    let (header, rows) = match text.split_once('\n') {
-        Some((header, rows)) if headers => (format!("{header}\n"), rows),
-        _ => (String::new(), text),
-    };
-    let rule = "-".repeat(15);
-    write!(out, "{rule}\n{name}\n{header}===============\n{rows}===============\n")
+fn print_relation(
+    out: &mut dyn Write,
+    name: &str,
+    header: &str,
+    rows: impl Fn(&mut dyn Write) -> io::Result<()>,
+) -> io::Result<()> {
+    write!(out, "---------------\n{name}\n{header}===============\n")?;
+    rows(out)?;
+    out.write_all(b"===============\n")
 }
 
 /// The declared relations in the order of the text.
@@ -169,10 +261,12 @@ fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> R
     if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
 }
 
-fn write_relation(path: &Path, text: &str) -> Result<(), Failure> {
+/// Writes a relation to a file, which appears when it is complete.
+fn write_relation(path: &Path, header: &str, rows: impl Fn(&mut dyn Write) -> io::Result<()>) -> Result<(), Failure> {
     make_folder(path.parent().unwrap_or(Path::new(".")))?;
-    let fail = |error: std::io::Error| Failure::file("write", path, error);
+    let fail = |error: io::Error| Failure::file("write", path, error);
     let mut file = Output::create(path).map_err(fail)?;
-    file.write_all(text.as_bytes()).map_err(fail)?;
+    file.write_all(header.as_bytes()).map_err(fail)?;
+    rows(&mut file).map_err(fail)?;
     file.finish().map_err(fail)
 }

@@ -116,7 +116,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let mut last = None;
     while tally.ticks < ticks && !stop.load(Ordering::Relaxed) {
         let begin = Instant::now();
-        let tick = simulation.tick(&[]).map_err(Diagnostic::from)?;
+        let tick = simulation.tick(&[]);
+        let tick = tick.map_err(|error| error.diagnostic(simulation.world().program.rules()))?;
         tally.deciding += begin.elapsed();
         tally.add(&simulation, &tick);
         trace.tick(&simulation, &tick).map_err(writing("trace.jsonl"))?;

@@ -56,7 +56,7 @@ impl<const W: usize> Shape<W> {
     }
 
     /// How many rows have given words in these columns.
-    fn found(&self, columns: &[u16]) -> f64 {
+    pub(super) fn found(&self, columns: &[u16]) -> f64 {
         let spread =
             |&column: &u16| f64::from(self.most[column as usize].saturating_sub(self.least[column as usize])) + 1.0;
         self.rows as f64 / columns.iter().map(spread).product::<f64>()

@@ -9,7 +9,8 @@ use crate::engine::join::{self, Effort, Output, Stop, View};
 use crate::engine::plan::{ClausePlans, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Row, difference, merge, normalise};
 use crate::engine::table::{Net, Table, project};
-use crate::engine::{Compiled, Delta, EvalError, Rows, RuleWork, Strategy, StratumWork, Work, WorkLog};
+use crate::engine::workers::Workers;
+use crate::engine::{Compiled, Delta, EvalError, Limits, Moment, Rows, RuleWork, Strategy, StratumWork, Work, WorkLog};
 use crate::lang::{ClauseId, RelId, Term, Value};
 use crate::symbol::Symbols;
 pub(super) use datafrog::{Iteration, Relation, Variable};
@@ -26,8 +27,7 @@ pub(super) trait Store: Send + Sync {
         &mut self,
         compiled: &Compiled,
         symbols: &Symbols,
-        limit: usize,
-        strategy: Strategy,
+        orders: Orders<'_>,
     ) -> Result<(Delta, WorkLog), EvalError>;
     /// Whether the row, which has the right arity, is there.
     fn contains(&self, relation: RelId, row: &[Value]) -> bool;
@@ -37,6 +37,28 @@ pub(super) trait Store: Send + Sync {
     fn len(&self, relation: RelId) -> usize;
     /// The distinct rows that a clause derives.
     fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>>;
+}
+
+/// How a commit is to be made.
+#[derive(Clone, Copy)]
+pub(super) struct Orders<'a> {
+    pub(super) strategy: Strategy,
+    pub(super) limits: Limits,
+    pub(super) workers: &'a Workers,
+    /// Is told when a clause begins and ends.
+    pub(super) watch: Option<&'a dyn Fn(Moment)>,
+}
+
+/// What a stratum may take of what is left.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Room {
+    /// Rows of its members. If these are as many as there is memory for, `narrowed`.
+    pub(super) rows: usize,
+    narrowed: bool,
+    /// Rows looked at.
+    steps: u64,
+    /// Memory for its members' rows and the indexes it needs.
+    bytes: u64,
 }
 
 /// An empty store for a program.
@@ -62,6 +84,10 @@ pub(super) struct State<const W: usize> {
     committed: bool,
     /// By position of the stratum: what the last computation from scratch took.
     costs: Vec<Cost>,
+    /// How many rows the tables have.
+    rows: usize,
+    /// Each of them is in memory no more often than this.
+    copies_max: usize,
 }
 
 /// What computing a stratum from scratch took.
@@ -76,6 +102,7 @@ struct Cost {
 pub(super) struct Commit<'a, const W: usize> {
     pub(super) compiled: &'a Compiled,
     pub(super) symbols: &'a Symbols,
+    orders: Orders<'a>,
     /// By [`RelId`]: how the relations changed so far, and what they were before.
     pub(super) changed: Vec<Option<(Net<W>, Table<W>)>>,
 }
@@ -106,17 +133,32 @@ impl<const W: usize> Commit<'_, W> {
 pub(super) type Failure = (ClauseId, Stop);
 
 /// Runs plans and keeps account of it.
-pub(super) struct Meter {
-    pub(super) effort: Effort,
+pub(super) struct Meter<'a> {
+    effort: Effort,
     rules: Vec<RuleWork>,
+    /// `None`: everything is done on the calling thread.
+    workers: Option<&'a Workers>,
+    watch: Option<&'a dyn Fn(Moment)>,
 }
 
-impl Meter {
+impl<'a> Meter<'a> {
     /// Nothing done yet; no more than `budget` rows may be looked at.
-    pub(super) fn new(budget: u64) -> Self {
+    fn new(budget: u64, orders: Orders<'a>, workers: Option<&'a Workers>) -> Self {
+        let mut effort = Effort::new(budget);
+        effort.text_bytes = orders.limits.bytes;
         Meter {
-            effort: Effort::new(budget),
+            effort,
             rules: Vec::new(),
+            workers,
+            watch: orders.watch,
+        }
+    }
+
+    /// The distinct rows of an output, in order; see [`Output::take`].
+    fn take<const W: usize>(&self, out: &mut Output<W>) -> Vec<Row<W>> {
+        match self.workers {
+            Some(workers) => out.take_by(|rows| workers.normalise(rows)),
+            None => out.take(),
         }
     }
 
@@ -130,7 +172,13 @@ impl Meter {
         out: &mut Output<W>,
     ) -> Result<(), Failure> {
         let before = (self.effort.looked_at, out.pushed);
-        let result = join::run(plan, views, symbols, &mut self.effort, out);
+        let tell = |moment| self.watch.iter().for_each(|watch| watch(moment));
+        tell(Moment::Begin(clause));
+        let result = match self.workers {
+            Some(workers) => workers.run(plan, views, symbols, &mut self.effort, out),
+            None => join::run(plan, views, symbols, &mut self.effort, out),
+        };
+        tell(Moment::End(clause));
         let position = self.rules.binary_search_by_key(&clause, |rule| rule.clause);
         let position = position.unwrap_or_else(|position| {
             let rule = RuleWork {
@@ -174,6 +222,8 @@ impl<const W: usize> State<W> {
             tables: indexes_of
                 .map(|indexes| Table::new(Vec::new(), indexes.len()))
                 .collect(),
+            rows: 0,
+            copies_max: compiled.plans.indexes_of.iter().map(Vec::len).max().unwrap_or(0) + 1,
             costs: vec![Cost::default(); compiled.plans.strata.len()],
             // They are inserted like any other fact, once.
             noted: given
@@ -185,12 +235,8 @@ impl<const W: usize> State<W> {
         }
     }
 
-    fn try_commit(
-        &mut self,
-        commit: &mut Commit<'_, W>,
-        limit: usize,
-        strategy: Strategy,
-    ) -> Result<(WorkLog, Vec<Cost>), EvalError> {
+    fn try_commit(&mut self, commit: &mut Commit<'_, W>) -> Result<(WorkLog, Vec<Cost>), EvalError> {
+        let limits = commit.orders.limits;
         let Compiled { rules, plans } = commit.compiled;
         for relation in (0..rules.relations.len() as u32).map(RelId) {
             let noted = &mut self.noted[relation.index()];
@@ -207,17 +253,32 @@ impl<const W: usize> State<W> {
 
         let mut log = WorkLog::default();
         let mut costs = self.costs.clone();
-        // Rows derived by the strata so far. A limit that is passed by a sum of these is passed whatever was there before.
-        let mut derived = 0;
+        // Rows derived by the strata so far, and rows looked at for them. A limit that is passed by a sum of these is passed
+        // whatever was there before.
+        let (mut derived, mut steps) = (0, 0);
         for (stratum, cost) in plans.strata.iter().zip(&mut costs) {
             let changes = stratum.inputs.iter().any(|&input| commit.net(input).is_some());
             let work = if self.committed && !changes {
                 StratumWork::Skipped
             } else {
-                let room = limit.saturating_sub(derived);
-                self.update(commit, stratum, cost, (room, strategy))
-                    .map_err(|clause| EvalError::TooManyRows { limit, clause })?
+                let room = self.room(commit, stratum, (derived, steps));
+                let work = self.update(commit, stratum, cost, room);
+                work.map_err(|(clause, stop)| match stop {
+                    Stop::Budget => EvalError::TooManySteps {
+                        limit: limits.steps,
+                        clause,
+                    },
+                    Stop::Overflow if !room.narrowed => EvalError::TooManyRows {
+                        limit: limits.rows,
+                        clause,
+                    },
+                    Stop::Overflow | Stop::Memory => EvalError::TooMuchMemory {
+                        limit: limits.bytes,
+                        clause,
+                    },
+                })?
             };
+            steps += work.work().map_or(0, |work| work.looked_at() + work.given_up);
             log.strata.push(work);
             let members = stratum.members.iter();
             derived += members.map(|&relation| self.len(relation)).sum::<usize>();
@@ -225,16 +286,66 @@ impl<const W: usize> State<W> {
         Ok((log, costs))
     }
 
-    /// Brings the relations of a stratum up to date in the way that looks cheaper. If there are more than `room` rows, a clause
-    /// that derives them.
+    /// What the limits leave for a stratum after so many rows were derived and looked at.
+    fn room(&self, commit: &Commit<'_, W>, stratum: &StratumPlan, (derived, steps): (usize, u64)) -> Room {
+        let limits = commit.orders.limits;
+        let most = (self.rows * self.copies_max * size_of::<Row<W>>()) as u64;
+        // Adding up takes longer than many a commit.
+        let held = if most <= limits.bytes / 16 {
+            most
+        } else {
+            let relations = (0..self.tables.len() as u32).map(RelId).zip(&self.tables);
+            let others = relations.filter(|(relation, _)| !stratum.members.contains(relation));
+            others.map(|(_, table)| table.bytes()).sum()
+        };
+        let bytes = limits.bytes.saturating_sub(held + commit.symbols.bytes());
+        let rows = limits.rows.saturating_sub(derived);
+        let fit = usize::try_from(bytes / size_of::<Row<W>>() as u64).unwrap_or(usize::MAX);
+        Room {
+            rows: rows.min(fit),
+            narrowed: fit < rows,
+            steps: limits.steps.saturating_sub(steps),
+            bytes,
+        }
+    }
+
+    /// What the indexes take that a computation of the stratum from scratch has to make.
+    fn missing_indexes(&self, plans: &Plans, stratum: &StratumPlan) -> u64 {
+        let clauses = stratum.clauses.iter().map(|clause| &plans.clauses[clause.index()]);
+        let all = clauses.flat_map(|clause| {
+            let deltas = clause.deltas.iter().map(|(_, plan)| plan);
+            deltas.chain(clause.detours.iter().flatten()).chain([&clause.complete])
+        });
+        let sources = all.flat_map(|plan| &plan.steps).filter_map(Step::source);
+        let finished = sources.filter(|source| source.version == Version::Complete);
+        let mut missing: Vec<usize> = finished.map(|source| source.index.index()).collect();
+        missing.sort_unstable();
+        missing.dedup();
+        let specs = missing.into_iter().map(|index| &plans.indexes[index]);
+        let bytes = specs.map(|spec| {
+            let table = &self.tables[spec.relation.index()];
+            if table.has(spec) {
+                0
+            } else {
+                size_of_val(&table.rows[..]) as u64
+            }
+        });
+        bytes.sum()
+    }
+
+    /// Brings the relations of a stratum up to date in the way that looks cheaper.
     fn update(
         &mut self,
         commit: &mut Commit<'_, W>,
         stratum: &StratumPlan,
         cost: &mut Cost,
-        (room, strategy): (usize, Strategy),
-    ) -> Result<StratumWork, ClauseId> {
+        room: Room,
+    ) -> Result<StratumWork, Failure> {
         let plans = &commit.compiled.plans;
+        let Orders { strategy, workers, .. } = commit.orders;
+        // Symbols are numbered in the order in which they are made, so that is left to one thread.
+        let several = workers.are_several() && !makes_texts(plans, stratum);
+        let workers = several.then_some(workers);
         let inputs: usize = stratum.inputs.iter().map(|&input| self.len(input)).sum();
         let inputs = inputs as u64;
         let mut given_up = 0;
@@ -247,8 +358,8 @@ impl<const W: usize> State<W> {
                 Strategy::Maintain => Some(u64::MAX),
                 _ => (maintaining() <= recomputing).then_some(recomputing),
             };
-            if let Some(budget) = budget {
-                let mut meter = Meter::new(budget);
+            if let Some(budget) = budget.map(|budget| budget.min(room.steps)) {
+                let mut meter = Meter::new(budget, commit.orders, workers);
                 match self.maintain(commit, stratum, room, &mut meter) {
                     Ok((nets, rounds)) => {
                         for (&relation, net) in stratum.members.iter().zip(nets) {
@@ -259,16 +370,32 @@ impl<const W: usize> State<W> {
                         }
                         return Ok(StratumWork::Maintained(meter.finish(rounds)));
                     }
-                    Err((clause, Stop::Overflow)) => return Err(clause),
-                    Err((_, Stop::Budget)) => given_up = meter.effort.looked_at,
+                    // Where it was stopped may depend on the number of threads. That it passed the budget does not.
+                    Err(_) => given_up = budget,
                 }
             }
         }
 
-        let mut meter = Meter::new(u64::MAX);
-        let (results, rounds) = self
-            .evaluate(commit, stratum, room, &mut meter)
-            .map_err(|(clause, _)| clause)?;
+        let room = Room {
+            steps: room.steps - given_up,
+            ..room
+        };
+        if room.narrowed || room.bytes < commit.orders.limits.bytes / 2 {
+            let missing = self.missing_indexes(plans, stratum);
+            if let (true, Some(&clause)) = (missing > room.bytes, stratum.clauses.first()) {
+                return Err((clause, Stop::Memory));
+            }
+        }
+        let attempt = |workers| {
+            let mut meter = Meter::new(room.steps, commit.orders, workers);
+            let result = self.evaluate(commit, stratum, room, &mut meter);
+            result.map(|(results, rounds)| (results, rounds, meter))
+        };
+        let (results, rounds, meter) = match attempt(workers) {
+            // Which limit is passed first, and where, may depend on the number of threads.
+            Err(_) if several => attempt(None)?,
+            result => result?,
+        };
         *cost = Cost {
             looked_at: meter.effort.looked_at,
             inputs,
@@ -304,6 +431,7 @@ impl<const W: usize> State<W> {
     /// Puts a relation's new table in place.
     fn put(&mut self, commit: &mut Commit<'_, W>, relation: RelId, net: Net<W>, table: Table<W>) {
         let old = std::mem::replace(&mut self.tables[relation.index()], table);
+        self.rows = self.rows + self.len(relation) - old.rows.len();
         commit.changed[relation.index()] = Some((net, old));
     }
 
@@ -312,11 +440,11 @@ impl<const W: usize> State<W> {
         &self,
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
-        room: usize,
-        meter: &mut Meter,
+        room: Room,
+        meter: &mut Meter<'_>,
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
         let plans = &commit.compiled.plans;
-        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room)).collect();
+        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
         for &clause in &stratum.clauses {
             let plan = &plans.clauses[clause.index()];
             let Some(member) = plans.member[plan.complete.head.index()] else {
@@ -337,10 +465,10 @@ impl<const W: usize> State<W> {
         if stratum.recursive {
             return self.grow(commit, stratum, None, outputs, room, meter);
         }
-        let rows: Vec<_> = outputs.iter_mut().map(Output::take).collect();
+        let rows: Vec<_> = outputs.iter_mut().map(|output| meter.take(output)).collect();
         let total: usize = rows.iter().map(Vec::len).sum();
         match stratum.clauses.last() {
-            Some(&clause) if total > room => Err((clause, Stop::Overflow)),
+            Some(&clause) if total > room.rows => Err((clause, Stop::Overflow)),
             _ => Ok((rows, 1)),
         }
     }
@@ -353,15 +481,15 @@ impl<const W: usize> State<W> {
         stratum: &StratumPlan,
         base: Option<&[&Table<W>]>,
         mut outputs: Vec<Output<W>>,
-        room: usize,
-        meter: &mut Meter,
+        room: Room,
+        meter: &mut Meter<'_>,
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
         let plans = &commit.compiled.plans;
         let mut recursion = Recursion::new(commit.compiled, stratum, base);
         let mut rounds = 0;
         loop {
             for (member, (variable, output)) in recursion.variables.iter().zip(&mut outputs).enumerate() {
-                let mut elements = output.take();
+                let mut elements = meter.take(output);
                 if let Some(base) = base {
                     elements = difference(&elements, &base[member].rows);
                 }
@@ -382,8 +510,14 @@ impl<const W: usize> State<W> {
             let held = recursion.hold();
             let known: usize = base.unwrap_or_default().iter().map(|table| table.rows.len()).sum();
             let total = known + held.iter().map(Held::len).sum::<usize>();
-            if let (true, Some(&clause)) = (total > room, stratum.clauses.first()) {
-                return Err((clause, Stop::Overflow));
+            if let Some(&clause) = stratum.clauses.first() {
+                if total > room.rows {
+                    return Err((clause, Stop::Overflow));
+                }
+                let copies: usize = recursion.grown.iter().map(Grown::len).sum();
+                if ((total + copies) * size_of::<Row<W>>()) as u64 > room.bytes {
+                    return Err((clause, Stop::Memory));
+                }
             }
             for &(clause, over, plan) in &chosen {
                 let Some(head) = plans.member[plan.head.index()] else {
@@ -443,6 +577,13 @@ impl<const W: usize> State<W> {
     }
 }
 
+/// Whether a clause of the stratum makes texts.
+fn makes_texts(plans: &Plans, stratum: &StratumPlan) -> bool {
+    let clauses = stratum.clauses.iter();
+    let mut steps = clauses.flat_map(|clause| &plans.clauses[clause.index()].complete.steps);
+    steps.any(|step| matches!(step, Step::Compute { functor, .. } if functor.makes_text()))
+}
+
 /// A relation's indexes.
 pub(super) fn specs(plans: &Plans, relation: RelId) -> Vec<&IndexSpec> {
     let indexes = plans.indexes_of[relation.index()].iter();
@@ -470,15 +611,15 @@ impl<const W: usize> Store for State<W> {
         &mut self,
         compiled: &Compiled,
         symbols: &Symbols,
-        limit: usize,
-        strategy: Strategy,
+        orders: Orders<'_>,
     ) -> Result<(Delta, WorkLog), EvalError> {
         let mut commit = Commit {
             compiled,
             symbols,
+            orders,
             changed: self.tables.iter().map(|_| None).collect(),
         };
-        match self.try_commit(&mut commit, limit, strategy) {
+        match self.try_commit(&mut commit) {
             Ok((log, costs)) => {
                 self.noted.iter_mut().for_each(Vec::clear);
                 self.costs = costs;
@@ -488,6 +629,7 @@ impl<const W: usize> Store for State<W> {
             Err(error) => {
                 for (table, changed) in self.tables.iter_mut().zip(commit.changed) {
                     if let Some((_, old)) = changed {
+                        self.rows = self.rows + old.rows.len() - table.rows.len();
                         *table = old;
                     }
                 }
@@ -567,6 +709,12 @@ struct Grown<const W: usize> {
     /// Each at least twice as long as the next, so that a row is merged only a logarithmic number of times.
     stable: Vec<Vec<Row<W>>>,
     new: Vec<Row<W>>,
+}
+
+impl<const W: usize> Grown<W> {
+    fn len(&self) -> usize {
+        self.stable.iter().map(Vec::len).sum::<usize>() + self.new.len()
+    }
 }
 
 /// A variable's rows, borrowed for one round.

@@ -5,10 +5,10 @@
 
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::engine::Session;
-use crate::lang::{BaseType, Column, RelId, RowFormat, Value, parse_value};
+use crate::lang::{BaseType, Column, RelId, Relation, RowFormat, Value, parse_value};
 use crate::symbol::Symbol;
 use std::cmp::Ordering;
-use std::fmt::Write;
+use std::io::{self, Write};
 
 /// At most this many faults of one text are reported.
 pub const FAULTS_MAX: usize = 20;
@@ -176,13 +176,25 @@ impl Faults {
 
 /// The rows of a relation as text, ordered by what is shown: numbers by value, symbols by text.
 pub fn print(session: &Session, rel: RelId) -> String {
-    print_as(session, rel, &RowFormat::default())
+    let mut out = Vec::new();
+    write_rows(session, rel, &RowFormat::default(), &mut out).expect("writing to memory cannot fail");
+    String::from_utf8(out).expect("texts are written whole")
 }
 
-/// The same in any format.
-pub fn print_as(session: &Session, rel: RelId, format: &RowFormat) -> String {
+/// The names of the columns on a line, if the format has it.
+pub fn header(relation: &Relation, format: &RowFormat) -> String {
+    let names: Vec<&str> = relation.columns.iter().map(|column| column.name.as_str()).collect();
+    match format.headers {
+        true => names.join(&format.delimiter) + "\n",
+        false => String::new(),
+    }
+}
+
+/// Writes what [`print`] prints in any format, without the header. The text may be far larger than the session: a long symbol may
+/// be in many rows.
+pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut dyn Write) -> io::Result<()> {
     let Some(relation) = session.program().rules().relations.get(rel.index()) else {
-        return String::new();
+        return Ok(());
     };
     let text = |value: Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
     let mut rows: Vec<&[Value]> = session.rows(rel).collect();
@@ -199,32 +211,25 @@ pub fn print_as(session: &Session, rel: RelId, format: &RowFormat) -> String {
         });
         order.unwrap_or(Ordering::Equal)
     });
-    let mut out = String::new();
-    if format.headers {
-        let names: Vec<&str> = relation.columns.iter().map(|column| column.name.as_str()).collect();
-        out.push_str(&names.join(&format.delimiter));
-        out.push('\n');
-    }
     for row in rows {
         for (position, (column, value)) in relation.columns.iter().zip(row).enumerate() {
             if position > 0 {
-                out.push_str(&format.delimiter);
+                out.write_all(format.delimiter.as_bytes())?;
             }
-            let written = match column.base {
-                BaseType::Symbol if format.quoted => write!(out, "\"{}\"", text(*value).replace('"', "\"\"")),
-                BaseType::Symbol => out.write_str(text(*value)),
-                BaseType::Number => write!(out, "{}", value.as_number()),
-                BaseType::Unsigned => write!(out, "{}", value.0),
-                BaseType::Float => out.write_str(&print_float(value.as_float())),
-            };
-            written.expect("writing to a string cannot fail");
+            match column.base {
+                BaseType::Symbol if format.quoted => write!(out, "\"{}\"", text(*value).replace('"', "\"\""))?,
+                BaseType::Symbol => out.write_all(text(*value).as_bytes())?,
+                BaseType::Number => write!(out, "{}", value.as_number())?,
+                BaseType::Unsigned => write!(out, "{}", value.0)?,
+                BaseType::Float => out.write_all(print_float(value.as_float()).as_bytes())?,
+            }
         }
         if relation.columns.is_empty() {
-            out.push_str("()");
+            out.write_all(b"()")?;
         }
-        out.push('\n');
+        out.write_all(b"\n")?;
     }
-    out
+    Ok(())
 }
 
 /// A float as text: nine significant digits without trailing zeros, which is enough to read the same float back; an exponent where the number

@@ -29,7 +29,7 @@ impl<'a, const W: usize> View<'a, W> {
         }
     }
 
-    fn batches(&self) -> impl Iterator<Item = &Batch<'a, W>> {
+    pub(super) fn batches(&self) -> impl Iterator<Item = &Batch<'a, W>> {
         std::iter::once(&self.first).chain(&self.rest)
     }
 
@@ -64,6 +64,8 @@ pub(super) enum Stop {
     Overflow,
     /// More rows were looked at than allowed.
     Budget,
+    /// Rows, indexes or texts take more memory than allowed.
+    Memory,
 }
 
 /// What evaluations need besides their inputs, and how much they did.
@@ -74,6 +76,8 @@ pub(super) struct Effort {
     pub(super) looked_at: u64,
     /// More than this is too much.
     pub(super) budget: u64,
+    /// More bytes of texts than this are too much.
+    pub(super) text_bytes: u64,
 }
 
 impl Effort {
@@ -83,6 +87,7 @@ impl Effort {
             slots: Vec::new(),
             looked_at: 0,
             budget,
+            text_bytes: u64::MAX,
         }
     }
 }
@@ -93,6 +98,9 @@ impl<const W: usize> Output<W> {
 
     /// Rows before it is first asked whether their words are dense.
     const SEEN_MIN: usize = 256;
+
+    /// More than a gigabyte is never spent on bits.
+    const SEEN_BYTES_MAX: u64 = 1 << 30;
 
     /// No rows yet; at most `limit` distinct ones are accepted.
     pub(super) fn new(limit: usize) -> Self {
@@ -114,6 +122,64 @@ impl<const W: usize> Output<W> {
             rows,
             ..Self::new(limit)
         }
+    }
+
+    /// An empty output for some of the rows that are to go into this one, at most `limit` of them. It leaves out what is known here.
+    pub(super) fn fork(&self, limit: usize) -> Self {
+        Output {
+            seen: self.seen.as_ref().map(Seen::fork),
+            ..Self::new(limit)
+        }
+    }
+
+    /// How many distinct rows are accepted.
+    pub(super) fn limit(&self) -> usize {
+        self.limit
+    }
+
+    /// What the bits of known rows take.
+    pub(super) fn seen_bytes(&self) -> usize {
+        self.seen.as_ref().map_or(0, Seen::bytes)
+    }
+
+    /// Takes in what was derived into a fork.
+    pub(super) fn absorb(&mut self, mut fork: Self) -> Result<(), Stop> {
+        let pushed = self.pushed + fork.pushed;
+        self.pushed = pushed;
+        if let (Some(seen), Some(other)) = (&mut self.seen, &fork.seen)
+            && other.keeps()
+            && seen.is_like(other)
+        {
+            if !seen.keeps() {
+                seen.keep(&self.rows);
+                self.kept = std::mem::take(&mut self.rows).len();
+            }
+            self.kept += seen.absorb(other);
+            return if self.kept > self.limit {
+                Err(Stop::Overflow)
+            } else {
+                Ok(())
+            };
+        }
+        let rows = fork.take();
+        if self.seen.is_none() {
+            self.rows.extend_from_slice(&rows);
+            return if self.rows.len() >= self.act_at {
+                self.act()
+            } else {
+                Ok(())
+            };
+        }
+        for row in rows {
+            self.push(row)?;
+        }
+        self.pushed = pushed;
+        Ok(())
+    }
+
+    /// Puts the rows in order, if they are in a list.
+    pub(super) fn settle(&mut self) {
+        normalise(&mut self.rows);
     }
 
     /// Whether nothing is in it.
@@ -181,7 +247,7 @@ impl<const W: usize> Output<W> {
     #[cold]
     fn act(&mut self) -> Result<(), Stop> {
         if self.seen.is_none() {
-            self.seen = Seen::over(&self.rows, self.pushed);
+            self.seen = Seen::over(&self.rows, self.pushed.min(Self::SEEN_BYTES_MAX / W as u64));
             if self.seen.is_some() {
                 normalise(&mut self.rows);
             }
@@ -210,6 +276,11 @@ impl<const W: usize> Output<W> {
     /// The distinct rows, in order. The output is empty afterwards, but rows that were in it may be left out when they are
     /// derived again.
     pub(super) fn take(&mut self) -> Vec<Row<W>> {
+        self.take_by(normalise)
+    }
+
+    /// The same with another way to sort rows and remove repetitions.
+    pub(super) fn take_by(&mut self, normalise: impl FnOnce(&mut Vec<Row<W>>)) -> Vec<Row<W>> {
         self.act_at = self.compact_at.min(Self::SEEN_MIN);
         if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
             return seen.drain(std::mem::take(&mut self.kept));
@@ -237,12 +308,18 @@ pub(super) fn run<const W: usize>(
         slots: &mut effort.slots,
         looked_at: effort.looked_at,
         budget: effort.budget,
+        text_bytes: effort.text_bytes,
         patterns: None,
         out,
     };
     let result = join.from(0);
     effort.looked_at = join.looked_at;
-    result.map(|_| ())
+    result?;
+    // The last scan may have been the one that was too much.
+    if effort.looked_at > effort.budget {
+        return Err(Stop::Budget);
+    }
+    Ok(())
 }
 
 /// Columns of an index and the slots that go with them.
@@ -255,6 +332,7 @@ struct Join<'a, const W: usize> {
     slots: &'a mut [Value],
     looked_at: u64,
     budget: u64,
+    text_bytes: u64,
     /// Made when first needed.
     patterns: Option<Patterns>,
     out: &'a mut Output<W>,
@@ -298,7 +376,10 @@ impl<const W: usize> Join<'_, W> {
                     to,
                     test,
                 } => {
-                    let value = self.compute(*functor, *base, arguments);
+                    let value = match functor.makes_text() {
+                        true => self.make(*functor, *base, arguments)?,
+                        false => self.compute(*functor, *base, arguments),
+                    };
                     self.fill(*to, *test, value)
                 }
                 Step::Aggregate {
@@ -312,6 +393,8 @@ impl<const W: usize> Join<'_, W> {
                 } => {
                     let words = self.key(key);
                     let views = self.views;
+                    let ranges = views[depth].batches().map(|batch| batch.range(&words[..key.len()]));
+                    self.looked_at += ranges.map(|range| range.len() as u64).sum::<u64>();
                     let rows = views[depth]
                         .batches()
                         .flat_map(|batch| batch.range(&words[..key.len()]));
@@ -428,6 +511,26 @@ impl<const W: usize> Join<'_, W> {
             }
             None => false,
         }
+    }
+
+    /// As [`Join::compute`], for a functor that makes texts: there must be room for them.
+    #[cold]
+    fn make(&self, functor: Functor, base: BaseType, arguments: &[Slot]) -> Result<Option<Value>, Stop> {
+        if functor == Functor::Cat {
+            let length = |&slot: &Slot| {
+                self.symbols
+                    .text(Symbol(self.slots[slot as usize].0))
+                    .map_or(0, str::len)
+            };
+            if arguments.iter().map(length).sum::<usize>() as u64 > self.text_bytes {
+                return Err(Stop::Memory);
+            }
+        }
+        let value = self.compute(functor, base, arguments);
+        if self.symbols.bytes() > self.text_bytes {
+            return Err(Stop::Memory);
+        }
+        Ok(value)
     }
 
     fn compute(&self, functor: Functor, base: BaseType, arguments: &[Slot]) -> Option<Value> {

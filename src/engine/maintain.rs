@@ -11,7 +11,7 @@
 //! No derivations are counted, so nothing is kept between commits besides the relations, clauses may stop at the first reason for
 //! a head, and a stratum can be recomputed in one commit and maintained in the next.
 
-use crate::engine::exec::{Commit, Failure, Iteration, Meter, Relation, State, Variable, specs};
+use crate::engine::exec::{Commit, Failure, Iteration, Meter, Relation, Room, State, Variable, specs};
 use crate::engine::join::{Output, Stop, View};
 use crate::engine::plan::{ChangePlan, Plan, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Row, difference, merge};
@@ -28,8 +28,8 @@ impl<const W: usize> State<W> {
         &self,
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
-        room: usize,
-        meter: &mut Meter,
+        room: Room,
+        meter: &mut Meter<'_>,
     ) -> Result<(Vec<Net<W>>, usize), Failure> {
         let plans = &commit.compiled.plans;
         let members = &stratum.members;
@@ -57,7 +57,7 @@ impl<const W: usize> State<W> {
         let nets: Vec<Net<W>> = if stratum.recursive {
             let again = lost.iter().zip(&gone).map(|(lost, gone)| difference(lost, gone));
             let seeds = again.zip(gained).map(|(again, gained)| merge(&again, &gained));
-            let seeds = seeds.map(|rows| Output::of(rows, room)).collect();
+            let seeds = seeds.map(|rows| Output::of(rows, room.rows)).collect();
             let (grown, more) = self.grow(commit, stratum, Some(&base), seeds, room, meter)?;
             rounds += more;
             let net = |(lost, grown): (&Vec<Row<W>>, &Vec<Row<W>>)| Net {
@@ -75,7 +75,7 @@ impl<const W: usize> State<W> {
         };
         let total: usize = members.iter().zip(&nets).map(after).sum();
         match stratum.clauses.last() {
-            Some(&clause) if total > room => Err((clause, Stop::Overflow)),
+            Some(&clause) if total > room.rows => Err((clause, Stop::Overflow)),
             _ => Ok((nets, rounds.max(1))),
         }
     }
@@ -85,7 +85,7 @@ impl<const W: usize> State<W> {
         &self,
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
-        meter: &mut Meter,
+        meter: &mut Meter<'_>,
     ) -> Result<(ByMember<W>, usize), Failure> {
         let plans = &commit.compiled.plans;
         let before = |relation: RelId| match &commit.changed[relation.index()] {
@@ -161,7 +161,7 @@ impl<const W: usize> State<W> {
         stratum: &StratumPlan,
         base: &[&Table<W>],
         lost: &ByMember<W>,
-        meter: &mut Meter,
+        meter: &mut Meter<'_>,
     ) -> Result<ByMember<W>, Failure> {
         let plans = &commit.compiled.plans;
         let now = |relation| self.now(stratum, base, relation);
@@ -188,12 +188,12 @@ impl<const W: usize> State<W> {
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
         base: &[&Table<W>],
-        room: usize,
-        meter: &mut Meter,
+        room: Room,
+        meter: &mut Meter<'_>,
     ) -> Result<ByMember<W>, Failure> {
         let plans = &commit.compiled.plans;
         let now = |relation| self.now(stratum, base, relation);
-        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room)).collect();
+        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
         for &clause in &stratum.clauses {
             for change in &plans.clauses[clause.index()].changes {
                 let Some(net) = commit.net(change.over) else { continue };

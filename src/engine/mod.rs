@@ -26,6 +26,7 @@ mod estimate;
 mod exec;
 pub mod facts;
 mod join;
+mod limits;
 mod maintain;
 pub mod naive;
 pub mod optimize;
@@ -36,16 +37,21 @@ mod row;
 mod seen;
 mod show;
 mod table;
+mod workers;
 
-use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::ReadError;
 use crate::lang::{self, BaseType, ClauseId, RelId, Rules, Value};
 use crate::symbol::Symbols;
-use exec::Store;
+use exec::{Orders, Store};
 use plan::Plans;
 use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
+use workers::Workers;
+
+pub use limits::{EvalError, Limits};
+pub use workers::Threads;
 
 /// Rules with a plan for every clause. Cheap to clone; many sessions can run one program.
 #[derive(Clone, Debug)]
@@ -122,8 +128,9 @@ impl Program {
             store: exec::store(&self.0),
             symbols: self.0.rules.symbols.clone(),
             program: self.clone(),
-            limit: Session::DERIVED_ROWS_MAX,
+            limits: Limits::default(),
             strategy: Strategy::Auto,
+            workers: Workers::default(),
             work: WorkLog::default(),
         }
     }
@@ -138,9 +145,19 @@ pub struct Session {
     program: Program,
     symbols: Symbols,
     store: Box<dyn Store>,
-    limit: usize,
+    limits: Limits,
     strategy: Strategy,
+    workers: Workers,
     work: WorkLog,
+}
+
+/// What [`Session::commit_watched`] tells of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Moment {
+    /// A clause begins to be evaluated.
+    Begin(ClauseId),
+    /// It has been evaluated. There is always just one that has begun.
+    End(ClauseId),
 }
 
 /// How a commit brings a stratum up to date whose inputs changed. The result is the same.
@@ -159,9 +176,6 @@ pub enum Strategy {
 }
 
 impl Session {
-    /// The limit on derived rows that a session begins with.
-    pub const DERIVED_ROWS_MAX: usize = 100_000_000;
-
     /// The program.
     pub fn program(&self) -> &Program {
         &self.program
@@ -177,10 +191,16 @@ impl Session {
         Value(self.symbols.intern(text).0)
     }
 
-    /// Sets how many rows all derived relations together may have; a commit that would pass it fails. It also bounds the memory
-    /// of an evaluation.
-    pub fn set_limit(&mut self, derived_rows: usize) {
-        self.limit = derived_rows;
+    /// Sets what a commit may take; one that would take more fails.
+    pub fn set_limits(&mut self, limits: Limits) {
+        self.limits = limits;
+    }
+
+    /// Sets how many threads evaluate: one unless set otherwise. Answers, their order, deltas and work logs are the same with any
+    /// number. Fails if the system does not give so many.
+    pub fn set_threads(&mut self, threads: Threads) -> std::io::Result<()> {
+        self.workers = Workers::new(threads)?;
+        Ok(())
     }
 
     /// Sets how commits bring strata up to date: [`Strategy::Auto`] unless set otherwise. There is no need to set it besides
@@ -240,11 +260,33 @@ impl Session {
     /// relation. If it fails, the session is as before the call, with the same changes noted; see
     /// [`rollback`](Session::rollback).
     pub fn commit(&mut self) -> Result<Delta, EvalError> {
-        let (delta, work) = self
-            .store
-            .commit(&self.program.0, &self.symbols, self.limit, self.strategy)?;
-        self.work = work;
-        Ok(delta)
+        self.commit_with(None)
+    }
+
+    /// The same, telling on the calling thread when the evaluation of a clause begins and ends. The engine reads no clock; whoever
+    /// watches may.
+    pub fn commit_watched(&mut self, watch: &dyn Fn(Moment)) -> Result<Delta, EvalError> {
+        self.commit_with(Some(watch))
+    }
+
+    fn commit_with(&mut self, watch: Option<&dyn Fn(Moment)>) -> Result<Delta, EvalError> {
+        let orders = Orders {
+            strategy: self.strategy,
+            limits: self.limits,
+            workers: &self.workers,
+            watch,
+        };
+        let known = self.symbols.len();
+        match self.store.commit(&self.program.0, &self.symbols, orders) {
+            Ok((delta, work)) => {
+                self.work = work;
+                Ok(delta)
+            }
+            Err(error) => {
+                self.symbols.truncate(known);
+                Err(error)
+            }
+        }
     }
 
     /// Whether the row holds.
@@ -412,8 +454,8 @@ pub struct Work {
     pub rounds: usize,
     /// What its clauses did, those that ran, in order.
     pub rules: Vec<RuleWork>,
-    /// Rows looked at in maintaining the stratum before that turned out to be more than recomputing it; else 0. They are not in
-    /// `rules`.
+    /// If maintaining the stratum was given up: after so many rows were looked at, as many as recomputing it would take; else 0.
+    /// They are not in `rules`.
     pub given_up: u64,
 }
 
@@ -514,31 +556,3 @@ impl fmt::Display for RowError {
 }
 
 impl std::error::Error for RowError {}
-
-/// Why a commit failed.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum EvalError {
-    /// The derived relations together have more rows than allowed; see [`Session::set_limit`].
-    TooManyRows {
-        /// The limit.
-        limit: usize,
-        /// A clause of the stratum where it was passed.
-        clause: ClauseId,
-    },
-}
-
-impl fmt::Display for EvalError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            EvalError::TooManyRows { limit, .. } => write!(f, "the rules derive more than {limit} rows"),
-        }
-    }
-}
-
-impl std::error::Error for EvalError {}
-
-impl From<EvalError> for Diagnostic {
-    fn from(error: EvalError) -> Self {
-        Diagnostic::new(Code::LimitExceeded, error.to_string())
-    }
-}

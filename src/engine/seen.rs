@@ -66,6 +66,37 @@ impl<const W: usize> Seen<W> {
         Some(seen)
     }
 
+    /// A set with the same bounds and the same known rows. New rows are not kept yet.
+    pub(super) fn fork(&self) -> Self {
+        Seen {
+            known: self.known.clone(),
+            fresh: Vec::new(),
+            ..*self
+        }
+    }
+
+    /// What its bits of known rows take.
+    pub(super) fn bytes(&self) -> usize {
+        self.known.len() * size_of::<u64>()
+    }
+
+    /// Whether both have a bit for the same rows.
+    pub(super) fn is_like(&self, other: &Self) -> bool {
+        self.bounds == other.bounds
+    }
+
+    /// Adds the rows that a set like this one keeps, while new rows are kept as bits here, too. Says how many were new.
+    pub(super) fn absorb(&mut self, other: &Self) -> usize {
+        let mut new = 0;
+        for ((known, fresh), other) in self.known.iter_mut().zip(&mut self.fresh).zip(&other.fresh) {
+            let come = other & !*known;
+            *known |= come;
+            *fresh |= come;
+            new += come.count_ones() as usize;
+        }
+        new
+    }
+
     #[inline]
     fn bit(&self, row: &Row<W>) -> Option<(usize, u64)> {
         let mut at = 0;

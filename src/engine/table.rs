@@ -51,6 +51,19 @@ impl<const W: usize> Table<W> {
         }
     }
 
+    /// What the rows and the indexes made so far take.
+    pub(super) fn bytes(&self) -> u64 {
+        let indexes = self.indexes.iter().filter_map(OnceLock::get);
+        let starts = indexes.clone().map(|index| size_of_val(&index.starts[..]));
+        let lists = indexes.map(|index| size_of_val(&index.rows[..]));
+        (starts.chain(lists).sum::<usize>() + size_of_val(&self.rows[..])) as u64
+    }
+
+    /// Whether the index has been made.
+    pub(super) fn has(&self, spec: &IndexSpec) -> bool {
+        spec.position == 0 || self.indexes[spec.position].get().is_some()
+    }
+
     /// The rows in their own order, for finding some: with a directory only if there is one already.
     fn known(&self) -> Batch<'_, W> {
         let starts = self.indexes.first().and_then(OnceLock::get);

@@ -123,6 +123,11 @@ impl Functor {
         matches!(self, Negate | BitNot | Not)
     }
 
+    /// Whether its values may be texts that were not there.
+    pub fn makes_text(self) -> bool {
+        matches!(self, Cat | Substring | ToText)
+    }
+
     /// How tightly an operator binds; `None` for functions.
     pub(super) fn precedence(self) -> Option<u8> {
         Some(match self {

@@ -400,6 +400,7 @@ impl GroundState {
 mod tests {
     use super::*;
     use crate::config::load_scenario;
+    use crate::engine::Limits;
 
     #[test]
     fn facts_that_derive_too_much_leave_no_trace() {
@@ -421,11 +422,15 @@ mod tests {
         let mut one_bus = nothing.clone();
         one_bus.rows[bus].push([0, 0]);
 
+        let rows = |rows| Limits {
+            rows,
+            ..Limits::default()
+        };
         let mut state = GroundState::new(&program, &vocabulary, ["Car_1"].into_iter());
-        state.session.set_limit(0);
+        state.session.set_limits(rows(0));
         assert!(state.set(&one_bus).is_err());
         state.set(&nothing).expect("it derives nothing");
-        state.session.set_limit(10);
+        state.session.set_limits(rows(10));
         assert_eq!(state.derived(&vocabulary, 0), []);
         state.set(&one_bus).expect("within the limit");
         assert_eq!(state.derived(&vocabulary, 0), [Speed::Stop]);
