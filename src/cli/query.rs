@@ -13,13 +13,14 @@ pub struct Arguments {
     /// Rule file
     rules: PathBuf,
     /// Folder with one NAME.facts for each input relation: one row a line, values separated by tabs. The options of `.input`
-    /// may say otherwise
-    #[arg(short = 'F', long, value_name = "DIR", default_value = ".")]
-    facts: PathBuf,
+    /// may say otherwise. Without it, the current folder
+    #[arg(short = 'F', long, value_name = "DIR")]
+    facts: Option<PathBuf>,
     /// Folder for one NAME.csv for each output relation; `-` is standard output
     #[arg(short = 'D', long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
-    /// Print how every clause is evaluated, and do nothing else
+    /// Print how every clause is evaluated, and do nothing else: with `-F`, for relations of the sizes that the facts give
+    /// them; without, as long as there are few rows
     #[arg(long, conflicts_with = "profile")]
     plan: bool,
     /// Tell on standard error what every clause did
@@ -39,13 +40,21 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         true => program,
         false => Program::with(program.rules().clone(), options)?,
     };
-    if arguments.plan {
+    if arguments.plan && arguments.facts.is_none() {
         write!(anstream::stdout(), "{}", program.show_plans(sources))?;
         return Ok(());
     }
     let mut session = program.session();
-    load_inputs(&arguments.facts, &mut session, sources)?;
+    load_inputs(
+        arguments.facts.as_deref().unwrap_or(Path::new(".")),
+        &mut session,
+        sources,
+    )?;
     session.commit().map_err(Diagnostic::from)?;
+    if arguments.plan {
+        write!(anstream::stdout(), "{}", session.show_plans(sources))?;
+        return Ok(());
+    }
 
     let broken = promise::broken(&session);
     if !broken.is_empty() {
