@@ -693,6 +693,52 @@ fn query_takes_threads_and_limits() {
 }
 
 #[test]
+fn query_shows_plans_for_the_facts_it_is_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "cycle.dl",
+        ".decl edge(x: number, y: number)\n.input edge\n.decl mark(x: number)\n.input mark\n\
+         .decl cycle(x: number, y: number, z: number)\n.decl near(x: number)\n\
+         cycle(x, y, z) :- edge(x, y), edge(y, z), edge(x, z).\n\
+         near(x) :- edge(x, y), mark(y).\n",
+    );
+    let star: String = (1..1000).map(|node| format!("0\t{node}\n{node}\t0\n")).collect();
+    write(folder.path(), "edge.facts", &star);
+    write(folder.path(), "mark.facts", "7\n");
+    let here = folder.path().to_str().unwrap();
+    let output = logicity(["query", &rules, "-F", here, "--plan"]);
+    let expected = format!(
+        "\
+stratum 1: cycle
+  over edge 1998
+
+  cycle(x, y, z) :- edge(x, y), edge(y, z), edge(x, z).    {rules}:7:1
+    once
+      scan   edge(x, y)
+      meet   edge(y, z) by x
+         and edge(x, z) by x
+      derive cycle(x, y, z)
+
+stratum 2: near
+  over edge 1998, mark 1
+
+  near(x) :- edge(x, y), mark(y).    {rules}:8:1
+    once
+      scan   mark(y)
+      scan   edge(x, y) by y, index (y, x)
+      derive near(x)
+
+"
+    );
+    assert_eq!((code(&output), out(&output)), (0, expected));
+    // Before there are facts, the text decides.
+    let output = logicity(["query", &rules, "--plan"]);
+    assert_eq!((code(&output), out(&output).contains("meet")), (0, false));
+    assert!(!folder.path().join("cycle.csv").exists());
+}
+
+#[test]
 fn query_follows_the_options_of_directives() {
     let folder = tempfile::tempdir().unwrap();
     let rules = write(

@@ -18,13 +18,14 @@ pub struct Arguments {
     /// Rule file
     rules: PathBuf,
     /// Folder with one NAME.facts for each input relation: one row a line, values separated by tabs. The options of `.input`
-    /// may say otherwise
-    #[arg(short = 'F', long, value_name = "DIR", default_value = ".")]
-    facts: PathBuf,
+    /// may say otherwise. Without it, the current folder
+    #[arg(short = 'F', long, value_name = "DIR")]
+    facts: Option<PathBuf>,
     /// Folder for one NAME.csv for each output relation; `-` is standard output
     #[arg(short = 'D', long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
-    /// Print how every clause is evaluated, and do nothing else
+    /// Print how every clause is evaluated, and do nothing else: with `-F`, for relations of the sizes that the facts give
+    /// them; without, as long as there are few rows
     #[arg(long, conflicts_with = "profile")]
     plan: bool,
     /// Tell on standard error how long every clause took (wall clock) and on how many rows
@@ -70,7 +71,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         true => program,
         false => Program::with(program.rules().clone(), options)?,
     };
-    if arguments.plan {
+    if arguments.plan && arguments.facts.is_none() {
         write!(anstream::stdout(), "{}", program.show_plans(sources))?;
         return Ok(());
     }
@@ -78,12 +79,20 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     session.set_limits(arguments.limits());
     (session.set_threads(arguments.threads()))
         .map_err(|error| Failure::Usage(format!("cannot start {} threads: {error}", arguments.threads)))?;
-    load_inputs(&arguments.facts, &mut session, sources)?;
+    load_inputs(
+        arguments.facts.as_deref().unwrap_or(Path::new(".")),
+        &mut session,
+        sources,
+    )?;
     let times = match arguments.profile {
         true => timed_commit(&mut session).map(Some),
         false => session.commit().map(|_| None),
     };
     let times = times.map_err(|error| too_much(&error, program.rules()))?;
+    if arguments.plan {
+        write!(anstream::stdout(), "{}", session.show_plans(sources))?;
+        return Ok(());
+    }
 
     let broken = promise::broken(&session);
     if !broken.is_empty() {

@@ -4,9 +4,10 @@
 //! *new* for one round, and belong to its *stable* batches afterwards. The joins are our own ([`super::join`]), since
 //! datafrog's want their number and the types of their rows at compile time.
 
+use crate::engine::adapt::Basis;
 use crate::engine::estimate::{self, Shape};
 use crate::engine::join::{self, Effort, Output, Stop, View};
-use crate::engine::plan::{ClausePlans, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
+use crate::engine::plan::{Aim, ClausePlans, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Row, difference, merge, normalise};
 use crate::engine::table::{Net, Table, project};
 use crate::engine::workers::Workers;
@@ -15,6 +16,7 @@ use crate::lang::{ClauseId, RelId, Term, Value};
 use crate::symbol::Symbols;
 pub(super) use datafrog::{Iteration, Relation, Variable};
 use std::cell::Ref;
+use std::sync::Arc;
 
 /// What a session keeps between commits, whatever the width of its rows.
 pub(super) trait Store: Send + Sync {
@@ -35,6 +37,8 @@ pub(super) trait Store: Send + Sync {
     fn row(&self, relation: RelId, position: usize) -> &[Value];
     /// How many rows the relation has.
     fn len(&self, relation: RelId) -> usize;
+    /// How clauses are evaluated now.
+    fn plans(&self) -> &Plans;
     /// The distinct rows that a clause derives.
     fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>>;
 }
@@ -80,6 +84,10 @@ pub(super) struct State<const W: usize> {
     given: Vec<Vec<Row<W>>>,
     /// By [`RelId`]: noted changes in the order they came; of several for one row the last counts.
     noted: Vec<Vec<(Row<W>, bool)>>,
+    /// How clauses are evaluated, for relations of about the sizes they have.
+    pub(super) plans: Arc<Plans>,
+    /// By position of the stratum: the sizes it was planned for.
+    pub(super) bases: Vec<Basis>,
     /// Whether a commit has succeeded.
     committed: bool,
     /// By position of the stratum: what the last computation from scratch took.
@@ -87,7 +95,7 @@ pub(super) struct State<const W: usize> {
     /// How many rows the tables have.
     rows: usize,
     /// Each of them is in memory no more often than this.
-    copies_max: usize,
+    pub(super) copies_max: usize,
 }
 
 /// What computing a stratum from scratch took.
@@ -101,6 +109,8 @@ struct Cost {
 /// A commit while it is made.
 pub(super) struct Commit<'a, const W: usize> {
     pub(super) compiled: &'a Compiled,
+    /// How clauses are evaluated: the session's own plans.
+    pub(super) plans: Arc<Plans>,
     pub(super) symbols: &'a Symbols,
     orders: Orders<'a>,
     /// By [`RelId`]: how the relations changed so far, and what they were before.
@@ -230,6 +240,8 @@ impl<const W: usize> State<W> {
                 .iter()
                 .map(|rows| rows.iter().map(|&row| (row, true)).collect())
                 .collect(),
+            plans: Arc::clone(&compiled.plans),
+            bases: vec![Basis::default(); compiled.plans.strata.len()],
             given,
             committed: false,
         }
@@ -237,7 +249,7 @@ impl<const W: usize> State<W> {
 
     fn try_commit(&mut self, commit: &mut Commit<'_, W>) -> Result<(WorkLog, Vec<Cost>), EvalError> {
         let limits = commit.orders.limits;
-        let Compiled { rules, plans } = commit.compiled;
+        let Compiled { rules, plans, .. } = commit.compiled;
         for relation in (0..rules.relations.len() as u32).map(RelId) {
             let noted = &mut self.noted[relation.index()];
             if noted.is_empty() {
@@ -246,7 +258,7 @@ impl<const W: usize> State<W> {
             settle(noted);
             let table = &self.tables[relation.index()];
             if let Some((net, rows)) = table.update(noted) {
-                let table = table.replaced(&specs(plans, relation), &net, rows);
+                let table = table.replaced(&specs(&commit.plans, relation), &net, rows);
                 self.put(commit, relation, net, table);
             }
         }
@@ -256,13 +268,13 @@ impl<const W: usize> State<W> {
         // Rows derived by the strata so far, and rows looked at for them. A limit that is passed by a sum of these is passed
         // whatever was there before.
         let (mut derived, mut steps) = (0, 0);
-        for (stratum, cost) in plans.strata.iter().zip(&mut costs) {
+        for ((stratum, cost), number) in plans.strata.iter().zip(&mut costs).zip(0..) {
             let changes = stratum.inputs.iter().any(|&input| commit.net(input).is_some());
             let work = if self.committed && !changes {
                 StratumWork::Skipped
             } else {
                 let room = self.room(commit, stratum, (derived, steps));
-                let work = self.update(commit, stratum, cost, room);
+                let work = self.update(commit, (stratum, number), cost, room);
                 work.map_err(|(clause, stop)| match stop {
                     Stop::Budget => EvalError::TooManySteps {
                         limit: limits.steps,
@@ -316,7 +328,7 @@ impl<const W: usize> State<W> {
             let deltas = clause.deltas.iter().map(|(_, plan)| plan);
             deltas.chain(clause.detours.iter().flatten()).chain([&clause.complete])
         });
-        let sources = all.flat_map(|plan| &plan.steps).filter_map(Step::source);
+        let sources = all.flat_map(|plan| &plan.steps).flat_map(Step::sources);
         let finished = sources.filter(|source| source.version == Version::Complete);
         let mut missing: Vec<usize> = finished.map(|source| source.index.index()).collect();
         missing.sort_unstable();
@@ -337,14 +349,13 @@ impl<const W: usize> State<W> {
     fn update(
         &mut self,
         commit: &mut Commit<'_, W>,
-        stratum: &StratumPlan,
+        (stratum, number): (&StratumPlan, usize),
         cost: &mut Cost,
         room: Room,
     ) -> Result<StratumWork, Failure> {
-        let plans = &commit.compiled.plans;
         let Orders { strategy, workers, .. } = commit.orders;
         // Symbols are numbered in the order in which they are made, so that is left to one thread.
-        let several = workers.are_several() && !makes_texts(plans, stratum);
+        let several = workers.are_several() && !makes_texts(&commit.plans, stratum);
         let workers = several.then_some(workers);
         let inputs: usize = stratum.inputs.iter().map(|&input| self.len(input)).sum();
         let inputs = inputs as u64;
@@ -359,12 +370,14 @@ impl<const W: usize> State<W> {
                 _ => (maintaining() <= recomputing).then_some(recomputing),
             };
             if let Some(budget) = budget.map(|budget| budget.min(room.steps)) {
+                self.adapt(commit, (stratum, number), Aim::Maintain);
                 let mut meter = Meter::new(budget, commit.orders, workers);
                 match self.maintain(commit, stratum, room, &mut meter) {
                     Ok((nets, rounds)) => {
                         for (&relation, net) in stratum.members.iter().zip(nets) {
                             if !net.is_empty() {
-                                let table = self.tables[relation.index()].patched(&specs(plans, relation), &net);
+                                let table =
+                                    self.tables[relation.index()].patched(&specs(&commit.plans, relation), &net);
                                 self.put(commit, relation, net, table);
                             }
                         }
@@ -380,8 +393,9 @@ impl<const W: usize> State<W> {
             steps: room.steps - given_up,
             ..room
         };
+        self.adapt(commit, (stratum, number), Aim::Recompute);
         if room.narrowed || room.bytes < commit.orders.limits.bytes / 2 {
-            let missing = self.missing_indexes(plans, stratum);
+            let missing = self.missing_indexes(&commit.plans, stratum);
             if let (true, Some(&clause)) = (missing > room.bytes, stratum.clauses.first()) {
                 return Err((clause, Stop::Memory));
             }
@@ -407,7 +421,7 @@ impl<const W: usize> State<W> {
                 removed: difference(&table.rows, &rows),
             };
             if !net.is_empty() {
-                let table = table.replaced(&specs(plans, relation), &net, rows);
+                let table = table.replaced(&specs(&commit.plans, relation), &net, rows);
                 self.put(commit, relation, net, table);
             }
         }
@@ -423,7 +437,7 @@ impl<const W: usize> State<W> {
         /// Beginning with a clause costs something even for one row.
         const CLAUSE: u64 = 8;
         let clauses = stratum.clauses.iter();
-        let changes = clauses.flat_map(|clause| &commit.compiled.plans.clauses[clause.index()].changes);
+        let changes = clauses.flat_map(|clause| &commit.plans.clauses[clause.index()].changes);
         let nets = changes.filter_map(|change| commit.net(change.over));
         nets.map(|net| CLAUSE + ROW * net.len() as u64).sum()
     }
@@ -443,7 +457,7 @@ impl<const W: usize> State<W> {
         room: Room,
         meter: &mut Meter<'_>,
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
-        let plans = &commit.compiled.plans;
+        let plans = &commit.plans;
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
         for &clause in &stratum.clauses {
             let plan = &plans.clauses[clause.index()];
@@ -484,8 +498,8 @@ impl<const W: usize> State<W> {
         room: Room,
         meter: &mut Meter<'_>,
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
-        let plans = &commit.compiled.plans;
-        let mut recursion = Recursion::new(commit.compiled, stratum, base);
+        let plans = &commit.plans;
+        let mut recursion = Recursion::new(commit.compiled, plans, stratum, base);
         let mut rounds = 0;
         loop {
             for (member, (variable, output)) in recursion.variables.iter().zip(&mut outputs).enumerate() {
@@ -504,7 +518,7 @@ impl<const W: usize> State<W> {
                 chosen
                     .iter()
                     .flat_map(|(_, _, plan)| &plan.steps)
-                    .filter_map(Step::source)
+                    .flat_map(Step::sources)
             };
             recursion.keep(plans, |index| sources().any(|source| source.index == index));
             let held = recursion.hold();
@@ -523,10 +537,9 @@ impl<const W: usize> State<W> {
                 let Some(head) = plans.member[plan.head.index()] else {
                     continue;
                 };
-                let view = |step: &Step| match step.source() {
-                    None => View::NONE,
-                    Some(source) if source.version == Version::Complete => self.complete_view(plans, source),
-                    Some(source) => recursion.view(&held, plans, source),
+                let view = |step: &Step| match step.sources().next() {
+                    Some(source) if source.version != Version::Complete => recursion.view(&held, plans, source),
+                    _ => self.complete_view(plans, step),
                 };
                 let views: Vec<View<'_, W>> = plan.steps.iter().map(view).collect();
                 let given = held[over].new.len();
@@ -564,16 +577,15 @@ impl<const W: usize> State<W> {
     }
 
     fn complete_views(&self, plans: &Plans, plan: &Plan) -> Vec<View<'_, W>> {
-        let view = |step: &Step| {
-            step.source()
-                .map_or(View::NONE, |source| self.complete_view(plans, source))
-        };
-        plan.steps.iter().map(view).collect()
+        plan.steps.iter().map(|step| self.complete_view(plans, step)).collect()
     }
 
-    fn complete_view(&self, plans: &Plans, source: Source) -> View<'_, W> {
-        let spec = &plans.indexes[source.index.index()];
-        View::of(self.tables[spec.relation.index()].batch(spec))
+    fn complete_view(&self, plans: &Plans, step: &Step) -> View<'_, W> {
+        let batch = |source: Source| {
+            let spec = &plans.indexes[source.index.index()];
+            self.tables[spec.relation.index()].batch(spec)
+        };
+        View::across(step.sources().map(batch))
     }
 }
 
@@ -615,11 +627,15 @@ impl<const W: usize> Store for State<W> {
     ) -> Result<(Delta, WorkLog), EvalError> {
         let mut commit = Commit {
             compiled,
+            // The commit alone holds them while it is made, so that it can change them in place.
+            plans: std::mem::replace(&mut self.plans, Arc::clone(&compiled.plans)),
             symbols,
             orders,
             changed: self.tables.iter().map(|_| None).collect(),
         };
-        match self.try_commit(&mut commit) {
+        let result = self.try_commit(&mut commit);
+        self.plans = Arc::clone(&commit.plans);
+        match result {
             Ok((log, costs)) => {
                 self.noted.iter_mut().for_each(Vec::clear);
                 self.costs = costs;
@@ -651,11 +667,15 @@ impl<const W: usize> Store for State<W> {
         self.tables[relation.index()].rows.len()
     }
 
+    fn plans(&self) -> &Plans {
+        &self.plans
+    }
+
     fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>> {
-        let plan = &compiled.plans.clauses[clause.index()].complete;
+        let plan = &self.plans.clauses[clause.index()].complete;
         let mut out = Output::new(usize::MAX);
         if self.committed {
-            let views = self.complete_views(&compiled.plans, plan);
+            let views = self.complete_views(&self.plans, plan);
             // What a clause derives is in its head's relation, which is within the limit: it cannot overflow.
             let _ = join::run(plan, &views, symbols, &mut Effort::new(u64::MAX), &mut out);
         }
@@ -730,8 +750,8 @@ impl<const W: usize> Held<'_, W> {
 }
 
 impl<'b, const W: usize> Recursion<'b, W> {
-    fn new(compiled: &Compiled, stratum: &StratumPlan, base: Option<&'b [&'b Table<W>]>) -> Self {
-        let Compiled { rules, plans } = compiled;
+    fn new(compiled: &Compiled, plans: &Plans, stratum: &StratumPlan, base: Option<&'b [&'b Table<W>]>) -> Self {
+        let rules = &compiled.rules;
         let members = &stratum.members;
         let mut iteration = Iteration::new();
         let name = |member: &RelId| &rules.relations[member.index()].name;
@@ -741,7 +761,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
             .clauses
             .iter()
             .flat_map(|clause| &plans.clauses[clause.index()].deltas);
-        for source in deltas.flat_map(|(_, plan)| &plan.steps).filter_map(Step::source) {
+        for source in deltas.flat_map(|(_, plan)| &plan.steps).flat_map(Step::sources) {
             let relation = plans.indexes[source.index.index()].relation;
             let known = source.version == Version::Complete || plans.is_own(source.index);
             let known = known || grown.iter().any(|grown| grown.id == source.index);

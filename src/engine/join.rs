@@ -1,13 +1,13 @@
 //! Runs the steps of a plan: one pipelined nested-loop join over sorted rows, without intermediate relations.
 
-use crate::engine::plan::{Plan, Slot, Step};
+use crate::engine::plan::{List, Plan, Slot, Step};
 use crate::engine::row::{Batch, Row, gallop, normalise};
 use crate::engine::seen::{Added, Seen};
 use crate::lang::{BaseType, Comparison, Functor, Patterns, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
 
-/// The rows a step looks at: sorted batches, mostly one.
+/// The rows a step looks at: sorted batches, mostly one; for a step that meets lists, one for each list.
 #[derive(Clone, Debug)]
 pub(super) struct View<'a, const W: usize> {
     pub(super) first: Batch<'a, W>,
@@ -21,11 +21,14 @@ impl<'a, const W: usize> View<'a, W> {
         rest: Vec::new(),
     };
 
-    /// Of one batch.
-    pub(super) fn of(batch: Batch<'a, W>) -> Self {
-        View {
-            first: batch,
-            rest: Vec::new(),
+    /// Of one batch for each list of a step, or of the one batch of a step.
+    pub(super) fn across(mut batches: impl Iterator<Item = Batch<'a, W>>) -> Self {
+        match batches.next() {
+            Some(first) => View {
+                first,
+                rest: batches.collect(),
+            },
+            None => View::NONE,
         }
     }
 
@@ -310,9 +313,10 @@ pub(super) fn run<const W: usize>(
         budget: effort.budget,
         text_bytes: effort.text_bytes,
         patterns: None,
+        cursors: Vec::new(),
         out,
     };
-    let result = join.from(0);
+    let result = join.from(0, plan.steps.len());
     effort.looked_at = join.looked_at;
     result?;
     // The last scan may have been the one that was too much.
@@ -335,26 +339,33 @@ struct Join<'a, const W: usize> {
     text_bytes: u64,
     /// Made when first needed.
     patterns: Option<Patterns>,
+    /// What is left of the lists that the steps are meeting which are being done, and the column of the words.
+    cursors: Vec<(&'a [Row<W>], usize)>,
     out: &'a mut Output<W>,
 }
 
 impl<const W: usize> Join<'_, W> {
-    /// Does the steps from `depth` on and says whether they succeeded at least once.
-    fn from(&mut self, depth: usize) -> Result<bool, Stop> {
+    /// Does the steps from `depth` to `end` and says whether they succeeded at least once. A success of all steps derives a row.
+    fn from(&mut self, depth: usize, end: usize) -> Result<bool, Stop> {
         let plan = self.plan;
         let mut depth = depth;
         loop {
-            let Some(step) = plan.steps.get(depth) else {
-                return self.emit();
-            };
-            let passed = match step {
-                Step::Scan {
-                    key,
-                    bind,
-                    check,
-                    distinct,
-                    ..
-                } => return self.scan(depth, key, (bind, check), *distinct as usize),
+            if depth == end {
+                return if end == plan.steps.len() { self.emit() } else { Ok(true) };
+            }
+            let passed = match &plan.steps[depth] {
+                step @ (Step::Scan { .. } | Step::Meet { .. }) => match plan.enough[depth] as usize {
+                    0 => return self.branch(step, depth, (end, false)),
+                    // Within a part of which one success is enough there are only such parts, so this one ends in front of `end`.
+                    part => {
+                        let passed = self.branch(step, depth, (part, true))?;
+                        if part == plan.steps.len() {
+                            return Ok(passed);
+                        }
+                        depth = part - 1;
+                        passed
+                    }
+                },
                 Step::Exists { key, .. } => self.holds(depth, key),
                 Step::Absent { key, .. } => !self.holds(depth, key),
                 Step::Copy { to, from } => {
@@ -422,23 +433,46 @@ impl<const W: usize> Join<'_, W> {
         }
     }
 
+    /// Does a step that may go on several times, and those behind it to `end`; only until they succeed if `once` is set.
+    fn branch(&mut self, step: &Step, depth: usize, (end, once): (usize, bool)) -> Result<bool, Stop> {
+        if self.looked_at > self.budget {
+            return Err(Stop::Budget);
+        }
+        match step {
+            Step::Scan {
+                key,
+                bind,
+                check,
+                distinct,
+                ..
+            } => {
+                let last = depth + 1 == self.plan.steps.len();
+                if last && !once && check.is_empty() && *distinct == 0 {
+                    let words = self.key(key);
+                    return self.spread(depth, &words[..key.len()], bind);
+                }
+                self.scan((depth, end, once), key, (bind, check), *distinct as usize)
+            }
+            Step::Meet { lists, to } => {
+                let base = self.cursors.len();
+                let result = self.meet((depth, end, once), lists, *to);
+                self.cursors.truncate(base);
+                result
+            }
+            _ => Ok(false),
+        }
+    }
+
     fn scan(
         &mut self,
-        depth: usize,
+        (depth, end, once): (usize, usize, bool),
         key: &[Slot],
         (bind, check): (Columns<'_>, Columns<'_>),
         distinct: usize,
     ) -> Result<bool, Stop> {
-        if self.looked_at > self.budget {
-            return Err(Stop::Budget);
-        }
         let views = self.views;
         let words = self.key(key);
         let last = depth + 1 == self.plan.steps.len();
-        let once = depth >= self.plan.settled;
-        if last && !once && check.is_empty() && distinct == 0 {
-            return self.spread(depth, &words[..key.len()], bind);
-        }
         let mut any = false;
         for batch in views[depth].batches() {
             let mut rest = batch.range(&words[..key.len()]);
@@ -457,7 +491,7 @@ impl<const W: usize> Join<'_, W> {
                 {
                     continue;
                 }
-                if if last { self.emit()? } else { self.from(depth + 1)? } {
+                if if last { self.emit()? } else { self.from(depth + 1, end)? } {
                     any = true;
                     if once {
                         return Ok(true);
@@ -466,6 +500,43 @@ impl<const W: usize> Join<'_, W> {
             }
         }
         Ok(any)
+    }
+
+    /// Leapfrog: each list in turn is asked for the first word that is not less than the largest found so far; where all lists
+    /// have found the same one, it is in all. The caller drops the cursors.
+    fn meet(&mut self, (depth, end, once): (usize, usize, bool), lists: &[List], to: Slot) -> Result<bool, Stop> {
+        let views = self.views;
+        let base = self.cursors.len();
+        for (list, batch) in lists.iter().zip(views[depth].batches()) {
+            let words = self.key(&list.key);
+            let rows = batch.range(&words[..list.key.len()]);
+            self.cursors.push((rows, list.key.len()));
+        }
+        let (mut any, mut word, mut agreeing, mut at) = (false, Value(0), 0, 0);
+        loop {
+            self.looked_at += 1;
+            let (rows, column) = &mut self.cursors[base + at];
+            *rows = &rows[gallop(rows, |row| row.0[*column] < word)..];
+            let Some(row) = rows.first() else { return Ok(any) };
+            let found = row.0[*column];
+            agreeing = if found == word { agreeing + 1 } else { 1 };
+            word = found;
+            at = (at + 1) % lists.len();
+            if agreeing < lists.len() {
+                continue;
+            }
+            self.slots[to as usize] = word;
+            if self.from(depth + 1, end)? {
+                any = true;
+                if once {
+                    return Ok(true);
+                }
+            }
+            let Some(next) = word.0.checked_add(1) else {
+                return Ok(any);
+            };
+            (word, agreeing) = (Value(next), 0);
+        }
     }
 
     /// The last scan of a plan: every row found is a row derived.

@@ -13,7 +13,7 @@
 
 use crate::engine::exec::{Commit, Failure, Iteration, Meter, Relation, Room, State, Variable, specs};
 use crate::engine::join::{Output, Stop, View};
-use crate::engine::plan::{ChangePlan, Plan, Step, StratumPlan, Version};
+use crate::engine::plan::{ChangePlan, Plan, Source, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Row, difference, merge};
 use crate::engine::table::{Net, Table};
 use crate::lang::RelId;
@@ -31,7 +31,7 @@ impl<const W: usize> State<W> {
         room: Room,
         meter: &mut Meter<'_>,
     ) -> Result<(Vec<Net<W>>, usize), Failure> {
-        let plans = &commit.compiled.plans;
+        let plans = &commit.plans;
         let members = &stratum.members;
         let (lost, mut rounds) = self.lose(commit, stratum, meter)?;
 
@@ -87,7 +87,7 @@ impl<const W: usize> State<W> {
         stratum: &StratumPlan,
         meter: &mut Meter<'_>,
     ) -> Result<(ByMember<W>, usize), Failure> {
-        let plans = &commit.compiled.plans;
+        let plans = &commit.plans;
         let before = |relation: RelId| match &commit.changed[relation.index()] {
             Some((_, table)) => table,
             None => &self.tables[relation.index()],
@@ -163,12 +163,12 @@ impl<const W: usize> State<W> {
         lost: &ByMember<W>,
         meter: &mut Meter<'_>,
     ) -> Result<ByMember<W>, Failure> {
-        let plans = &commit.compiled.plans;
+        let plans = &commit.plans;
         let now = |relation| self.now(stratum, base, relation);
         let mut gone = lost.clone();
         for &clause in &stratum.clauses {
             let plans = &plans.clauses[clause.index()];
-            let Some(member) = commit.compiled.plans.member[plans.complete.head.index()] else {
+            let Some(member) = commit.plans.member[plans.complete.head.index()] else {
                 continue;
             };
             if let (Some(plan), false) = (&plans.check, gone[member].is_empty()) {
@@ -191,7 +191,7 @@ impl<const W: usize> State<W> {
         room: Room,
         meter: &mut Meter<'_>,
     ) -> Result<ByMember<W>, Failure> {
-        let plans = &commit.compiled.plans;
+        let plans = &commit.plans;
         let now = |relation| self.now(stratum, base, relation);
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
         for &clause in &stratum.clauses {
@@ -229,16 +229,18 @@ fn views<'a, 'b: 'a, const W: usize>(
     known: Option<&'a Table<W>>,
     table: &impl Fn(RelId) -> &'b Table<W>,
 ) -> Vec<View<'a, W>> {
-    let indexes = &commit.compiled.plans.indexes;
+    let indexes = &commit.plans.indexes;
     let view = |(position, step): (usize, &Step)| {
-        let Some(source) = step.source() else { return View::NONE };
-        let spec = &indexes[source.index.index()];
-        match known {
-            _ if source.version == Version::New => View::of(Batch::plain(rows)),
-            None if plan.fresh == Some(position) => View::NONE,
-            Some(known) if plan.fresh == Some(position) => View::of(known.batch(spec)),
-            _ => View::of(table(spec.relation).batch(spec)),
-        }
+        let batch = |source: Source| {
+            let spec = &indexes[source.index.index()];
+            match known {
+                _ if source.version == Version::New => Batch::plain(rows),
+                None if plan.fresh == Some(position) => Batch::plain(&[]),
+                Some(known) if plan.fresh == Some(position) => known.batch(spec),
+                _ => table(spec.relation).batch(spec),
+            }
+        };
+        View::across(step.sources().map(batch))
     };
     plan.steps.iter().enumerate().map(view).collect()
 }

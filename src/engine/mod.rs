@@ -14,13 +14,14 @@
 //! result stays the same stops the change there. [`Session::work`] tells what was done. [`naive`] is the specification: after
 //! every commit a session holds exactly what `naive` derives from the same facts.
 //!
-//! Inside: `plan` orders the literals of each clause and chooses indexes, once; `estimate` chooses between plans by the sizes of
-//! relations; `show` prints them; `join` runs a plan; `seen` knows what was derived before; `exec` makes a commit and runs strata
+//! Inside: `plan` orders the literals of each clause and chooses indexes; `estimate` judges plans by the sizes of relations, and `adapt`
+//! has clauses planned again when those have changed; `show` prints them; `join` runs a plan; `seen` knows what was derived before; `exec` makes a commit and runs strata
 //! to their fixpoint; `maintain` brings a stratum up to date from a change; `table` keeps a relation and its indexes;
 //! `row` has the sorted lists all this works on.
 //!
 //! This module refuses to know what a city, an agent or an ego is. It does no I/O and is deterministic.
 
+mod adapt;
 pub mod diff;
 mod estimate;
 mod exec;
@@ -79,7 +80,8 @@ impl Default for Options {
 #[derive(Debug)]
 struct Compiled {
     rules: Rules,
-    plans: Plans,
+    /// Made from the text alone.
+    plans: Arc<Plans>,
 }
 
 impl Program {
@@ -109,6 +111,7 @@ impl Program {
             true => Plans::new(&optimize::optimize(&rules, options.promises))?,
             false => Plans::new(&rules)?,
         };
+        let plans = Arc::new(plans);
         Ok(Program(Arc::new(Compiled { rules, plans })))
     }
 

@@ -40,6 +40,11 @@ impl<const W: usize> Table<W> {
         }
     }
 
+    /// Makes room for so many indexes.
+    pub(super) fn widen(&mut self, indexes: usize) {
+        self.indexes.resize_with(indexes.max(self.indexes.len()), OnceLock::new);
+    }
+
     /// The rows in the order of an index.
     pub(super) fn batch(&self, spec: &IndexSpec) -> Batch<'_, W> {
         let own = spec.position == 0;

@@ -123,7 +123,8 @@ impl Workers {
             return Vec::new();
         };
         // If one success is enough, the rest of the rows is not looked at.
-        if plan.settled == 0 || expected(plan, views) < (self.threads.split_from.max(copied / 8)) as f64 {
+        let one_is_enough = plan.enough.first().is_some_and(|&end| end != 0);
+        if one_is_enough || expected(plan, views) < (self.threads.split_from.max(copied / 8)) as f64 {
             return Vec::new();
         }
         let words: Vec<_> = key.iter().map(|&slot| plan.slots[slot as usize]).collect();
@@ -167,7 +168,7 @@ impl Workers {
                 scope.spawn(|_| {
                     let mut views = views.to_vec();
                     while let (Some(chunk), false) = (chunks.get(next.fetch_add(1, Relaxed)), stopped.load(Relaxed)) {
-                        views[0] = View::of(Batch::plain(chunk));
+                        views[0] = View::across(std::iter::once(Batch::plain(chunk)));
                         hand.result = join::run(plan, &views, symbols, &mut hand.effort, &mut hand.out);
                         if hand.result.is_err() {
                             stopped.store(true, Relaxed);
@@ -220,6 +221,7 @@ mod tests {
     use super::*;
     use crate::diag::Sources;
     use crate::engine::Program;
+    use crate::engine::plan::Source;
     use crate::engine::table::Table;
     use crate::files::ReadError;
     use crate::lang::{RelId, Value};
@@ -253,14 +255,12 @@ mod tests {
             ];
             for (clause, splits) in [(0, true), (1, true), (2, true), (3, false)] {
                 let plan = &plans.clauses[clause].complete;
-                let view = |step: &Step| match step.source() {
-                    None => View::NONE,
-                    Some(source) => {
-                        let spec = &plans.indexes[source.index.index()];
-                        assert_eq!(spec.relation, RelId(0));
-                        View::of(tables[0].batch(spec))
-                    }
+                let batch = |source: Source| {
+                    let spec = &plans.indexes[source.index.index()];
+                    assert_eq!(spec.relation, RelId(0));
+                    tables[0].batch(spec)
                 };
+                let view = |step: &Step| View::across(step.sources().map(batch));
                 let views: Vec<View<'_, 2>> = plan.steps.iter().map(view).collect();
                 let run = |workers: &Workers, budget: u64, limit: usize| -> Result<Done, Stop> {
                     let (mut effort, mut out) = (Effort::new(budget), Output::new(limit));
