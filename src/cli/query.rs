@@ -102,6 +102,14 @@ fn profile(session: &Session, sources: &Sources) -> String {
         } = rule;
         text += &format!("{given:>13} {looked_at:>13} {derived:>13} {rounds:>7}  {clause}\n");
     }
+    let works = session.work().strata.iter().filter_map(StratumWork::work);
+    let shared: u64 = works.map(|work| work.shared).sum();
+    if shared > 0 {
+        text += &format!(
+            "{:>13} {shared:>13} {:>13} {:>7}  shared by several clauses\n",
+            "", "", ""
+        );
+    }
     text
 }
 

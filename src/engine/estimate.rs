@@ -85,10 +85,23 @@ pub(super) fn choose<'a, const W: usize>(
 
 /// About how many rows a plan looks at.
 fn effort<const W: usize>(plan: &Plan, indexes: &[IndexSpec], shape: &dyn Fn(Source) -> Shape<W>) -> f64 {
-    // Rows that come to a step, and rows looked at in all.
+    let found = |source: Source, key: usize| shape(source).found(&indexes[source.index.index()].columns[..key]);
+    follow(&plan.steps, &found).1
+}
+
+/// About how many rows a plan looks at and derives, if so many rows of a source begin with a key of so many columns.
+pub(super) fn expected(plan: &Plan, found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
+    let (heads, search) = plan.steps.split_at(plan.settled);
+    let (heads, effort) = follow(heads, found);
+    // For each head one success is enough.
+    let (successes, search) = follow(search, found);
+    (effort + heads * search / successes.max(1.0), heads * successes.min(1.0))
+}
+
+/// How many rows come to the end of the steps for one that comes to their beginning, and how many are looked at for it.
+fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
     let (mut flow, mut effort) = (1.0, 0.0);
-    for step in &plan.steps {
-        let found = |source: Source, key: usize| shape(source).found(&indexes[source.index.index()].columns[..key]);
+    for step in steps {
         effort += flow;
         match step {
             Step::Scan { source, key, .. } => {
@@ -106,7 +119,7 @@ fn effort<const W: usize>(plan: &Plan, indexes: &[IndexSpec], shape: &dyn Fn(Sou
             Step::Compare { .. } => flow *= 0.5,
         }
     }
-    effort
+    (flow, effort)
 }
 
 #[cfg(test)]

@@ -84,14 +84,16 @@ impl<const W: usize> Commit<'_, W> {
     /// All that changed. The tables as they were are dropped.
     fn delta(self) -> Delta {
         let mut delta = Delta::default();
-        for (changed, relation) in self.changed.into_iter().zip((0..).map(RelId)) {
+        // Relations that the optimiser added are nobody's business.
+        let relations = self.compiled.rules.relations.iter().zip((0..).map(RelId));
+        for (changed, (relation, id)) in self.changed.into_iter().zip(relations) {
             let Some((net, _)) = changed else { continue };
-            let arity = self.compiled.rules.relations[relation.index()].arity();
+            let arity = relation.arity();
             let list = |rows: Vec<Row<W>>| {
                 let rows: Vec<[Value; W]> = rows.into_iter().map(|row| row.0).collect();
                 Rows::of(arity, rows)
             };
-            delta.push(relation, list(net.added), list(net.removed));
+            delta.push(id, list(net.added), list(net.removed));
         }
         delta
     }
@@ -155,6 +157,7 @@ impl Meter {
             rounds,
             rules: self.rules,
             given_up: 0,
+            shared: 0,
         }
     }
 }
@@ -191,7 +194,7 @@ impl<const W: usize> State<W> {
         limit: usize,
         strategy: Strategy,
     ) -> Result<(WorkLog, Vec<Cost>), EvalError> {
-        let Compiled { rules, plans } = commit.compiled;
+        let Compiled { rules, plans, .. } = commit.compiled;
         for relation in (0..rules.relations.len() as u32).map(RelId) {
             let noted = &mut self.noted[relation.index()];
             if noted.is_empty() {
@@ -209,16 +212,25 @@ impl<const W: usize> State<W> {
         let mut costs = self.costs.clone();
         // Rows derived by the strata so far. A limit that is passed by a sum of these is passed whatever was there before.
         let mut derived = 0;
+        let mut shared = Vec::new();
         for (stratum, cost) in plans.strata.iter().zip(&mut costs) {
             let changes = stratum.inputs.iter().any(|&input| commit.net(input).is_some());
             let work = if self.committed && !changes {
                 StratumWork::Skipped
             } else {
-                let room = limit.saturating_sub(derived);
+                // What is shared has no more rows than a relation that it reads, and does not count.
+                let room = match commit.compiled.is_shared(stratum) {
+                    true => usize::MAX,
+                    false => limit.saturating_sub(derived),
+                };
                 self.update(commit, stratum, cost, (room, strategy))
                     .map_err(|clause| EvalError::TooManyRows { limit, clause })?
             };
-            log.strata.push(work);
+            if commit.compiled.is_shared(stratum) {
+                shared.push(work);
+                continue;
+            }
+            log.strata.push(work.after(std::mem::take(&mut shared)));
             let members = stratum.members.iter();
             derived += members.map(|&relation| self.len(relation)).sum::<usize>();
         }
@@ -583,7 +595,7 @@ impl<const W: usize> Held<'_, W> {
 
 impl<'b, const W: usize> Recursion<'b, W> {
     fn new(compiled: &Compiled, stratum: &StratumPlan, base: Option<&'b [&'b Table<W>]>) -> Self {
-        let Compiled { rules, plans } = compiled;
+        let Compiled { rules, plans, .. } = compiled;
         let members = &stratum.members;
         let mut iteration = Iteration::new();
         let name = |member: &RelId| &rules.relations[member.index()].name;

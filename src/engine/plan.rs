@@ -235,12 +235,9 @@ impl Plans {
             .unwrap_or(0);
         let width = WIDTHS.into_iter().find(|&width| width >= arity).unwrap_or(width_max);
 
-        let own_rows = |(position, relation): (usize, &crate::lang::Relation)| IndexSpec {
-            relation: RelId(position as u32),
-            columns: (0..relation.arity() as u16).collect(),
-            position: 0,
-        };
-        let indexes: Vec<IndexSpec> = rules.relations.iter().enumerate().map(own_rows).collect();
+        let indexes: Vec<IndexSpec> = (rules.relations.iter().zip(0..))
+            .map(|(relation, number)| own_rows(RelId(number), relation.arity()))
+            .collect();
         let mut indexer = Indexer {
             of: (0..indexes.len() as u32).map(|index| vec![IndexId(index)]).collect(),
             specs: indexes,
@@ -304,6 +301,62 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
         members,
         inputs,
         clauses,
+    }
+}
+
+/// Plans clauses to see what they would cost, without keeping the plans.
+pub(super) struct Sketcher {
+    indexer: Indexer,
+}
+
+impl Sketcher {
+    /// For clauses over the relations of these rules.
+    pub(super) fn new(rules: &Rules) -> Self {
+        let mut sketcher = Sketcher {
+            indexer: Indexer {
+                specs: Vec::new(),
+                of: Vec::new(),
+            },
+        };
+        for (relation, number) in rules.relations.iter().zip(0..) {
+            sketcher.indexer.specs.push(own_rows(RelId(number), relation.arity()));
+            sketcher.indexer.of.push(vec![IndexId(number)]);
+        }
+        // Place for one relation more, with its own rows at the place of its number.
+        let next = rules.relations.len() as u32;
+        sketcher.indexer.specs.push(own_rows(RelId(next), 0));
+        sketcher.indexer.of.push(vec![IndexId(next)]);
+        sketcher
+    }
+
+    /// Sets the number of columns of the relation after those of the rules.
+    pub(super) fn declare(&mut self, relation: RelId, arity: usize) {
+        self.indexer.specs[relation.index()] = own_rows(relation, arity);
+        self.indexer.of[relation.index()].truncate(1);
+    }
+
+    /// The plan that a clause without recursion has, and the order in which it comes to the literals; `None` if there is none.
+    pub(super) fn plan(&mut self, clause: &Clause) -> Option<(Plan, Vec<usize>)> {
+        let large = clause.body.len() > CLAUSE_MAX || clause.variables.len() > CLAUSE_MAX;
+        if large {
+            return None;
+        }
+        let planner = Planner::new(clause, &mut self.indexer);
+        planner.plan_in_order(First::Any, &|_| Version::Complete).ok()
+    }
+
+    /// The relation that a step of a plan looks at.
+    pub(super) fn relation(&self, source: Source) -> RelId {
+        self.indexer.specs[source.index.index()].relation
+    }
+}
+
+/// A relation's rows in their own order.
+fn own_rows(relation: RelId, arity: usize) -> IndexSpec {
+    IndexSpec {
+        relation,
+        columns: (0..arity as u16).collect(),
+        position: 0,
     }
 }
 
@@ -456,6 +509,8 @@ struct Planner<'a> {
     uses: Vec<usize>,
     /// Positions in the body, in the order of the text.
     left: Vec<usize>,
+    /// Positions in the body of what is placed.
+    order: Vec<usize>,
     steps: Vec<Step>,
     /// Whether a scan stands before, so that the next step may run many times.
     repeated: bool,
@@ -480,6 +535,7 @@ impl<'a> Planner<'a> {
             bound: vec![false; clause.variables.len()],
             uses,
             left: (0..clause.body.len()).collect(),
+            order: Vec::new(),
             steps: Vec::new(),
             repeated: false,
         }
@@ -489,7 +545,16 @@ impl<'a> Planner<'a> {
         Planner { large, ..self }
     }
 
-    fn plan(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<Plan, Diagnostic> {
+    fn plan(self, first: First, version: &dyn Fn(usize) -> Version) -> Result<Plan, Diagnostic> {
+        Ok(self.plan_in_order(first, version)?.0)
+    }
+
+    /// The plan, and the positions of the literals in the order in which it comes to them.
+    fn plan_in_order(
+        mut self,
+        first: First,
+        version: &dyn Fn(usize) -> Version,
+    ) -> Result<(Plan, Vec<usize>), Diagnostic> {
         let clause = self.clause;
         let head = &clause.head;
         let head_variables: Vec<VarId> = head.terms.iter().filter_map(variable_of).collect();
@@ -542,14 +607,15 @@ impl<'a> Planner<'a> {
             _ => return Err(self.unbound()),
         };
         let output = head.terms.iter().filter_map(|term| self.slot(term)).collect();
-        Ok(Plan {
+        let plan = Plan {
             head: head.relation,
             output,
             steps: self.steps,
             settled,
             slots: self.slots,
             fresh,
-        })
+        };
+        Ok((plan, self.order))
     }
 
     /// What to say of a clause that checking should have refused.
@@ -684,6 +750,7 @@ impl<'a> Planner<'a> {
     /// Strikes a literal off what is left.
     fn placed(&mut self, position: usize) {
         self.left.retain(|&other| other != position);
+        self.order.push(position);
         for variable in self.clause.body[position].terms().filter_map(variable_of) {
             self.uses[variable.index()] -= 1;
         }

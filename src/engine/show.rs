@@ -1,7 +1,7 @@
 //! Plans as text: what is scanned and tested in which order, by which columns, through which index.
 
 use crate::diag::Sources;
-use crate::engine::plan::{IndexId, Plan, Slot, Source, Step, Version};
+use crate::engine::plan::{IndexId, Plan, Slot, Source, Step, StratumPlan, Version};
 use crate::engine::{Program, facts};
 use crate::lang::{BaseType, Clause, ClauseId, Functor, RelId, Value};
 use crate::symbol::Symbol;
@@ -21,7 +21,13 @@ impl Program {
     pub fn show_plans(&self, sources: &Sources) -> String {
         let (rules, plans) = (&self.0.rules, &self.0.plans);
         let mut out = String::new();
-        for (stratum, number) in plans.strata.iter().zip(1..) {
+        let mut number = 0;
+        for stratum in &plans.strata {
+            if self.0.is_shared(stratum) {
+                self.show_shared(&mut out, stratum);
+                continue;
+            }
+            number += 1;
             if stratum.clauses.is_empty() {
                 continue;
             }
@@ -50,6 +56,21 @@ impl Program {
         out
     }
 
+    /// How a part of bodies is computed that several clauses share.
+    fn show_shared(&self, out: &mut String, stratum: &StratumPlan) {
+        let own = self.0.rules.clauses.len();
+        for &id in &stratum.clauses {
+            let clause = &self.0.shared.1[id.index() - own];
+            let plan = &self.0.plans.clauses[id.index()].complete;
+            *out += &format!(
+                "{}: shared by several clauses\n\n    once\n",
+                self.name(clause.head.relation)
+            );
+            self.show_steps(out, clause, plan);
+            out.push('\n');
+        }
+    }
+
     /// A clause on one line, with its place.
     pub fn show_clause(&self, id: ClauseId, sources: &Sources) -> String {
         let span = self.0.rules.clauses[id.index()].span;
@@ -58,7 +79,7 @@ impl Program {
     }
 
     fn name(&self, relation: RelId) -> &str {
-        &self.0.rules.relations[relation.index()].name
+        &self.0.relation(relation).name
     }
 
     fn show_steps(&self, out: &mut String, clause: &Clause, plan: &Plan) {
@@ -145,7 +166,7 @@ impl Program {
             };
             *out += &format!("      {line}\n");
         }
-        let relation = &self.0.rules.relations[plan.head.index()];
+        let relation = self.0.relation(plan.head);
         let terms = relation.columns.iter().zip(&plan.output);
         let terms: Vec<String> = terms.map(|(column, &slot)| value(slot, column.base)).collect();
         *out += &format!("      derive {}({})\n", relation.name, terms.join(", "));
@@ -160,7 +181,7 @@ impl Program {
         value: &dyn Fn(Slot, BaseType) -> String,
     ) -> String {
         let order = &self.0.plans.indexes[source.index.index()];
-        let relation = &self.0.rules.relations[order.relation.index()];
+        let relation = self.0.relation(order.relation);
         let mut atom = vec!["_".to_owned(); relation.arity()];
         for &(column, slot) in terms {
             let column = order.columns[column as usize] as usize;
