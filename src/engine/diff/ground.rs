@@ -319,7 +319,7 @@ impl<'a> Circuit<'a> {
                 };
                 Ok(if holds { self.yes } else { !self.yes })
             }
-            // `diff` refuses rules that have them.
+            // Rules that have them are compared by trial.
             Literal::Compute { .. } | Literal::Aggregate { .. } => Ok(!self.yes),
         }
     }
@@ -363,7 +363,7 @@ impl<'a> Circuit<'a> {
             Comparison::LessEqual => order.is_le(),
             Comparison::Greater => order.is_gt(),
             Comparison::GreaterEqual => order.is_ge(),
-            // `diff` refuses rules that have them.
+            // Rules that have them are compared by trial.
             Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => false,
         }
     }
