@@ -149,6 +149,9 @@ struct Output {
 /// More literals than this are not looked at for scenes of one size.
 const ROOM: usize = 3_000_000;
 
+/// Nor more than this for scenes of all sizes together.
+const ROOM_IN_ALL: usize = 12_000_000;
+
 /// Compares two sets of rules.
 ///
 /// # Errors
@@ -177,7 +180,10 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, V
     }
 
     let last = proof.map_or(options.entities_max, |proof| proof.min(options.entities_max));
-    let mut conflicts = options.conflicts_max;
+    let mut left = Left {
+        conflicts: options.conflicts_max,
+        room: ROOM_IN_ALL,
+    };
     let scoped = sides.iter().any(|side| !side.scopes.is_empty());
     let views: &[View] = if scoped {
         &[View::Full, View::Free]
@@ -187,7 +193,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, V
     let mut seen_all = last;
     for &view in views {
         for entities in 0..=last {
-            match search(sides, &base, &outputs, entities, view, &mut conflicts) {
+            match search(sides, &base, &outputs, entities, view, &mut left) {
                 Some(Some(difference)) => return Ok(Verdict::Different(difference)),
                 Some(None) => {}
                 None => {
@@ -344,6 +350,14 @@ fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
 
 // --- scenes of one size
 
+/// What the search may still do: it is bounded by numbers, not by time.
+struct Left {
+    /// Dead ends.
+    conflicts: u64,
+    /// Literals to look at.
+    room: usize,
+}
+
 /// A scene of that size that shows a difference, if there is one; `None` if that could not be settled.
 #[allow(clippy::option_option)]
 fn search(
@@ -352,7 +366,7 @@ fn search(
     outputs: &[Output],
     entities: usize,
     view: View,
-    conflicts: &mut u64,
+    effort: &mut Left,
 ) -> Option<Option<Difference>> {
     let individuals = individuals(sides, entities);
     let [left, right] = sides.map(|side| Side {
@@ -363,20 +377,23 @@ fn search(
         facts: text_facts(side, &individuals),
         scopes: side.scopes.clone(),
     });
-    let mut circuit = Circuit::new([&left, &right], &individuals, view, ROOM);
-    let questions = questions(&mut circuit, outputs, entities, &individuals).ok()?;
-    circuit.promises().ok()?;
+    let mut circuit = Circuit::new([&left, &right], &individuals, view, ROOM.min(effort.room));
+    let before = circuit.room;
+    let asked = questions(&mut circuit, outputs, entities, &individuals);
+    let kept = circuit.promises();
+    effort.room -= before - circuit.room;
+    let (questions, ()) = asked.ok().zip(kept.ok())?;
     let any = circuit.any(questions.iter().map(|question| question.differs).collect());
     if circuit.is_no(any) {
         return Some(None);
     }
     circuit.solver.add(&[any]);
-    match circuit.solver.solve(&[], conflicts) {
+    match circuit.solver.solve(&[], &mut effort.conflicts) {
         Outcome::Unsatisfiable => return Some(None),
         Outcome::Unknown => return None,
         Outcome::Satisfiable => {}
     }
-    let smallest = shrink(&mut circuit, conflicts);
+    let smallest = shrink(&mut circuit, &mut effort.conflicts);
     let asked = questions
         .iter()
         .find(|question| circuit.solver.is_true(question.differs))?;
