@@ -847,6 +847,90 @@ fn a_faulty_scene_keeps_answers_in_step() {
     fails(&with_input(["infer"], deep.as_bytes()), 1, &["invalid-scene"]);
 }
 
+/// Promises of the rules are no rules: only who asks is told where facts break one.
+#[test]
+fn promises_are_checked_where_asked_for() {
+    let bus = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e1"]}}"#;
+    let car = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e1"],"IsCar":["e1"]}}"#;
+    let input = format!("{bus}\n{car}\n");
+    let plain = with_input(["infer"], input.as_bytes());
+    assert_eq!(plain.status.code(), Some(0), "{}", err(&plain));
+    let checked = with_input(["infer", "--check-promises"], input.as_bytes());
+    fails(
+        &checked,
+        1,
+        &[
+            "broken-promise",
+            "`IsBus(\"e1\")` holds, `IsCar(\"e1\")` does not",
+            "<stdin>:1:",
+        ],
+    );
+    let answers = |output: &Output| -> Vec<Value> {
+        out(output)
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect()
+    };
+    assert_eq!(answers(&checked)[0]["error"][0]["code"], "broken-promise");
+    assert_eq!(answers(&checked)[1], answers(&plain)[1]);
+
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "odd.dl",
+        ".include \"expert.dl\"\n.disjoint IsCar, IsPedestrian, IsTiro\n.irreflexive Sees\n",
+    );
+    let to = folder.path().join("out").to_str().unwrap().to_owned();
+    let unchecked = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "3",
+        "--no-pictures",
+        "--out",
+        &to,
+        "--rules",
+        &rules,
+    ]);
+    assert_eq!(unchecked.status.code(), Some(0), "{}", err(&unchecked));
+    let check = "--check-promises";
+    let kept = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "3",
+        "--no-pictures",
+        "--out",
+        &to,
+        "--rules",
+        "rules/expert.dl",
+        check,
+    ]);
+    assert_eq!(kept.status.code(), Some(0), "{}", err(&kept));
+    let output = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "3",
+        "--no-pictures",
+        "--out",
+        &to,
+        "--rules",
+        &rules,
+        check,
+    ]);
+    fails(
+        &output,
+        1,
+        &[
+            "broken-promise",
+            "odd.dl:3:1",
+            "in tick 0 for the first time; in 3 of 3 ticks",
+        ],
+    );
+    assert!(out(&output).contains("3 ticks"), "the summary is told nevertheless");
+}
+
 #[test]
 fn scenes_beyond_the_limits_are_told_and_the_next_one_is_answered() {
     let scene = r#"{"entities":["e0"],"ego":"e0"}"#;

@@ -10,7 +10,7 @@ use logicity::engine::{
 };
 use logicity::lang::{ClauseId, Literal, RelId, Rules, Value};
 use proptest::prelude::*;
-use random_program::{Genome, genomes, recursive_genomes};
+use random_program::{Genome, computing_genomes, genomes, recursive_genomes, sharing_genomes};
 use std::collections::BTreeSet;
 use written_program::program;
 
@@ -262,6 +262,16 @@ proptest! {
 
     #[test]
     fn recursive_commits_agree_with_naive(genome in recursive_genomes(1..4)) {
+        check_script(&genome)?;
+    }
+
+    #[test]
+    fn commits_with_expressions_agree_with_naive(genome in computing_genomes(1..4)) {
+        check_script(&genome)?;
+    }
+
+    #[test]
+    fn commits_with_shared_bodies_agree_with_naive(genome in sharing_genomes(1..5)) {
         check_script(&genome)?;
     }
 }

@@ -15,7 +15,7 @@ use logicity::lang::{self, Atom, ClauseId, Literal, RelId, Rules, Term, Value};
 use logicity::rng::Seed;
 use logicity::sim::{Simulation, World};
 use proptest::prelude::*;
-use random_program::{Genome, NUMBERS, TEXTS, genomes, recursive_genomes};
+use random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, recursive_genomes};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
@@ -350,6 +350,12 @@ proptest! {
 
     #[test]
     fn literals_that_matter_are_known(genome in genomes(1..2)) {
+        check_matters(&genome);
+    }
+
+    #[test]
+    fn expressions_and_floats_are_explained(genome in computing_genomes(1..3)) {
+        check_genome(&genome);
         check_matters(&genome);
     }
 

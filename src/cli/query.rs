@@ -2,7 +2,7 @@
 
 use super::{Failure, load_program, make_folder, report};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::engine::{EvalError, Limits, Moment, Options, Program, RuleWork, Session, Threads, facts, promise};
+use crate::engine::{EvalError, Limits, Moment, Options, Program, RuleWork, Session, StratumWork, Threads, facts, promise};
 use crate::files::{self, Output, ReadError};
 use crate::lang::{ClauseId, MarkKind, RelId, RowPlace, Rules};
 use std::cell::{Cell, RefCell};
@@ -189,14 +189,23 @@ fn profile(session: &Session, times: &Times, sources: &Sources) -> String {
         let numbers = [rule.given, rule.looked_at, rule.derived, runs].map(|number| number.to_string());
         line(time, numbers, &session.program().show_clause(rule.clause, sources));
     }
+    let own = session.program().rules().clauses.len();
+    let shared = (times.clauses.iter()).filter(|(clause, _)| clause.index() >= own).map(|(_, time)| *time);
+    let (shared_time, shared_runs) = shared.fold((Duration::ZERO, 0), |sum, next| (sum.0 + next.0, sum.1 + next.1));
+    let works = session.work().strata.iter().filter_map(StratumWork::work);
+    let shared: u64 = works.map(|work| work.shared).sum();
+    if shared_runs > 0 {
+        let numbers = [String::new(), shared.to_string(), String::new(), shared_runs.to_string()];
+        line(shared_time, numbers, "(shared by several clauses)");
+    }
     let clauses: Duration = times.clauses.values().map(|(time, _)| *time).sum();
     let rest = times.total.saturating_sub(clauses);
     line(rest, Default::default(), "(sorting, merging, indexes)");
     let sum = |number: fn(&RuleWork) -> u64| rules.iter().map(|&(_, _, rule)| number(rule)).sum::<u64>();
-    let runs = rules.iter().map(|&(_, runs, _)| runs).sum();
+    let runs = shared_runs + rules.iter().map(|&(_, runs, _)| runs).sum::<u64>();
     let totals = [
         sum(|rule| rule.given),
-        sum(|rule| rule.looked_at),
+        shared + sum(|rule| rule.looked_at),
         sum(|rule| rule.derived),
         runs,
     ];

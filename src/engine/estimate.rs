@@ -87,10 +87,32 @@ pub(super) fn choose<'a, const W: usize>(
 
 /// About how many rows a plan looks at.
 fn effort<const W: usize>(plan: &Plan, indexes: &[IndexSpec], shape: &dyn Fn(Source) -> Shape<W>) -> f64 {
-    // Rows that come to a step, and rows looked at in all.
+    let found = |source: Source, key: usize| shape(source).found(&indexes[source.index.index()].columns[..key]);
+    follow(&plan.steps, &found).1
+}
+
+/// About how many rows a plan looks at and derives, if so many rows of a source begin with a key of so many columns.
+pub(super) fn expected(plan: &Plan, found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
     let (mut flow, mut effort) = (1.0, 0.0);
-    for step in &plan.steps {
-        let found = |source: Source, key: usize| shape(source).found(&indexes[source.index.index()].columns[..key]);
+    let mut at = 0;
+    while at < plan.steps.len() {
+        // Of a part for which one success is enough, no more is done.
+        let (end, enough) = match plan.enough[at] as usize {
+            0 => (at + 1, false),
+            end => (end, true),
+        };
+        let (successes, search) = follow(&plan.steps[at..end], found);
+        effort += flow * if enough { search / successes.max(1.0) } else { search };
+        flow *= if enough { successes.min(1.0) } else { successes };
+        at = end;
+    }
+    (effort, flow)
+}
+
+/// How many rows come to the end of the steps for one that comes to their beginning, and how many are looked at for it.
+fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
+    let (mut flow, mut effort) = (1.0, 0.0);
+    for step in steps {
         effort += flow;
         match step {
             Step::Scan { source, key, .. } => {
@@ -114,7 +136,7 @@ fn effort<const W: usize>(plan: &Plan, indexes: &[IndexSpec], shape: &dyn Fn(Sou
             Step::Compare { .. } => flow *= Flow::COMPARED,
         }
     }
-    effort
+    (flow, effort)
 }
 
 /// How many rows a relation has and how they are spread, measured on a sample.

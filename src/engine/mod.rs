@@ -42,10 +42,10 @@ mod workers;
 
 use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::ReadError;
-use crate::lang::{self, BaseType, ClauseId, RelId, Rules, Value};
+use crate::lang::{self, BaseType, Clause, ClauseId, RelId, Relation, Rules, Value};
 use crate::symbol::Symbols;
 use exec::{Orders, Store};
-use plan::Plans;
+use plan::{Plans, StratumPlan};
 use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
@@ -80,8 +80,27 @@ impl Default for Options {
 #[derive(Debug)]
 struct Compiled {
     rules: Rules,
+    /// What the optimiser added after the predicates and clauses of the rules; nobody sees it but the plans.
+    shared: (Vec<Relation>, Vec<Clause>),
     /// Made from the text alone.
     plans: Arc<Plans>,
+}
+
+impl Compiled {
+    /// A predicate of the rules or of the plans only.
+    fn relation(&self, relation: RelId) -> &Relation {
+        let own = self.rules.relations.len();
+        match relation.index().checked_sub(own) {
+            Some(further) => &self.shared.0[further],
+            None => &self.rules.relations[relation.index()],
+        }
+    }
+
+    /// Whether the stratum is one that the optimiser added.
+    fn is_shared(&self, stratum: &StratumPlan) -> bool {
+        let own = self.rules.relations.len();
+        stratum.members.first().is_some_and(|member| member.index() >= own)
+    }
 }
 
 impl Program {
@@ -107,12 +126,16 @@ impl Program {
 
     /// As [`Program::new`], with a choice of what to rely on. The answers are the same.
     pub fn with(rules: Rules, options: Options) -> Result<Program, Diagnostic> {
-        let plans = match options.optimize {
-            true => Plans::new(&optimize::optimize(&rules, options.promises))?,
-            false => Plans::new(&rules)?,
+        let (plans, shared) = if options.optimize {
+            let mut better = optimize::optimize(&rules, options.promises);
+            let plans = Plans::new(&better)?;
+            let relations = better.relations.split_off(rules.relations.len());
+            (plans, (relations, better.clauses.split_off(rules.clauses.len())))
+        } else {
+            (Plans::new(&rules)?, Default::default())
         };
         let plans = Arc::new(plans);
-        Ok(Program(Arc::new(Compiled { rules, plans })))
+        Ok(Program(Arc::new(Compiled { rules, shared, plans })))
     }
 
     /// The rules.
@@ -123,6 +146,11 @@ impl Program {
     /// The predicate of that name.
     pub fn relation(&self, name: &str) -> Option<RelId> {
         self.0.rules.relation(name)
+    }
+
+    /// How many parts of bodies are computed once for several clauses. They are in no answer; [`Work::shared`] tells what they took.
+    pub fn shared_bodies(&self) -> usize {
+        self.0.shared.1.len()
     }
 
     /// A session without inserted facts and without a commit: every relation is empty, also those with facts in the text.
@@ -441,6 +469,32 @@ pub enum StratumWork {
 }
 
 impl StratumWork {
+    /// With what was done before it, for parts of bodies that are computed once.
+    fn after(self, shared: Vec<StratumWork>) -> StratumWork {
+        let Some(last) = shared.iter().rfind(|work| **work != StratumWork::Skipped) else {
+            return self;
+        };
+        let maintained = matches!(last, StratumWork::Maintained(_));
+        let works = shared.iter().filter_map(StratumWork::work);
+        let shared = works.map(|work| work.looked_at() + work.given_up).sum();
+        match self {
+            StratumWork::Maintained(work) => StratumWork::Maintained(Work { shared, ..work }),
+            StratumWork::Recomputed(work) => StratumWork::Recomputed(Work { shared, ..work }),
+            // Its inputs changed, and what it reads of them did not.
+            StratumWork::Skipped => {
+                let work = Work {
+                    rounds: 1,
+                    shared,
+                    ..Work::default()
+                };
+                match maintained {
+                    true => StratumWork::Maintained(work),
+                    false => StratumWork::Recomputed(work),
+                }
+            }
+        }
+    }
+
     /// What was done, unless the stratum was skipped.
     pub fn work(&self) -> Option<&Work> {
         match self {
@@ -460,12 +514,15 @@ pub struct Work {
     /// If maintaining the stratum was given up: after so many rows were looked at, as many as recomputing it would take; else 0.
     /// They are not in `rules`.
     pub given_up: u64,
+    /// Rows looked at for parts of bodies that clauses share and that were computed once, before this stratum; they serve later ones
+    /// too. They are not in `rules`.
+    pub shared: u64,
 }
 
 impl Work {
-    /// Rows that scans and tests of its clauses looked at.
+    /// Rows that scans and tests of its clauses looked at, and those for what they share.
     pub fn looked_at(&self) -> u64 {
-        self.rules.iter().map(|rule| rule.looked_at).sum()
+        self.shared + self.rules.iter().map(|rule| rule.looked_at).sum::<u64>()
     }
 
     /// Rows that its clauses derived, repetitions included.

@@ -286,12 +286,9 @@ impl Plans {
             .unwrap_or(0);
         let width = WIDTHS.into_iter().find(|&width| width >= arity).unwrap_or(width_max);
 
-        let own_rows = |(position, relation): (usize, &crate::lang::Relation)| IndexSpec {
-            relation: RelId(position as u32),
-            columns: (0..relation.arity() as u16).collect(),
-            position: 0,
-        };
-        let indexes: Vec<IndexSpec> = rules.relations.iter().enumerate().map(own_rows).collect();
+        let indexes: Vec<IndexSpec> = (rules.relations.iter().zip(0..))
+            .map(|(relation, number)| own_rows(RelId(number), relation.arity()))
+            .collect();
         let mut indexer = Indexer {
             of: (0..indexes.len() as u32).map(|index| vec![IndexId(index)]).collect(),
             specs: indexes,
@@ -325,6 +322,18 @@ impl Plans {
             indexes_of: indexer.of,
             width,
         })
+    }
+
+    /// The clause of the text to name when something is wrong with this one: of those that the optimiser added, behind the first
+    /// `own`, the first that reads what it derives.
+    pub(super) fn reported(&self, clause: ClauseId, own: usize) -> ClauseId {
+        if clause.index() < own {
+            return clause;
+        }
+        let shared = self.sources[clause.index()].head.relation;
+        let reads = |clause: &Clause| clause.body.iter().filter_map(Literal::atom).any(|atom| atom.relation == shared);
+        let reader = self.sources[..own].iter().position(reads);
+        reader.map_or(clause, |reader| ClauseId(reader as u32))
     }
 
     /// Whether the index is the relation's own rows.
@@ -393,6 +402,63 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
         members,
         inputs,
         clauses,
+    }
+}
+
+/// Plans clauses to see what they would cost, without keeping the plans.
+pub(super) struct Sketcher {
+    indexer: Indexer,
+}
+
+impl Sketcher {
+    /// For clauses over the relations of these rules.
+    pub(super) fn new(rules: &Rules) -> Self {
+        let mut sketcher = Sketcher {
+            indexer: Indexer {
+                specs: Vec::new(),
+                of: Vec::new(),
+            },
+        };
+        for (relation, number) in rules.relations.iter().zip(0..) {
+            sketcher.indexer.specs.push(own_rows(RelId(number), relation.arity()));
+            sketcher.indexer.of.push(vec![IndexId(number)]);
+        }
+        // Place for one relation more, with its own rows at the place of its number.
+        let next = rules.relations.len() as u32;
+        sketcher.indexer.specs.push(own_rows(RelId(next), 0));
+        sketcher.indexer.of.push(vec![IndexId(next)]);
+        sketcher
+    }
+
+    /// Sets the number of columns of the relation after those of the rules.
+    pub(super) fn declare(&mut self, relation: RelId, arity: usize) {
+        self.indexer.specs[relation.index()] = own_rows(relation, arity);
+        self.indexer.of[relation.index()].truncate(1);
+    }
+
+    /// The plan that a clause without recursion has, and the order in which it comes to the literals; `None` if there is none.
+    pub(super) fn plan(&mut self, clause: &Clause) -> Option<(Plan, Vec<usize>)> {
+        let large = clause.body.len() > CLAUSE_MAX || clause.variables.len() > CLAUSE_MAX;
+        if large {
+            return None;
+        }
+        let planner = Planner::new(clause, &mut self.indexer, Order::Text { large: &[] });
+        let (plan, _, sequence) = planner.run(First::Any, &|_| Version::Complete).ok()?;
+        Some((plan, sequence))
+    }
+
+    /// The relation that a step of a plan looks at.
+    pub(super) fn relation(&self, source: Source) -> RelId {
+        self.indexer.specs[source.index.index()].relation
+    }
+}
+
+/// A relation's rows in their own order.
+fn own_rows(relation: RelId, arity: usize) -> IndexSpec {
+    IndexSpec {
+        relation,
+        columns: (0..arity as u16).collect(),
+        position: 0,
     }
 }
 
@@ -604,6 +670,8 @@ struct Planner<'a> {
     uses: Vec<usize>,
     /// Positions in the body, in the order of the text.
     left: Vec<usize>,
+    /// Positions in the body of what is placed.
+    sequence: Vec<usize>,
     steps: Vec<Step>,
     /// Whether a scan stands before, so that the next step may run many times.
     repeated: bool,
@@ -629,17 +697,19 @@ impl<'a> Planner<'a> {
             bound: vec![false; clause.variables.len()],
             uses,
             left: (0..clause.body.len()).collect(),
+            sequence: Vec::new(),
             steps: Vec::new(),
             repeated: false,
         }
     }
 
     fn plan(self, first: First, version: &dyn Fn(usize) -> Version) -> Result<Plan, Diagnostic> {
-        self.run(first, version).map(|(plan, _)| plan)
+        self.run(first, version).map(|(plan, ..)| plan)
     }
 
-    /// The plan, and how many rows it will look at if sizes are known.
-    fn run(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<(Plan, Flow), Diagnostic> {
+    /// The plan, how many rows it will look at if sizes are known, and the positions of the literals in the order in which it
+    /// comes to them.
+    fn run(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<(Plan, Flow, Vec<usize>), Diagnostic> {
         let clause = self.clause;
         let head = &clause.head;
         let head_variables: Vec<VarId> = head.terms.iter().filter_map(variable_of).collect();
@@ -699,7 +769,7 @@ impl<'a> Planner<'a> {
             slots: self.slots,
             fresh,
         };
-        Ok((plan, self.flow))
+        Ok((plan, self.flow, self.sequence))
     }
 
     /// What to say of a clause that checking should have refused.
@@ -836,6 +906,7 @@ impl<'a> Planner<'a> {
     /// Strikes a literal off what is left.
     fn placed(&mut self, position: usize) {
         self.left.retain(|&other| other != position);
+        self.sequence.push(position);
         for variable in self.clause.body[position].terms().filter_map(variable_of) {
             self.uses[variable.index()] -= 1;
         }

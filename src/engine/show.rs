@@ -1,9 +1,9 @@
 //! Plans as text: what is scanned and tested in which order, by which columns, through which index.
 
 use crate::diag::Sources;
-use crate::engine::plan::{IndexId, List, Plan, Plans, Slot, Source, Step, Version};
-use crate::engine::{Program, Session, facts};
-use crate::lang::{BaseType, Clause, ClauseId, Functor, RelId, Rules, Value};
+use crate::engine::plan::{IndexId, List, Plan, Plans, Slot, Source, Step, StratumPlan, Version};
+use crate::engine::{Compiled, Program, Session, facts};
+use crate::lang::{BaseType, Clause, ClauseId, Functor, RelId, Value};
 use crate::symbol::Symbol;
 
 impl Program {
@@ -20,7 +20,7 @@ impl Program {
     /// ```
     pub fn show_plans(&self, sources: &Sources) -> String {
         let shown = Shown {
-            rules: &self.0.rules,
+            compiled: &self.0,
             plans: &self.0.plans,
             rows: None,
         };
@@ -43,7 +43,7 @@ impl Session {
     /// reads; see [`Program::show_plans`].
     pub fn show_plans(&self, sources: &Sources) -> String {
         let shown = Shown {
-            rules: self.program.rules(),
+            compiled: &self.program.0,
             plans: self.store.plans(),
             rows: Some(&|relation| self.len(relation)),
         };
@@ -53,7 +53,7 @@ impl Session {
 
 /// Plans to be shown.
 struct Shown<'a> {
-    rules: &'a Rules,
+    compiled: &'a Compiled,
     plans: &'a Plans,
     /// How many rows a relation has, if there are any.
     rows: Option<&'a dyn Fn(RelId) -> usize>,
@@ -61,9 +61,15 @@ struct Shown<'a> {
 
 impl Shown<'_> {
     fn all(&self, sources: &Sources) -> String {
-        let (rules, plans) = (self.rules, self.plans);
+        let (rules, plans) = (&self.compiled.rules, self.plans);
         let mut out = String::new();
-        for (stratum, number) in plans.strata.iter().zip(1..) {
+        let mut number = 0;
+        for stratum in &plans.strata {
+            if self.compiled.is_shared(stratum) {
+                self.show_shared(&mut out, stratum);
+                continue;
+            }
+            number += 1;
             if stratum.clauses.is_empty() {
                 continue;
             }
@@ -98,7 +104,22 @@ impl Shown<'_> {
     }
 
     fn name(&self, relation: RelId) -> &str {
-        &self.rules.relations[relation.index()].name
+        &self.compiled.relation(relation).name
+    }
+
+    /// How a part of bodies is computed that several clauses share.
+    fn show_shared(&self, out: &mut String, stratum: &StratumPlan) {
+        let own = self.compiled.rules.clauses.len();
+        for &id in &stratum.clauses {
+            let clause = &self.compiled.shared.1[id.index() - own];
+            let plan = &self.plans.clauses[id.index()].complete;
+            *out += &format!(
+                "{}: shared by several clauses\n\n    once\n",
+                self.name(clause.head.relation)
+            );
+            self.show_steps(out, clause, plan);
+            out.push('\n');
+        }
     }
 
     fn show_steps(&self, out: &mut String, clause: &Clause, plan: &Plan) {
@@ -211,7 +232,7 @@ impl Shown<'_> {
             };
             *out += &format!("      {line}\n");
         }
-        let relation = &self.rules.relations[plan.head.index()];
+        let relation = self.compiled.relation(plan.head);
         let terms = relation.columns.iter().zip(&plan.output);
         let terms: Vec<String> = terms.map(|(column, &slot)| value(slot, column.base)).collect();
         *out += &format!("      derive {}({})\n", relation.name, terms.join(", "));
@@ -226,7 +247,7 @@ impl Shown<'_> {
         value: &dyn Fn(Slot, BaseType) -> String,
     ) -> String {
         let order = &self.plans.indexes[source.index.index()];
-        let relation = &self.rules.relations[order.relation.index()];
+        let relation = self.compiled.relation(order.relation);
         let mut atom = vec!["_".to_owned(); relation.arity()];
         for &(column, slot) in terms {
             let column = order.columns[column as usize] as usize;
@@ -256,7 +277,7 @@ impl Shown<'_> {
 
     fn show_value(&self, value: Value, base: BaseType) -> String {
         match base {
-            BaseType::Symbol => format!("{:?}", self.rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
+            BaseType::Symbol => format!("{:?}", self.compiled.rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
             BaseType::Float => facts::print_float(value.as_float()),

@@ -4,11 +4,14 @@
 //! contradicts itself is stopped before it looks at a row, and a clause whose rows another one derives is not evaluated. A clause keeps
 //! its id, and [`super::Session::fired`] still tells what it derives. [`lints`] tells the author what was found.
 //!
+//! Then `share` finds what several clauses have in common, and computes it once where that pays.
+//!
 //! `theory` knows what follows from a literal; `saturate` searches the forms of a body. What a body means is never looked at through
 //! derived predicates, so what holds here holds whatever the other clauses are. Promises are used only if the caller says so. Bounded and
 //! deterministic: no clock, no hash order.
 
 mod saturate;
+mod share;
 mod theory;
 
 use crate::diag::{Code, Diagnostic};
@@ -45,7 +48,8 @@ enum Finding {
     Subsumed { clause: ClauseId, by: ClauseId },
 }
 
-/// Rules with the same predicates, clauses (by id) and answers. With `promises`, answers are the same for facts that keep them.
+/// Rules with the same predicates, clauses (by id) and answers, and after them hidden ones for what several clauses share, in strata of
+/// their own. With `promises`, answers are the same for facts that keep them.
 pub(super) fn optimize(rules: &Rules, promises: bool) -> Rules {
     let mut better = rules.clone();
     let constraints: Vec<Constraint> = rules.promises.iter().map(|promise| promise.constraint).collect();
@@ -81,6 +85,7 @@ pub(super) fn optimize(rules: &Rules, promises: bool) -> Rules {
     for stratum in &mut better.strata {
         stratum.clauses.retain(|clause| !gone[clause.index()]);
     }
+    share::share(&mut better);
     better
 }
 

@@ -1,0 +1,458 @@
+//! Sub-bodies that several clauses share, computed once.
+//!
+//! ```text
+//! P(x) :- A(x), R(x, y), B(y), C(y).             +1(x, y) :- A(x), R(x, y), B(y).
+//! Q(x) :- A(z), R(z, x), B(x), !C(z).      =>    P(x) :- +1(x, y), C(y).
+//!                                                Q(x) :- +1(z, x), !C(z).
+//! ```
+//!
+//! A hidden relation costs its rows, so few sub-bodies are worth one. A candidate is what the plans of several clauses *begin* with, up
+//! to the names of variables and some tests: each of those clauses would go through all of it, restricted by no other atom. One of its
+//! atoms has all the variables that are needed outside, so the hidden relation never has more rows than that atom's. Of the candidates, the one is
+//! taken that saves most, where what is shared is counted once (its cost in a graph, not in a tree), then again among the rewritten
+//! clauses, until nothing saves enough. The cost of a plan is judged by assumed sizes, since there are no rows yet.
+//!
+//! Only clauses of strata without recursion take part: elsewhere new rows lead a plan, and they differ from clause to clause.
+
+use crate::engine::estimate;
+use crate::engine::plan::{Plan, Sketcher};
+use crate::lang::{
+    Atom, BaseType, Clause, ClauseId, Column, Comparison, Literal, RelId, Relation, Rules, Stratum, Term, VarId,
+};
+use std::collections::BTreeMap;
+
+/// No more hidden relations than this are made.
+const SHARED_MAX: usize = 32;
+
+/// Longer sub-bodies are not looked for.
+const LITERALS_MAX: usize = 8;
+
+/// Of the literals that only test what others bind, so many may be left out or not.
+const TESTS_MAX: usize = 5;
+
+/// So many orders of literals are tried to find the one that a sub-body is compared in.
+const ORDERS_MAX: usize = 24;
+
+/// So many candidates are weighed.
+const CANDIDATES_MAX: usize = 512;
+
+/// So many literals are written down to be compared.
+const WORDS_MAX: usize = 1_000_000;
+
+/// Sharing must make the clauses at least this much cheaper: a hidden relation has to be kept up to date too.
+const SAVED_AT_LEAST: f64 = 0.25;
+
+/// How many things there are taken to be.
+const THINGS: f64 = 1000.0;
+
+/// How many rows a relation with one column is taken to have, and one with more.
+const ROWS: [f64; 2] = [100.0, 8000.0];
+
+/// A literal whose variables are numbered, so that equal ones are equal.
+type Word = Vec<u64>;
+
+/// The beginning of a clause's plan.
+struct Use {
+    clause: usize,
+    /// Positions in its body.
+    positions: Vec<usize>,
+    /// By number: what stands there in the clause, a variable or a wildcard.
+    terms: Vec<Term>,
+    /// By number: whether the rest of the clause needs it.
+    needed: Vec<bool>,
+}
+
+/// What may still be looked at: the search is bounded by numbers, not by time.
+struct Left {
+    candidates: usize,
+    words: usize,
+}
+
+/// A sub-body, the clauses that would read it, and what that saves.
+struct Candidate {
+    hidden: Relation,
+    clause: Clause,
+    /// The clauses as they would be.
+    rewritten: Vec<(usize, Clause)>,
+    rows: f64,
+    saved: f64,
+}
+
+/// Appends hidden relations and their clauses to the rules, each with a stratum of its own before the first that reads it.
+pub(super) fn share(rules: &mut Rules) {
+    let mut rows: Vec<f64> = rules.relations.iter().map(assumed).collect();
+    let mut left = Left {
+        candidates: CANDIDATES_MAX,
+        words: WORDS_MAX,
+    };
+    for number in 1..=SHARED_MAX {
+        let Some(best) = best(rules, &rows, number, &mut left) else {
+            return;
+        };
+        let (relation, clause) = (RelId(rules.relations.len() as u32), rules.clauses.len());
+        rules.relations.push(best.hidden);
+        rules.clauses.push(best.clause);
+        rows.push(best.rows);
+        let mut first = rules.strata.len();
+        for (index, rewritten) in best.rewritten {
+            rules.clauses[index] = rewritten;
+            let reads = |stratum: &Stratum| stratum.clauses.contains(&ClauseId(index as u32));
+            first = first.min(rules.strata.iter().position(reads).unwrap_or(first));
+        }
+        let stratum = Stratum {
+            relations: vec![relation],
+            clauses: vec![ClauseId(clause as u32)],
+            recursive: false,
+        };
+        rules.strata.insert(first, stratum);
+    }
+}
+
+fn assumed(relation: &Relation) -> f64 {
+    match relation.arity() {
+        0 => 1.0,
+        1 => ROWS[0],
+        _ => ROWS[1],
+    }
+}
+
+/// The candidate that saves most, if one saves enough.
+fn best(rules: &Rules, rows: &[f64], number: usize, left: &mut Left) -> Option<Candidate> {
+    let mut sketcher = Sketcher::new(rules);
+    let mut costs = vec![0.0; rules.clauses.len()];
+    let mut uses: BTreeMap<Vec<Word>, Vec<Use>> = BTreeMap::new();
+    for stratum in rules.strata.iter().filter(|stratum| !stratum.recursive) {
+        for index in stratum.clauses.iter().map(|clause| clause.index()) {
+            let clause = &rules.clauses[index];
+            if atoms(&clause.body) < 2 {
+                continue;
+            }
+            let Some((plan, order)) = sketcher.plan(clause) else {
+                continue;
+            };
+            costs[index] = cost(&plan, &sketcher, rows).0;
+            for (key, found) in beginnings(index, clause, &order, left) {
+                uses.entry(key).or_default().push(found);
+            }
+        }
+    }
+    let mut best: Option<Candidate> = None;
+    for uses in uses.values().filter(|uses| uses.len() > 1) {
+        if left.candidates == 0 {
+            break;
+        }
+        left.candidates -= 1;
+        let Some(candidate) = weigh(rules, uses, &costs, rows, number, &mut sketcher) else {
+            continue;
+        };
+        if best.as_ref().is_none_or(|best| candidate.saved > best.saved) {
+            best = Some(candidate);
+        }
+    }
+    best
+}
+
+fn atoms<'a>(literals: impl IntoIterator<Item = &'a Literal>) -> usize {
+    let positive = |literal: &&Literal| matches!(literal, Literal::Positive(_) | Literal::Guard(_));
+    literals.into_iter().filter(positive).count()
+}
+
+/// What the plan begins with, in all lengths and with all choices of tests that may be worth sharing.
+fn beginnings(index: usize, clause: &Clause, order: &[usize], left: &mut Left) -> Vec<(Vec<Word>, Use)> {
+    let mut found = Vec::new();
+    let (mut leading, mut tests): (Vec<usize>, Vec<usize>) = (Vec::new(), Vec::new());
+    let mut bound: Vec<Term> = Vec::new();
+    for (place, &position) in order.iter().enumerate() {
+        let literal = &clause.body[position];
+        if matches!(literal, Literal::Compute { .. } | Literal::Aggregate { .. }) || leading.len() == LITERALS_MAX {
+            break;
+        }
+        let variables = || literal.terms().filter(|term| matches!(term, Term::Variable(_)));
+        if !leading.is_empty() && variables().all(|term| bound.contains(term)) {
+            tests.push(position);
+        } else {
+            leading.push(position);
+            bound.extend(variables());
+        }
+        let next = order.get(place + 1).map(|&position| &clause.body[position]);
+        let binds = |next: &Literal| {
+            next.terms()
+                .any(|term| matches!(term, Term::Variable(_)) && !bound.contains(term))
+        };
+        if next.is_none_or(binds) {
+            tests.truncate(TESTS_MAX);
+            for chosen in 0..1_u32 << tests.len() {
+                let chosen = tests.iter().enumerate().filter(|(bit, _)| chosen >> bit & 1 == 1);
+                let positions = leading.iter().chain(chosen.map(|(_, position)| position));
+                found.extend(beginning(index, clause, positions.copied().collect(), left));
+            }
+        }
+    }
+    found
+}
+
+/// These literals of a clause, if they join two atoms.
+fn beginning(index: usize, clause: &Clause, mut positions: Vec<usize>, left: &mut Left) -> Option<(Vec<Word>, Use)> {
+    positions.sort_unstable();
+    let part: Vec<&Literal> = positions.iter().map(|&position| &clause.body[position]).collect();
+    if atoms(part.iter().copied()) < 2 || part.len() > LITERALS_MAX {
+        return None;
+    }
+    let (key, terms) = canonical(&part, clause.variables.len(), left)?;
+    let rest = (0..clause.body.len()).filter(|position| !positions.contains(position));
+    let outside: Vec<&Term> = (clause.head.terms.iter())
+        .chain(rest.flat_map(|position| clause.body[position].terms()))
+        .collect();
+    let needed = |term: &Term| *term != Term::Wildcard && outside.contains(&term);
+    let needed = terms.iter().map(needed).collect();
+    let found = Use {
+        clause: index,
+        positions,
+        terms,
+        needed,
+    };
+    Some((key, found))
+}
+
+/// The rules with this sub-body shared, if that is worth it.
+fn weigh(
+    rules: &Rules,
+    uses: &[Use],
+    costs: &[f64],
+    rows: &[f64],
+    number: usize,
+    sketcher: &mut Sketcher,
+) -> Option<Candidate> {
+    let needed: Vec<usize> = (0..uses[0].terms.len())
+        .filter(|&number| uses.iter().any(|one| one.needed[number]))
+        .collect();
+    let named = |one: &&Use| needed.iter().all(|&number| one.terms[number] != Term::Wildcard);
+    let (hidden, clause) = hidden(rules, uses.iter().find(named)?, &needed, number)?;
+    // No more rows than the atom has that knows all columns.
+    let covers = |literal: &&Literal| {
+        let known = |term: &Term| literal.terms().any(|other| other == term);
+        matches!(literal, Literal::Positive(_)) && clause.head.terms.iter().all(known)
+    };
+    let most = (clause.body.iter().filter(covers))
+        .filter_map(|literal| Some(rows[literal.atom()?.relation.index()]))
+        .reduce(f64::min)?;
+    let relation = RelId(rules.relations.len() as u32);
+    sketcher.declare(relation, hidden.arity());
+    let (own, found) = cost(&sketcher.plan(&clause)?.0, sketcher, rows);
+    let found = found.min(most);
+    let rows: Vec<f64> = rows.iter().copied().chain([found]).collect();
+    let mut rewritten = Vec::new();
+    let (mut before, mut after) = (0.0, own + found);
+    for one in uses {
+        let shorter = rewrite(&rules.clauses[one.clause], one, relation, &needed);
+        let cheaper = cost(&sketcher.plan(&shorter)?.0, sketcher, &rows).0;
+        if cheaper < costs[one.clause] {
+            before += costs[one.clause];
+            after += cheaper;
+            rewritten.push((one.clause, shorter));
+        }
+    }
+    (rewritten.len() > 1 && before - after >= SAVED_AT_LEAST * before).then_some(Candidate {
+        hidden,
+        clause,
+        rewritten,
+        rows: found,
+        saved: before - after,
+    })
+}
+
+/// About how many rows the plan looks at and derives.
+fn cost(plan: &Plan, sketcher: &Sketcher, rows: &[f64]) -> (f64, f64) {
+    estimate::expected(plan, &|source, key| {
+        rows[sketcher.relation(source).index()] / THINGS.powi(key as i32)
+    })
+}
+
+/// The hidden relation with the needed variables as columns, and its clause.
+fn hidden(rules: &Rules, model: &Use, needed: &[usize], number: usize) -> Option<(Relation, Clause)> {
+    let clause = &rules.clauses[model.clause];
+    let body: Vec<Literal> = (model.positions.iter())
+        .map(|&position| match &clause.body[position] {
+            Literal::Guard(atom) => Literal::Positive(atom.clone()),
+            other => other.clone(),
+        })
+        .collect();
+    let mut columns = Vec::new();
+    for &number in needed {
+        columns.push(column(rules, &body, &model.terms[number])?.clone());
+    }
+    let terms = needed.iter().map(|&number| model.terms[number]).collect();
+    let relation = Relation {
+        name: format!("+shared {number}"),
+        columns,
+        doc: String::new(),
+        span: clause.span,
+        input: false,
+        given: None,
+        output: false,
+        printsize: false,
+        derived: true,
+        hidden: true,
+        directives: Vec::new(),
+    };
+    let head = Atom {
+        relation: RelId(rules.relations.len() as u32),
+        terms,
+        span: clause.span,
+    };
+    let clause = Clause {
+        head,
+        body,
+        variables: clause.variables.clone(),
+        doc: String::new(),
+        span: clause.span,
+    };
+    Some((relation, clause))
+}
+
+/// A column of an atom in which the variable stands.
+fn column<'a>(rules: &'a Rules, body: &[Literal], variable: &Term) -> Option<&'a Column> {
+    body.iter().find_map(|literal| match literal {
+        Literal::Positive(atom) => {
+            let position = atom.terms.iter().position(|term| term == variable)?;
+            rules.relations[atom.relation.index()].columns.get(position)
+        }
+        _ => None,
+    })
+}
+
+/// The clause with the hidden atom in place of what it stands for.
+fn rewrite(clause: &Clause, one: &Use, relation: RelId, needed: &[usize]) -> Clause {
+    let atom = Atom {
+        relation,
+        terms: needed
+            .iter()
+            .map(|&number| match one.needed[number] {
+                true => one.terms[number],
+                false => Term::Wildcard,
+            })
+            .collect(),
+        span: clause.span,
+    };
+    let rest = clause.body.iter().enumerate();
+    let rest = rest.filter(|(position, _)| !one.positions.contains(position));
+    let body = [Literal::Positive(atom)]
+        .into_iter()
+        .chain(rest.map(|(_, literal)| literal.clone()));
+    Clause {
+        body: body.collect(),
+        ..clause.clone()
+    }
+}
+
+// --- equal up to names
+
+/// The literals in an order and with numbers for variables that depend neither on their order nor on their names, and what each number
+/// stands for. Literals with many symmetries may be given several forms; then something is not shared that could be. `None` if it would
+/// take too long.
+fn canonical(literals: &[&Literal], variables: usize, left: &mut Left) -> Option<(Vec<Word>, Vec<Term>)> {
+    let mut search = Naming {
+        literals,
+        orders: 0,
+        left,
+        best: None,
+    };
+    let start = Names {
+        numbers: vec![None; variables],
+        terms: Vec::new(),
+    };
+    search.go(start, &mut Vec::new(), &mut vec![false; literals.len()]);
+    search.best.filter(|_| search.left.words > 0)
+}
+
+/// Variables numbered so far.
+#[derive(Clone)]
+struct Names {
+    numbers: Vec<Option<u64>>,
+    terms: Vec<Term>,
+}
+
+struct Naming<'a> {
+    literals: &'a [&'a Literal],
+    orders: usize,
+    left: &'a mut Left,
+    best: Option<(Vec<Word>, Vec<Term>)>,
+}
+
+impl Naming<'_> {
+    /// The least literal comes next; of several that look the same, each in turn.
+    fn go(&mut self, names: Names, words: &mut Vec<Word>, placed: &mut [bool]) {
+        self.left.words = self.left.words.saturating_sub(self.literals.len() - words.len());
+        let next: Vec<(Word, Names, usize)> = (0..self.literals.len())
+            .filter(|&at| !placed[at])
+            .map(|at| {
+                let mut names = names.clone();
+                (word(self.literals[at], &mut names), names, at)
+            })
+            .collect();
+        let Some(least) = next.iter().map(|(word, ..)| word.clone()).min() else {
+            self.orders += 1;
+            if self.best.as_ref().is_none_or(|(best, _)| *words < *best) {
+                self.best = Some((words.clone(), names.terms));
+            }
+            return;
+        };
+        for (word, names, at) in next {
+            if word == least && self.left.words > 0 && (self.orders < ORDERS_MAX || self.best.is_none()) {
+                placed[at] = true;
+                words.push(word);
+                self.go(names, words, placed);
+                words.pop();
+                placed[at] = false;
+            }
+        }
+    }
+}
+
+/// The literal in numbers; variables that are new get the next ones.
+fn word(literal: &Literal, names: &mut Names) -> Word {
+    let mut term = |term: &Term, positive: bool| -> [u64; 2] {
+        match *term {
+            Term::Constant(value) => [0, u64::from(value.0)],
+            Term::Wildcard if !positive => [1, 0],
+            Term::Wildcard => {
+                names.terms.push(Term::Wildcard);
+                [2, names.terms.len() as u64 - 1]
+            }
+            Term::Variable(VarId(id)) => {
+                let new = names.terms.len() as u64;
+                let number = *names.numbers[id as usize].get_or_insert(new);
+                if number == new {
+                    names.terms.push(Term::Variable(VarId(id)));
+                }
+                [2, number]
+            }
+        }
+    };
+    match literal {
+        Literal::Positive(atom) | Literal::Guard(atom) | Literal::Negative(atom) | Literal::Aggregate { atom, .. } => {
+            let positive = !matches!(literal, Literal::Negative(_));
+            let terms = atom.terms.iter().flat_map(|one| term(one, positive));
+            [u64::from(!positive), u64::from(atom.relation.0)]
+                .into_iter()
+                .chain(terms)
+                .collect()
+        }
+        Literal::Compare {
+            op, left, right, base, ..
+        } => {
+            let (op, left, right) = match op {
+                Comparison::Greater => (Comparison::Less, right, left),
+                Comparison::GreaterEqual => (Comparison::LessEqual, right, left),
+                other => (*other, left, right),
+            };
+            let sides = [term(left, false), term(right, false)].concat();
+            [2, op as u64, base_number(*base)].into_iter().chain(sides).collect()
+        }
+        Literal::Compute { .. } => Vec::new(),
+    }
+}
+
+fn base_number(base: BaseType) -> u64 {
+    BaseType::ALL.iter().position(|other| *other == base).unwrap_or(0) as u64
+}
