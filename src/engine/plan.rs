@@ -14,7 +14,7 @@
 //! and one that begins with rows of the head and asks whether they can be derived.
 
 use crate::diag::{Code, Diagnostic};
-use crate::engine::estimate::{Flow, Size};
+use crate::engine::estimate::{Flow, Known, Reckoning, Size, effort_of_parts};
 use crate::engine::row::WIDTHS;
 use crate::lang::{
     AggregateOp, Atom, BaseType, Clause, ClauseId, Comparison, Functor, Literal, RelId, Rules, Stratum, Term, Value,
@@ -548,11 +548,10 @@ fn plan_complete(clause: &Clause, indexer: &mut Indexer, sizes: &[Option<Size>])
     if starts.len() > 1 {
         for (effort, start) in &mut starts {
             let known = indexer.specs.len();
-            *effort = (Planner::new(clause, indexer, order)
+            *effort = Planner::new(clause, indexer, order)
                 .run(First::Literal(*start), &version)
                 .ok()?
-                .1)
-                .effort;
+                .1;
             indexer.forget(known);
         }
         starts.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -605,6 +604,8 @@ struct Planner<'a> {
     /// Positions in the body, in the order of the text.
     left: Vec<usize>,
     steps: Vec<Step>,
+    /// By step: what is expected behind it.
+    trail: Vec<Reckoning>,
     /// Whether a scan stands before, so that the next step may run many times.
     repeated: bool,
 }
@@ -630,6 +631,7 @@ impl<'a> Planner<'a> {
             uses,
             left: (0..clause.body.len()).collect(),
             steps: Vec::new(),
+            trail: Vec::new(),
             repeated: false,
         }
     }
@@ -638,8 +640,8 @@ impl<'a> Planner<'a> {
         self.run(first, version).map(|(plan, _)| plan)
     }
 
-    /// The plan, and how many rows it will look at if sizes are known.
-    fn run(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<(Plan, Flow), Diagnostic> {
+    /// The plan, and about how many rows it will look at if sizes are known.
+    fn run(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<(Plan, f64), Diagnostic> {
         let clause = self.clause;
         let head = &clause.head;
         let head_variables: Vec<VarId> = head.terms.iter().filter_map(variable_of).collect();
@@ -676,7 +678,7 @@ impl<'a> Planner<'a> {
                     let key = head.terms.iter().filter_map(|term| self.slot(term)).collect();
                     let (index, version) = (IndexId(head.relation.0), Version::Complete);
                     let source = Source { index, version };
-                    self.steps.push(Step::Absent { source, key });
+                    self.push(Step::Absent { source, key });
                 }
                 if !tests_placed {
                     self.place_tests(version);
@@ -699,7 +701,14 @@ impl<'a> Planner<'a> {
             slots: self.slots,
             fresh,
         };
-        Ok((plan, self.flow))
+        let effort = effort_of_parts(&self.trail, &plan.enough);
+        Ok((plan, effort))
+    }
+
+    /// Appends a step with which the flow has been reckoned.
+    fn push(&mut self, step: Step) {
+        self.steps.push(step);
+        self.trail.push(self.flow.reckoning());
     }
 
     /// What to say of a clause that checking should have refused.
@@ -754,12 +763,12 @@ impl<'a> Planner<'a> {
                 Literal::Positive(atom) | Literal::Guard(atom) => {
                     self.expect(atom, |flow, size, key| flow.exists(size, key));
                     let (source, key) = self.lookup(atom, version(position));
-                    self.steps.push(Step::Exists { source, key });
+                    self.push(Step::Exists { source, key });
                 }
                 Literal::Negative(atom) => {
                     self.expect(atom, |flow, size, key| flow.absent(size, key));
                     let (source, key) = self.lookup(atom, Version::Complete);
-                    self.steps.push(Step::Absent { source, key });
+                    self.push(Step::Absent { source, key });
                 }
                 Literal::Compare {
                     op, left, right, base, ..
@@ -773,7 +782,7 @@ impl<'a> Planner<'a> {
                 } => {
                     let arguments = arguments.iter().filter_map(|argument| self.slot(argument)).collect();
                     let Some((to, test)) = self.result(to) else { continue };
-                    self.steps.push(Step::Compute {
+                    self.push(Step::Compute {
                         functor: *functor,
                         base: *base,
                         arguments,
@@ -792,7 +801,7 @@ impl<'a> Planner<'a> {
                     let columns = &self.indexer.specs[source.index.index()].columns;
                     let place = column.and_then(|column| columns.iter().position(|other| *other as usize == column));
                     let Some((to, test)) = self.result(to) else { continue };
-                    self.steps.push(Step::Aggregate {
+                    self.push(Step::Aggregate {
                         source,
                         key,
                         op: *op,
@@ -892,14 +901,14 @@ impl<'a> Planner<'a> {
                     Comparison::Equal => Flow::EQUAL,
                     _ => Flow::COMPARED,
                 });
-                self.steps.push(Step::Compare { op, left, right, base });
+                self.push(Step::Compare { op, left, right, base });
                 return;
             }
             (false, _) => (left, right),
             (true, false) => (right, left),
         };
         self.bound[to as usize] = true;
-        self.steps.push(Step::Copy { to, from });
+        self.push(Step::Copy { to, from });
     }
 
     /// What to do next: scan an atom that is connected to what is bound, or meet several. If sizes are known, the atom that finds
@@ -974,7 +983,7 @@ impl<'a> Planner<'a> {
     }
 
     /// The bound columns of an atom with their variables; none for a constant.
-    fn key(&self, atom: &Atom) -> Vec<(u16, Option<VarId>)> {
+    fn key(&self, atom: &Atom) -> Vec<Known> {
         let known = |term: &Term| *term != Term::Wildcard && self.is_bound(term);
         let columns = (0..).zip(&atom.terms).filter(|(_, term)| known(term));
         columns.map(|(column, term)| (column, variable_of(term))).collect()
@@ -992,7 +1001,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Reckons with what is about to be placed, if sizes are known.
-    fn expect(&mut self, atom: &Atom, reckon: impl Fn(&mut Flow, &Size, &[(u16, Option<VarId>)])) {
+    fn expect(&mut self, atom: &Atom, reckon: impl Fn(&mut Flow, &Size, &[Known])) {
         if let Order::Sizes(sizes) = self.order
             && let Some(size) = &sizes[atom.relation.index()]
         {
@@ -1033,7 +1042,7 @@ impl<'a> Planner<'a> {
         }
         self.bound[variable.index()] = true;
         positions.iter().for_each(|&position| self.placed(position));
-        self.steps.push(Step::Meet {
+        self.push(Step::Meet {
             lists,
             to: variable.index() as Slot,
         });
@@ -1094,7 +1103,7 @@ impl<'a> Planner<'a> {
             checks.extend(keys.drain(prefix..));
             own
         };
-        self.steps.push(Step::Scan {
+        self.push(Step::Scan {
             source: Source { index, version },
             key: keys.into_iter().map(|(_, slot)| slot).collect(),
             bind: binds,
