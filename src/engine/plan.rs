@@ -36,6 +36,9 @@ const MAINTAINED_LITERALS_MAX: usize = 24;
 /// A clause with more literals than this has no detours.
 const DETOUR_LITERALS_MAX: usize = 8;
 
+/// Putting a row into another order costs as much as looking at so many. Sorting costs more, but the order serves later commits.
+const INDEX_ROW: f64 = 1.9;
+
 /// So many atoms to begin with are tried when a clause is planned by sizes: those that find the fewest rows.
 const STARTS_MAX: usize = 3;
 
@@ -604,6 +607,8 @@ struct Planner<'a> {
     /// Positions in the body, in the order of the text.
     left: Vec<usize>,
     steps: Vec<Step>,
+    /// What the orders of rows cost that the plan needs besides relations' own; nothing if sizes are not known.
+    ordering: f64,
     /// By step: what is expected behind it.
     trail: Vec<Reckoning>,
     /// Whether a scan stands before, so that the next step may run many times.
@@ -631,6 +636,7 @@ impl<'a> Planner<'a> {
             uses,
             left: (0..clause.body.len()).collect(),
             steps: Vec::new(),
+            ordering: 0.0,
             trail: Vec::new(),
             repeated: false,
         }
@@ -701,7 +707,7 @@ impl<'a> Planner<'a> {
             slots: self.slots,
             fresh,
         };
-        let effort = effort_of_parts(&self.trail, &plan.enough);
+        let effort = self.ordering + effort_of_parts(&self.trail, &plan.enough);
         Ok((plan, effort))
     }
 
@@ -1079,6 +1085,10 @@ impl<'a> Planner<'a> {
             let known: Vec<u16> = keys.iter().map(|&(column, _)| column).collect();
             let other: Vec<u16> = binds.iter().chain(&checks).map(|&(column, _)| column).collect();
             let (index, order) = self.indexer.prefix(atom.relation, [&known, &other]);
+            if let (false, Order::Sizes(sizes)) = (self.indexer.is_own(index), self.order) {
+                let rows = sizes[atom.relation.index()].as_ref().map_or(0, |size| size.rows);
+                self.ordering += INDEX_ROW * rows as f64;
+            }
             for (column, _) in keys.iter_mut().chain(&mut binds).chain(&mut checks) {
                 *column = (order.iter().position(|other| other == column)).map_or(*column, |position| position as u16);
             }
