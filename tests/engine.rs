@@ -588,7 +588,7 @@ fn joins_follow_the_sizes_of_relations_and_not_the_text() {
             &["Fact(x, y, z)", "A(x)", "B(y)", "C(z)"],
             vec![
                 ("Fact", numbers(20_000, &|n| vec![n % 100, n % 1_000, n / 20])),
-                ("A", numbers(90, &|n| vec![n])),
+                ("A", numbers(100, &|n| vec![n])),
                 ("B", numbers(5, &|n| vec![n * 10])),
                 ("C", numbers(900, &|n| vec![n])),
             ],

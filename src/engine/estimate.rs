@@ -231,8 +231,34 @@ fn same_first<const W: usize>(rows: &[Row<W>], at: usize) -> usize {
     at - before + gallop(&rows[at..], |row| row.0[0] == word)
 }
 
-/// Columns with known words, and the variables that hold those; none for a constant.
-type Key = [(u16, Option<VarId>)];
+/// A column with known words, and the variable that holds them; none for a constant.
+pub(super) type Known = (u16, Option<VarId>);
+type Key = [Known];
+
+/// What is expected behind a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Reckoning {
+    /// Rows that come to the next step.
+    rows: f64,
+    /// Rows looked at by the steps so far.
+    effort: f64,
+}
+
+/// The rows that the steps of a plan look at, of which some parts are done only until they succeed; see [`Plan::enough`].
+pub(super) fn effort_of_parts(trail: &[Reckoning], enough: &[u16]) -> f64 {
+    let (mut rows, mut effort, mut at) = (1.0, 0.0, 0);
+    let mut before = Reckoning { rows: 1.0, effort: 0.0 };
+    while at < trail.len() && before.rows > 0.0 {
+        let end = (enough[at] as usize).max(at + 1);
+        let after = trail[end - 1];
+        let successes = after.rows / before.rows;
+        let tries = if enough[at] > 0 { successes.max(1.0) } else { 1.0 };
+        effort += rows * (after.effort - before.effort) / before.rows / tries;
+        rows *= successes / tries;
+        (before, at) = (after, end);
+    }
+    effort
+}
 
 /// What is expected of a plan while it is made.
 #[derive(Clone, Debug)]
@@ -240,7 +266,7 @@ pub(super) struct Flow {
     /// Rows that come to the next step.
     rows: f64,
     /// Rows looked at by the steps so far.
-    pub(super) effort: f64,
+    effort: f64,
     /// By variable: how many different words it has; 0 if nothing is known about it.
     words: Vec<f64>,
 }
@@ -256,6 +282,14 @@ impl Flow {
             rows: 1.0,
             effort: 0.0,
             words: vec![0.0; variables],
+        }
+    }
+
+    /// What is expected so far.
+    pub(super) fn reckoning(&self) -> Reckoning {
+        Reckoning {
+            rows: self.rows,
+            effort: self.effort,
         }
     }
 
@@ -309,7 +343,7 @@ impl Flow {
     }
 
     /// A variable is bound to what all these have.
-    pub(super) fn meet(&mut self, lists: &[(&Size, Vec<(u16, Option<VarId>)>)], variable: VarId) {
+    pub(super) fn meet(&mut self, lists: &[(&Size, Vec<Known>)], variable: VarId) {
         let found = lists.iter().map(|(size, key)| self.found(size, key));
         let least = found.fold(f64::INFINITY, f64::min);
         self.effort += self.rows * lists.len() as f64 * (1.0 + least);
@@ -389,6 +423,16 @@ mod tests {
         assert_eq!((flow.rows.round(), flow.words[0].round()), (100.0, 20.0));
         flow.filter(Flow::EQUAL);
         assert_eq!(flow.rows.round(), 10.0);
+    }
+
+    #[test]
+    fn parts_end_at_their_first_success() {
+        let trail = [(100.0, 100.0), (1_000.0, 1_100.0), (500.0, 2_100.0), (500.0, 2_600.0)];
+        let trail = trail.map(|(rows, effort)| Reckoning { rows, effort });
+        assert_eq!(effort_of_parts(&trail, &[0, 0, 0, 0]), 2_600.0);
+        // The second and third step find five for each row.
+        assert_eq!(effort_of_parts(&trail, &[0, 3, 0, 0]), 100.0 + 2_000.0 / 5.0 + 100.0);
+        assert_eq!(effort_of_parts(&trail, &[0, 0, 4, 0]), 2_600.0);
     }
 
     #[test]

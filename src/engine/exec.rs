@@ -126,11 +126,7 @@ impl<const W: usize> Commit<'_, W> {
         for (changed, (relation, id)) in self.changed.into_iter().zip(relations) {
             let Some((net, _)) = changed else { continue };
             let arity = relation.arity();
-            let list = |rows: Vec<Row<W>>| {
-                let rows: Vec<[Value; W]> = rows.into_iter().map(|row| row.0).collect();
-                Rows::of(arity, rows)
-            };
-            delta.push(id, list(net.added), list(net.removed));
+            delta.push(id, Rows::of(arity, net.added), Rows::of(arity, net.removed.into()));
         }
         delta
     }
@@ -431,10 +427,8 @@ impl<const W: usize> State<W> {
         };
         for (&relation, rows) in stratum.members.iter().zip(results) {
             let table = &self.tables[relation.index()];
-            let net = Net {
-                added: difference(&rows, &table.rows),
-                removed: difference(&table.rows, &rows),
-            };
+            let rows = Arc::new(rows);
+            let net = Net::between(&table.rows, &rows);
             if !net.is_empty() {
                 let table = table.replaced(&specs(&commit.plans, relation), &net, rows);
                 self.put(commit, relation, net, table);
@@ -561,7 +555,7 @@ impl<const W: usize> State<W> {
                 meter.run(clause, plan, (&views, given), commit.symbols, &mut outputs[head])?;
             }
         }
-        Ok((recursion.complete(), rounds))
+        Ok((recursion.complete(&outputs), rounds))
     }
 
     /// The plans for a round of a recursive stratum, with the clause and the member whose new rows they are for.
@@ -868,9 +862,17 @@ impl<'b, const W: usize> Recursion<'b, W> {
         lists.map(Shape::of).fold(Shape::default(), Shape::with)
     }
 
-    /// The rows that came. Only when nothing is new.
-    fn complete(self) -> Vec<Vec<Row<W>>> {
-        let variables = self.variables.into_iter();
-        variables.map(|variable| variable.complete().elements).collect()
+    /// The rows that came. Only when nothing is new. Where the outputs still know them all, they are read from there, so that
+    /// they are not in memory twice.
+    fn complete(self, outputs: &[Output<W>]) -> Vec<Vec<Row<W>>> {
+        drop(self.grown);
+        let rows = |(variable, output): (Variable<Row<W>>, &Output<W>)| {
+            if self.base.is_some() || !output.is_whole() {
+                return variable.complete().elements;
+            }
+            variable.stable.borrow_mut().clear();
+            output.all()
+        };
+        self.variables.into_iter().zip(outputs).map(rows).collect()
     }
 }

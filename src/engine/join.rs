@@ -52,6 +52,8 @@ pub(super) struct Output<const W: usize> {
     pub(super) pushed: u64,
     /// Holds what is in `rows`, if there is one.
     seen: Option<Seen<W>>,
+    /// Whether `seen` holds all rows that were ever pushed.
+    whole: bool,
     /// New rows that `seen` keeps in place of `rows`.
     kept: usize,
     /// With so many rows something is to be done about them.
@@ -112,6 +114,7 @@ impl<const W: usize> Output<W> {
             rows: Vec::new(),
             pushed: 0,
             seen: None,
+            whole: true,
             kept: 0,
             act_at: compact_at.min(Self::SEEN_MIN),
             compact_at,
@@ -239,6 +242,7 @@ impl<const W: usize> Output<W> {
     /// Goes back to a plain list.
     #[cold]
     fn unmark(&mut self) {
+        self.whole = false;
         if let Some(mut seen) = self.seen.take().filter(Seen::keeps) {
             self.rows = seen.drain(std::mem::take(&mut self.kept));
         }
@@ -284,6 +288,7 @@ impl<const W: usize> Output<W> {
 
     /// The same with another way to sort rows and remove repetitions.
     pub(super) fn take_by(&mut self, normalise: impl FnOnce(&mut Vec<Row<W>>)) -> Vec<Row<W>> {
+        self.whole &= self.seen.is_some();
         self.act_at = self.compact_at.min(Self::SEEN_MIN);
         if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
             return seen.drain(std::mem::take(&mut self.kept));
@@ -291,6 +296,16 @@ impl<const W: usize> Output<W> {
         let mut rows = std::mem::take(&mut self.rows);
         normalise(&mut rows);
         rows
+    }
+
+    /// Whether it still knows all rows that were ever pushed.
+    pub(super) fn is_whole(&self) -> bool {
+        self.whole && self.seen.is_some()
+    }
+
+    /// The rows that it knows were pushed, in order: all of them if it [is whole](Output::is_whole).
+    pub(super) fn all(&self) -> Vec<Row<W>> {
+        self.seen.as_ref().map(Seen::all).unwrap_or_default()
     }
 }
 
@@ -676,6 +691,7 @@ mod tests {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             (state >> 4) % below
         };
+        let mut known = 0;
         // Dense words, then larger ones, then some for which there are no bits.
         for phases in [
             &[40, 40, 300, 300, 2_000][..],
@@ -683,6 +699,7 @@ mod tests {
             &[1, 1],
         ] {
             let mut out = Output::<2>::new(usize::MAX);
+            assert!(!out.is_whole());
             let mut before: BTreeSet<Row<2>> = BTreeSet::new();
             for &words in phases {
                 let mut pushed: BTreeSet<Row<2>> = BTreeSet::new();
@@ -706,8 +723,14 @@ mod tests {
                 let taken: BTreeSet<Row<2>> = taken.into_iter().collect();
                 assert!(pushed.iter().all(|row| taken.contains(row) || before.contains(row)));
                 before.extend(pushed);
+                if out.is_whole() {
+                    assert!(out.all().iter().eq(&before));
+                    known += 1;
+                }
             }
         }
+        // Words that are dense from the beginning and stay so.
+        assert_eq!(known, 4);
     }
 
     #[test]

@@ -17,6 +17,7 @@ use crate::engine::plan::{ChangePlan, Plan, Source, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Row, difference, merge};
 use crate::engine::table::{Net, Table};
 use crate::lang::RelId;
+use std::sync::Arc;
 
 /// Rows by member of a stratum.
 type ByMember<const W: usize> = Vec<Vec<Row<W>>>;
@@ -38,7 +39,7 @@ impl<const W: usize> State<W> {
         // In a recursive stratum, what may be lost must not be the reason for anything.
         let without = |(relation, lost): (&RelId, &Vec<Row<W>>)| {
             let net = Net {
-                added: Vec::new(),
+                added: Arc::default(),
                 removed: lost.clone(),
             };
             let needed = stratum.recursive && !lost.is_empty();
@@ -61,13 +62,17 @@ impl<const W: usize> State<W> {
             let (grown, more) = self.grow(commit, stratum, Some(&base), seeds, room, meter)?;
             rounds += more;
             let net = |(lost, grown): (&Vec<Row<W>>, &Vec<Row<W>>)| Net {
-                added: difference(grown, lost),
+                added: difference(grown, lost).into(),
                 removed: difference(lost, grown),
             };
             lost.iter().zip(&grown).map(net).collect()
         } else {
             let nets = gained.into_iter().zip(gone);
-            nets.map(|(added, removed)| Net { added, removed }).collect()
+            nets.map(|(added, removed)| Net {
+                added: added.into(),
+                removed,
+            })
+            .collect()
         };
 
         let after = |(relation, net): (&RelId, &Net<W>)| {

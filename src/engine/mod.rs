@@ -46,6 +46,7 @@ use crate::lang::{self, BaseType, Clause, ClauseId, RelId, Relation, Rules, Valu
 use crate::symbol::Symbols;
 use exec::{Orders, Store};
 use plan::{Plans, StratumPlan};
+use row::{Row, RowList};
 use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
@@ -374,27 +375,21 @@ impl fmt::Debug for Session {
     }
 }
 
-/// Rows of one relation, sorted by their words.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+/// Rows of one relation, sorted by their words. Cheap to clone: they may be shared with the session they come from.
+#[derive(Clone)]
 pub struct Rows {
     arity: usize,
     len: usize,
-    words: Vec<Value>,
+    list: Arc<dyn RowList>,
 }
 
 impl Rows {
     /// Of rows that have at least so many words.
-    fn of<const W: usize>(arity: usize, rows: Vec<[Value; W]>) -> Self {
+    fn of<const W: usize>(arity: usize, rows: Arc<Vec<Row<W>>>) -> Self {
         Rows {
             arity,
             len: rows.len(),
-            words: if arity == W {
-                rows.into_flattened()
-            } else {
-                let mut words = Vec::with_capacity(arity * rows.len());
-                rows.iter().for_each(|row| words.extend_from_slice(&row[..arity]));
-                words
-            },
+            list: rows,
         }
     }
 
@@ -410,7 +405,27 @@ impl Rows {
 
     /// The rows in order.
     pub fn iter(&self) -> impl Iterator<Item = &[Value]> {
-        (0..self.len).map(|position| &self.words[position * self.arity..(position + 1) * self.arity])
+        (0..self.len).map(|position| &self.list.row(position)[..self.arity])
+    }
+}
+
+impl Default for Rows {
+    fn default() -> Self {
+        Rows::of::<2>(0, Arc::default())
+    }
+}
+
+impl PartialEq for Rows {
+    fn eq(&self, other: &Self) -> bool {
+        self.len == other.len && self.iter().eq(other.iter())
+    }
+}
+
+impl Eq for Rows {}
+
+impl fmt::Debug for Rows {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.iter()).finish()
     }
 }
 

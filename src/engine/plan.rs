@@ -14,7 +14,7 @@
 //! and one that begins with rows of the head and asks whether they can be derived.
 
 use crate::diag::{Code, Diagnostic};
-use crate::engine::estimate::{Flow, Size};
+use crate::engine::estimate::{Flow, Known, Reckoning, Size, effort_of_parts};
 use crate::engine::row::WIDTHS;
 use crate::lang::{
     AggregateOp, Atom, BaseType, Clause, ClauseId, Comparison, Functor, Literal, RelId, Rules, Stratum, Term, Value,
@@ -35,6 +35,9 @@ const MAINTAINED_LITERALS_MAX: usize = 24;
 
 /// A clause with more literals than this has no detours.
 const DETOUR_LITERALS_MAX: usize = 8;
+
+/// Putting a row into another order costs as much as looking at so many. Sorting costs more, but the order serves later commits.
+const INDEX_ROW: f64 = 1.9;
 
 /// So many atoms to begin with are tried when a clause is planned by sizes: those that find the fewest rows.
 const STARTS_MAX: usize = 3;
@@ -614,11 +617,10 @@ fn plan_complete(clause: &Clause, indexer: &mut Indexer, sizes: &[Option<Size>])
     if starts.len() > 1 {
         for (effort, start) in &mut starts {
             let known = indexer.specs.len();
-            *effort = (Planner::new(clause, indexer, order)
+            *effort = Planner::new(clause, indexer, order)
                 .run(First::Literal(*start), &version)
                 .ok()?
-                .1)
-                .effort;
+                .1;
             indexer.forget(known);
         }
         starts.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -673,6 +675,10 @@ struct Planner<'a> {
     /// Positions in the body of what is placed.
     sequence: Vec<usize>,
     steps: Vec<Step>,
+    /// What the orders of rows cost that the plan needs besides relations' own; nothing if sizes are not known.
+    ordering: f64,
+    /// By step: what is expected behind it.
+    trail: Vec<Reckoning>,
     /// Whether a scan stands before, so that the next step may run many times.
     repeated: bool,
 }
@@ -699,6 +705,8 @@ impl<'a> Planner<'a> {
             left: (0..clause.body.len()).collect(),
             sequence: Vec::new(),
             steps: Vec::new(),
+            ordering: 0.0,
+            trail: Vec::new(),
             repeated: false,
         }
     }
@@ -707,9 +715,9 @@ impl<'a> Planner<'a> {
         self.run(first, version).map(|(plan, ..)| plan)
     }
 
-    /// The plan, how many rows it will look at if sizes are known, and the positions of the literals in the order in which it
-    /// comes to them.
-    fn run(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<(Plan, Flow, Vec<usize>), Diagnostic> {
+    /// The plan, about how many rows it will look at if sizes are known, and the positions of the literals in the order in which
+    /// it comes to them.
+    fn run(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<(Plan, f64, Vec<usize>), Diagnostic> {
         let clause = self.clause;
         let head = &clause.head;
         let head_variables: Vec<VarId> = head.terms.iter().filter_map(variable_of).collect();
@@ -746,7 +754,7 @@ impl<'a> Planner<'a> {
                     let key = head.terms.iter().filter_map(|term| self.slot(term)).collect();
                     let (index, version) = (IndexId(head.relation.0), Version::Complete);
                     let source = Source { index, version };
-                    self.steps.push(Step::Absent { source, key });
+                    self.push(Step::Absent { source, key });
                 }
                 if !tests_placed {
                     self.place_tests(version);
@@ -769,7 +777,14 @@ impl<'a> Planner<'a> {
             slots: self.slots,
             fresh,
         };
-        Ok((plan, self.flow, self.sequence))
+        let effort = self.ordering + effort_of_parts(&self.trail, &plan.enough);
+        Ok((plan, effort, self.sequence))
+    }
+
+    /// Appends a step with which the flow has been reckoned.
+    fn push(&mut self, step: Step) {
+        self.steps.push(step);
+        self.trail.push(self.flow.reckoning());
     }
 
     /// What to say of a clause that checking should have refused.
@@ -824,12 +839,12 @@ impl<'a> Planner<'a> {
                 Literal::Positive(atom) | Literal::Guard(atom) => {
                     self.expect(atom, |flow, size, key| flow.exists(size, key));
                     let (source, key) = self.lookup(atom, version(position));
-                    self.steps.push(Step::Exists { source, key });
+                    self.push(Step::Exists { source, key });
                 }
                 Literal::Negative(atom) => {
                     self.expect(atom, |flow, size, key| flow.absent(size, key));
                     let (source, key) = self.lookup(atom, Version::Complete);
-                    self.steps.push(Step::Absent { source, key });
+                    self.push(Step::Absent { source, key });
                 }
                 Literal::Compare {
                     op, left, right, base, ..
@@ -843,7 +858,7 @@ impl<'a> Planner<'a> {
                 } => {
                     let arguments = arguments.iter().filter_map(|argument| self.slot(argument)).collect();
                     let Some((to, test)) = self.result(to) else { continue };
-                    self.steps.push(Step::Compute {
+                    self.push(Step::Compute {
                         functor: *functor,
                         base: *base,
                         arguments,
@@ -862,7 +877,7 @@ impl<'a> Planner<'a> {
                     let columns = &self.indexer.specs[source.index.index()].columns;
                     let place = column.and_then(|column| columns.iter().position(|other| *other as usize == column));
                     let Some((to, test)) = self.result(to) else { continue };
-                    self.steps.push(Step::Aggregate {
+                    self.push(Step::Aggregate {
                         source,
                         key,
                         op: *op,
@@ -963,14 +978,14 @@ impl<'a> Planner<'a> {
                     Comparison::Equal => Flow::EQUAL,
                     _ => Flow::COMPARED,
                 });
-                self.steps.push(Step::Compare { op, left, right, base });
+                self.push(Step::Compare { op, left, right, base });
                 return;
             }
             (false, _) => (left, right),
             (true, false) => (right, left),
         };
         self.bound[to as usize] = true;
-        self.steps.push(Step::Copy { to, from });
+        self.push(Step::Copy { to, from });
     }
 
     /// What to do next: scan an atom that is connected to what is bound, or meet several. If sizes are known, the atom that finds
@@ -1045,7 +1060,7 @@ impl<'a> Planner<'a> {
     }
 
     /// The bound columns of an atom with their variables; none for a constant.
-    fn key(&self, atom: &Atom) -> Vec<(u16, Option<VarId>)> {
+    fn key(&self, atom: &Atom) -> Vec<Known> {
         let known = |term: &Term| *term != Term::Wildcard && self.is_bound(term);
         let columns = (0..).zip(&atom.terms).filter(|(_, term)| known(term));
         columns.map(|(column, term)| (column, variable_of(term))).collect()
@@ -1063,7 +1078,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Reckons with what is about to be placed, if sizes are known.
-    fn expect(&mut self, atom: &Atom, reckon: impl Fn(&mut Flow, &Size, &[(u16, Option<VarId>)])) {
+    fn expect(&mut self, atom: &Atom, reckon: impl Fn(&mut Flow, &Size, &[Known])) {
         if let Order::Sizes(sizes) = self.order
             && let Some(size) = &sizes[atom.relation.index()]
         {
@@ -1104,7 +1119,7 @@ impl<'a> Planner<'a> {
         }
         self.bound[variable.index()] = true;
         positions.iter().for_each(|&position| self.placed(position));
-        self.steps.push(Step::Meet {
+        self.push(Step::Meet {
             lists,
             to: variable.index() as Slot,
         });
@@ -1141,6 +1156,10 @@ impl<'a> Planner<'a> {
             let known: Vec<u16> = keys.iter().map(|&(column, _)| column).collect();
             let other: Vec<u16> = binds.iter().chain(&checks).map(|&(column, _)| column).collect();
             let (index, order) = self.indexer.prefix(atom.relation, [&known, &other]);
+            if let (false, Order::Sizes(sizes)) = (self.indexer.is_own(index), self.order) {
+                let rows = sizes[atom.relation.index()].as_ref().map_or(0, |size| size.rows);
+                self.ordering += INDEX_ROW * rows as f64;
+            }
             for (column, _) in keys.iter_mut().chain(&mut binds).chain(&mut checks) {
                 *column = (order.iter().position(|other| other == column)).map_or(*column, |position| position as u16);
             }
@@ -1165,7 +1184,7 @@ impl<'a> Planner<'a> {
             checks.extend(keys.drain(prefix..));
             own
         };
-        self.steps.push(Step::Scan {
+        self.push(Step::Scan {
             source: Source { index, version },
             key: keys.into_iter().map(|(_, slot)| slot).collect(),
             bind: binds,

@@ -180,8 +180,21 @@ impl<const W: usize> Seen<W> {
 
     /// The `count` rows that were kept, in order. From now on new rows are not kept.
     pub(super) fn drain(&mut self, count: usize) -> Vec<Row<W>> {
+        let fresh = std::mem::take(&mut self.fresh);
+        self.listed(&fresh, count)
+    }
+
+    /// All rows that were ever added, in order.
+    pub(super) fn all(&self) -> Vec<Row<W>> {
+        let count: u32 = self.known.iter().map(|word| word.count_ones()).sum();
+        self.listed(&self.known, count as usize)
+    }
+
+    /// The `count` rows of a list of bits, in order.
+    fn listed(&self, bits: &[u64], count: usize) -> Vec<Row<W>> {
         let mut rows = Vec::with_capacity(count);
-        for (position, mut word) in (0_u64..).zip(std::mem::take(&mut self.fresh)) {
+        for (position, &word) in (0_u64..).zip(bits) {
+            let mut word = word;
             while word != 0 {
                 let mut rest = position * 64 + u64::from(word.trailing_zeros());
                 word &= word - 1;
