@@ -449,6 +449,28 @@ fn the_simpler_form_is_told() {
     );
 }
 
+/// Under a scope a predicate of its own sees the same only if it is about the same agent.
+#[test]
+fn what_is_repeated_is_told() {
+    let three = |part: &str| {
+        let clause = |head: &str, more: &str| format!("{head}(X) :- {part}, {more}(X).\n");
+        lints(&city(
+            &(clause("Stop", "IsBus") + &clause("Slow", "IsTiro") + &clause("Fast", "IsPolice")),
+        ))
+    };
+    let found = three("IsClose(X, Y), IsOld(Y), NextTo(Y, X)");
+    assert_eq!(
+        found.iter().map(|lint| lint.code).collect::<Vec<_>>(),
+        [Code::RepeatedBody]
+    );
+    assert!(
+        found[0].help[0].contains("`Name(X) :- IsClose(X, Y), IsOld(Y), NextTo(Y, X).`"),
+        "{found:?}"
+    );
+    assert_eq!(three("IsClose(Z, Y), IsOld(Y), NextTo(Y, Z)"), []);
+    assert_eq!(three("IsClose(X, Y), IsOld(Y)"), []);
+}
+
 #[test]
 fn contradictions_are_found_and_cost_nothing() {
     let text = city("Slow(X) :- IsBus(X), IsClose(X, Y), IsOld(X).\nFast(X) :- IsTiro(X), NextTo(X, X).");

@@ -81,6 +81,8 @@ codes! {
     ContradictoryBody = "contradictory-body", Warning;
     /// A literal that others imply.
     RedundantLiteral = "redundant-literal", Warning;
+    /// Several literals that stand together in several clauses.
+    RepeatedBody = "repeated-body", Warning;
 
     // --- facts
     /// A row of a facts file that does not fit its predicate's declaration.

@@ -90,7 +90,7 @@ pub(super) fn optimize(rules: &Rules, promises: bool) -> Rules {
 }
 
 /// What could be simpler, for the author: literals that others imply, bodies that contradict themselves, clauses that others cover
-/// under the promises.
+/// under the promises, and what is said again and again.
 pub fn lints(rules: &Rules) -> Vec<Diagnostic> {
     let theory = Theory::new(rules.promises.iter().map(|promise| promise.constraint));
     let plain = Theory::new([]);
@@ -137,8 +137,33 @@ pub fn lints(rules: &Rules) -> Vec<Diagnostic> {
             } => redundant(rules, &theory, named(clause), literal, because),
         });
     }
+    lints.extend(share::repeated(rules).iter().map(|uses| repeated(rules, uses)));
     lints.sort_by_key(|lint| lint.primary.as_ref().map(|label| (label.span.source, label.span.start)));
     lints
+}
+
+/// A part of several bodies that is worth a name.
+fn repeated(rules: &Rules, uses: &[share::Use]) -> Diagnostic {
+    let first = &uses[0];
+    let clause = &rules.clauses[first.clause];
+    let literals = first.positions.iter();
+    let body: Vec<String> = literals.map(|&index| shown_literal(rules, clause, index)).collect();
+    let body = body.join(", ");
+    let variables = first.outside(uses, clause);
+    let variables: Vec<&str> = (variables.iter())
+        .filter_map(|term| match term {
+            Term::Variable(VarId(id)) => Some(clause.variables[*id as usize].as_str()),
+            _ => None,
+        })
+        .collect();
+    let lint = Diagnostic::new(Code::RepeatedBody, format!("{} clauses ask for `{body}`", uses.len()))
+        .at(clause.span, "the first of them");
+    let others = uses[1..].iter().map(|one| rules.clauses[one.clause].span);
+    let lint = others.fold(lint, |lint, span| lint.also(span, "the same"));
+    lint.help(format!(
+        "give it a name, and ask for that: `Name({}) :- {body}.`",
+        variables.join(", ")
+    ))
 }
 
 fn redundant(

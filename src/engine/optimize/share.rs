@@ -51,15 +51,26 @@ const ROWS: [f64; 2] = [100.0, 8000.0];
 /// A literal whose variables are numbered, so that equal ones are equal.
 type Word = Vec<u64>;
 
-/// The beginning of a clause's plan.
-struct Use {
-    clause: usize,
+/// Literals of a clause: the beginning of its plan, or a part that others have too.
+pub(super) struct Use {
+    pub(super) clause: usize,
     /// Positions in its body.
-    positions: Vec<usize>,
+    pub(super) positions: Vec<usize>,
     /// By number: what stands there in the clause, a variable or a wildcard.
     terms: Vec<Term>,
     /// By number: whether the rest of the clause needs it.
     needed: Vec<bool>,
+}
+
+impl Use {
+    /// The variables that some of the clauses need outside of the part, as this one names them; the one that its head is about first.
+    pub(super) fn outside(&self, uses: &[Use], clause: &Clause) -> Vec<Term> {
+        let needed = |number: &usize| uses.iter().any(|one| one.needed[*number]);
+        let terms = (0..self.terms.len()).filter(needed).map(|number| self.terms[number]);
+        let mut terms: Vec<Term> = terms.filter(|term| *term != Term::Wildcard).collect();
+        terms.sort_by_key(|term| Some(term) != clause.head.terms.first());
+        terms
+    }
 }
 
 /// What may still be looked at: the search is bounded by numbers, not by time.
@@ -200,11 +211,7 @@ fn beginning(index: usize, clause: &Clause, mut positions: Vec<usize>, left: &mu
     }
     let (key, terms) = canonical(&part, clause.variables.len(), left)?;
     let rest = (0..clause.body.len()).filter(|position| !positions.contains(position));
-    let outside: Vec<&Term> = (clause.head.terms.iter())
-        .chain(rest.flat_map(|position| clause.body[position].terms()))
-        .collect();
-    let needed = |term: &Term| *term != Term::Wildcard && outside.contains(&term);
-    let needed = terms.iter().map(needed).collect();
+    let needed = needed(&terms, clause, rest);
     let found = Use {
         clause: index,
         positions,
@@ -212,6 +219,14 @@ fn beginning(index: usize, clause: &Clause, mut positions: Vec<usize>, left: &mu
         needed,
     };
     Some((key, found))
+}
+
+/// By number: whether the head or one of these literals needs it.
+fn needed(terms: &[Term], clause: &Clause, rest: impl Iterator<Item = usize>) -> Vec<bool> {
+    let rest = rest.flat_map(|position| clause.body[position].terms());
+    let outside: Vec<&Term> = clause.head.terms.iter().chain(rest).collect();
+    let is_needed = |term: &Term| *term != Term::Wildcard && outside.contains(&term);
+    terms.iter().map(is_needed).collect()
 }
 
 /// The rules with this sub-body shared, if that is worth it.
@@ -343,6 +358,95 @@ fn rewrite(clause: &Clause, one: &Use, relation: RelId, needed: &[usize]) -> Cla
         body: body.collect(),
         ..clause.clone()
     }
+}
+
+// --- for the author
+
+/// A part is worth a name if it has so many literals and stands in so many clauses.
+const WORTH_A_NAME: usize = 3;
+
+/// Clauses with more written literals are not looked at.
+const WRITTEN_MAX: usize = 10;
+
+/// Parts of bodies that stand in several clauses, those first that say most; no clause is in two. All literals of a part were written,
+/// and it joins two atoms. Under a scope it speaks of the agent that the clause is about: a predicate of its own then sees the same.
+pub(super) fn repeated(rules: &Rules) -> Vec<Vec<Use>> {
+    let mut left = Left {
+        candidates: 0,
+        words: WORDS_MAX,
+    };
+    let mut parts: BTreeMap<Vec<Word>, Vec<Use>> = BTreeMap::new();
+    for (index, clause) in rules.clauses.iter().enumerate() {
+        let hidden = rules.relations[clause.head.relation.index()].hidden;
+        let can = |literal: &Literal| match literal {
+            Literal::Positive(atom) | Literal::Negative(atom) => !rules.relations[atom.relation.index()].hidden,
+            Literal::Compare { .. } => true,
+            _ => false,
+        };
+        let written: Vec<usize> = (0..clause.body.len()).filter(|&at| can(&clause.body[at])).collect();
+        if hidden || written.len() > WRITTEN_MAX {
+            continue;
+        }
+        let scoped = clause.body.iter().any(|literal| matches!(literal, Literal::Guard(_)));
+        for chosen in 0..1_u32 << written.len() {
+            let positions = written.iter().zip(0..).filter(|(_, bit)| chosen >> bit & 1 == 1);
+            let positions: Vec<usize> = positions.map(|(&position, _)| position).collect();
+            if positions.len() < WORTH_A_NAME || !is_joined(clause, &positions) {
+                continue;
+            }
+            let Some((mut key, mut part)) = beginning(index, clause, positions, &mut left) else {
+                continue;
+            };
+            // A predicate of its own has guards of its own.
+            let guard = |position: &usize| matches!(clause.body[*position], Literal::Guard(_));
+            let rest = (0..clause.body.len()).filter(|position| !part.positions.contains(position) && !guard(position));
+            part.needed = needed(&part.terms, clause, rest);
+            if scoped {
+                let agent = part
+                    .terms
+                    .iter()
+                    .position(|term| Some(term) == clause.head.terms.first());
+                let Some(agent) = agent else { continue };
+                key.push(vec![agent as u64]);
+            }
+            parts.entry(key).or_default().push(part);
+        }
+    }
+    let mut parts: Vec<Vec<Use>> = parts.into_values().filter(|uses| uses.len() >= WORTH_A_NAME).collect();
+    parts.sort_by_key(|uses| std::cmp::Reverse(uses[0].positions.len() * uses.len()));
+    let mut taken: Vec<usize> = Vec::new();
+    let mut found = Vec::new();
+    for mut uses in parts {
+        uses.retain(|one| !taken.contains(&one.clause));
+        uses.dedup_by_key(|one| one.clause);
+        if uses.len() >= WORTH_A_NAME {
+            taken.extend(uses.iter().map(|one| one.clause));
+            found.push(uses);
+        }
+    }
+    found
+}
+
+/// Whether the literals hang together by variables, all of which its positive atoms bind.
+fn is_joined(clause: &Clause, positions: &[usize]) -> bool {
+    let variables = |position: usize| {
+        let terms = clause.body[position].terms();
+        terms
+            .filter(|term| matches!(term, Term::Variable(_)))
+            .collect::<Vec<_>>()
+    };
+    let positive = |&&position: &&usize| matches!(clause.body[position], Literal::Positive(_));
+    let bound: Vec<&Term> = positions
+        .iter()
+        .filter(positive)
+        .flat_map(|&position| variables(position))
+        .collect();
+    let mut rest: Vec<usize> = positions[1..].to_vec();
+    let mut reached = variables(positions[0]);
+    while let Some(at) = (rest.iter()).position(|&one| variables(one).iter().any(|term| reached.contains(term))) {
+        reached.extend(variables(rest.remove(at)));
+    }
+    rest.is_empty() && reached.iter().all(|term| bound.contains(term))
 }
 
 // --- equal up to names
