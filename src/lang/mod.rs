@@ -108,7 +108,7 @@ fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
 pub struct Parsed {
     /// The tree of all that could be understood.
     pub file: ast::File,
-    /// The faults of the text; all are errors.
+    /// The faults of the text.
     pub diagnostics: Vec<Diagnostic>,
 }
 
