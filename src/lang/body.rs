@@ -10,13 +10,12 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Code, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
 use super::aggregate::Finish;
 use super::ast::{self, TermKind};
 use super::clause::{Clauses, Edge, EdgeKind, names_in, names_of};
-use super::faults::Faults;
 use super::functor::{AggregateOp, Functor, Shape};
 use super::names::Names;
 use super::rules::{Atom, BaseType, Comparison, Literal, RelId, Term, TypeId, Value, VarId};
@@ -511,16 +510,20 @@ impl<'c> Check<'_, 'c> {
         let known = |name: &&&str| self.levels.iter().any(|level| level.direct.contains(**name));
         let own = |name: &&&str| (body.contains(**name) && target.contains(**name)) || !known(name);
         let direct = body.union(&target).filter(own).copied().collect();
-        if aggregate.body.is_empty() {
-            self.fault(Diagnostic::new(Code::Syntax, "an aggregate over nothing").at(span, ""));
-        }
         self.levels.push(Level {
             numbers: HashMap::new(),
             direct,
         });
         self.pending.push(Vec::new());
+        if aggregate.body.is_empty() {
+            self.always(true, span);
+        }
         for literal in &aggregate.body {
-            if let ast::Literal::Any(_) = literal {
+            if let ast::Literal::Any(alternatives) = literal {
+                if alternatives.is_empty() {
+                    self.always(false, span);
+                    continue;
+                }
                 let fault = Diagnostic::new(Code::Unsupported, "alternatives in an aggregate are not supported")
                     .at(span, "")
                     .help("define a predicate by a clause with these alternatives, and aggregate over that");
@@ -539,6 +542,20 @@ impl<'c> Check<'_, 'c> {
             target,
             body,
             level,
+            span,
+        });
+    }
+
+    /// `true` or `false` in the body of an aggregate.
+    fn always(&mut self, holds: bool, span: Span) {
+        let [left, right] = [0, i64::from(!holds)].map(|number| Operand {
+            kind: OperandKind::Whole(number),
+            span,
+        });
+        self.push(Pending::Compare {
+            op: Comparison::Equal,
+            left,
+            right,
             span,
         });
     }

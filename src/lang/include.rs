@@ -2,11 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
 use crate::files::{BUILTIN, BUILTIN_FOLDER, ReadError, normalise};
 
 use super::ast::{File, Include, Item};
-use super::faults::Faults;
 use super::parser;
 
 /// A larger text is refused.

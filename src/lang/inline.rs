@@ -11,11 +11,10 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Code, Diagnostic, Faults, Span};
 
 use super::ast::{Atom, Clause, Decl, Item, Literal, Name, Term, TermKind};
 use super::clause::{names_in, names_of};
-use super::faults::Faults;
 use super::parser::negate;
 use super::rules::Comparison;
 use super::strata::components;

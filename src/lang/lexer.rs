@@ -1,8 +1,6 @@
 //! Text to tokens. One pass, no look-back; faults are reported and lexing goes on.
 
-use crate::diag::{Code, Diagnostic, SourceId, Span};
-
-use super::faults::Faults;
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Span};
 
 /// Longer names are refused, so that they can be shown and compared.
 pub(super) const MAX_NAME_BYTES: usize = 255;

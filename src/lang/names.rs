@@ -2,10 +2,9 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, Span, did_you_mean};
 
 use super::ast::{Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
-use super::faults::Faults;
 use super::rules::{BaseType, Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
 
 /// More columns than this are refused.

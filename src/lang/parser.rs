@@ -5,13 +5,12 @@
 //! parentheses and braces are nested, and that is bounded, as is the height of an expression: no text can exhaust the stack.
 //! Each token is looked at a bounded number of times.
 
-use crate::diag::{Code, Diagnostic, SourceId, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Span, did_you_mean};
 
 use super::ast::{
     Aggregate, Atom, Clause, ColumnDecl, Decl, DirectiveOption, File, Include, Item, Literal, Mark, MarkKind, Name,
     Place, Pragma, Promise, PromiseKind, Scope, Term, TermKind, TypeDecl, TypeDefinition,
 };
-use super::faults::Faults;
 use super::functor::{AggregateOp, Functor};
 use super::lexer::{self, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, NEGATION, Token};
 use super::rules::{BaseType, Comparison};
@@ -229,9 +228,8 @@ impl<'a> Parser<'a> {
             ("if" | "If" | "IF", _) | ("<" | ":", Kind::Minus) | (":", Kind::Equal) | ("-", Kind::Greater) => {
                 Some(IMPLICATION)
             }
-            ("=", Kind::Greater) => {
-                Some("\"at least\" is written `>=`, and the head of a clause comes first: `A(x) :- B(x).`")
-            }
+            ("=", Kind::Greater) => Some("the head of a clause comes first: `A(x) :- B(x).`"),
+            (">", _) if self.at > 0 && self.previous().kind == Kind::Equal => Some("\"at least\" is written `>=`"),
             ("is", _) => Some("equality is written `=`"),
             _ => None,
         }

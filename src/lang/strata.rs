@@ -4,10 +4,9 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{Code, Diagnostic, Faults};
 
 use super::clause::{Edge, EdgeKind};
-use super::faults::Faults;
 use super::names::Names;
 use super::rules::{Clause, ClauseId, RelId, Relation, Stratum};
 
