@@ -748,7 +748,7 @@ fn query_follows_the_options_of_directives() {
          .decl speed(name: symbol, v: float)\n\
          .input speed(IO=file, filename=\"in.csv\", delimiter=\",\", headers=true)\n\
          .input speed(IO=stdin)\n\
-         .decl fast(name: symbol, v: float) inline\n\
+         .decl fast(name: symbol, v: float) brie\n\
          .output fast(IO=stdout, headers=true)\n\
          .output fast(filename=\"out.csv\", rfc4180=true)\n\
          .decl any()\n\

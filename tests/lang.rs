@@ -62,6 +62,85 @@ fn strata(rules: &Rules) -> Vec<Vec<&str>> {
         .collect()
 }
 
+/// The help of the errors of a text, and nothing of its warnings.
+fn helps(text: &str) -> Vec<String> {
+    let (_, loaded) = load_text("main.dl", text);
+    let errors = loaded.diagnostics.into_iter().filter(Diagnostic::is_error);
+    errors.flat_map(|error| error.help).collect()
+}
+
+#[test]
+fn habits_of_other_languages_are_told_once_with_what_to_write_here() {
+    const HEAD: &str = ".decl A, B(x: number)\n.input A\n.output B\n";
+    for (written, help) in [
+        ("B(x) :- A(x) and x < 2.", "commas"),
+        ("B(x) :- A(x) AND A(x).", "commas"),
+        ("B(x) :- A(x) & x < 2.", "commas"),
+        ("B(x) :- A(x) && x < 2.", "commas"),
+        ("B(x) :- A(x) \u{2227} x < 2.", "commas"),
+        ("B(x) :- A(x) or A(x).", "`;`"),
+        ("B(x) :- A(x) | A(x).", "`;`"),
+        ("B(x) :- A(x) || A(x).", "`;`"),
+        ("B(x) :- A(x), NOT A(x).", "`!P(X)`"),
+        ("B(x) :- A(x), NOT(A(x)).", "`!P(X)`"),
+        ("B(x) :- A(x), \\+ A(x).", "`!P(X)`"),
+        ("B(x) :- A(x), ~A(x).", "`!P(X)`"),
+        ("B(x) :- A(x), \u{ac}A(x).", "`!P(X)`"),
+        ("B(x) :- A(x), x == 1.", "equality is written `=`"),
+        ("B(x) :- A(x), x =:= 1.", "equality is written `=`"),
+        ("B(x) :- A(x), x is 1.", "equality is written `=`"),
+        ("B(x) :- A(x), x <> 1.", "`!=`"),
+        ("B(x) :- A(x), x \\= 1.", "`!=`"),
+        ("B(x) :- A(x), x =\\= 1.", "`!=`"),
+        ("B(x) :- A(x), x \u{2260} 1.", "`!=`"),
+        ("B(x) :- A(x), x =< 1.", "`<=`"),
+        ("B(x) :- A(x), x \u{2265} 1.", "`>=`"),
+        ("B(x) :- A(x), x => 1.", "`>=`"),
+        ("B(x) <- A(x).", "`:-`"),
+        ("B(x) -> A(x).", "`:-`"),
+        ("B(x) := A(x).", "`:-`"),
+        ("B(x) \u{2190} A(x).", "`:-`"),
+        ("B(x) <= A(x).", "`:-`"),
+        ("B(x) if A(x).", "`:-`"),
+        ("A(x) => B(x).", "the head of a clause comes first"),
+        ("B(x) :- A(x)", "ends with a full stop"),
+        ("B(x) :- A(x)\n.decl C(x: number)", "ends with a full stop"),
+        ("B(1)\nB(2).", "ends with a full stop"),
+    ] {
+        let said = helps(&format!("{HEAD}{written}\n"));
+        assert!(said.len() == 1 && said[0].contains(help), "{written}: {said:?}");
+    }
+    // What only looks like it.
+    load_clean(
+        "main.dl",
+        &format!("{HEAD}B(x) :- A(x), x <-1.\n.decl and(x: number)\n.output and\nand(x) :- A(x).\n"),
+    );
+}
+
+#[test]
+fn a_missing_include_suggests_the_file_that_is_meant() {
+    for (written, meant) in [
+        ("vocabulary", "vocabulary.dl"),
+        ("vocabulry.dl", "vocabulary.dl"),
+        ("vocabulry", "vocabulary.dl"),
+        ("Easy.dl", "easy.dl"),
+    ] {
+        let said = helps(&format!(".include \"{written}\"\n"));
+        assert_eq!(said, [format!("did you mean `{meant}`?")], "{written}");
+    }
+    assert_eq!(helps(".include \"something-else.dl\""), [""; 0]);
+}
+
+#[test]
+fn a_circle_is_told_once_with_what_to_do() {
+    let text = ".decl A, B, C(x: number)\n.input A\n.output B, C\nB(x) :- A(x), !C(x).\nC(x) :- A(x), !B(x).\n";
+    let said = helps(text);
+    assert!(
+        said.len() == 1 && said[0].contains("predicates that do not need `B`"),
+        "{said:?}"
+    );
+}
+
 #[test]
 fn all_rule_files_load_without_a_diagnostic() {
     let mut count = 0;

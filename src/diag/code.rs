@@ -76,6 +76,8 @@ codes! {
     DeadClause = "dead-clause", Warning;
     /// Something of Souffle that is accepted and has no effect here.
     Ignored = "ignored", Warning;
+    /// A declaration of a type as older versions of Souffle write it.
+    OldForm = "old-form", Warning;
 
     /// A body two literals of which never hold together.
     ContradictoryBody = "contradictory-body", Warning;

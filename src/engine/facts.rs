@@ -3,15 +3,12 @@
 //! One row is one line, its values are separated by tabs or what a [`RowFormat`] says: a symbol as it is, a number in decimal,
 //! a float with up to nine significant digits. The only row of a relation without columns is `()`. This module turns text into rows and rows into text; reading and writing files is for others.
 
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
 use crate::engine::Session;
 use crate::lang::{BaseType, Column, RelId, Relation, RowFormat, Value, parse_value};
 use crate::symbol::Symbol;
 use std::cmp::Ordering;
 use std::io::{self, Write};
-
-/// At most this many faults of one text are reported.
-pub const FAULTS_MAX: usize = 20;
 
 /// Inserts the rows of a `.facts` text into a relation, to hold from the next commit on, and says how many lines there were. If
 /// there are faults, nothing is inserted.
@@ -145,32 +142,6 @@ fn parse(session: &mut Session, column: &Column, text: &str, format: &RowFormat)
             }
         }
         base => parse_value(base, text.trim_start_matches(' ')),
-    }
-}
-
-/// Faults, the first ones kept and all counted.
-#[derive(Default)]
-struct Faults {
-    kept: Vec<Diagnostic>,
-    count: usize,
-}
-
-impl Faults {
-    fn push(&mut self, fault: Diagnostic) {
-        self.count += 1;
-        if self.count <= FAULTS_MAX {
-            self.kept.push(fault);
-        }
-    }
-
-    fn finish(mut self) -> Vec<Diagnostic> {
-        if let (true, Some(last)) = (self.count > FAULTS_MAX, self.kept.last_mut()) {
-            last.notes.push(format!(
-                "{} more faults in this file are not shown",
-                self.count - FAULTS_MAX
-            ));
-        }
-        self.kept
     }
 }
 

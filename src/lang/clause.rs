@@ -3,12 +3,11 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Code, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
 use super::ast::{self, Item, TermKind};
 use super::body::{self, Body};
-use super::faults::Faults;
 use super::names::Names;
 use super::rules::{Atom, Clause, Literal, RelId, Relation, Term, VarId};
 use super::scope::{self, Scope};

@@ -2,15 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
-use crate::files::{BUILTIN_FOLDER, ReadError, normalise};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
+use crate::files::{BUILTIN, BUILTIN_FOLDER, ReadError, normalise};
 
 use super::ast::{File, Include, Item};
-use super::faults::Faults;
 use super::parser;
 
 /// A larger text is refused.
 const MAX_TEXT_BYTES: usize = 64 << 20;
+
+/// What names of rule files end with.
+const ENDING: &str = "dl";
 
 /// A longer chain of includes is refused.
 const MAX_DEPTH: usize = 64;
@@ -113,9 +115,13 @@ impl Walk<'_> {
         let path = beside.display();
         let fault = match error {
             ReadError::NotFound => {
-                Diagnostic::new(Code::MissingInclude, format!("no file `{}` to include", include.path))
+                let fault = Diagnostic::new(Code::MissingInclude, format!("no file `{}` to include", include.path))
                     .at(span, "")
-                    .note(format!("looked for `{path}` and for a built-in rule file of that name"))
+                    .note(format!("looked for `{path}` and for a built-in rule file of that name"));
+                match self.similar(from, &include.path) {
+                    Some(near) => fault.help(format!("did you mean `{near}`?")),
+                    None => fault,
+                }
             }
             ReadError::NotText { .. } => {
                 Diagnostic::new(Code::NotText, format!("`{path}` is {error}")).at(span, "included here")
@@ -127,6 +133,20 @@ impl Walk<'_> {
                 .at(span, "included here"),
         };
         self.faults.push(fault);
+    }
+
+    /// A name like this one that could have been included: with the usual ending, or of a built-in file.
+    fn similar(&self, from: SourceId, path: &str) -> Option<String> {
+        let folder = Path::new(self.sources.name(from)).parent().unwrap_or(Path::new(""));
+        let is_there = |path: &Path| (self.read)(path).is_ok();
+        let ended = format!("{path}.{ENDING}");
+        let builtin = |name: &str| is_there(&Path::new(BUILTIN_FOLDER).join(name));
+        if is_there(&folder.join(&ended)) || builtin(&ended) {
+            return Some(ended);
+        }
+        let names = (BUILTIN.iter()).filter_map(|(known, _)| known.strip_prefix("rules/"));
+        let near = did_you_mean(path, names.clone()).or_else(|| did_you_mean(&ended, names))?;
+        builtin(near).then(|| near.to_owned())
     }
 
     fn open(&mut self, path: &Path, key: PathBuf, text: String, span: Span) {

@@ -2,10 +2,9 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Code, Diagnostic, Faults, Span};
 
 use super::clause::{Checked, Clauses};
-use super::faults::Faults;
 use super::functor::Functor;
 use super::names::Names;
 use super::rules::{Atom, BaseType, Clause, Comparison, Literal, RelId, Term, Value};

@@ -14,14 +14,13 @@
 
 use std::path::Path;
 
-use crate::diag::{Diagnostic, SourceId, Sources};
+use crate::diag::{Diagnostic, Faults, SourceId, Sources};
 use crate::files::ReadError;
 
 mod aggregate;
 pub mod ast;
 mod body;
 mod clause;
-mod faults;
 mod format;
 mod functor;
 mod include;
@@ -44,8 +43,6 @@ pub use rules::{
     Atom, BaseType, Clause, ClauseId, Column, Comparison, Constraint, Directive, Literal, MarkKind, Promise, RelId,
     Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, Value, VarId,
 };
-
-use faults::Faults;
 
 /// What [`load`] gives.
 #[derive(Clone, Debug)]
@@ -108,7 +105,7 @@ fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
 pub struct Parsed {
     /// The tree of all that could be understood.
     pub file: ast::File,
-    /// The faults of the text; all are errors.
+    /// The faults of the text.
     pub diagnostics: Vec<Diagnostic>,
 }
 

@@ -2,10 +2,9 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, Span, did_you_mean};
 
 use super::ast::{Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
-use super::faults::Faults;
 use super::rules::{BaseType, Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
 
 /// More columns than this are refused.
@@ -40,9 +39,13 @@ pub(super) struct Names {
     /// Where each type is declared, for labels; none for `symbol` and `number`.
     type_spans: Vec<Option<Span>>,
     type_by_name: HashMap<String, Option<TypeId>>,
+    /// Where each type is declared, those too that are another name for one.
+    declared_types: HashMap<String, Span>,
     /// The unions that a type is a member of.
     unions_of: HashMap<TypeId, Vec<TypeId>>,
     relation_by_name: HashMap<String, RelId>,
+    /// The `.printsize` that names a predicate.
+    printsizes: HashMap<RelId, Span>,
     unknown: Unknown,
     /// Whether every declaration was read; if not, unknown names are not reported.
     complete: bool,
@@ -62,8 +65,10 @@ pub(super) fn declare(items: &[Item], complete: bool, faults: &mut Faults) -> Na
         signatures: Vec::new(),
         type_spans: Vec::new(),
         type_by_name: HashMap::new(),
+        declared_types: HashMap::new(),
         unions_of: HashMap::new(),
         relation_by_name: HashMap::new(),
+        printsizes: HashMap::new(),
         unknown: Unknown::default(),
         complete,
     };
@@ -209,6 +214,7 @@ impl Names {
                 faults.push(fault);
             } else {
                 first.insert(name, decl);
+                self.declared_types.insert(name.to_owned(), decl.name.place.0);
                 declared.push(decl);
             }
         }
@@ -258,6 +264,7 @@ impl Names {
                 self.types[id.0 as usize].members = known;
             }
         }
+        self.refuse_subtypes_of_unions(&declared, &mut faulty, faults);
         self.settle_parents(&mut faulty, faults);
         self.settle_unions(&declared, &mut faulty, faults);
         for decl in &declared {
@@ -315,6 +322,27 @@ impl Names {
             };
         }
         None
+    }
+
+    /// A subtype has one parent line, which a union has not.
+    fn refuse_subtypes_of_unions(&self, declared: &[&TypeDecl], faulty: &mut [bool], faults: &mut Faults) {
+        let is_union = |decl: &&&TypeDecl| matches!(decl.definition, TypeDefinition::Union(_));
+        let unions: HashMap<TypeId, Span> = (declared.iter().filter(is_union))
+            .filter_map(|decl| Some((self.type_by_name[&decl.name.text]?, decl.name.place.0)))
+            .collect();
+        for decl in declared {
+            if let (TypeDefinition::Subtype(parent), Some(id)) = (&decl.definition, self.type_by_name[&decl.name.text])
+                && let Some(union) = self.types[id.0 as usize].parent.and_then(|id| unions.get(&id))
+            {
+                faulty[id.0 as usize] = true;
+                let message = format!("`{}` is a subtype of the union `{}`", decl.name.text, parent.text);
+                let fault = Diagnostic::new(Code::TypeMismatch, message)
+                    .at(parent.place.0, "")
+                    .also(*union, "the union")
+                    .help("make it a subtype of a member");
+                faults.push(fault);
+            }
+        }
     }
 
     /// Finds the base of every type through its parents. Types on a cycle or under a faulty one become faulty.
@@ -480,12 +508,17 @@ impl Names {
                 .note(format!("a predicate has at most {MAX_COLUMNS}"));
             faults.push(fault);
         }
-        for word in &decl.qualifiers {
-            let fault = Diagnostic::new(Code::Ignored, format!("`{}` has no effect", word.text));
-            faults.push(fault.at(word.place.0, "").help("remove it"));
-        }
+        qualifiers(&decl.qualifiers, faults);
         for name in &decl.names {
             let span = name.place.0;
+            if let Some(&earlier) = self.declared_types.get(&name.text) {
+                let message = format!("`{}` is a type and a predicate", name.text);
+                let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
+                    .at(span, "declared as a predicate here")
+                    .also(earlier, "declared as a type here")
+                    .help("give one of them another name");
+                faults.push(fault);
+            }
             if let Some(&earlier) = self.relation_by_name.get(&name.text) {
                 let message = format!("the predicate `{}` is declared twice", name.text);
                 let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
@@ -527,7 +560,16 @@ impl Names {
                     self.signatures[id.index()].input.get_or_insert(name.place.0);
                 }
                 MarkKind::Output => relation.output = true,
-                MarkKind::PrintSize => relation.printsize = true,
+                MarkKind::PrintSize => {
+                    relation.printsize = true;
+                    if let Some(earlier) = self.printsizes.insert(id, name.place.0) {
+                        let message = format!("`{}` has two `.printsize`", name.text);
+                        let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
+                            .at(name.place.0, "again here")
+                            .also(earlier, "first here");
+                        faults.push(fault.help("remove one of them"));
+                    }
+                }
             }
             relation.directives.push(directive.clone());
         }
@@ -585,6 +627,26 @@ impl Names {
                 )),
             };
             faults.push(fault);
+        }
+    }
+}
+
+/// Reports the words after a declaration: each has no effect, and none may say again or otherwise what another says.
+fn qualifiers(words: &[Name], faults: &mut Faults) {
+    let storage = |word: &Name| matches!(word.text.as_str(), "btree" | "brie");
+    let rivals = |a: &Name, b: &Name| a.text == b.text || (storage(a) && storage(b));
+    for (index, word) in words.iter().enumerate() {
+        if let Some(earlier) = words[..index].iter().find(|earlier| rivals(earlier, word)) {
+            let fault = Diagnostic::new(
+                Code::DuplicateDeclaration,
+                format!("`{}` after `{}`", word.text, earlier.text),
+            )
+            .at(word.place.0, "")
+            .also(earlier.place.0, "one of them is enough");
+            faults.push(fault.help("remove one of them"));
+        } else if !words[index + 1..].iter().any(|later| rivals(word, later)) {
+            let fault = Diagnostic::new(Code::Ignored, format!("`{}` has no effect", word.text));
+            faults.push(fault.at(word.place.0, "").help("remove it"));
         }
     }
 }

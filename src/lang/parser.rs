@@ -5,16 +5,15 @@
 //! parentheses and braces are nested, and that is bounded, as is the height of an expression: no text can exhaust the stack.
 //! Each token is looked at a bounded number of times.
 
-use crate::diag::{Code, Diagnostic, SourceId, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Span, did_you_mean};
 
 use super::ast::{
     Aggregate, Atom, Clause, ColumnDecl, Decl, DirectiveOption, File, Include, Item, Literal, Mark, MarkKind, Name,
     Place, Pragma, Promise, PromiseKind, Scope, Term, TermKind, TypeDecl, TypeDefinition,
 };
-use super::faults::Faults;
 use super::functor::{AggregateOp, Functor};
-use super::lexer::{self, DocLine, Kind, Lexed, Token};
-use super::rules::Comparison;
+use super::lexer::{self, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, NEGATION, Token};
+use super::rules::{BaseType, Comparison};
 
 /// More negations, parentheses and braces than this around anything are refused.
 const MAX_NESTING: usize = 64;
@@ -31,6 +30,7 @@ const DIRECTIVES: &[&str] = &[
     "printsize",
     "pragma",
     "include",
+    "once",
     "scope",
     "disjoint",
     "implies",
@@ -47,9 +47,10 @@ const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
     ("lattice", "lattices (`.lattice`)"),
     ("plan", "`.plan`"),
     ("limitsize", "`.limitsize`"),
-    ("symbol_type", "the old form `.symbol_type`"),
-    ("number_type", "the old form `.number_type`"),
 ];
+
+/// How older versions of Souffle declare a type, and what it is a subtype of.
+const OLD_TYPES: &[(&str, BaseType)] = &[("symbol_type", BaseType::Symbol), ("number_type", BaseType::Number)];
 
 /// What Souffle allows after the columns of a declaration and what does not change the answer.
 const QUALIFIERS: &[&str] = &[
@@ -165,7 +166,9 @@ impl<'a> Parser<'a> {
     fn at_known_directive(&self) -> bool {
         self.token().first_on_line
             && self.directive_ahead().is_some_and(|name| {
-                DIRECTIVES.contains(&name) || FOREIGN_DIRECTIVES.iter().any(|(foreign, _)| *foreign == name)
+                DIRECTIVES.contains(&name)
+                    || FOREIGN_DIRECTIVES.iter().any(|(foreign, _)| *foreign == name)
+                    || OLD_TYPES.iter().any(|(old, _)| *old == name)
             })
     }
 
@@ -190,6 +193,12 @@ impl<'a> Parser<'a> {
 
     /// Something is missing before the present token.
     fn expected(&mut self, what: &str) -> Reported {
+        let help = self.habit();
+        self.expected_with(what, help)
+    }
+
+    /// As [`Parser::expected`], with what to do.
+    fn expected_with(&mut self, what: &str, help: Option<&str>) -> Reported {
         let token = self.token();
         if token.kind == Kind::Faulty {
             return Reported;
@@ -203,7 +212,7 @@ impl<'a> Parser<'a> {
             self.span(token)
         };
         let mut fault = Diagnostic::new(Code::Syntax, message).at(span, format!("expected {what}"));
-        if let Some(help) = self.habit() {
+        if let Some(help) = help {
             fault = fault.help(help);
         }
         self.faults.push(fault);
@@ -213,14 +222,33 @@ impl<'a> Parser<'a> {
     /// What to write instead of a present token that other languages have at such a place.
     fn habit(&self) -> Option<&'static str> {
         let (token, next) = (self.token(), self.ahead(1));
-        match self.slice(token) {
-            "and" | "&" => Some("literals are separated by commas, which mean \"and\""),
-            "or" | "|" => Some("alternatives are separated by `;`"),
-            "if" => Some("head and body are separated by `:-`"),
-            "<" | ":" if next.kind == Kind::Minus => Some("head and body are separated by `:-`"),
-            "=" if self.at > 0 && self.previous().kind == Kind::Equal => Some("equality is written `=`"),
+        match (self.slice(token), next.kind) {
+            ("and" | "And" | "AND", _) => Some(CONJUNCTION),
+            ("or" | "Or" | "OR" | "|", _) => Some(DISJUNCTION),
+            ("if" | "If" | "IF", _) | ("<" | ":", Kind::Minus) | (":", Kind::Equal) | ("-", Kind::Greater) => {
+                Some(IMPLICATION)
+            }
+            ("=", Kind::Greater) => Some("the head of a clause comes first: `A(x) :- B(x).`"),
+            (">", _) if self.at > 0 && self.previous().kind == Kind::Equal => Some("\"at least\" is written `>=`"),
+            ("is", _) => Some("equality is written `=`"),
             _ => None,
         }
+    }
+
+    /// Reports one of these words, so many tokens long, where `what` is expected, and goes on behind it.
+    fn goes_on_after(&mut self, help: &str, what: &str) -> bool {
+        let token = self.token();
+        // On a line of its own a name with arguments begins a clause.
+        let is_atom = token.first_on_line && self.ahead(1).kind == Kind::LParen;
+        if self.habit() != Some(help) || is_atom {
+            return false;
+        }
+        self.expected(what);
+        self.bump();
+        if token.kind != Kind::Ident && token.kind != Kind::Pipe {
+            self.bump();
+        }
+        true
     }
 
     /// The present token cannot begin a clause or directive.
@@ -351,7 +379,7 @@ impl<'a> Parser<'a> {
         let span = self.span(dot).to(self.span(word));
         match name {
             "decl" => self.decl(doc).map(|decl| Some(Item::Decl(decl))),
-            "type" => self.type_decl(doc).map(|decl| Some(Item::Type(decl))),
+            "type" => self.type_decl(doc, None).map(|decl| Some(Item::Type(decl))),
             "input" => self.mark(MarkKind::Input).map(|mark| Some(Item::Mark(mark))),
             "output" => self.mark(MarkKind::Output).map(|mark| Some(Item::Mark(mark))),
             "printsize" => self.mark(MarkKind::PrintSize).map(|mark| Some(Item::Mark(mark))),
@@ -369,6 +397,13 @@ impl<'a> Parser<'a> {
                     path,
                     place: Place(self.span(token)),
                 })))
+            }
+            "once" => {
+                let fault = Diagnostic::new(Code::Ignored, "`.once` has no effect")
+                    .at(span, "")
+                    .note("every file is read once");
+                self.faults.push(fault.help("remove it"));
+                Ok(None)
             }
             "pragma" => {
                 let mut words = Vec::new();
@@ -391,13 +426,14 @@ impl<'a> Parser<'a> {
                 Ok(Some(Item::Scope(Scope { predicate, place })))
             }
             _ => {
+                if let Some(&(_, base)) = OLD_TYPES.iter().find(|(old, _)| *old == name) {
+                    return self.type_decl(doc, Some(base)).map(|decl| Some(Item::Type(decl)));
+                }
                 if let Some((_, what)) = FOREIGN_DIRECTIVES.iter().find(|(foreign, _)| *foreign == name) {
                     let verb = if what.contains('(') { "are" } else { "is" };
                     let help = match name {
                         "limitsize" => "remove it; a query stops by itself when it derives too many rows",
                         "plan" => "remove it; the order of literals is chosen by itself",
-                        "symbol_type" => "write `.type name <: symbol`",
-                        "number_type" => "write `.type name <: number`",
                         _ => "",
                     };
                     let reported = self.unsupported(span, &format!("{what} {verb}"), help);
@@ -631,10 +667,17 @@ impl<'a> Parser<'a> {
         self.unsupported(span, &format!("the qualifier `{word}` is"), &help);
     }
 
-    fn type_decl(&mut self, doc: String) -> Parse<TypeDecl> {
+    /// What follows `.type`, or one of its old forms that say themselves of what base the type is.
+    fn type_decl(&mut self, doc: String, old: Option<BaseType>) -> Parse<TypeDecl> {
         let name = self.name("the type's name")?;
         let start = self.at - 1;
-        let definition = match self.type_definition() {
+        let ends = self.token().first_on_line || self.kind() == Kind::End;
+        let old = old.or(ends.then_some(BaseType::Symbol));
+        let definition = match old {
+            Some(base) => Ok(self.old_type(&name, base)),
+            None => self.type_definition(),
+        };
+        let definition = match definition {
             Ok(definition) => definition,
             Err(Reported) => {
                 self.recover(start);
@@ -642,6 +685,17 @@ impl<'a> Parser<'a> {
             }
         };
         Ok(TypeDecl { name, definition, doc })
+    }
+
+    fn old_type(&mut self, name: &Name, base: BaseType) -> TypeDefinition {
+        let fault = Diagnostic::new(Code::OldForm, "an old form of `.type`")
+            .at(name.place.0, "")
+            .help(format!("write `.type {} <: {}`", name.text, base.name()));
+        self.faults.push(fault);
+        TypeDefinition::Subtype(Name {
+            text: base.name().to_owned(),
+            place: name.place,
+        })
     }
 
     fn type_definition(&mut self) -> Parse<TypeDefinition> {
@@ -687,14 +741,18 @@ impl<'a> Parser<'a> {
         }
         let mut body = Vec::new();
         match self.kind() {
-            Kind::If => {
-                self.bump();
-                body = self.disjunction()?;
-                self.full_stop("`,` or `.`", start)?;
-            }
             Kind::LessEqual => {
                 let span = self.span(self.token());
-                return Err(self.unsupported(span, "subsumption (`<=` between heads) is", ""));
+                return Err(self.unsupported(span, "subsumption (`<=` between heads) is", IMPLICATION));
+            }
+            kind if kind == Kind::If || self.goes_on_after(IMPLICATION, "`:-`") => {
+                self.eat(Kind::If);
+                body = self.disjunction()?;
+                if body.is_empty() {
+                    // `A(x) :- true.` is no fact.
+                    body.push(Literal::Any(vec![Vec::new()]));
+                }
+                self.full_stop("`,` or `.`", start)?;
             }
             _ => self.full_stop("`:-` or `.`", start)?,
         }
@@ -709,26 +767,16 @@ impl<'a> Parser<'a> {
     /// A full stop. If only that seems to be missing, the clause that began at `start` is whole and is kept.
     fn full_stop(&mut self, what: &str, start: Token) -> Parse<()> {
         let token = self.token();
-        if self.at_known_directive() {
-            self.expected(what);
+        // A line further in is more likely a literal after a forgotten comma.
+        let next_clause = token.kind == Kind::Ident && token.first_on_line && self.indent(token) <= self.indent(start);
+        if self.at_known_directive() || token.kind == Kind::End || next_clause {
+            self.expected_with(what, Some("a clause ends with a full stop"));
             return Ok(());
         }
-        match token.kind {
-            Kind::Dot => {
-                self.bump();
-                Ok(())
-            }
-            Kind::End => {
-                self.expected(what);
-                Ok(())
-            }
-            // A line further in is more likely a literal after a forgotten comma.
-            Kind::Ident if token.first_on_line && self.indent(token) <= self.indent(start) => {
-                self.expected(what);
-                Ok(())
-            }
-            _ => Err(self.expected(what)),
+        if self.eat(Kind::Dot) {
+            return Ok(());
         }
+        Err(self.expected(what))
     }
 
     fn atom(&mut self, open: &str) -> Parse<Atom> {
@@ -773,20 +821,22 @@ impl<'a> Parser<'a> {
 
     /// `A(x), B(x); C(x)`
     fn disjunction(&mut self) -> Parse<Vec<Literal>> {
-        let first = self.conjunction()?;
-        if self.kind() != Kind::Semicolon {
-            return Ok(first);
-        }
-        let mut alternatives = vec![first];
-        while self.eat(Kind::Semicolon) {
+        let mut alternatives = vec![self.conjunction()?];
+        while self.eat(Kind::Semicolon) || self.goes_on_after(DISJUNCTION, "`;`") {
             alternatives.push(self.conjunction()?);
         }
-        Ok(vec![Literal::Any(alternatives)])
+        Ok(match alternatives.pop() {
+            Some(only) if alternatives.is_empty() => only,
+            last => {
+                alternatives.extend(last);
+                vec![Literal::Any(alternatives)]
+            }
+        })
     }
 
     fn conjunction(&mut self) -> Parse<Vec<Literal>> {
         let mut all = self.literals()?;
-        while self.eat(Kind::Comma) {
+        while self.eat(Kind::Comma) || self.goes_on_after(CONJUNCTION, "`,`") {
             all.append(&mut self.literals()?);
         }
         Ok(all)
@@ -801,6 +851,10 @@ impl<'a> Parser<'a> {
             match token.kind {
                 Kind::Bang => negated = !negated,
                 Kind::Ident if matches!(self.slice(token), "Not" | "not") => negated = !negated,
+                Kind::Ident if self.is_loud_negation() => {
+                    self.expected_with("a literal", Some(NEGATION));
+                    negated = !negated;
+                }
                 _ => break,
             }
             self.deeper()?;
@@ -819,6 +873,17 @@ impl<'a> Parser<'a> {
         };
         self.nesting = outside;
         Ok(if negated { negate(all) } else { all })
+    }
+
+    /// `NOT A(x)` or `NOT(A(x))`
+    fn is_loud_negation(&self) -> bool {
+        let [next, second, third] = [1, 2, 3].map(|count| self.ahead(count).kind);
+        let atom_follows = match next {
+            Kind::Ident => second == Kind::LParen,
+            Kind::LParen => second == Kind::Ident && third == Kind::LParen,
+            _ => false,
+        };
+        self.slice(self.token()) == "NOT" && atom_follows
     }
 
     /// The token after the `)` that closes the parenthesis so many tokens ahead, if the clause goes on until there.
@@ -929,6 +994,7 @@ impl<'a> Parser<'a> {
         let Some(op) = comparison(op_token.kind) else {
             if let TermKind::Variable(_) = &left.kind {
                 let help = match op_token.kind {
+                    _ if self.habit().is_some() => self.habit().unwrap_or_default().to_owned(),
                     Kind::Ident | Kind::Underscore => {
                         format!(
                             "arguments stand in parentheses: `{}({})`",

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Display, Write};
 
-use super::ast::{Atom, Clause, File, Item, Literal, MarkKind, Term, TermKind, TypeDefinition};
+use super::ast::{Atom, Clause, File, Item, Literal, Term, TermKind, TypeDefinition};
 use super::functor::Functor;
 use super::rules::Comparison;
 
@@ -49,11 +49,7 @@ impl Display for Item {
                 writeln!(f)
             }
             Item::Mark(mark) => {
-                f.write_str(match mark.kind {
-                    MarkKind::Input => ".input ",
-                    MarkKind::Output => ".output ",
-                    MarkKind::PrintSize => ".printsize ",
-                })?;
+                write!(f, ".{} ", mark.kind.name())?;
                 separated(f, &mark.names, |f, name| f.write_str(&name.text))?;
                 if !mark.options.is_empty() {
                     f.write_char('(')?;

@@ -154,6 +154,17 @@ pub enum MarkKind {
     PrintSize,
 }
 
+impl MarkKind {
+    /// Its name in the language, without the full stop.
+    pub fn name(self) -> &'static str {
+        match self {
+            MarkKind::Input => "input",
+            MarkKind::Output => "output",
+            MarkKind::PrintSize => "printsize",
+        }
+    }
+}
+
 /// Where rows come from or go to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RowPlace {

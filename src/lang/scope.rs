@@ -10,12 +10,11 @@
 
 use indexmap::IndexMap;
 
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Code, Diagnostic, Faults, Span};
 
 use super::ast;
 use super::body::VariableType;
 use super::clause::{Clauses, Edge, EdgeKind};
-use super::faults::Faults;
 use super::names::{Names, Signature};
 use super::rules::{Atom, Clause, Column, Literal, RelId, Relation, Term, TypeId, VarId};
 
