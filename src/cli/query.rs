@@ -1,10 +1,10 @@
 //! `logicity query`
 
-use super::{Failure, load_program, make_folder, report};
+use super::{Failure, load_program_with, make_folder, report};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::{Options, Program, RuleWork, Session, StratumWork, facts, promise};
 use crate::files::{self, Output, ReadError};
-use crate::lang::{MarkKind, RelId, RowPlace};
+use crate::lang::{Inputs, MarkKind, RelId, RowPlace};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -28,7 +28,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let (program, warnings) = load_program(sources, &arguments.rules)?;
+    let (program, warnings) = load_program_with(sources, &arguments.rules, Inputs::Extended)?;
     report(&warnings, sources);
     // The facts are checked below, before anybody sees an answer.
     let options = Options {
@@ -62,16 +62,20 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             match directive.kind {
                 MarkKind::Input => {}
                 MarkKind::Output => {
-                    let text = facts::print_as(&session, id, &directive.format);
+                    let to_terminal = arguments.output == Path::new("-");
+                    let mut format = directive.format.clone();
+                    // As Souffle has it.
+                    format.headers |= to_terminal;
+                    let text = facts::print_as(&session, id, &format);
                     let path = match &directive.place {
-                        _ if arguments.output == Path::new("-") => None,
+                        _ if to_terminal => None,
                         RowPlace::Terminal => None,
                         RowPlace::Usual => Some(arguments.output.join(format!("{}.csv", relation.name))),
                         RowPlace::File(name) => Some(arguments.output.join(name)),
                     };
                     match path {
                         Some(path) => write_relation(&path, &text)?,
-                        None => print_relation(&mut out, &relation.name, &text, directive.format.headers)?,
+                        None => print_relation(&mut out, &relation.name, &text, format.headers)?,
                     }
                 }
                 MarkKind::PrintSize => writeln!(out, "{}\t{}", relation.name, session.len(id))?,

@@ -39,7 +39,7 @@ mod table;
 
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::files::ReadError;
-use crate::lang::{self, BaseType, ClauseId, RelId, Rules, Value};
+use crate::lang::{self, BaseType, ClauseId, Inputs, RelId, Rules, Value};
 use crate::symbol::Symbols;
 use exec::Store;
 use plan::Plans;
@@ -84,7 +84,17 @@ impl Program {
         entry: SourceId,
         read: &dyn Fn(&Path) -> Result<String, ReadError>,
     ) -> (Option<Program>, Vec<Diagnostic>) {
-        let mut loaded = lang::load(sources, entry, read);
+        Program::load_with(sources, entry, read, Inputs::Given)
+    }
+
+    /// As [`Program::load`], with a choice of what an `.input` is.
+    pub fn load_with(
+        sources: &mut Sources,
+        entry: SourceId,
+        read: &dyn Fn(&Path) -> Result<String, ReadError>,
+        inputs: Inputs,
+    ) -> (Option<Program>, Vec<Diagnostic>) {
+        let mut loaded = lang::load_with(sources, entry, read, inputs);
         let program = loaded
             .rules
             .and_then(|rules| Program::new(rules).map_err(|fault| loaded.diagnostics.push(fault)).ok());
