@@ -595,7 +595,7 @@ fn query_follows_souffle() {
         "-2\ta b\n9\tb\n10\tb\n"
     );
     let output = logicity(["query", &rules, "-F", here, "-D", "-"]);
-    let expected = "---------------\npath\n===============\n-2\ta b\n9\tb\n10\tb\n===============\npath\t3\n";
+    let expected = "---------------\npath\nx\ty\n===============\n-2\ta b\n9\tb\n10\tb\n===============\npath\t3\n";
     assert_eq!(out(&output), expected);
 
     write(folder.path(), "edge.facts", "10\tb\nten\tb\n1\n");
@@ -1028,5 +1028,39 @@ fn cities_that_cannot_be_are_told() {
         &logicity(["run", &config(&crowd)]),
         1,
         &["limit-exceeded", "mine.yaml:3"],
+    );
+}
+
+/// Columns are chosen by `columns`, and other values of the row are not looked at.
+#[test]
+fn query_reads_the_columns_it_is_told_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "main.dl",
+        ".decl a(x: number, y: symbol)\n.input a(columns=\"2:0\", delimiter=\",\")\n.output a\n",
+    );
+    let here = folder.path().to_str().unwrap();
+    write(folder.path(), "a.facts", "p,?,1\nq,,2,more\n");
+    let output = logicity(["query", &rules, "-F", here, "-D", "-"]);
+    let expected = "---------------\na\nx\ty\n===============\n1\tp\n2\tq\n===============\n";
+    assert_eq!(
+        (code(&output), out(&output).as_str()),
+        (0, expected),
+        "{}",
+        err(&output)
+    );
+
+    write(folder.path(), "a.facts", "p,?,1\nq,2\nr,,s\n");
+    let output = logicity(["query", &rules, "-F", here, "-D", "-"]);
+    fails(
+        &output,
+        1,
+        &[
+            "invalid-fact",
+            "a.facts:2:1",
+            "a row of 2 values where value 2 is read",
+            "a.facts:3:4",
+        ],
     );
 }

@@ -2,7 +2,7 @@
 
 use logicity::diag::{Diagnostic, Severity, Sources, render};
 use logicity::engine::{Options, Program, Strategy, facts, naive, promise};
-use logicity::lang::{self, BaseType, RelId, Rules, Value};
+use logicity::lang::{self, BaseType, Inputs, RelId, Rules, Value};
 use logicity::symbol::{Symbol, Symbols};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -258,7 +258,7 @@ fn check(path: &Path) -> Result<(), String> {
     let script = read_script(&text);
     let mut sources = Sources::new();
     let entry = sources.add(path.display().to_string(), text);
-    let loaded = lang::load(&mut sources, entry, &logicity::files::read_or_builtin);
+    let loaded = lang::load_with(&mut sources, entry, &logicity::files::read_or_builtin, Inputs::Extended);
     let found: BTreeSet<(usize, String)> = loaded.diagnostics.iter().map(|fault| place(fault, &sources)).collect();
     if found != script.diagnostics {
         let drawn = render(&loaded.diagnostics, &sources, false);

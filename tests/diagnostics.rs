@@ -224,3 +224,26 @@ fn the_scenes_of_the_reference_do_what_it_says() {
     }
     assert!(count >= 4);
 }
+
+/// `query` takes given rows and derived ones; everybody else refuses the rule.
+#[test]
+fn an_input_that_is_derived_is_told_by_query_and_refused_by_check() {
+    let folder = fixtures().join("extended-input");
+    let folder = folder.to_str().unwrap();
+    let rules = format!("{folder}/main.dl");
+    let output = logicity(&["query", &rules, "-F", folder, "-D", "-"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(said.contains("warning[extended-input]"), "{said}");
+    assert!(said.contains("main.dl:4:1"), "{said}");
+    let answer = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(
+        answer,
+        "---------------\nEdge\nx\ty\n===============\na\tb\nb\ta\n===============\n"
+    );
+
+    let output = logicity(&["check", &rules]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("error[derived-input]"), "{said}");
+}

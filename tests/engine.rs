@@ -8,8 +8,9 @@ use logicity::engine::{
     EvalError, Limits, Options, Program, RowError, RuleWork, Session, Strategy, StratumWork, Threads, Work, facts,
     naive,
 };
-use logicity::lang::{ClauseId, Literal, RelId, Rules, Value};
+use logicity::lang::{self, ClauseId, Inputs, Literal, RelId, Rules, Value};
 use proptest::prelude::*;
+use proptest::strategy::Strategy as _;
 use random_program::{Genome, computing_genomes, genomes, recursive_genomes, sharing_genomes};
 use std::collections::BTreeSet;
 use written_program::program;
@@ -1208,4 +1209,108 @@ fn faulty_facts_are_located_and_nothing_is_inserted() {
     let many = load(&mut session, "R", &"x\n".repeat(100_000)).unwrap_err();
     assert_eq!(many.len(), MAX_FAULTS + 1);
     assert_eq!(many[MAX_FAULTS], "100 errors; further ones are not shown");
+}
+
+/// What `range` gives, by counting.
+fn counted(from: i64, to: i64, step: i64) -> BTreeSet<i64> {
+    let before = |x: i64| if step > 0 { x < to } else { x > to };
+    let all = std::iter::successors(Some(from), |x| Some(x + step)).take_while(|&x| before(x));
+    match step {
+        0 => (from != to).then_some(from).into_iter().collect(),
+        _ => all.collect(),
+    }
+}
+
+/// Beginning, end and step of ranges of some hundred values, anywhere among all numbers.
+fn ranges(least: i64, greatest: i64) -> impl proptest::strategy::Strategy<Value = (i64, i64, i64)> {
+    let near = prop_oneof![-3_i64..=3, least.max(-greatest)..=greatest];
+    let edge = prop_oneof![Just(least), Just(greatest), least..=greatest, -20_i64..=20];
+    (edge, near, 0_i64..200, -2_i64..=2).prop_map(move |(from, step, count, beside)| {
+        let within = |x: i64| x.clamp(least, greatest);
+        (within(from), within(within(from) + step * count + beside), step)
+    })
+}
+
+proptest! {
+    #[test]
+    fn a_range_is_what_counting_gives(signed in ranges(i64::from(i32::MIN), i64::from(i32::MAX)), unsigned in ranges(0, i64::from(u32::MAX))) {
+        let program = program(
+            ".decl S(f: number, t: number, s: number)
+            .decl U(f: unsigned, t: unsigned, s: unsigned)
+            .input S, U
+            .decl A, B(x: number)
+            .decl C, D(x: unsigned)
+            A(x) :- S(f, t, s), x = range(f, t, s).
+            B(x) :- S(f, t, s), s != 0, f < t, t - f <= 300, t - f >= 0, x = range(f, t).
+            B(x) :- S(f, t, s), s != 0, f > t, f - t <= 300, f - t >= 0, x = range(f, t).
+            C(x) :- U(f, t, s), x = range(f, t, s).
+            D(x) :- U(f, t, s), s != 0, (t <= f; t - f <= 300), x = range(f, t).",
+        );
+        let mut session = program.session();
+        let find = |name: &str| program.relation(name).unwrap();
+        let narrow = |x: i64| Value(u32::try_from(x & i64::from(u32::MAX)).unwrap());
+        let row = |(from, to, step): (i64, i64, i64)| [narrow(from), narrow(to), narrow(step)];
+        // A step below zero is a large one of an unsigned number.
+        let unsigned = (unsigned.0, unsigned.1, unsigned.2.rem_euclid(1 << 32));
+        session.insert(find("S"), &row(signed)).unwrap();
+        session.insert(find("U"), &row(unsigned)).unwrap();
+        session.commit().unwrap();
+        let numbers = |name| session.rows(find(name)).map(|row| i64::from(row[0].as_number())).collect::<BTreeSet<i64>>();
+        let words = |name| session.rows(find(name)).map(|row| i64::from(row[0].0)).collect::<BTreeSet<i64>>();
+        let (from, to, step) = signed;
+        prop_assert_eq!(numbers("A"), counted(from, to, step));
+        if step != 0 && (from - to).abs() <= 300 {
+            prop_assert_eq!(numbers("B"), counted(from, to, if from <= to { 1 } else { -1 }));
+        }
+        let (from, to, step) = unsigned;
+        prop_assert_eq!(words("C"), counted(from, to, step));
+        if step != 0 && (to <= from || to - from <= 300) {
+            prop_assert_eq!(words("D"), counted(from, to, 1));
+        }
+    }
+
+    /// An input that rules extend, in every strategy.
+    #[test]
+    fn an_extended_input_is_what_naive_derives(script in proptest::collection::vec((any::<bool>(), 0_i32..5, 0_i32..5), 1..12)) {
+        let mut sources = Sources::new();
+        let entry = sources.add(
+            "edges.dl",
+            ".decl Edge(x: number, y: number)
+            .input Edge
+            Edge(x, z) :- Edge(x, y), Edge(y, z).
+            Edge(9, 1).
+            .decl Loose(x: number)
+            .input Loose
+            Loose(x) :- Edge(x, _), !Edge(x, x)."
+                .to_owned(),
+        );
+        let read = |_: &std::path::Path| unreachable!("nothing is included");
+        let loaded = lang::load_with(&mut sources, entry, &read, Inputs::Extended);
+        prop_assert!(loaded.diagnostics.iter().all(|fault| fault.code == Code::ExtendedInput));
+        let rules = loaded.rules.unwrap();
+        let program = Program::new(rules.clone()).unwrap();
+        let edge = program.relation("Edge").unwrap();
+        for strategy in [Strategy::Auto, Strategy::Maintain, Strategy::Recompute] {
+            let mut session = program.session();
+            session.set_strategy(strategy);
+            let mut facts = BTreeSet::new();
+            for &(present, x, y) in &script {
+                let row = vec![Value::number(x), Value::number(y)];
+                if present {
+                    session.insert(edge, &row).unwrap();
+                    facts.insert((edge, row));
+                } else {
+                    session.retract(edge, &row).unwrap();
+                    facts.remove(&(edge, row));
+                }
+                session.commit().unwrap();
+                let expected = naive::evaluate(&rules, session.symbols(), facts.iter().cloned());
+                for name in ["Edge", "Loose"] {
+                    let rel = program.relation(name).unwrap();
+                    let rows: BTreeSet<Vec<Value>> = session.rows(rel).map(<[Value]>::to_vec).collect();
+                    prop_assert_eq!(&rows, &expected[rel.index()], "{} by {:?}", name, strategy);
+                }
+            }
+        }
+    }
 }

@@ -632,6 +632,33 @@ Not(go(1)): no clause of go holds
     );
 }
 
+#[test]
+fn a_range_is_told_as_it_is_written() {
+    let text = "
+.decl upto(n: number)
+.decl a(x: number)
+.input upto
+a(x) :- upto(n), x = range(0, n).
+";
+    let facts: &[(&str, &[&[i32]])] = &[("upto", &[&[3]])];
+    assert_eq!(
+        told(text, facts, "a", &[2]),
+        "\
+a(2)  by a(x) :- upto(n), x = range(0, n).  [rules.dl:5]
+├─ upto(3)
+└─ 2 = range(0, 3, 1)
+"
+    );
+    assert_eq!(
+        told(text, facts, "a", &[3]),
+        "\
+Not(a(3)): no clause of a holds
+└─ a(x) :- upto(n), x = range(0, n).  [rules.dl:5]
+   └─ nearest n = 3: 3 = range(0, 3, _) does not hold
+"
+    );
+}
+
 /// The simulation of a configuration.
 fn city(config: &str) -> Simulation {
     let mut sources = Sources::new();

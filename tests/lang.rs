@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
 use logicity::files::{BUILTIN_FOLDER, ReadError, read_text};
 use logicity::lang::{
-    AggregateOp, Atom, Clause, Comparison, Functor, Literal, Loaded, Rules, Term, ast, load, parse, print,
+    AggregateOp, Atom, Clause, Comparison, Functor, Inputs, Literal, Loaded, Rules, Term, ast, load, load_with, parse,
+    print,
 };
 use proptest::prelude::*;
 
@@ -169,7 +170,7 @@ fn stopping_comes_before_slowing_before_speeding() {
 
 // --- expectations beside the input
 
-/// Loads the first of some texts, the others being the files beside it.
+/// Loads the first of some texts, the others being the files beside it. One that expects `extended-input` is loaded as for a query.
 fn load_files(files: &[(String, String)]) -> (Sources, Loaded) {
     let read_one = |path: &Path| {
         let clean: PathBuf = path
@@ -185,7 +186,11 @@ fn load_files(files: &[(String, String)]) -> (Sources, Loaded) {
     };
     let mut sources = Sources::new();
     let entry = sources.add(files[0].0.as_str(), files[0].1.as_str());
-    let loaded = load(&mut sources, entry, &read_one);
+    let inputs = match files.iter().any(|(_, text)| text.contains("warning[extended-input]")) {
+        true => Inputs::Extended,
+        false => Inputs::Given,
+    };
+    let loaded = load_with(&mut sources, entry, &read_one, inputs);
     (sources, loaded)
 }
 
@@ -713,6 +718,9 @@ fn item() -> impl Strategy<Value = ast::Item> {
         }),
         1 => proptest::collection::vec(any::<String>(), 1..3).prop_map(|words| {
             ast::Item::Pragma(ast::Pragma { words, place: place() })
+        }),
+        1 => proptest::collection::vec((0..9_i64, proptest::collection::vec(0..9_i64, 0..3)), 1..3).prop_map(|orders| {
+            ast::Item::Plan(ast::Plan { orders, place: place() })
         }),
         1 => (0..4_usize, name(), name()).prop_map(|(kind, one, other)| {
             use ast::PromiseKind::{Disjoint, Implies, Irreflexive, Symmetric};

@@ -17,6 +17,7 @@ use crate::config::{Located, MapConfig, Scenario, load_map, load_scenario};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, render};
 use crate::engine::Program;
 use crate::files::{self, ReadError};
+use crate::lang::Inputs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, Parser, Subcommand};
 use std::io::{self, IsTerminal, Write};
@@ -198,9 +199,17 @@ fn read(path: &Path) -> Result<String, Failure> {
 
 /// Reads, checks and plans a rule file. Warnings are returned beside the program.
 fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diagnostic>), Failure> {
+    load_program_with(sources, path, Inputs::Given)
+}
+
+fn load_program_with(
+    sources: &mut Sources,
+    path: &Path,
+    inputs: Inputs,
+) -> Result<(Program, Vec<Diagnostic>), Failure> {
     let text = read(path)?;
     let entry = sources.add(path.display().to_string(), text);
-    let (program, diagnostics) = Program::load(sources, entry, &files::read_or_builtin);
+    let (program, diagnostics) = Program::load_with(sources, entry, &files::read_or_builtin, inputs);
     match program {
         Some(program) => Ok((program, diagnostics)),
         None => Err(diagnostics.into()),

@@ -1,10 +1,10 @@
 //! `logicity query`
 
-use super::{Failure, load_program, make_folder, report};
+use super::{Failure, load_program_with, make_folder, report};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::{EvalError, Limits, Moment, Options, Program, RuleWork, Session, StratumWork, Threads, facts, promise};
 use crate::files::{self, Output, ReadError};
-use crate::lang::{ClauseId, MarkKind, RelId, RowPlace, Rules};
+use crate::lang::{ClauseId, Inputs, MarkKind, RelId, RowPlace, Rules};
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -60,7 +60,7 @@ impl Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let (program, warnings) = load_program(sources, &arguments.rules)?;
+    let (program, warnings) = load_program_with(sources, &arguments.rules, Inputs::Extended)?;
     report(&warnings, sources);
     // The facts are checked below, before anybody sees an answer.
     let options = Options {
@@ -109,10 +109,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             match directive.kind {
                 MarkKind::Input => {}
                 MarkKind::Output => {
-                    let header = facts::header(relation, &directive.format);
-                    let rows = |out: &mut dyn Write| facts::write_rows(&session, id, &directive.format, out);
+                    let to_terminal = arguments.output == Path::new("-");
+                    let mut format = directive.format.clone();
+                    // As Souffle has it.
+                    format.headers |= to_terminal;
+                    let header = facts::header(relation, &format);
+                    let rows = |out: &mut dyn Write| facts::write_rows(&session, id, &format, out);
                     let path = match &directive.place {
-                        _ if arguments.output == Path::new("-") => None,
+                        _ if to_terminal => None,
                         RowPlace::Terminal => None,
                         RowPlace::Usual => Some(arguments.output.join(format!("{}.csv", relation.name))),
                         RowPlace::File(name) => Some(arguments.output.join(name)),

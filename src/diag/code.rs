@@ -62,6 +62,8 @@ codes! {
     MissingInclude = "missing-include", Error;
     /// A predicate that is input and also head of a rule.
     DerivedInput = "derived-input", Error;
+    /// The same where both are meant to hold: the given rows and the derived ones.
+    ExtendedInput = "extended-input", Warning;
     /// A `.scope` that cannot guard the rules it is given.
     InvalidScope = "invalid-scope", Error;
     /// A promise that its predicates cannot keep: they are derived, or their columns do not fit it.

@@ -60,11 +60,18 @@ pub fn load_as(
                 faults.push(Diagnostic::new(Code::InvalidFact, message).at(span(0, content.len()), "expected `()`"));
             }
         } else {
-            let parts = split(content, format);
+            let mut parts = split(content, format);
             let found = parts.len();
-            if found != relation.arity() {
+            let last = format.columns.iter().max();
+            let complete = last.map_or(found == relation.arity(), |&last| last < found);
+            if complete && last.is_some() {
+                parts = format.columns.iter().map(|&column| parts[column].clone()).collect();
+            }
+            if !complete {
                 let message = if content.is_empty() {
                     format!("an empty line where a row of `{}` was expected", relation.name)
+                } else if let Some(last) = last {
+                    format!("a row of {found} values where value {last} is read, counted from 0")
                 } else {
                     let (name, arity) = (&relation.name, relation.arity());
                     format!("a row of `{name}` has {arity} values, not {found}")

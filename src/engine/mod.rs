@@ -42,7 +42,7 @@ mod workers;
 
 use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::ReadError;
-use crate::lang::{self, BaseType, Clause, ClauseId, RelId, Relation, Rules, Value};
+use crate::lang::{self, BaseType, Clause, ClauseId, Inputs, RelId, Relation, Rules, Value};
 use crate::symbol::Symbols;
 use exec::{Orders, Store};
 use plan::{Plans, StratumPlan};
@@ -112,7 +112,17 @@ impl Program {
         entry: SourceId,
         read: &dyn Fn(&Path) -> Result<String, ReadError>,
     ) -> (Option<Program>, Vec<Diagnostic>) {
-        let mut loaded = lang::load(sources, entry, read);
+        Program::load_with(sources, entry, read, Inputs::Given)
+    }
+
+    /// As [`Program::load`], with a choice of what an `.input` is.
+    pub fn load_with(
+        sources: &mut Sources,
+        entry: SourceId,
+        read: &dyn Fn(&Path) -> Result<String, ReadError>,
+        inputs: Inputs,
+    ) -> (Option<Program>, Vec<Diagnostic>) {
+        let mut loaded = lang::load_with(sources, entry, read, inputs);
         let program = loaded
             .rules
             .and_then(|rules| Program::new(rules).map_err(|fault| loaded.diagnostics.push(fault)).ok());

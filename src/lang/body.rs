@@ -13,6 +13,7 @@ use std::collections::{HashMap, HashSet};
 use crate::diag::{Code, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
+use super::Inputs;
 use super::aggregate::Finish;
 use super::ast::{self, TermKind};
 use super::clause::{Clauses, Edge, EdgeKind, names_in, names_of};
@@ -764,10 +765,20 @@ impl<'c> Check<'_, 'c> {
         }
         if let Some(input) = self.names.signatures[relation.index()].input {
             let name = &head.predicate.text;
-            let fault = Diagnostic::new(Code::DerivedInput, format!("`{name}` is input and also derived"))
+            let (code, help) = match self.names.inputs {
+                Inputs::Given => (
+                    Code::DerivedInput,
+                    "derive another predicate, with one clause that takes over what is given",
+                ),
+                Inputs::Extended => (
+                    Code::ExtendedInput,
+                    "to tell them apart, derive another predicate, with one clause that takes over what is given",
+                ),
+            };
+            let fault = Diagnostic::new(code, format!("`{name}` is input and also derived"))
                 .at(head.place.0, "derived here")
                 .also(input, "input here")
-                .help("derive another predicate, with one clause that takes over what is given");
+                .help(help);
             self.faults.push(fault);
         }
     }

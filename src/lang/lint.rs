@@ -7,7 +7,7 @@ use crate::diag::{Code, Diagnostic, Faults, Span};
 use super::clause::{Checked, Clauses};
 use super::functor::Functor;
 use super::names::Names;
-use super::rules::{Atom, BaseType, Clause, Comparison, Literal, RelId, Term, Value};
+use super::rules::{Atom, BaseType, Clause, Comparison, Literal, RelId, Relation, Term, Value};
 use super::strata;
 
 // --- clauses that never fire
@@ -101,7 +101,9 @@ fn filled(all: &Clauses, names: &Names) -> Vec<bool> {
             users[atom.relation.index()].push(index);
         }
     }
-    let mut filled: Vec<bool> = names.relations.iter().map(|relation| relation.input).collect();
+    // A hidden predicate with positive atoms, see `range`, is filled by what the clause asks of it.
+    let given = |relation: &Relation| relation.input || relation.hidden;
+    let mut filled: Vec<bool> = names.relations.iter().map(given).collect();
     for (index, Checked { clause, .. }) in all.clauses.iter().enumerate() {
         filled[clause.head.relation.index()] |= waiting[index] == 0;
     }

@@ -6,8 +6,8 @@
 //!
 //! The stages, each in its own file: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
 //! list of items), `inline` (predicates that stand for their bodies), `names` (types and predicates), `clause` (alternatives and
-//! several heads), `witness` (who has the least), `body` (one clause: names, expressions, types, safety), `aggregate` (hidden
-//! predicates for aggregates), `scope` (guards), `promise` (what is promised of facts), `strata` (order of evaluation), `lint`
+//! several heads), `witness` (who has the least), `body` (one clause: names, expressions, types, safety), `aggregate` and `range` (hidden
+//! predicates for these), `scope` (guards), `promise` (what is promised of facts), `strata` (order of evaluation), `lint`
 //! (warnings that need all clauses). None stops at the first fault.
 //!
 //! This room refuses to know what a city is, how rules are evaluated, and where texts come from: the caller reads the files.
@@ -31,6 +31,7 @@ mod names;
 mod parser;
 mod print;
 mod promise;
+mod range;
 mod rules;
 mod scope;
 mod strata;
@@ -59,9 +60,29 @@ pub struct Loaded {
 /// not found, for the path [`BUILTIN_FOLDER`](crate::files::BUILTIN_FOLDER)`/x`, at which the caller may serve rule files of its own. Included texts are added to
 /// `sources`.
 pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn Fn(&Path) -> Result<String, ReadError>) -> Loaded {
+    load_with(sources, entry, read, Inputs::Given)
+}
+
+/// What holds of a predicate that is `.input`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Inputs {
+    /// The rows that are given, and the facts of the text: a rule for it is an error.
+    #[default]
+    Given,
+    /// Besides, what rules derive, as in Souffle: a rule for it is told by a warning.
+    Extended,
+}
+
+/// As [`load`], with a choice of what an `.input` is.
+pub fn load_with(
+    sources: &mut Sources,
+    entry: SourceId,
+    read: &dyn Fn(&Path) -> Result<String, ReadError>,
+    inputs: Inputs,
+) -> Loaded {
     let mut faults = Faults::default();
     let gathered = include::gather(sources, entry, read, &mut faults);
-    let rules = check(&gathered, &mut faults);
+    let rules = check(&gathered, inputs, &mut faults);
     let rules = if faults.failed() { None } else { rules };
     Loaded {
         rules,
@@ -69,11 +90,11 @@ pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn Fn(&Path) -> Resu
     }
 }
 
-fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
+fn check(gathered: &include::Gathered, inputs: Inputs, faults: &mut Faults) -> Option<Rules> {
     let replaced = inline::replace(&gathered.items, faults);
     let syntax_is_good = !faults.failed();
     let items = replaced.as_ref().unwrap_or(&gathered.items);
-    let mut names = names::declare(items, gathered.complete, faults);
+    let mut names = names::declare(items, gathered.complete, inputs, faults);
     let checked = clause::check(items, &mut names, faults);
     let promises = promise::check(items, &mut names, faults);
     names.report_unknown(faults);

@@ -4,6 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use crate::diag::{Code, Diagnostic, Faults, Span, did_you_mean};
 
+use super::Inputs;
 use super::ast::{Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
 use super::rules::{BaseType, Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
 
@@ -49,6 +50,8 @@ pub(super) struct Names {
     unknown: Unknown,
     /// Whether every declaration was read; if not, unknown names are not reported.
     complete: bool,
+    /// What an `.input` may be.
+    pub inputs: Inputs,
 }
 
 /// Unknown names and where they are used, in the order of first use.
@@ -58,7 +61,7 @@ struct Unknown {
     types: indexmap::IndexMap<String, Vec<Span>>,
 }
 
-pub(super) fn declare(items: &[Item], complete: bool, faults: &mut Faults) -> Names {
+pub(super) fn declare(items: &[Item], complete: bool, inputs: Inputs, faults: &mut Faults) -> Names {
     let mut names = Names {
         types: Vec::new(),
         relations: Vec::new(),
@@ -71,6 +74,7 @@ pub(super) fn declare(items: &[Item], complete: bool, faults: &mut Faults) -> Na
         printsizes: HashMap::new(),
         unknown: Unknown::default(),
         complete,
+        inputs,
     };
     names.declare_types(items, faults);
     for item in items {
@@ -85,6 +89,11 @@ pub(super) fn declare(items: &[Item], complete: bool, faults: &mut Faults) -> Na
                 Diagnostic::new(Code::Ignored, "`.pragma` has no effect")
                     .at(pragma.place.0, "")
                     .help("remove it"),
+            ),
+            Item::Plan(plan) => faults.push(
+                Diagnostic::new(Code::Ignored, "`.plan` has no effect")
+                    .at(plan.place.0, "")
+                    .help("remove it; the order of literals is chosen by itself"),
             ),
             _ => {}
         }
@@ -133,6 +142,34 @@ impl Names {
             .rev()
             .take_while(|relation| relation.hidden)
             .count()
+    }
+
+    /// A hidden predicate with these columns, which clauses are to derive.
+    pub fn hide(&mut self, columns: Vec<(String, TypeId)>, doc: String, span: Span) -> RelId {
+        let relation = RelId(u32::try_from(self.relations.len()).expect("fewer than 2^32 predicates"));
+        self.signatures.push(Signature {
+            columns: Some(columns.iter().map(|(_, ty)| Some(*ty)).collect()),
+            input: None,
+        });
+        let column = |(name, ty)| Column {
+            name,
+            ty,
+            base: self.base(ty),
+        };
+        self.relations.push(Relation {
+            name: format!("+{}", self.hidden() + 1),
+            columns: columns.into_iter().map(column).collect(),
+            doc,
+            span,
+            input: false,
+            given: None,
+            output: false,
+            printsize: false,
+            derived: true,
+            hidden: true,
+            directives: Vec::new(),
+        });
+        relation
     }
 
     pub fn type_name(&self, id: TypeId) -> &str {
@@ -571,6 +608,15 @@ impl Names {
                     }
                 }
             }
+            let (columns, chosen) = (relation.arity(), directive.format.columns.len());
+            if let Some(option) = mark.options.iter().find(|option| option.key.text == "columns")
+                && chosen != columns
+                && chosen > 0
+            {
+                let message = format!("`columns` names {chosen} columns, `{}` has {columns}", relation.name);
+                let fault = Diagnostic::new(Code::ArityMismatch, message).at(option.place.0, "");
+                faults.push(fault.also(relation.span, "declared here"));
+            }
             relation.directives.push(directive.clone());
         }
     }
@@ -696,7 +742,15 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
             "delimiter" => delimiter = Some(option.value.clone()),
             "headers" => format.headers = flag,
             "rfc4180" => format.quoted = flag,
-            key @ ("columns" | "compress" | "dbname") => {
+            "columns" if mark.kind == MarkKind::Input => match column_numbers(&option.value) {
+                Some(numbers) => format.columns = numbers,
+                None => {
+                    let fault = Diagnostic::new(Code::Syntax, "not a list of columns").at(option.place.0, "");
+                    faults.push(fault.help("it is written as numbers, from 0 on, each once: `columns=\"0:2:1\"`"));
+                }
+            },
+            "compress" if option.value == "false" => {}
+            key @ ("compress" | "dbname") => {
                 let fault = Diagnostic::new(Code::Unsupported, format!("the option `{key}` is not supported"));
                 faults.push(fault.at(option.key.place.0, ""));
             }
@@ -716,6 +770,16 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
         place,
         format,
     }
+}
+
+/// `0:2:1`
+fn column_numbers(text: &str) -> Option<Vec<usize>> {
+    let numbers: Vec<usize> = text
+        .split(':')
+        .map(|number| number.trim().parse::<u16>().ok().map(usize::from))
+        .collect::<Option<_>>()?;
+    let different: HashSet<&usize> = numbers.iter().collect();
+    (different.len() == numbers.len()).then_some(numbers)
 }
 
 fn with_uses(mut fault: Diagnostic, uses: &[Span]) -> Diagnostic {

@@ -9,7 +9,7 @@ use crate::diag::{Code, Diagnostic, Faults, SourceId, Span, did_you_mean};
 
 use super::ast::{
     Aggregate, Atom, Clause, ColumnDecl, Decl, DirectiveOption, File, Include, Item, Literal, Mark, MarkKind, Name,
-    Place, Pragma, Promise, PromiseKind, Scope, Term, TermKind, TypeDecl, TypeDefinition,
+    Place, Plan, Pragma, Promise, PromiseKind, Scope, Term, TermKind, TypeDecl, TypeDefinition,
 };
 use super::functor::{AggregateOp, Functor};
 use super::lexer::{self, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, NEGATION, Token};
@@ -25,10 +25,13 @@ const MAX_HEIGHT: usize = 256;
 const DIRECTIVES: &[&str] = &[
     "decl",
     "type",
+    "symbol_type",
+    "number_type",
     "input",
     "output",
     "printsize",
     "pragma",
+    "plan",
     "include",
     "once",
     "scope",
@@ -45,14 +48,13 @@ const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
     ("override", "components (`.override`)"),
     ("functor", "user-defined functors (`.functor`)"),
     ("lattice", "lattices (`.lattice`)"),
-    ("plan", "`.plan`"),
     ("limitsize", "`.limitsize`"),
 ];
 
 /// How older versions of Souffle declare a type, and what it is a subtype of.
 const OLD_TYPES: &[(&str, BaseType)] = &[("symbol_type", BaseType::Symbol), ("number_type", BaseType::Number)];
 
-/// What Souffle allows after the columns of a declaration and what does not change the answer.
+/// What Souffle allows after the columns of a declaration and this language reads.
 const QUALIFIERS: &[&str] = &[
     "inline",
     "no_inline",
@@ -61,7 +63,20 @@ const QUALIFIERS: &[&str] = &[
     "brie",
     "btree",
     "overridable",
+    "input",
+    "output",
+    "printsize",
 ];
+
+/// `.decl A(x: number) output` is Souffle's old way to write `.output A`.
+fn mark_of(qualifier: &str) -> Option<MarkKind> {
+    match qualifier {
+        "input" => Some(MarkKind::Input),
+        "output" => Some(MarkKind::Output),
+        "printsize" => Some(MarkKind::PrintSize),
+        _ => None,
+    }
+}
 
 /// The tree of one text.
 pub(super) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
@@ -80,6 +95,7 @@ pub(super) fn parse_tokens(source: SourceId, text: &str, lexed: &Lexed, faults: 
         at: 0,
         starts: Vec::new(),
         nesting: 0,
+        marks: Vec::new(),
         faults,
     };
     let file = parser.file();
@@ -102,6 +118,8 @@ struct Parser<'a> {
     starts: Vec<usize>,
     /// Parentheses, braces and negations around what is being read.
     nesting: usize,
+    /// What the qualifiers of the declaration just read mark its predicates as.
+    marks: Vec<Item>,
     faults: &'a mut Faults,
 }
 
@@ -281,7 +299,10 @@ impl<'a> Parser<'a> {
             self.starts.push(start);
             self.nesting = 0;
             match self.item() {
-                Ok(item) => file.items.extend(item),
+                Ok(item) => {
+                    file.items.extend(item);
+                    file.items.append(&mut self.marks);
+                }
                 Err(Reported) => self.recover(start),
             }
             debug_assert!(self.at > start || self.kind() == Kind::End, "every item reads a token");
@@ -352,6 +373,15 @@ impl<'a> Parser<'a> {
             },
             Kind::Ident => self.clause(doc).map(|clause| Some(Item::Clause(clause))),
             Kind::Bang => Err(self.expected_item(" (a head cannot be negated)")),
+            Kind::Hash if self.slice(self.ahead(1)) == "include" && self.ahead(2).kind == Kind::Text => {
+                self.bump();
+                self.bump();
+                let file = self.bump();
+                Ok(Some(Item::Include(Include {
+                    path: self.unescape(file),
+                    place: Place(self.span(file)),
+                })))
+            }
             Kind::Hash => {
                 self.bump();
                 while self.kind() != Kind::End && !self.token().first_on_line {
@@ -419,6 +449,11 @@ impl<'a> Parser<'a> {
                     place: Place(span),
                 })))
             }
+            "plan" => {
+                let orders = self.join_orders()?;
+                let place = self.place_from(dot);
+                Ok(Some(Item::Plan(Plan { orders, place })))
+            }
             "scope" => {
                 let named = self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen;
                 let predicate = if named { Some(self.name("a predicate")?) } else { None };
@@ -433,7 +468,6 @@ impl<'a> Parser<'a> {
                     let verb = if what.contains('(') { "are" } else { "is" };
                     let help = match name {
                         "limitsize" => "remove it; a query stops by itself when it derives too many rows",
-                        "plan" => "remove it; the order of literals is chosen by itself",
                         _ => "",
                     };
                     let reported = self.unsupported(span, &format!("{what} {verb}"), help);
@@ -448,6 +482,38 @@ impl<'a> Parser<'a> {
                 self.faults.push(fault);
                 Err(Reported)
             }
+        }
+    }
+
+    /// `0:(1,2), 1:(2,1)`
+    fn join_orders(&mut self) -> Parse<Vec<(i64, Vec<i64>)>> {
+        let mut orders = Vec::new();
+        loop {
+            let version = self.wanted(Kind::Number, "the number of a version")?;
+            let version = self.number(version);
+            self.wanted(Kind::Colon, "`:`")?;
+            self.wanted(Kind::LParen, "`(`")?;
+            let mut order = Vec::new();
+            while self.kind() == Kind::Number {
+                let atom = self.bump();
+                order.push(self.number(atom));
+                if !self.eat(Kind::Comma) {
+                    break;
+                }
+            }
+            self.wanted(Kind::RParen, "`)`")?;
+            orders.push((version, order));
+            if !self.eat(Kind::Comma) {
+                return Ok(orders);
+            }
+        }
+    }
+
+    fn wanted(&mut self, kind: Kind, what: &str) -> Parse<Token> {
+        if self.kind() == kind {
+            Ok(self.bump())
+        } else {
+            Err(self.expected(what))
         }
     }
 
@@ -600,7 +666,15 @@ impl<'a> Parser<'a> {
                 && QUALIFIERS.contains(&self.slice(self.token()))
                 && self.ahead(1).kind != Kind::LParen
             {
-                qualifiers.push(self.name("a qualifier")?);
+                let word = self.name("a qualifier")?;
+                match mark_of(&word.text) {
+                    Some(kind) => self.marks.push(Item::Mark(Mark {
+                        kind,
+                        names: names.clone(),
+                        options: Vec::new(),
+                    })),
+                    None => qualifiers.push(word),
+                }
             }
             self.foreign_qualifiers();
         }
@@ -626,6 +700,9 @@ impl<'a> Parser<'a> {
                 return Err(self.expected("`:` and the column's type"));
             }
             let ty = self.name("a type")?;
+            if self.kind() == Kind::Less {
+                return Err(self.unsupported(self.span(self.token()), "lattices (`<>`) are", ""));
+            }
             columns.push(ColumnDecl { name, ty });
             if self.eat(Kind::RParen) {
                 return Ok(columns);
@@ -641,7 +718,7 @@ impl<'a> Parser<'a> {
         let first = self.token();
         let known = matches!(
             self.slice(first),
-            "btree_delete" | "provenance" | "eqrel" | "override" | "input" | "output" | "printsize" | "choice"
+            "btree_delete" | "provenance" | "eqrel" | "override" | "choice"
         );
         let clause_follows = self.ahead(1).kind == Kind::LParen;
         if first.kind != Kind::Ident || !known || clause_follows {
@@ -657,14 +734,8 @@ impl<'a> Parser<'a> {
             "choice" => "choice-domain".to_owned(),
             word => word.to_owned(),
         };
-        let help = match word.as_str() {
-            "input" | "output" | "printsize" => {
-                format!("write `.{word}` and the predicate's name on a line of its own")
-            }
-            _ => "remove it".to_owned(),
-        };
         let span = self.span(first);
-        self.unsupported(span, &format!("the qualifier `{word}` is"), &help);
+        self.unsupported(span, &format!("the qualifier `{word}` is"), "remove it");
     }
 
     /// What follows `.type`, or one of its old forms that say themselves of what base the type is.
@@ -1153,11 +1224,13 @@ impl<'a> Parser<'a> {
                 match self.slice(start) {
                     _ if self.is_aggregate() => (self.aggregate()?, 0),
                     "as" if applied => self.cast()?,
-                    "range" | "autoinc" if applied => {
-                        let what = format!("the functor `{}` is", self.slice(start));
-                        return Err(self.unsupported(self.span(start), &what, ""));
+                    "autoinc" if applied => {
+                        return Err(self.unsupported(self.span(start), "the functor `autoinc` is", ""));
                     }
                     "nil" => return Err(self.unsupported(self.span(start), "records (`nil`) are", "")),
+                    _ if self.ahead(1).kind == Kind::LBracket => {
+                        return Err(self.unsupported(self.span(start), "records (`[...]`) are", ""));
+                    }
                     word if applied => match Functor::function(word) {
                         Some(functor) => self.function(functor)?,
                         None => {

@@ -68,6 +68,15 @@ impl Display for Item {
                     .try_for_each(|word| write!(f, " {}", Quoted(word)))?;
                 writeln!(f)
             }
+            Item::Plan(plan) => {
+                f.write_str(".plan ")?;
+                separated(f, &plan.orders, |f, (version, order)| {
+                    write!(f, "{version}:(")?;
+                    separated(f, order, |f, atom| write!(f, "{atom}"))?;
+                    f.write_char(')')
+                })?;
+                writeln!(f)
+            }
             Item::Promise(promise) => {
                 write!(f, ".{} ", promise.kind.name())?;
                 separated(f, &promise.names, |f, name| f.write_str(&name.text))?;

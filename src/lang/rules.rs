@@ -183,6 +183,9 @@ pub struct RowFormat {
     pub delimiter: String,
     /// `headers=`: whether the first line names the columns.
     pub headers: bool,
+    /// `columns=`: for each column of the predicate the position of its value in the row that is read, from 0 on. Empty: rows have these
+    /// values and no others.
+    pub columns: Vec<usize>,
     /// `rfc4180=`: whether texts stand in double quotes, with a double quote in them written twice.
     pub quoted: bool,
 }
@@ -192,6 +195,7 @@ impl Default for RowFormat {
         RowFormat {
             delimiter: "\t".to_owned(),
             headers: false,
+            columns: Vec::new(),
             quoted: false,
         }
     }
