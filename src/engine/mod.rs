@@ -17,6 +17,7 @@
 //! Inside: `plan` orders the literals of each clause and chooses indexes; `estimate` judges plans by the sizes of relations, and `adapt`
 //! has clauses planned again when those have changed; `show` prints them; `join` runs a plan; `seen` knows what was derived before; `exec` makes a commit and runs strata
 //! to their fixpoint; `maintain` brings a stratum up to date from a change; `table` keeps a relation and its indexes;
+//! `workers` are the threads; `limits` says how much is too much;
 //! `row` has the sorted lists all this works on.
 //!
 //! This module refuses to know what a city, an agent or an ego is. It does no I/O and is deterministic.

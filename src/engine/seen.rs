@@ -66,11 +66,11 @@ impl<const W: usize> Seen<W> {
         Some(seen)
     }
 
-    /// A set with the same bounds and the same known rows. New rows are not kept yet.
+    /// A set with the same bounds and the same known rows. New rows are kept as bits, which is also faster where most are known.
     pub(super) fn fork(&self) -> Self {
         Seen {
             known: self.known.clone(),
-            fresh: Vec::new(),
+            fresh: vec![0; self.known.len()],
             ..*self
         }
     }

@@ -6,7 +6,7 @@
 
 use crate::engine::estimate::Shape;
 use crate::engine::join::{self, Effort, Output, Stop, View};
-use crate::engine::plan::{Plan, Step};
+use crate::engine::plan::{Plan, Slot, Step};
 use crate::engine::row::{Batch, Row, gallop, normalise};
 use crate::symbol::Symbols;
 use rayon::slice::ParallelSliceMut;
@@ -203,14 +203,26 @@ fn join_hands<const W: usize>(
 /// About how many rows evaluating the plan looks at.
 fn expected<const W: usize>(plan: &Plan, views: &[View<'_, W>]) -> f64 {
     let (mut flow, mut looked_at) = (1.0, 0.0);
+    let in_batch = |batch: &Batch<'_, W>, key: &[Slot]| {
+        let columns: Vec<u16> = (0..key.len() as u16).collect();
+        Shape::of(batch.rows).found(&columns)
+    };
     for (step, view) in plan.steps.iter().zip(views) {
-        if let Step::Scan { key, .. } | Step::Aggregate { key, .. } = step {
-            let columns: Vec<u16> = (0..key.len() as u16).collect();
-            let found: f64 = view.batches().map(|batch| Shape::of(batch.rows).found(&columns)).sum();
-            looked_at += flow * found;
-            if let Step::Scan { .. } = step {
-                flow *= found;
+        match step {
+            Step::Scan { key, .. } | Step::Aggregate { key, .. } => {
+                let found: f64 = view.batches().map(|batch| in_batch(batch, key)).sum();
+                looked_at += flow * found;
+                if let Step::Scan { .. } = step {
+                    flow *= found;
+                }
             }
+            Step::Meet { lists, .. } => {
+                let found = lists.iter().zip(view.batches());
+                let least = found.map(|(list, batch)| in_batch(batch, &list.key)).fold(f64::INFINITY, f64::min);
+                looked_at += flow * least * lists.len() as f64;
+                flow *= least;
+            }
+            _ => {}
         }
     }
     looked_at
