@@ -9,14 +9,17 @@ mod explain;
 mod fmt;
 mod infer;
 mod query;
+mod repl;
 mod route;
 mod run;
 mod trace;
+mod why;
 
 use crate::config::{Located, MapConfig, Scenario, load_map, load_scenario};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, render};
 use crate::engine::Program;
 use crate::files::{self, ReadError};
+use crate::lang::Texts;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, Parser, Subcommand};
 use std::io::{self, IsTerminal, Write};
@@ -43,6 +46,8 @@ enum Command {
     Diff(diff::Arguments),
     /// Run any Datalog program on facts files, as Souffle does
     Query(query::Arguments),
+    /// Work on a Datalog program at a prompt: add and retract facts and rules, ask questions, see why
+    Repl(repl::Arguments),
     /// Decide scenes: one JSON scene a line in, one JSON answer a line out
     Infer(infer::Arguments),
     /// Tell why an agent did what it did in a run, or why it did not do something else
@@ -120,6 +125,7 @@ pub fn main() -> ExitCode {
             };
         }
         Command::Query(arguments) => query::run(&arguments, &mut sources),
+        Command::Repl(arguments) => repl::run(&arguments, &mut sources),
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
@@ -198,13 +204,25 @@ fn read(path: &Path) -> Result<String, Failure> {
 
 /// Reads, checks and plans a rule file. Warnings are returned beside the program.
 fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diagnostic>), Failure> {
+    compile(&load_texts(sources, path)?)
+}
+
+/// Checks and plans rules. Warnings are returned beside the program.
+fn compile(texts: &Texts) -> Result<(Program, Vec<Diagnostic>), Failure> {
+    let loaded = texts.check();
+    match loaded.rules {
+        Some(rules) => Ok((Program::new(rules)?, loaded.diagnostics)),
+        None => Err(loaded.diagnostics.into()),
+    }
+}
+
+/// Reads a rule file and all it includes.
+fn load_texts(sources: &mut Sources, path: &Path) -> Result<Texts, Failure> {
     let text = read(path)?;
     let entry = sources.add(path.display().to_string(), text);
-    let (program, diagnostics) = Program::load(sources, entry, &files::read_or_builtin);
-    match program {
-        Some(program) => Ok((program, diagnostics)),
-        None => Err(diagnostics.into()),
-    }
+    let mut texts = Texts::default();
+    texts.add(sources, entry, &files::read_or_builtin);
+    Ok(texts)
 }
 
 /// A configuration and its rules, or those of the file that is given instead. Warnings have been told; the texts of the rules are

@@ -1,6 +1,7 @@
 //! `logicity query`
 
-use super::{Failure, load_program, make_folder, report};
+use super::why::{self, Question};
+use super::{Failure, compile, load_texts, make_folder, report};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::{Options, Program, RuleWork, Session, StratumWork, facts, promise};
 use crate::files::{self, Output, ReadError};
@@ -25,11 +26,35 @@ pub struct Arguments {
     /// Tell on standard error what every clause did
     #[arg(long)]
     profile: bool,
+    /// Tell why this fact holds instead, for example 'Path(1, 2)': a shortest proof. `_` is any value
+    #[arg(long, value_name = "FACT", conflicts_with = "plan")]
+    explain: Option<String>,
+    /// Tell why this fact does not hold instead: what fails in each clause
+    #[arg(long, value_name = "FACT", conflicts_with_all = ["plan", "explain"])]
+    why_not: Option<String>,
+    /// Print the explanation as one line of JSON: `fact`, `holds`, `nodes`
+    #[arg(long)]
+    json: bool,
+}
+
+impl Arguments {
+    /// The fact that is asked about, the name of the argument it stands in, and what is asked.
+    fn question(&self) -> Option<(&str, &'static str, Question)> {
+        let holds = self.explain.as_deref().map(|fact| (fact, "--explain", Question::Holds));
+        holds.or_else(|| Some((self.why_not.as_deref()?, "--why-not", Question::Fails)))
+    }
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let (program, warnings) = load_program(sources, &arguments.rules)?;
+    let question = arguments.question();
+    if arguments.json && question.is_none() {
+        return Err(Failure::Usage("--json goes with --explain or --why-not".to_owned()));
+    }
+    let texts = load_texts(sources, &arguments.rules)?;
+    let (program, warnings) = compile(&texts)?;
     report(&warnings, sources);
+    // Not needed any more, and perhaps large.
+    let texts = question.map(|_| texts);
     // The facts are checked below, before anybody sees an answer.
     let options = Options {
         promises: true,
@@ -57,6 +82,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let _ = write!(anstream::stderr(), "{}", profile(&session, sources));
     }
     let mut out = anstream::stdout();
+    if let (Some((fact, name, question)), Some(texts)) = (question, texts) {
+        let asked = (question, sources.add(format!("<{name}>"), fact));
+        return why::tell(&mut out, asked, &texts, &session, sources, arguments.json);
+    }
     for (id, relation) in relations(&program) {
         for directive in &relation.directives {
             match directive.kind {
@@ -82,7 +111,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 }
 
 /// What every clause did, those that looked at most rows first.
-fn profile(session: &Session, sources: &Sources) -> String {
+pub(super) fn profile(session: &Session, sources: &Sources) -> String {
     let rounds = session.work().strata.iter().filter_map(StratumWork::work);
     let mut rules: Vec<(usize, &RuleWork)> = rounds
         .flat_map(|work| work.rules.iter().map(|rule| (work.rounds, rule)))
@@ -116,7 +145,7 @@ fn print_relation(out: &mut impl Write, name: &str, text: &str, headers: bool) -
 }
 
 /// The declared relations in the order of the text.
-fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::lang::Relation)> {
+pub(super) fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::lang::Relation)> {
     let relations = program.rules().relations.iter().enumerate();
     relations.map(|(index, relation)| {
         let id = RelId(u32::try_from(index).expect("fewer than 2^32 relations"));
@@ -125,7 +154,7 @@ fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::lang::Re
 }
 
 /// Reads the facts of every input relation. All faulty files are told in one run.
-fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
+pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
     let program = session.program().clone();
     let mut faults = Vec::new();
     for (id, relation) in relations(&program) {

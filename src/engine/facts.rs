@@ -174,18 +174,13 @@ impl Faults {
     }
 }
 
-/// The rows of a relation as text, ordered by what is shown: numbers by value, symbols by text.
-pub fn print(session: &Session, rel: RelId) -> String {
-    print_as(session, rel, &RowFormat::default())
-}
-
-/// The same in any format.
-pub fn print_as(session: &Session, rel: RelId, format: &RowFormat) -> String {
+/// The rows of a relation, ordered by what is shown: numbers by value, symbols by text.
+pub fn sorted(session: &Session, rel: RelId) -> Vec<&[Value]> {
+    let mut rows: Vec<&[Value]> = session.rows(rel).collect();
     let Some(relation) = session.program().rules().relations.get(rel.index()) else {
-        return String::new();
+        return rows;
     };
     let text = |value: Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
-    let mut rows: Vec<&[Value]> = session.rows(rel).collect();
     rows.sort_by(|a, b| {
         let mut columns = relation.columns.iter().zip(a.iter().zip(*b));
         let order = columns.find_map(|(column, (a, b))| {
@@ -199,13 +194,37 @@ pub fn print_as(session: &Session, rel: RelId, format: &RowFormat) -> String {
         });
         order.unwrap_or(Ordering::Equal)
     });
+    rows
+}
+
+/// A value as it stands in a file of rows.
+pub fn print_value(session: &Session, value: Value, base: BaseType) -> String {
+    match base {
+        BaseType::Symbol => session.symbols().text(Symbol(value.0)).unwrap_or_default().to_owned(),
+        BaseType::Number => value.as_number().to_string(),
+        BaseType::Unsigned => value.0.to_string(),
+        BaseType::Float => print_float(value.as_float()),
+    }
+}
+
+/// The rows of a relation as text, ordered by what is shown: numbers by value, symbols by text.
+pub fn print(session: &Session, rel: RelId) -> String {
+    print_as(session, rel, &RowFormat::default())
+}
+
+/// The same in any format.
+pub fn print_as(session: &Session, rel: RelId, format: &RowFormat) -> String {
+    let Some(relation) = session.program().rules().relations.get(rel.index()) else {
+        return String::new();
+    };
+    let text = |value: Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
     let mut out = String::new();
     if format.headers {
         let names: Vec<&str> = relation.columns.iter().map(|column| column.name.as_str()).collect();
         out.push_str(&names.join(&format.delimiter));
         out.push('\n');
     }
-    for row in rows {
+    for row in sorted(session, rel) {
         for (position, (column, value)) in relation.columns.iter().zip(row).enumerate() {
             if position > 0 {
                 out.push_str(&format.delimiter);

@@ -6,7 +6,7 @@ use crate::diag::{Code, Diagnostic, Severity};
 pub(super) const MAX_FAULTS: usize = 1000;
 
 /// The faults found so far.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Faults {
     errors: Vec<Diagnostic>,
     warnings: Vec<Diagnostic>,
