@@ -8,6 +8,7 @@ mod diff;
 mod explain;
 mod fmt;
 mod infer;
+mod lsp;
 mod query;
 mod repl;
 mod route;
@@ -54,6 +55,8 @@ enum Command {
     Explain(explain::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
+    /// Serve an editor over standard input and output: diagnostics, hover, definitions, renaming and more
+    Lsp(lsp::Arguments),
     /// Print a completion script for a shell
     Completions {
         /// The shell
@@ -128,6 +131,7 @@ pub fn main() -> ExitCode {
         Command::Repl(arguments) => repl::run(&arguments, &mut sources),
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
+        Command::Lsp(arguments) => lsp::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
         Command::Completions { shell } => {
             clap_complete::generate(shell, &mut Arguments::command(), "logicity", &mut io::stdout());

@@ -48,6 +48,7 @@ pub use rules::{
     Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, Value, VarId,
 };
 
+pub use lexer::is_name;
 pub use texts::{FactPattern, FactRow, Texts, is_complete};
 
 use faults::Faults;
