@@ -1,10 +1,11 @@
 //! `logicity query`
 
-use super::{Failure, load_program_with, make_folder, report};
+use super::why::{self, Question};
+use super::{Failure, LimitOptions, compile, load_texts, make_folder, report, too_much};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::engine::{EvalError, Limits, Moment, Options, Program, RuleWork, Session, StratumWork, Threads, facts, promise};
+use crate::engine::{Delta, Moment, Options, Program, RuleWork, Session, StratumWork, Threads, facts, promise};
 use crate::files::{self, Output, ReadError};
-use crate::lang::{ClauseId, Inputs, MarkKind, RelId, RowPlace, Rules};
+use crate::lang::{ClauseId, Inputs, MarkKind, RelId, RowPlace};
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -31,27 +32,27 @@ pub struct Arguments {
     /// Tell on standard error how long every clause took (wall clock) and on how many rows
     #[arg(long)]
     profile: bool,
+    /// Tell why this fact holds instead, for example 'Path(1, 2)': a shortest proof. `_` is any value
+    #[arg(long, value_name = "FACT", conflicts_with = "plan")]
+    explain: Option<String>,
+    /// Tell why this fact does not hold instead: what fails in each clause
+    #[arg(long, value_name = "FACT", conflicts_with_all = ["plan", "explain"])]
+    why_not: Option<String>,
+    /// Print the explanation as one line of JSON: `fact`, `holds`, `nodes`
+    #[arg(long)]
+    json: bool,
     /// Evaluate on so many threads; 0 is one for each core. The answers and their order are the same
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(..=1024))]
     threads: u16,
-    /// Stop with an error if the rules derive more rows
-    #[arg(long, value_name = "COUNT", default_value_t = Limits::default().rows)]
-    max_rows: usize,
-    /// Stop with an error if more rows have to be looked at
-    #[arg(long, value_name = "COUNT", default_value_t = Limits::default().steps)]
-    max_steps: u64,
-    /// Stop with an error if rows, indexes and texts take more memory, in MiB; the process may need about three times as much
-    #[arg(long, value_name = "MIB", default_value_t = Limits::default().bytes >> 20)]
-    max_memory: u64,
+    #[command(flatten)]
+    limits: LimitOptions,
 }
 
 impl Arguments {
-    fn limits(&self) -> Limits {
-        Limits {
-            rows: self.max_rows,
-            steps: self.max_steps,
-            bytes: self.max_memory.saturating_mul(1 << 20),
-        }
+    /// The fact that is asked about, the name of the argument it stands in, and what is asked.
+    fn question(&self) -> Option<(&str, &'static str, Question)> {
+        let holds = self.explain.as_deref().map(|fact| (fact, "--explain", Question::Holds));
+        holds.or_else(|| Some((self.why_not.as_deref()?, "--why-not", Question::Fails)))
     }
 
     fn threads(&self) -> Threads {
@@ -60,8 +61,15 @@ impl Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let (program, warnings) = load_program_with(sources, &arguments.rules, Inputs::Extended)?;
+    let question = arguments.question();
+    if arguments.json && question.is_none() {
+        return Err(Failure::Usage("--json goes with --explain or --why-not".to_owned()));
+    }
+    let texts = load_texts(sources, &arguments.rules, Inputs::Extended)?;
+    let (program, warnings) = compile(&texts)?;
     report(&warnings, sources);
+    // Not needed any more, and perhaps large.
+    let texts = question.map(|_| texts);
     // The facts are checked below, before anybody sees an answer.
     let options = Options {
         promises: true,
@@ -76,7 +84,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Ok(());
     }
     let mut session = program.session();
-    session.set_limits(arguments.limits());
+    session.set_limits(arguments.limits.limits());
     (session.set_threads(arguments.threads()))
         .map_err(|error| Failure::Usage(format!("cannot start {} threads: {error}", arguments.threads)))?;
     load_inputs(
@@ -85,10 +93,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         sources,
     )?;
     let times = match arguments.profile {
-        true => timed_commit(&mut session).map(Some),
-        false => session.commit().map(|_| None),
+        true => timed_commit(&mut session).map(|(_, times)| Some(times)),
+        false => (session.commit().map(|_| None)).map_err(|error| too_much(&error, program.rules())),
     };
-    let times = times.map_err(|error| too_much(&error, program.rules()))?;
+    let times = times?;
     if arguments.plan {
         write!(anstream::stdout(), "{}", session.show_plans(sources))?;
         return Ok(());
@@ -104,6 +112,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let _ = write!(anstream::stderr(), "{}", profile(&session, &times, sources));
     }
     let mut out = io::BufWriter::new(anstream::stdout());
+    if let (Some((fact, name, question)), Some(texts)) = (question, texts) {
+        let asked = (question, sources.add(format!("<{name}>"), fact));
+        return why::tell(&mut out, asked, &texts, &session, sources, arguments.json);
+    }
     for (id, relation) in relations(&program) {
         for directive in &relation.directives {
             match directive.kind {
@@ -134,29 +146,19 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     Ok(())
 }
 
-/// The fault of a commit, with what can be done about it.
-fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
-    let option = match error {
-        EvalError::TooManyRows { .. } => "--max-rows",
-        EvalError::TooManySteps { .. } => "--max-steps",
-        EvalError::TooMuchMemory { .. } => "--max-memory",
-    };
-    error.diagnostic(rules).note(format!("`{option}` allows more"))
-}
-
 /// Wall-clock times of a commit.
 #[derive(Default)]
-struct Times {
+pub(super) struct Times {
     total: Duration,
     /// How long the evaluation of a clause took, and how often it was evaluated.
     clauses: BTreeMap<ClauseId, (Duration, u64)>,
 }
 
 /// Commits and takes the time.
-fn timed_commit(session: &mut Session) -> Result<Times, EvalError> {
+pub(super) fn timed_commit(session: &mut Session) -> Result<(Delta, Times), Diagnostic> {
     let start = Instant::now();
     let (begun, times) = (Cell::new(start), RefCell::new(Times::default()));
-    session.commit_watched(&|moment| match moment {
+    let watch = |moment| match moment {
         Moment::Begin(_) => begun.set(Instant::now()),
         Moment::End(clause) => {
             let mut times = times.borrow_mut();
@@ -164,14 +166,16 @@ fn timed_commit(session: &mut Session) -> Result<Times, EvalError> {
             *time += begun.get().elapsed();
             *count += 1;
         }
-    })?;
+    };
+    let delta = session.commit_watched(&watch);
+    let delta = delta.map_err(|error| too_much(&error, session.program().rules()))?;
     let mut times = times.into_inner();
     times.total = start.elapsed();
-    Ok(times)
+    Ok((delta, times))
 }
 
 /// What every clause did and how long it took, the longest first.
-fn profile(session: &Session, times: &Times, sources: &Sources) -> String {
+pub(super) fn profile(session: &Session, times: &Times, sources: &Sources) -> String {
     let mut text = format!(
         "{:>10} {:>6} {:>13} {:>13} {:>13} {:>6}  clause\n",
         "time", "", "new rows in", "looked at", "derived", "runs"
@@ -230,7 +234,7 @@ fn print_relation(
 }
 
 /// The declared relations in the order of the text.
-fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::lang::Relation)> {
+pub(super) fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::lang::Relation)> {
     let relations = program.rules().relations.iter().enumerate();
     relations.map(|(index, relation)| {
         let id = RelId(u32::try_from(index).expect("fewer than 2^32 relations"));
@@ -239,7 +243,7 @@ fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::lang::Re
 }
 
 /// Reads the facts of every input relation. All faulty files are told in one run.
-fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
+pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
     let program = session.program().clone();
     let mut faults = Vec::new();
     for (id, relation) in relations(&program) {

@@ -168,14 +168,13 @@ pub fn header(relation: &Relation, format: &RowFormat) -> String {
     }
 }
 
-/// Writes what [`print`] prints in any format, without the header. The text may be far larger than the session: a long symbol may
-/// be in many rows.
-pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut dyn Write) -> io::Result<()> {
+/// The rows of a relation, ordered by what is shown: numbers by value, symbols by text.
+pub fn sorted(session: &Session, rel: RelId) -> Vec<&[Value]> {
+    let mut rows: Vec<&[Value]> = session.rows(rel).collect();
     let Some(relation) = session.program().rules().relations.get(rel.index()) else {
-        return Ok(());
+        return rows;
     };
     let text = |value: Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
-    let mut rows: Vec<&[Value]> = session.rows(rel).collect();
     rows.sort_by(|a, b| {
         let mut columns = relation.columns.iter().zip(a.iter().zip(*b));
         let order = columns.find_map(|(column, (a, b))| {
@@ -189,7 +188,27 @@ pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut d
         });
         order.unwrap_or(Ordering::Equal)
     });
-    for row in rows {
+    rows
+}
+
+/// A value as it stands in a file of rows.
+pub fn print_value(session: &Session, value: Value, base: BaseType) -> String {
+    match base {
+        BaseType::Symbol => session.symbols().text(Symbol(value.0)).unwrap_or_default().to_owned(),
+        BaseType::Number => value.as_number().to_string(),
+        BaseType::Unsigned => value.0.to_string(),
+        BaseType::Float => print_float(value.as_float()),
+    }
+}
+
+/// Writes what [`print`] prints in any format, without the header. The text may be far larger than the session: a long symbol may
+/// be in many rows.
+pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut dyn Write) -> io::Result<()> {
+    let Some(relation) = session.program().rules().relations.get(rel.index()) else {
+        return Ok(());
+    };
+    let text = |value: Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
+    for row in sorted(session, rel) {
         for (position, (column, value)) in relation.columns.iter().zip(row).enumerate() {
             if position > 0 {
                 out.write_all(format.delimiter.as_bytes())?;

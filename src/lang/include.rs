@@ -1,5 +1,6 @@
 //! Follows `.include`: the texts of a program become one list of items, in the order in which they would be read aloud.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
@@ -18,33 +19,35 @@ const ENDING: &str = "dl";
 const MAX_DEPTH: usize = 64;
 
 /// The items of all texts.
+#[derive(Clone, Debug, Default)]
 pub(super) struct Gathered {
     /// No [`Item::Include`] is left among them.
     pub items: Vec<Item>,
-    /// Whether every included text was there. If not, names may be unknown only because their declaration was not read.
-    pub complete: bool,
+    /// Whether an included text was not there, so that names may be unknown only because their declaration was not read.
+    pub incomplete: bool,
+    /// The normal paths of all texts so far. It is only asked, never walked.
+    seen: HashSet<PathBuf>,
 }
 
+/// Adds the items of a text and of all it includes; a text that is there already is not read again.
 pub(super) fn gather(
+    gathered: &mut Gathered,
     sources: &mut Sources,
     entry: SourceId,
     read: &dyn Fn(&Path) -> Result<String, ReadError>,
     faults: &mut Faults,
-) -> Gathered {
+) {
     let key = normalise(Path::new(sources.name(entry)));
-    let mut walk = Walk {
-        sources,
-        read,
-        faults,
-        seen: std::iter::once(key.clone()).collect(),
-        open: vec![(key, None)],
-        gathered: Gathered {
-            items: Vec::new(),
-            complete: true,
-        },
-    };
-    walk.text(entry);
-    walk.gathered
+    if gathered.seen.insert(key.clone()) {
+        let mut walk = Walk {
+            sources,
+            read,
+            faults,
+            open: vec![(key, None)],
+            gathered,
+        };
+        walk.text(entry);
+    }
 }
 
 pub(super) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) -> File {
@@ -66,11 +69,9 @@ struct Walk<'a> {
     sources: &'a mut Sources,
     read: &'a dyn Fn(&Path) -> Result<String, ReadError>,
     faults: &'a mut Faults,
-    /// The normal paths of all texts so far. It is only asked, never walked.
-    seen: std::collections::HashSet<PathBuf>,
     /// The texts being read, outermost first: normal path, and the include that led to it.
     open: Vec<(PathBuf, Option<Span>)>,
-    gathered: Gathered,
+    gathered: &'a mut Gathered,
 }
 
 impl Walk<'_> {
@@ -96,7 +97,7 @@ impl Walk<'_> {
             if let Some(position) = self.open.iter().position(|(open, _)| *open == key) {
                 return self.cycle(position, span);
             }
-            if self.seen.contains(&key) {
+            if self.gathered.seen.contains(&key) {
                 return;
             }
             if path.as_os_str() == builtin.as_os_str() && !builtin.starts_with(BUILTIN_FOLDER) {
@@ -111,7 +112,7 @@ impl Walk<'_> {
                 }
             }
         }
-        self.gathered.complete = false;
+        self.gathered.incomplete = true;
         let path = beside.display();
         let fault = match error {
             ReadError::NotFound => {
@@ -151,7 +152,7 @@ impl Walk<'_> {
 
     fn open(&mut self, path: &Path, key: PathBuf, text: String, span: Span) {
         if self.open.len() >= MAX_DEPTH {
-            self.gathered.complete = false;
+            self.gathered.incomplete = true;
             let fault = Diagnostic::new(Code::LimitExceeded, "includes nested too deeply")
                 .at(span, "")
                 .note(format!("a chain of includes has at most {MAX_DEPTH} files"));
@@ -159,7 +160,7 @@ impl Walk<'_> {
             return;
         }
         let id = self.sources.add(path.display().to_string(), text);
-        self.seen.insert(key.clone());
+        self.gathered.seen.insert(key.clone());
         self.open.push((key, Some(span)));
         self.text(id);
         self.open.pop();

@@ -119,6 +119,15 @@ pub(super) fn is_name_part(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'?'
 }
 
+/// Whether a text can be the name of a predicate or a type.
+pub fn is_name(text: &str) -> bool {
+    let mut bytes = text.bytes();
+    text.len() <= MAX_NAME_BYTES
+        && bytes.next().is_some_and(is_name_start)
+        && bytes.all(is_name_part)
+        && !matches!(text, "_" | "Not" | "not")
+}
+
 /// `text` must be shorter than 4 GiB.
 pub(super) fn lex(source: SourceId, text: &str, faults: &mut Faults) -> Lexed {
     let mut lexer = Lexer {

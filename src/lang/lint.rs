@@ -137,7 +137,7 @@ const MAX_STEPS_OF_PAIR: usize = 2_000;
 pub(super) fn redundant(clauses: &[Checked], faults: &mut Faults) {
     // Facts are found by their rows: there may be very many. The map is only asked, never walked.
     let mut facts: HashMap<(RelId, &[Term]), Span> = HashMap::new();
-    for Checked { clause, sound } in clauses {
+    for Checked { clause, sound, .. } in clauses {
         if *sound && clause.body.is_empty() {
             let row = (clause.head.relation, clause.head.terms.as_slice());
             if let Some(&first) = facts.get(&row) {
@@ -148,7 +148,7 @@ pub(super) fn redundant(clauses: &[Checked], faults: &mut Faults) {
         }
     }
     let mut by_head: indexmap::IndexMap<RelId, Vec<Pattern>> = indexmap::IndexMap::new();
-    for Checked { clause, sound } in clauses {
+    for Checked { clause, sound, .. } in clauses {
         // Of aggregates nothing is known.
         let known = !(clause.body.iter()).any(|literal| matches!(literal, Literal::Aggregate { .. }));
         if *sound && known && !clause.body.is_empty() {

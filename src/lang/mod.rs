@@ -1,7 +1,7 @@
 //! From text to checked rules.
 //!
 //! [`load`] is the door: it reads a rule file and all it includes and gives the checked [`Rules`], or every fault of every
-//! file. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names; [`format`](fn@format) lays a
+//! file; [`Texts`] is for those who change a program and ask it questions. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names; [`format`](fn@format) lays a
 //! text out and keeps its comments.
 //!
 //! The stages, each in its own file: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
@@ -16,6 +16,7 @@ use std::path::Path;
 
 use crate::diag::{Diagnostic, Faults, SourceId, Sources};
 use crate::files::ReadError;
+use crate::symbol::Symbols;
 
 mod aggregate;
 pub mod ast;
@@ -35,15 +36,20 @@ mod range;
 mod rules;
 mod scope;
 mod strata;
+mod texts;
 mod witness;
 
 pub use format::format;
 pub use functor::{AggregateOp, Functor, Patterns, parse as parse_value};
+pub use parser::DIRECTIVES;
 pub use print::print;
 pub use rules::{
     Atom, BaseType, Clause, ClauseId, Column, Comparison, Constraint, Directive, Literal, MarkKind, Promise, RelId,
     Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, Value, VarId,
 };
+
+pub use lexer::is_name;
+pub use texts::{FactPattern, FactRow, Texts, is_complete};
 
 /// What [`load`] gives.
 #[derive(Clone, Debug)]
@@ -80,22 +86,24 @@ pub fn load_with(
     read: &dyn Fn(&Path) -> Result<String, ReadError>,
     inputs: Inputs,
 ) -> Loaded {
-    let mut faults = Faults::default();
-    let gathered = include::gather(sources, entry, read, &mut faults);
-    let rules = check(&gathered, inputs, &mut faults);
-    let rules = if faults.failed() { None } else { rules };
-    Loaded {
-        rules,
-        diagnostics: faults.finish(),
-    }
+    let mut texts = Texts::new(inputs);
+    texts.add(sources, entry, read);
+    texts.check()
 }
 
-fn check(gathered: &include::Gathered, inputs: Inputs, faults: &mut Faults) -> Option<Rules> {
-    let replaced = inline::replace(&gathered.items, faults);
+/// Checks all items. The constants' texts are added to `symbols`.
+fn check(
+    items: &[ast::Item],
+    complete: bool,
+    inputs: Inputs,
+    symbols: Symbols,
+    faults: &mut Faults,
+) -> Option<Rules> {
+    let replaced = inline::replace(items, faults);
     let syntax_is_good = !faults.failed();
-    let items = replaced.as_ref().unwrap_or(&gathered.items);
-    let mut names = names::declare(items, gathered.complete, inputs, faults);
-    let checked = clause::check(items, &mut names, faults);
+    let items = replaced.as_deref().unwrap_or(items);
+    let mut names = names::declare(items, complete, inputs, faults);
+    let checked = clause::check(items, &mut names, symbols, faults);
     let promises = promise::check(items, &mut names, faults);
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);

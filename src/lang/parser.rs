@@ -21,8 +21,8 @@ const MAX_NESTING: usize = 64;
 /// Higher expressions are refused: an operator or function is one higher than its highest operand.
 const MAX_HEIGHT: usize = 256;
 
-/// Every directive, for suggestions.
-const DIRECTIVES: &[&str] = &[
+/// The words of all directives.
+pub const DIRECTIVES: &[&str] = &[
     "decl",
     "type",
     "symbol_type",
@@ -86,20 +86,16 @@ pub(super) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
 
 /// The tree of a text that is lexed already, and the number of each item's first token.
 pub(super) fn parse_tokens(source: SourceId, text: &str, lexed: &Lexed, faults: &mut Faults) -> (File, Vec<usize>) {
-    let mut parser = Parser {
-        source,
-        text,
-        tokens: &lexed.tokens,
-        docs: &lexed.docs,
-        next_doc: 0,
-        at: 0,
-        starts: Vec::new(),
-        nesting: 0,
-        marks: Vec::new(),
-        faults,
-    };
+    let mut parser = Parser::new(source, text, lexed, faults);
     let file = parser.file();
     (file, parser.starts)
+}
+
+/// The body of a question: `?- A(x), x > 1.`; what is not in doubt, `?-` and the full stop, may be missing.
+pub(super) fn parse_question(source: SourceId, text: &str, faults: &mut Faults) -> Option<(Vec<Literal>, Place)> {
+    let lexed = lexer::lex(source, text, faults);
+    let mut parser = Parser::new(source, text, &lexed, faults);
+    parser.question().ok()
 }
 
 /// The fault has been reported; the caller leaves what it was reading.
@@ -124,6 +120,21 @@ struct Parser<'a> {
 }
 
 impl<'a> Parser<'a> {
+    fn new(source: SourceId, text: &'a str, lexed: &'a Lexed, faults: &'a mut Faults) -> Self {
+        Parser {
+            source,
+            text,
+            tokens: &lexed.tokens,
+            docs: &lexed.docs,
+            next_doc: 0,
+            at: 0,
+            starts: Vec::new(),
+            nesting: 0,
+            marks: Vec::new(),
+            faults,
+        }
+    }
+
     // --- looking at tokens
 
     fn token(&self) -> Token {
@@ -797,13 +808,33 @@ impl<'a> Parser<'a> {
 
     // --- clauses
 
+    /// The present tokens are `?-`.
+    fn at_question(&self) -> bool {
+        self.kind() == Kind::Ident && self.slice(self.token()) == "?" && self.ahead(1).kind == Kind::Minus
+    }
+
+    fn question(&mut self) -> Parse<(Vec<Literal>, Place)> {
+        if self.at_question() {
+            self.bump();
+            self.bump();
+        }
+        let start = self.token();
+        let body = self.disjunction()?;
+        let place = self.place_from(start);
+        self.eat(Kind::Dot);
+        match self.kind() {
+            Kind::End => Ok((body, place)),
+            _ => Err(self.expected("`,` or `.`")),
+        }
+    }
+
     fn clause(&mut self, doc: String) -> Parse<Clause> {
         let start = self.token();
         if matches!(self.slice(start), "Not" | "not") {
             return Err(self.expected_item(" (a head cannot be negated)"));
         }
-        if self.slice(start) == "?" && self.ahead(1).kind == Kind::Minus {
-            let help = "mark a predicate as a result with `.output`";
+        if self.at_question() {
+            let help = "mark a predicate as a result with `.output`, or ask it in `logicity repl`";
             return Err(self.unsupported(self.span(start), "queries (`?-`) are", help));
         }
         let mut heads = vec![self.atom("the arguments of the head: `(`")?];
