@@ -5,12 +5,12 @@ mod written_program;
 
 use logicity::diag::{Code, MAX_FAULTS, Sources};
 use logicity::engine::{
-    EvalError, Limits, Options, Program, RowError, RuleWork, Session, Strategy, StratumWork, Threads, Work, facts,
-    naive,
+    EvalError, Limits, Program, RowError, RuleWork, Session, Strategy, StratumWork, Threads, Work, facts, naive,
 };
-use logicity::lang::{self, ClauseId, Inputs, Literal, RelId, Rules, Value};
+use logicity::lang::{self, ClauseId, Inputs, RelId, Value};
 use proptest::prelude::*;
 use proptest::strategy::Strategy as _;
+use random_program::agree::{agrees, database};
 use random_program::{Genome, computing_genomes, genomes, recursive_genomes, sharing_genomes};
 use std::collections::BTreeSet;
 use written_program::program;
@@ -20,181 +20,9 @@ const COPY: &str = ".decl Base(x: number)
     .decl Copy(x: number)
     Copy(x) :- Base(x).";
 
-/// Everything a session holds.
-fn database(session: &Session) -> naive::Database {
-    let relations = session.program().rules().relations.len();
-    (0..relations as u32)
-        .map(|rel| session.rows(RelId(rel)).map(<[Value]>::to_vec).collect())
-        .collect()
-}
-
-/// Runs the genome's script in every strategy; after every batch each session is what `naive` derives from scratch, and its delta
-/// is exactly the difference.
 fn check_script(genome: &Genome) -> Result<(), TestCaseError> {
-    for optimize in [false, true] {
-        check_script_with(genome, optimize)?;
-    }
-    Ok(())
-}
-
-fn check_script_with(genome: &Genome, optimize: bool) -> Result<(), TestCaseError> {
     let rules = genome.rules();
-    let options = Options {
-        optimize,
-        ..Options::default()
-    };
-    let program = Program::with(rules.clone(), options).expect("a generated program is safe and small");
-    let mut sessions = [Strategy::Auto, Strategy::Maintain, Strategy::Recompute].map(|strategy| {
-        let mut session = program.session();
-        session.set_strategy(strategy);
-        (strategy, session)
-    });
-    let mut facts: BTreeSet<(RelId, Vec<Value>)> = BTreeSet::new();
-    let mut before: naive::Database = vec![BTreeSet::new(); rules.relations.len()];
-    for batch in 0..genome.script.len() {
-        for (present, rel, row) in genome.batch(&rules, batch) {
-            for (_, session) in &mut sessions {
-                if present {
-                    session.insert(rel, &row).unwrap();
-                } else {
-                    session.retract(rel, &row).unwrap();
-                }
-            }
-            if present {
-                facts.insert((rel, row));
-            } else {
-                facts.remove(&(rel, row));
-            }
-        }
-        let symbols = sessions[0].1.symbols();
-        let after = naive::evaluate(&rules, symbols, facts.iter().cloned());
-        for (strategy, session) in &mut sessions {
-            check_commit(session, &before, &after)?;
-            check_work(session, *strategy, optimize, batch == 0, &before, &after)?;
-        }
-        before = after;
-    }
-
-    // The same change there and back again: nothing happens. There, then back: what happened is undone.
-    let Some(last) = genome.script.len().checked_sub(1) else {
-        return Ok(());
-    };
-    for (_, session) in &mut sessions {
-        let batch = genome.batch(&rules, last);
-        let known: Vec<bool> = batch.iter().map(|(_, rel, row)| session.contains(*rel, row)).collect();
-        let set = |session: &mut Session, rel, row: &[Value], present| match present {
-            true => session.insert(rel, row).unwrap(),
-            false => session.retract(rel, row).unwrap(),
-        };
-        for (_, rel, row) in &batch {
-            set(session, *rel, row, true);
-        }
-        for ((_, rel, row), known) in batch.iter().zip(&known) {
-            set(session, *rel, row, *known);
-        }
-        prop_assert!(session.commit().unwrap().is_empty());
-        prop_assert_eq!(session.work().evaluated().count(), 0);
-
-        for ((_, rel, row), known) in batch.iter().zip(&known) {
-            set(session, *rel, row, !*known);
-        }
-        let there = session.commit().unwrap();
-        for ((_, rel, row), known) in batch.iter().zip(&known) {
-            set(session, *rel, row, *known);
-        }
-        let back = session.commit().unwrap();
-        prop_assert_eq!(there.changes().len(), back.changes().len());
-        for (there, back) in there.changes().iter().zip(back.changes()) {
-            prop_assert_eq!(
-                (there.relation, &there.added, &there.removed),
-                (back.relation, &back.removed, &back.added)
-            );
-        }
-        prop_assert_eq!(&database(session), &before);
-    }
-    Ok(())
-}
-
-/// Commits; the session holds `after`, and its delta is the difference to `before`.
-fn check_commit(session: &mut Session, before: &naive::Database, after: &naive::Database) -> Result<(), TestCaseError> {
-    let delta = session.commit().unwrap();
-    prop_assert_eq!(&database(session), after);
-    for (rel, (before, after)) in before.iter().zip(after).enumerate() {
-        let rows = session.rows(RelId(rel as u32));
-        prop_assert!(rows.is_sorted());
-        let change = delta.of(RelId(rel as u32));
-        prop_assert_eq!(change.is_some(), before != after);
-        if let Some(change) = change {
-            prop_assert!(change.added.iter().eq(after.difference(before)));
-            prop_assert!(change.removed.iter().eq(before.difference(after)));
-        }
-    }
-    let program = session.program().clone();
-    for (clause, position) in program.rules().clauses.iter().zip(0..) {
-        let fired = session.fired(ClauseId(position));
-        prop_assert!(fired.iter().eq(&naive::consequences(clause, session.symbols(), after)));
-    }
-    Ok(())
-}
-
-/// Only strata whose inputs changed were touched, in the way asked for, and in those maintained only clauses that read what
-/// changed or that might derive again what was lost.
-fn check_work(
-    session: &Session,
-    strategy: Strategy,
-    optimize: bool,
-    first: bool,
-    before: &naive::Database,
-    after: &naive::Database,
-) -> Result<(), TestCaseError> {
-    let rules = session.program().rules();
-    prop_assert_eq!(session.work().strata.len(), rules.strata.len());
-    for (stratum, work) in rules.strata.iter().zip(&session.work().strata) {
-        let changed = |clause: ClauseId| input_changed(rules, clause, &stratum.relations, before, after);
-        let any = stratum.clauses.iter().any(|clause| changed(*clause));
-        let (evaluated, due) = (*work != StratumWork::Skipped, first || any);
-        // The optimiser may find that a clause does not depend on what changed.
-        prop_assert!(evaluated == due || (optimize && due));
-        match work {
-            StratumWork::Skipped => {}
-            StratumWork::Maintained(work) => {
-                prop_assert!(!first && strategy != Strategy::Recompute && work.given_up == 0);
-                for rule in &work.rules {
-                    prop_assert!(stratum.clauses.contains(&rule.clause) && rule.given > 0);
-                }
-                // As long as nothing may be lost, a clause that reads nothing that changed does not run.
-                if !stratum.recursive && work.rules.iter().any(|rule| !changed(rule.clause)) {
-                    prop_assert!(work.rules.iter().any(|rule| changed(rule.clause) && rule.derived > 0));
-                }
-            }
-            StratumWork::Recomputed(_) => {
-                let aggregates = stratum.clauses.iter().any(|clause| {
-                    let mut body = rules.clauses[clause.index()].body.iter();
-                    body.any(|literal| matches!(literal, Literal::Aggregate { .. }))
-                });
-                prop_assert!(first || strategy != Strategy::Maintain || aggregates);
-            }
-        }
-    }
-    Ok(())
-}
-
-/// Whether the clause reads a relation outside of its stratum that is not what it was.
-fn input_changed(
-    rules: &Rules,
-    clause: ClauseId,
-    own: &[RelId],
-    before: &naive::Database,
-    after: &naive::Database,
-) -> bool {
-    rules.clauses[clause.index()]
-        .body
-        .iter()
-        .filter_map(Literal::atom)
-        .any(|atom| {
-            let own = own.contains(&atom.relation) && rules.relations[atom.relation.index()].derived;
-            !own && before[atom.relation.index()] != after[atom.relation.index()]
-        })
+    agrees(&rules, &genome.batches(&rules))
 }
 
 /// So many threads that share every work, however small.

@@ -198,12 +198,19 @@ pub(super) fn profile(session: &Session, times: &Times, sources: &Sources) -> St
         line(time, numbers, &session.program().show_clause(rule.clause, sources));
     }
     let own = session.program().rules().clauses.len();
-    let shared = (times.clauses.iter()).filter(|(clause, _)| clause.index() >= own).map(|(_, time)| *time);
+    let shared = (times.clauses.iter())
+        .filter(|(clause, _)| clause.index() >= own)
+        .map(|(_, time)| *time);
     let (shared_time, shared_runs) = shared.fold((Duration::ZERO, 0), |sum, next| (sum.0 + next.0, sum.1 + next.1));
     let works = session.work().strata.iter().filter_map(StratumWork::work);
     let shared: u64 = works.map(|work| work.shared).sum();
     if shared_runs > 0 {
-        let numbers = [String::new(), shared.to_string(), String::new(), shared_runs.to_string()];
+        let numbers = [
+            String::new(),
+            shared.to_string(),
+            String::new(),
+            shared_runs.to_string(),
+        ];
         line(shared_time, numbers, "(shared by several clauses)");
     }
     let clauses: Duration = times.clauses.values().map(|(time, _)| *time).sum();

@@ -334,7 +334,13 @@ impl Plans {
             return clause;
         }
         let shared = self.sources[clause.index()].head.relation;
-        let reads = |clause: &Clause| clause.body.iter().filter_map(Literal::atom).any(|atom| atom.relation == shared);
+        let reads = |clause: &Clause| {
+            clause
+                .body
+                .iter()
+                .filter_map(Literal::atom)
+                .any(|atom| atom.relation == shared)
+        };
         let reader = self.sources[..own].iter().position(reads);
         reader.map_or(clause, |reader| ClauseId(reader as u32))
     }

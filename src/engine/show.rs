@@ -277,7 +277,10 @@ impl Shown<'_> {
 
     fn show_value(&self, value: Value, base: BaseType) -> String {
         match base {
-            BaseType::Symbol => format!("{:?}", self.compiled.rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
+            BaseType::Symbol => format!(
+                "{:?}",
+                self.compiled.rules.symbols.text(Symbol(value.0)).unwrap_or_default()
+            ),
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
             BaseType::Float => facts::print_float(value.as_float()),

@@ -218,7 +218,9 @@ fn expected<const W: usize>(plan: &Plan, views: &[View<'_, W>]) -> f64 {
             }
             Step::Meet { lists, .. } => {
                 let found = lists.iter().zip(view.batches());
-                let least = found.map(|(list, batch)| in_batch(batch, &list.key)).fold(f64::INFINITY, f64::min);
+                let least = found
+                    .map(|(list, batch)| in_batch(batch, &list.key))
+                    .fold(f64::INFINITY, f64::min);
                 looked_at += flow * least * lists.len() as f64;
                 flow *= least;
             }

@@ -92,13 +92,7 @@ pub fn load_with(
 }
 
 /// Checks all items. The constants' texts are added to `symbols`.
-fn check(
-    items: &[ast::Item],
-    complete: bool,
-    inputs: Inputs,
-    symbols: Symbols,
-    faults: &mut Faults,
-) -> Option<Rules> {
+fn check(items: &[ast::Item], complete: bool, inputs: Inputs, symbols: Symbols, faults: &mut Faults) -> Option<Rules> {
     let replaced = inline::replace(items, faults);
     let syntax_is_good = !faults.failed();
     let items = replaced.as_deref().unwrap_or(items);

@@ -5,6 +5,8 @@
 
 #![allow(dead_code, reason = "each test target uses its own part")]
 
+pub mod agree;
+
 use logicity::diag::{Sources, Span};
 use logicity::lang::{
     AggregateOp, Atom, BaseType, Clause, ClauseId, Column, Comparison, Functor, Literal, RelId, Relation, Rules,
@@ -46,6 +48,9 @@ pub struct ClauseGene {
 
 /// A change of a base fact: whether it is inserted, relation, values.
 pub type ChangeGene = (bool, u8, [u8; 5]);
+
+/// Changes of facts that are committed together: whether the row is inserted, else it is retracted.
+pub type Batch = Vec<(bool, RelId, Vec<Value>)>;
 
 /// Raw material of a program and of what happens to it.
 #[derive(Clone, Debug)]
@@ -175,7 +180,59 @@ pub fn sharing_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value =
     })
 }
 
+/// Bytes as numbers of a genome; zeros after the last.
+struct Numbers<'b>(std::slice::Iter<'b, u8>);
+
+impl Numbers<'_> {
+    fn next(&mut self) -> u8 {
+        self.0.next().copied().unwrap_or(0)
+    }
+
+    fn list<T>(&mut self, length: std::ops::RangeInclusive<u8>, mut read: impl FnMut(&mut Self) -> T) -> Vec<T> {
+        let length = length.start() + self.next() % (length.end() - length.start() + 1);
+        (0..length).map(|_| read(self)).collect()
+    }
+
+    fn array<T>(&mut self, mut read: impl FnMut(&mut Self) -> T) -> [T; 5] {
+        std::array::from_fn(|_| read(self))
+    }
+}
+
 impl Genome {
+    /// The genome that the bytes are read as, whatever they are: one like those of [`genomes`], or, if the first byte is odd, of
+    /// [`recursive_genomes`].
+    pub fn read(bytes: &[u8]) -> Genome {
+        let mut numbers = Numbers(bytes.iter());
+        let pairs = numbers.next() % 2 == 1;
+        let relations = |numbers: &mut Numbers<'_>| {
+            let columns = |numbers: &mut Numbers<'_>| match pairs {
+                true => vec![true; 2],
+                false => numbers.list(0..=5, |numbers| numbers.next() % 3 == 0),
+            };
+            numbers.list(1..=3, columns)
+        };
+        let term = |numbers: &mut Numbers<'_>| if pairs { numbers.next() % 192 } else { numbers.next() };
+        let literal = |numbers: &mut Numbers<'_>| LiteralGene {
+            kind: numbers.next(),
+            relation: numbers.next(),
+            terms: numbers.array(term),
+        };
+        let clause = |numbers: &mut Numbers<'_>| ClauseGene {
+            relation: numbers.next(),
+            head: numbers.array(term),
+            body: numbers.list(0..=5, literal),
+        };
+        let change = |numbers: &mut Numbers<'_>| {
+            let kind = numbers.next();
+            (kind % 4 != 3, kind / 4, numbers.array(Numbers::next))
+        };
+        Genome {
+            base: relations(&mut numbers),
+            strata: numbers.list(1..=3, |numbers| (relations(numbers), numbers.list(1..=5, clause))),
+            script: numbers.list(1..=4, |numbers| numbers.list(0..=24, change)),
+        }
+    }
+
     /// The program.
     pub fn rules(&self) -> Rules {
         let span = Span::new(Sources::new().add("random.dl", ""), 0..0);
@@ -232,8 +289,13 @@ impl Genome {
         rules
     }
 
+    /// All batches.
+    pub fn batches(&self, rules: &Rules) -> Vec<Batch> {
+        (0..self.script.len()).map(|batch| self.batch(rules, batch)).collect()
+    }
+
     /// A batch as rows of base relations.
-    pub fn batch(&self, rules: &Rules, batch: usize) -> Vec<(bool, RelId, Vec<Value>)> {
+    pub fn batch(&self, rules: &Rules, batch: usize) -> Batch {
         let base: Vec<RelId> = (0..rules.relations.len()).map(rel).collect();
         let base: Vec<RelId> = base
             .into_iter()
