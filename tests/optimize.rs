@@ -226,16 +226,16 @@ fn random_programs_share() {
     let mut runner = proptest::test_runner::TestRunner::deterministic();
     let genomes = (0..100).map(|_| sharing_genomes(1..2).new_tree(&mut runner).unwrap().current());
     let count = genomes.filter(|genome| shares(&with(&genome.rules(), true))).count();
-    assert!(count >= 25, "{count}");
+    assert!(count >= 10, "{count}");
 }
 
-const SHARING: &str = ".decl A, B, C, D(x: number) .decl R(x: number, y: number) .input A, B, C, D, R
-    .decl P, Q(x: number) .decl T(x: number, y: number) .output P, Q, T
-    P(y) :- A(x), R(x, y), B(y), !C(y).
-    Q(v) :- A(w), B(v), R(w, v), !D(w).
-    T(z, y) :- R(z, y), A(z), y < z, B(y).\n";
+const SHARING: &str = ".decl C, D(x: number) .decl R, S(x: number, y: number) .input C, D, R, S
+    .decl P, Q, T(x: number, y: number) .output P, Q, T
+    P(x, y) :- R(x, y), S(y, z), S(z, x), !C(y).
+    Q(v, w) :- S(w, u), R(v, w), S(u, v), !D(v).
+    T(z, y) :- R(z, y), S(x, z), y < z, S(y, x).\n";
 
-/// 300 things; a third of them A, a fifth B; each related to twenty others.
+/// 300 things; half of them C, every seventh D; each related to twenty others by R, to others by S.
 fn insert_graph(session: &mut Session) {
     let program = session.program().clone();
     let mut insert = |name: &str, row: &[i32]| {
@@ -243,13 +243,14 @@ fn insert_graph(session: &mut Session) {
         session.insert(program.relation(name).unwrap(), &row).unwrap();
     };
     for x in 0..300 {
-        for (name, every) in [("A", 3), ("B", 5), ("C", 2), ("D", 7)] {
+        for (name, every) in [("C", 2), ("D", 7)] {
             if x % every == 0 {
                 insert(name, &[x]);
             }
         }
         for step in 1..=20 {
             insert("R", &[x, (x * 7 + step * 11) % 300]);
+            insert("S", &[x, (x * 13 + step * 17) % 300]);
         }
     }
 }
@@ -276,8 +277,8 @@ fn what_clauses_share_is_computed_once() {
             .filter_map(|work| Some(work.work()?.looked_at()))
             .sum();
         // A change of what is shared, in small: maintained, and nobody is told of the hidden relation.
-        let b = program.relation("B").unwrap();
-        session.retract(b, &[Value::number(10)]).unwrap();
+        let r = program.relation("R").unwrap();
+        session.retract(r, &[Value::number(10), Value::number(81)]).unwrap();
         let small = session.commit().unwrap();
         let maintained = session.work().clone();
         (first, answer(&session), delta, small, looked_at, maintained)
@@ -298,27 +299,30 @@ fn what_clauses_share_is_computed_once() {
 #[test]
 fn only_what_pays_is_shared() {
     let base = ".decl A, B, C, D(x: number) .decl R, S(x: number, y: number) .input A, B, C, D, R, S
-        .decl P, Q(x: number) .output P, Q\n";
+        .decl P, Q(x: number, y: number) .output P, Q\n";
     let verdict = |text: &str| shares(&with(&rules(&format!("{base}{text}")).1, true));
     assert!(verdict(
-        "P(y) :- A(x), R(x, y), B(y), !C(y). Q(x) :- A(x), R(x, y), B(y), !C(y)."
+        "P(x, y) :- R(x, y), S(y, z), S(z, x), !C(y). P(y, x) :- R(x, y), S(z, x), S(y, z), !B(y).
+        Q(v, w) :- S(w, u), R(v, w), S(u, v), !D(v)."
     ));
     // Other columns, another relation.
     assert!(!verdict(
-        "P(y) :- A(x), R(x, y), B(y), !C(y). Q(y) :- A(x), R(y, x), B(y), !D(y)."
+        "P(x, y) :- R(x, y), S(y, z), S(z, x), !C(y). Q(x, y) :- R(y, x), S(y, z), S(z, x), !D(y)."
     ));
     assert!(!verdict(
-        "P(y) :- A(x), R(x, y), B(y), !C(y). Q(y) :- A(x), S(x, y), B(y), !D(y)."
+        "P(x, y) :- R(x, y), S(y, z), S(z, x), !C(y). Q(x, y) :- R(x, y), S(y, z), R(z, x), !D(y)."
     ));
     // Nothing is filtered, so the hidden relation would be as large as what it saves.
-    assert!(!verdict("P(y) :- A(x), R(x, y), !C(y). Q(y) :- A(x), R(x, y), !D(y)."));
+    assert!(!verdict(
+        "P(x, x) :- A(x), R(x, y), !C(y). Q(x, x) :- A(x), R(x, y), !D(y)."
+    ));
     // One clause looks at a few only.
     assert!(!verdict(
-        "P(y) :- A(x), R(x, y), B(y), !C(y). Q(x) :- D(x), C(x), A(x), R(x, y), B(y)."
+        "P(x, y) :- R(x, y), S(y, z), S(z, x), !C(y). Q(x, y) :- C(x), D(x), B(x), R(x, y), S(y, z), S(z, x)."
     ));
     // A hidden relation of pairs that no atom holds could be larger than all others.
     assert!(!verdict(
-        "P(x) :- R(x, y), S(y, z), x < z. Q(x) :- R(x, y), S(y, z), x > z."
+        "P(x, x) :- R(x, y), S(y, z), x < z. Q(x, x) :- R(x, y), S(y, z), x > z."
     ));
 }
 

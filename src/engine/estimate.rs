@@ -161,6 +161,18 @@ impl Size {
     /// Rows that are looked at; so many say enough.
     const SAMPLE: usize = 128;
 
+    /// Of so many rows with words of `words` kinds, evenly spread.
+    pub(super) fn even(rows: f64, arity: usize, words: f64) -> Self {
+        let spread = Spread {
+            distinct: words.min(rows),
+            often: (rows / words).max(1.0),
+        };
+        Size {
+            rows: rows as usize,
+            columns: vec![spread; arity],
+        }
+    }
+
     /// Of sorted rows with so many columns.
     pub(super) fn of<const W: usize>(rows: &[Row<W>], arity: usize) -> Self {
         let count = rows.len().min(Self::SAMPLE);

@@ -362,7 +362,7 @@ impl Plans {
             // What could be planned once can be planned again: which variables can be bound does not depend on the order.
             match aim {
                 Aim::Recompute if plans.deltas.is_empty() => {
-                    if let Some(plan) = plan_complete(clause, &mut indexer, sizes) {
+                    if let Some((plan, _)) = plan_complete(clause, &mut indexer, sizes) {
                         plans.complete = plan;
                     }
                 }
@@ -445,15 +445,14 @@ impl Sketcher {
         self.indexer.of[relation.index()].truncate(1);
     }
 
-    /// The plan that a clause without recursion has, and the order in which it comes to the literals; `None` if there is none.
-    pub(super) fn plan(&mut self, clause: &Clause) -> Option<(Plan, Vec<usize>)> {
+    /// The plan that a clause without recursion has for relations of these sizes, and the order in which it comes to the literals;
+    /// `None` if there is none.
+    pub(super) fn plan(&mut self, clause: &Clause, sizes: &[Option<Size>]) -> Option<(Plan, Vec<usize>)> {
         let large = clause.body.len() > CLAUSE_MAX || clause.variables.len() > CLAUSE_MAX;
         if large {
             return None;
         }
-        let planner = Planner::new(clause, &mut self.indexer, Order::Text { large: &[] });
-        let (plan, _, sequence) = planner.run(First::Any, &|_| Version::Complete).ok()?;
-        Some((plan, sequence))
+        plan_complete(clause, &mut self.indexer, sizes)
     }
 
     /// The relation that a step of a plan looks at.
@@ -611,8 +610,8 @@ fn plan_changes(
 }
 
 /// The plan over finished relations of known sizes that looks at the fewest rows, of those that begin with one of the atoms that
-/// find few.
-fn plan_complete(clause: &Clause, indexer: &mut Indexer, sizes: &[Option<Size>]) -> Option<Plan> {
+/// find few; and the order in which it comes to the literals.
+fn plan_complete(clause: &Clause, indexer: &mut Indexer, sizes: &[Option<Size>]) -> Option<(Plan, Vec<usize>)> {
     let order = Order::Sizes(sizes);
     let planner = Planner::new(clause, indexer, order);
     let found = |position: usize| Some((planner.found(positive(&clause.body[position])?), position));
@@ -632,7 +631,8 @@ fn plan_complete(clause: &Clause, indexer: &mut Indexer, sizes: &[Option<Size>])
         starts.sort_by(|a, b| a.0.total_cmp(&b.0));
     }
     let first = starts.first().map_or(First::Any, |&(_, start)| First::Literal(start));
-    Planner::new(clause, indexer, order).plan(first, &version).ok()
+    let (plan, _, sequence) = Planner::new(clause, indexer, order).run(first, &version).ok()?;
+    Some((plan, sequence))
 }
 
 /// What a plan begins with.

@@ -45,7 +45,7 @@ impl Session {
         let shown = Shown {
             compiled: &self.program.0,
             plans: self.store.plans(),
-            rows: Some(&|relation| self.len(relation)),
+            rows: Some(&|relation| self.store.len(relation)),
         };
         shown.all(sources)
     }

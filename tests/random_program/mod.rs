@@ -141,7 +141,7 @@ pub fn computing_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value
 
 /// Programs of which many clauses begin with the same atoms, under other names of variables and in another order.
 pub fn sharing_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value = Genome> {
-    let common = vec((0..4u8, prop::array::uniform5(0..40u8)), 2..4);
+    let common = vec((0..4u8, prop::array::uniform5(0..40u8)), 3..5);
     let own = (any::<u8>(), 0..4u8, any::<[u8; 5]>()).prop_map(|(kind, relation, terms)| LiteralGene {
         kind,
         relation,

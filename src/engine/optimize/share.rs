@@ -1,21 +1,22 @@
 //! Sub-bodies that several clauses share, computed once.
 //!
 //! ```text
-//! P(x) :- A(x), R(x, y), B(y), C(y).             +1(x, y) :- A(x), R(x, y), B(y).
-//! Q(x) :- A(z), R(z, x), B(x), !C(z).      =>    P(x) :- +1(x, y), C(y).
-//!                                                Q(x) :- +1(z, x), !C(z).
+//! P(x, y) :- R(x, y), S(y, z), S(z, x), !C(y).         +1(x, y) :- R(x, y), S(y, z), S(z, x).
+//! Q(v, w) :- S(w, u), R(v, w), S(u, v), !D(v).    =>   P(x, y) :- +1(x, y), !C(y).
+//!                                                      Q(v, w) :- +1(v, w), !D(v).
 //! ```
 //!
 //! A hidden relation costs its rows, so few sub-bodies are worth one. A candidate is what the plans of several clauses *begin* with, up
 //! to the names of variables and some tests: each of those clauses would go through all of it, restricted by no other atom. One of its
 //! atoms has all the variables that are needed outside, so the hidden relation never has more rows than that atom's. Of the candidates, the one is
 //! taken that saves most, where what is shared is counted once (its cost in a graph, not in a tree), then again among the rewritten
-//! clauses, until nothing saves enough. The cost of a plan is judged by assumed sizes, since there are no rows yet.
+//! clauses, until nothing saves enough. The cost of a plan is judged by assumed sizes, since there are no rows yet; clauses are planned by
+//! sizes later, and many a body that looks expensive is not, as it begins with few rows or ends at its first success.
 //!
 //! Only clauses of strata without recursion take part: elsewhere new rows lead a plan, and they differ from clause to clause.
 
-use crate::engine::estimate;
-use crate::engine::plan::{Plan, Sketcher};
+use crate::engine::estimate::{self, Size};
+use crate::engine::plan::Sketcher;
 use crate::lang::{
     Atom, BaseType, Clause, ClauseId, Column, Comparison, Literal, RelId, Relation, Rules, Stratum, Term, VarId,
 };
@@ -45,8 +46,12 @@ const SAVED_AT_LEAST: f64 = 0.25;
 /// How many things there are taken to be.
 const THINGS: f64 = 1000.0;
 
-/// How many rows a relation with one column is taken to have, and one with more.
-const ROWS: [f64; 2] = [100.0, 8000.0];
+/// How many rows a relation with one column is taken to have, and one with more: in a city where things are few of a kind, and in one where
+/// they are many. Sharing must pay in both.
+const ROWS: [[f64; 2]; 2] = [[100.0, 8_000.0], [350.0, 20_000.0]];
+
+/// A number for each of the two cities.
+type Both = [f64; 2];
 
 /// A literal whose variables are numbered, so that equal ones are equal.
 type Word = Vec<u64>;
@@ -85,13 +90,13 @@ struct Candidate {
     clause: Clause,
     /// The clauses as they would be.
     rewritten: Vec<(usize, Clause)>,
-    rows: f64,
+    rows: Both,
     saved: f64,
 }
 
 /// Appends hidden relations and their clauses to the rules, each with a stratum of its own before the first that reads it.
 pub(super) fn share(rules: &mut Rules) {
-    let mut rows: Vec<f64> = rules.relations.iter().map(assumed).collect();
+    let mut rows: Vec<Both> = rules.relations.iter().map(assumed).collect();
     let mut left = Left {
         candidates: CANDIDATES_MAX,
         words: WORDS_MAX,
@@ -119,18 +124,46 @@ pub(super) fn share(rules: &mut Rules) {
     }
 }
 
-fn assumed(relation: &Relation) -> f64 {
-    match relation.arity() {
+fn assumed(relation: &Relation) -> Both {
+    ROWS.map(|[one, more]| match relation.arity() {
         0 => 1.0,
-        1 => ROWS[0],
-        _ => ROWS[1],
+        1 => one,
+        _ => more,
+    })
+}
+
+/// One of the two cities.
+struct City {
+    rows: Vec<f64>,
+    sizes: Vec<Option<Size>>,
+}
+
+impl City {
+    fn new(rules: &Rules, rows: &[Both], which: usize) -> Self {
+        let rows: Vec<f64> = rows.iter().map(|rows| rows[which]).collect();
+        let relations = rules.relations.iter().zip(&rows);
+        City {
+            sizes: relations
+                .map(|(relation, &rows)| Some(Size::even(rows, relation.arity(), THINGS)))
+                .collect(),
+            rows,
+        }
+    }
+
+    /// The plan of a clause, the order in which it comes to the literals, and about how many rows it looks at and derives.
+    fn plan(&self, sketcher: &mut Sketcher, clause: &Clause) -> Option<(Vec<usize>, f64, f64)> {
+        let (plan, order) = sketcher.plan(clause, &self.sizes)?;
+        let found = |source, key: usize| self.rows[sketcher.relation(source).index()] / THINGS.powi(key as i32);
+        let (looked_at, derived) = estimate::expected(&plan, &found);
+        Some((order, looked_at, derived))
     }
 }
 
 /// The candidate that saves most, if one saves enough.
-fn best(rules: &Rules, rows: &[f64], number: usize, left: &mut Left) -> Option<Candidate> {
+fn best(rules: &Rules, rows: &[Both], number: usize, left: &mut Left) -> Option<Candidate> {
     let mut sketcher = Sketcher::new(rules);
-    let mut costs = vec![0.0; rules.clauses.len()];
+    let cities = [0, 1].map(|which| City::new(rules, rows, which));
+    let mut costs = vec![[0.0; 2]; rules.clauses.len()];
     let mut uses: BTreeMap<Vec<Word>, Vec<Use>> = BTreeMap::new();
     for stratum in rules.strata.iter().filter(|stratum| !stratum.recursive) {
         for index in stratum.clauses.iter().map(|clause| clause.index()) {
@@ -138,12 +171,20 @@ fn best(rules: &Rules, rows: &[f64], number: usize, left: &mut Left) -> Option<C
             if atoms(&clause.body) < 2 {
                 continue;
             }
-            let Some((plan, order)) = sketcher.plan(clause) else {
-                continue;
-            };
-            costs[index] = cost(&plan, &sketcher, rows).0;
-            for (key, found) in beginnings(index, clause, &order, left) {
-                uses.entry(key).or_default().push(found);
+            for (which, city) in cities.iter().enumerate() {
+                let Some((order, looked_at, _)) = city.plan(&mut sketcher, clause) else {
+                    continue;
+                };
+                costs[index][which] = looked_at;
+                for (key, found) in beginnings(index, clause, &order, left) {
+                    let uses = uses.entry(key).or_default();
+                    if uses
+                        .iter()
+                        .all(|other| other.clause != index || other.positions != found.positions)
+                    {
+                        uses.push(found);
+                    }
+                }
             }
         }
     }
@@ -233,8 +274,8 @@ fn needed(terms: &[Term], clause: &Clause, rest: impl Iterator<Item = usize>) ->
 fn weigh(
     rules: &Rules,
     uses: &[Use],
-    costs: &[f64],
-    rows: &[f64],
+    costs: &[Both],
+    rows: &[Both],
     number: usize,
     sketcher: &mut Sketcher,
 ) -> Option<Candidate> {
@@ -248,38 +289,56 @@ fn weigh(
         let known = |term: &Term| literal.terms().any(|other| other == term);
         matches!(literal, Literal::Positive(_)) && clause.head.terms.iter().all(known)
     };
-    let most = (clause.body.iter().filter(covers))
-        .filter_map(|literal| Some(rows[literal.atom()?.relation.index()]))
-        .reduce(f64::min)?;
+    let covering: Vec<RelId> = (clause.body.iter().filter(covers))
+        .filter_map(|literal| Some(literal.atom()?.relation))
+        .collect();
     let relation = RelId(rules.relations.len() as u32);
     sketcher.declare(relation, hidden.arity());
-    let (own, found) = cost(&sketcher.plan(&clause)?.0, sketcher, rows);
-    let found = found.min(most);
-    let rows: Vec<f64> = rows.iter().copied().chain([found]).collect();
-    let mut rewritten = Vec::new();
-    let (mut before, mut after) = (0.0, own + found);
-    for one in uses {
-        let shorter = rewrite(&rules.clauses[one.clause], one, relation, &needed);
-        let cheaper = cost(&sketcher.plan(&shorter)?.0, sketcher, &rows).0;
-        if cheaper < costs[one.clause] {
-            before += costs[one.clause];
-            after += cheaper;
-            rewritten.push((one.clause, shorter));
+    let shorter: Vec<Clause> = (uses.iter())
+        .map(|one| rewrite(&rules.clauses[one.clause], one, relation, &needed))
+        .collect();
+    let mut found_in = [0.0; 2];
+    let mut own_in = [0.0; 2];
+    let mut cheaper_in = vec![[0.0; 2]; uses.len()];
+    for which in [0, 1] {
+        let mut city = City::new(rules, rows, which);
+        let most = covering
+            .iter()
+            .map(|relation| city.rows[relation.index()])
+            .reduce(f64::min)?;
+        let (_, own, found) = city.plan(sketcher, &clause)?;
+        (own_in[which], found_in[which]) = (own, found.min(most));
+        city.rows.push(found_in[which]);
+        city.sizes
+            .push(Some(Size::even(found_in[which], hidden.arity(), THINGS)));
+        for (cheaper, shorter) in cheaper_in.iter_mut().zip(&shorter) {
+            cheaper[which] = city.plan(sketcher, shorter)?.1;
         }
     }
-    (rewritten.len() > 1 && before - after >= SAVED_AT_LEAST * before).then_some(Candidate {
+    let gains = |position: &usize| {
+        [0, 1]
+            .iter()
+            .all(|&which| cheaper_in[*position][which] < costs[uses[*position].clause][which])
+    };
+    let rewritten: Vec<usize> = (0..uses.len()).filter(gains).collect();
+    // What is saved, as a share of what it took.
+    let saved = [0, 1].map(|which| {
+        let before: f64 = rewritten
+            .iter()
+            .map(|&position| costs[uses[position].clause][which])
+            .sum();
+        let after: f64 = rewritten.iter().map(|&position| cheaper_in[position][which]).sum();
+        (before - after - own_in[which] - found_in[which], before)
+    });
+    let pays = saved.iter().all(|(saved, before)| *saved >= SAVED_AT_LEAST * before);
+    (rewritten.len() > 1 && pays).then(|| Candidate {
         hidden,
         clause,
-        rewritten,
-        rows: found,
-        saved: before - after,
-    })
-}
-
-/// About how many rows the plan looks at and derives.
-fn cost(plan: &Plan, sketcher: &Sketcher, rows: &[f64]) -> (f64, f64) {
-    estimate::expected(plan, &|source, key| {
-        rows[sketcher.relation(source).index()] / THINGS.powi(key as i32)
+        rewritten: (rewritten.iter())
+            .map(|&position| (uses[position].clause, shorter[position].clone()))
+            .collect(),
+        rows: found_in,
+        saved: saved[0].0,
     })
 }
 
