@@ -201,7 +201,7 @@ pub fn print_value(session: &Session, value: Value, base: BaseType) -> String {
     }
 }
 
-/// Writes what [`print`] prints in any format, without the header. The text may be far larger than the session: a long symbol may
+/// Writes what [`print()`] prints in any format, without the header. The text may be far larger than the session: a long symbol may
 /// be in many rows.
 pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut dyn Write) -> io::Result<()> {
     let Some(relation) = session.program().rules().relations.get(rel.index()) else {
