@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 use crate::diag::{Code, Diagnostic, Faults, Span, did_you_mean};
 
 use super::Inputs;
-use super::ast::{Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
+use super::ast::{self, Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
 use super::rules::{BaseType, Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
 
 /// More columns than this are refused.
@@ -82,23 +82,54 @@ pub(super) fn declare(items: &[Item], complete: bool, inputs: Inputs, faults: &m
             names.declare_predicates(decl, faults);
         }
     }
+    let mut before: Option<&ast::Clause> = None;
     for item in items {
         match item {
+            Item::Clause(clause) => before = Some(clause),
             Item::Mark(mark) => names.mark(mark, faults),
             Item::Pragma(pragma) => faults.push(
                 Diagnostic::new(Code::Ignored, "`.pragma` has no effect")
                     .at(pragma.place.0, "")
                     .help("remove it"),
             ),
-            Item::Plan(plan) => faults.push(
-                Diagnostic::new(Code::Ignored, "`.plan` has no effect")
-                    .at(plan.place.0, "")
-                    .help("remove it; the order of literals is chosen by itself"),
-            ),
+            Item::Plan(plan) => check_plan(plan, before, faults),
             _ => {}
         }
     }
     names
+}
+
+/// Orders that are none of the clause before are refused, as Souffle does.
+fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Faults) {
+    let positive = |literal: &ast::Literal| matches!(literal, ast::Literal::Atom { negated: false, .. });
+    let is_flat = |clause: &&ast::Clause| {
+        !clause
+            .body
+            .iter()
+            .any(|literal| matches!(literal, ast::Literal::Any(_)))
+    };
+    if let Some(clause) = clause.filter(is_flat) {
+        let count = clause.body.iter().filter(|literal| positive(literal)).count();
+        for (version, order) in &plan.orders {
+            let mut sorted = order.clone();
+            sorted.sort_unstable();
+            if !sorted.into_iter().eq(1..=count as i64) {
+                let fault = Diagnostic::new(
+                    Code::Syntax,
+                    format!("version {version} is no order of the clause's atoms"),
+                )
+                .at(plan.place.0, "")
+                .also(
+                    clause.place.0,
+                    format!("the positive atoms of the clause before it: {count}"),
+                );
+                faults.push(fault.help("name each atom once by its number, or remove `.plan`: it has no effect"));
+                return;
+            }
+        }
+    }
+    let fault = Diagnostic::new(Code::Ignored, "`.plan` has no effect").at(plan.place.0, "");
+    faults.push(fault.help("remove it; the order of literals is chosen by itself"));
 }
 
 impl Names {
