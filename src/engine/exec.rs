@@ -546,7 +546,7 @@ impl<const W: usize> State<W> {
                 let Some(head) = plans.member[plan.head.index()] else {
                     continue;
                 };
-                let view = |step: &Step| match step.sources().next() {
+                let view = |step: &Step| match step.source() {
                     Some(source) if source.version != Version::Complete => recursion.view(&held, plans, source),
                     _ => self.complete_view(plans, step),
                 };
@@ -594,7 +594,7 @@ impl<const W: usize> State<W> {
             let spec = &plans.indexes[source.index.index()];
             self.tables[spec.relation.index()].batch(spec)
         };
-        View::across(step.sources().map(batch))
+        View::for_step(step, batch)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Runs the steps of a plan: one pipelined nested-loop join over sorted rows, without intermediate relations.
 
-use crate::engine::plan::{List, Plan, Slot, Step};
+use crate::engine::plan::{List, Plan, Slot, Source, Step};
 use crate::engine::row::{Batch, Row, gallop, normalise};
 use crate::engine::seen::{Added, Seen};
 use crate::lang::{BaseType, Comparison, Functor, Patterns, Value};
@@ -21,14 +21,27 @@ impl<'a, const W: usize> View<'a, W> {
         rest: Vec::new(),
     };
 
-    /// Of one batch for each list of a step, or of the one batch of a step.
-    pub(super) fn across(mut batches: impl Iterator<Item = Batch<'a, W>>) -> Self {
-        match batches.next() {
-            Some(first) => View {
-                first,
-                rest: batches.collect(),
-            },
-            None => View::NONE,
+    /// One batch.
+    pub(super) fn of(first: Batch<'a, W>) -> Self {
+        View {
+            first,
+            rest: Vec::new(),
+        }
+    }
+
+    /// The batch for the source of a step, or those of the lists that it meets.
+    #[inline]
+    pub(super) fn for_step(step: &Step, batch: impl Fn(Source) -> Batch<'a, W>) -> Self {
+        match (step.source(), step) {
+            (Some(source), _) => View::of(batch(source)),
+            (None, Step::Meet { lists, .. }) => {
+                let mut batches = lists.iter().map(|list| batch(list.source));
+                batches.next().map_or(View::NONE, |first| View {
+                    first,
+                    rest: batches.collect(),
+                })
+            }
+            _ => View::NONE,
         }
     }
 

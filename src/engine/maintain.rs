@@ -245,7 +245,7 @@ fn views<'a, 'b: 'a, const W: usize>(
                 _ => table(spec.relation).batch(spec),
             }
         };
-        View::across(step.sources().map(batch))
+        View::for_step(step, batch)
     };
     plan.steps.iter().enumerate().map(view).collect()
 }

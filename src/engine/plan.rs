@@ -140,17 +140,25 @@ pub(super) enum Step {
 }
 
 impl Step {
-    /// Where the step finds rows, if it looks at any.
-    pub(super) fn sources(&self) -> impl Iterator<Item = Source> {
-        let (one, many): (_, &[List]) = match self {
+    /// Where the step finds rows, if it looks at those of a single relation.
+    #[inline]
+    pub(super) fn source(&self) -> Option<Source> {
+        match self {
             Step::Scan { source, .. }
             | Step::Exists { source, .. }
             | Step::Absent { source, .. }
-            | Step::Aggregate { source, .. } => (Some(*source), &[]),
-            Step::Meet { lists, .. } => (None, lists),
-            Step::Copy { .. } | Step::Compare { .. } | Step::Compute { .. } => (None, &[]),
+            | Step::Aggregate { source, .. } => Some(*source),
+            Step::Meet { .. } | Step::Copy { .. } | Step::Compare { .. } | Step::Compute { .. } => None,
+        }
+    }
+
+    /// Wherever the step finds rows.
+    pub(super) fn sources(&self) -> impl Iterator<Item = Source> {
+        let lists: &[List] = match self {
+            Step::Meet { lists, .. } => lists,
+            _ => &[],
         };
-        one.into_iter().chain(many.iter().map(|list| list.source))
+        self.source().into_iter().chain(lists.iter().map(|list| list.source))
     }
 
     /// The slots it fills.

@@ -168,7 +168,7 @@ impl Workers {
                 scope.spawn(|_| {
                     let mut views = views.to_vec();
                     while let (Some(chunk), false) = (chunks.get(next.fetch_add(1, Relaxed)), stopped.load(Relaxed)) {
-                        views[0] = View::across(std::iter::once(Batch::plain(chunk)));
+                        views[0] = View::of(Batch::plain(chunk));
                         hand.result = join::run(plan, &views, symbols, &mut hand.effort, &mut hand.out);
                         if hand.result.is_err() {
                             stopped.store(true, Relaxed);
@@ -274,7 +274,7 @@ mod tests {
                     assert_eq!(spec.relation, RelId(0));
                     tables[0].batch(spec)
                 };
-                let view = |step: &Step| View::across(step.sources().map(batch));
+                let view = |step: &Step| View::for_step(step, batch);
                 let views: Vec<View<'_, 2>> = plan.steps.iter().map(view).collect();
                 let run = |workers: &Workers, budget: u64, limit: usize| -> Result<Done, Stop> {
                     let (mut effort, mut out) = (Effort::new(budget), Output::new(limit));
