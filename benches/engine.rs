@@ -286,5 +286,39 @@ fn large_city(c: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, fixpoints, ticks, large_city);
+/// Large texts of two sizes, from the text to a session: the time of the second should be about twice that of the first.
+fn large_texts(c: &mut Criterion) {
+    let declarations = ".decl P(x: symbol)\n.decl Q(x: symbol, y: symbol)\n.input Q\n.output P\n";
+    let text = |count: usize, clause: &dyn Fn(usize) -> String| {
+        (0..count).fold(declarations.to_owned(), |text, number| text + &clause(number))
+    };
+    let one_head = |number| format!("P(x) :- Q(x, y), y != \"{number}\".\n");
+    let shared = |number| format!("P(x) :- Q(x, y), Q(y, z), Q(z, x), Q(x, \"{number}\").\n");
+    let negations = |number| match number {
+        0 => ".decl N0(x: symbol)\nN0(x) :- Q(x, x).\n".to_owned(),
+        _ => format!(
+            ".decl N{number}(x: symbol)\nN{number}(x) :- Q(x, _), !N{}(x).\n",
+            number - 1
+        ),
+    };
+    let facts = |number| format!("Q(\"{number}\", \"{}\").\n", number / 2);
+    let cases: [(&str, usize, &dyn Fn(usize) -> String); 4] = [
+        ("one_head", 2_500, &one_head),
+        ("shared_body", 2_500, &shared),
+        ("negations", 2_500, &negations),
+        ("facts", 50_000, &facts),
+    ];
+    let mut group = c.benchmark_group("load");
+    group.sample_size(10);
+    for (name, count, clause) in cases {
+        for count in [count, 2 * count] {
+            let text = text(count, clause);
+            group.bench_function(format!("{name}/{count}"), |b| {
+                b.iter(|| program(black_box(&text)).session());
+            });
+        }
+    }
+}
+
+criterion_group!(benches, fixpoints, ticks, large_city, large_texts);
 criterion_main!(benches);

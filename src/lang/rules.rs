@@ -6,6 +6,7 @@
 
 use crate::diag::Span;
 use crate::symbol::Symbols;
+use std::collections::HashMap;
 
 use super::functor::{AggregateOp, Functor};
 
@@ -457,5 +458,11 @@ impl Rules {
     pub fn relation(&self, name: &str) -> Option<RelId> {
         let index = self.relations.iter().position(|relation| relation.name == name)?;
         Some(RelId(u32::try_from(index).expect("fewer than 2^32 predicates")))
+    }
+
+    /// All predicates by their names, for whoever looks up many.
+    pub(crate) fn relations_by_name(&self) -> HashMap<&str, RelId> {
+        let names = self.relations.iter().map(|relation| relation.name.as_str());
+        names.zip((0..).map(RelId)).collect()
     }
 }

@@ -9,12 +9,16 @@
 //! way of a fact may be arbitrarily long (recursion), and where values have an order or a size (numbers, `<`).
 
 use super::ground::variables;
-use super::{Individual, Side};
+use super::{Individual, Output, Side};
 use crate::lang::{Atom, BaseType, Clause, Comparison, Literal, RelId, Term, Value};
-use std::collections::BTreeSet;
+use indexmap::IndexSet;
+use std::collections::{BTreeSet, HashMap};
+
+/// Of all outputs together, so many facts about roots are taken apart; of later outputs no bound is known.
+pub(super) const FACTS_MAX: usize = 200_000;
 
 /// An argument of a fact about the roots.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum Root {
     /// A column of the output.
     Column(usize),
@@ -22,6 +26,9 @@ enum Root {
 }
 
 type RootFact = (RelId, Vec<Root>);
+
+/// What [`Side::cost`] is known to be.
+type Costs = HashMap<(RelId, bool), usize>;
 
 /// An argument of a fact about the roots, in words that mean the same on both sides.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -32,18 +39,23 @@ enum Told {
 
 /// The number of entities that suffice to show a difference in the output of that name; `None` if no number is known to. Outputs
 /// in `equal` are the same on both sides wherever those are, so their witnesses count once.
-pub(super) fn entities(sides: [&Side<'_>; 2], output: &str, arity: usize, equal: &BTreeSet<String>) -> Option<usize> {
+pub(super) fn entities(
+    sides: [&Side<'_>; 2],
+    output: &Output,
+    equal: &BTreeSet<String>,
+    room: &mut usize,
+) -> Option<usize> {
+    let arity = output.columns.len();
     let mut total = arity;
     let mut kept: BTreeSet<(&str, Vec<Told>)> = BTreeSet::new();
-    for side in sides {
-        let Some(relation) = side.rules.relation(output) else {
-            continue;
-        };
-        let mut facts: Vec<RootFact> = vec![(relation, (0..arity).map(Root::Column).collect())];
+    for (side, relation) in sides.into_iter().zip(output.ids) {
+        let mut costs = Costs::new();
+        let mut facts: IndexSet<RootFact> = [(relation, (0..arity).map(Root::Column).collect())].into();
         let mut at = 0;
-        while let Some((relation, row)) = facts.get(at).cloned() {
+        while let Some((relation, row)) = facts.get_index(at).cloned() {
             at += 1;
-            let witnesses = side.witnesses(relation, &row, &mut facts)?;
+            *room = room.checked_sub(1)?;
+            let witnesses = side.witnesses(relation, &row, &mut facts, &mut costs)?;
             let name = side.rules.relations[relation.index()].name.as_str();
             let known = equal.contains(name) && kept.contains(&(name, side.told(relation, &row)));
             if !known {
@@ -66,7 +78,13 @@ impl Side<'_> {
     }
 
     /// Witnesses of a fact about the roots, those of other such facts not counted; these are added to `facts`.
-    fn witnesses(&self, relation: RelId, row: &[Root], facts: &mut Vec<RootFact>) -> Option<usize> {
+    fn witnesses(
+        &self,
+        relation: RelId,
+        row: &[Root],
+        facts: &mut IndexSet<RootFact>,
+        costs: &mut Costs,
+    ) -> Option<usize> {
         let (mut most, mut failing) = (0, 0_usize);
         for clause in self.derivations(relation)? {
             let (locals, local) = self.split(clause, row, facts)?;
@@ -74,9 +92,9 @@ impl Side<'_> {
             let mut needed = locals.checked_add(some)?;
             failing = failing.checked_add(none)?;
             for (positive, atom) in local {
-                needed = needed.checked_add(self.cost(atom.relation, positive, 0)?)?;
+                needed = needed.checked_add(self.cost(atom.relation, positive, 0, costs)?)?;
                 // Where the fact does not hold, this literal may be what fails, for any values.
-                if self.cost(atom.relation, !positive, 0)? > 0 {
+                if self.cost(atom.relation, !positive, 0, costs)? > 0 {
                     return None;
                 }
             }
@@ -86,7 +104,10 @@ impl Side<'_> {
     }
 
     /// Witnesses that any fact of the predicate needs to hold, or to fail.
-    fn cost(&self, relation: RelId, holds: bool, depth: usize) -> Option<usize> {
+    fn cost(&self, relation: RelId, holds: bool, depth: usize, costs: &mut Costs) -> Option<usize> {
+        if let Some(&known) = costs.get(&(relation, holds)) {
+            return Some(known);
+        }
         if depth > 64 {
             return None;
         }
@@ -104,8 +125,8 @@ impl Side<'_> {
             let mut sum = locals.len() + some;
             let mut worst = 0;
             for (positive, atom) in self.derived_atoms(clause) {
-                sum = sum.checked_add(self.cost(atom.relation, positive, depth + 1)?)?;
-                worst = worst.max(self.cost(atom.relation, !positive, depth + 1)?);
+                sum = sum.checked_add(self.cost(atom.relation, positive, depth + 1, costs)?)?;
+                worst = worst.max(self.cost(atom.relation, !positive, depth + 1, costs)?);
             }
             total = match (holds, locals.is_empty()) {
                 (true, _) => total.max(sum),
@@ -114,6 +135,7 @@ impl Side<'_> {
                 (false, false) => return None,
             };
         }
+        costs.insert((relation, holds), total);
         Some(total)
     }
 
@@ -189,7 +211,7 @@ impl Side<'_> {
         &self,
         clause: &'c Clause,
         row: &[Root],
-        facts: &mut Vec<RootFact>,
+        facts: &mut IndexSet<RootFact>,
     ) -> Option<(usize, Vec<(bool, &'c Atom)>)> {
         self.plain(clause)?;
         let mut bound: Vec<Option<Root>> = vec![None; clause.variables.len()];
@@ -212,10 +234,7 @@ impl Side<'_> {
                 .collect();
             match roots {
                 Some(roots) => {
-                    let fact = (atom.relation, roots);
-                    if !facts.contains(&fact) {
-                        facts.push(fact);
-                    }
+                    facts.insert((atom.relation, roots));
                     if facts.len() > 1000 {
                         return None;
                     }

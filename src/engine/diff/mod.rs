@@ -23,7 +23,7 @@ use crate::lang::{BaseType, Clause, Literal, RelId, Rules, Term, Value};
 use crate::symbol::{Symbol, Symbols};
 use ground::{BaseFact, Circuit, TooLarge, View};
 use sat::{Lit, Outcome};
-use std::collections::{BTreeSet, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 
 /// What to compare and how far to look.
 #[derive(Clone, Debug)]
@@ -106,7 +106,7 @@ pub(super) struct Side<'a> {
 }
 
 /// A value. Texts are ordered as texts, numbers as numbers.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) enum Individual {
     Text(String),
     Number(i32),
@@ -171,8 +171,9 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, V
     order.sort_by_key(|output| sides[0].stratum[output.ids[0].index()]);
     let mut equal = BTreeSet::new();
     let mut proof = Some(0);
+    let mut room = bound::FACTS_MAX;
     for output in order {
-        let needed = bound::entities(sides, &output.name, output.columns.len(), &equal);
+        let needed = bound::entities(sides, output, &equal, &mut room);
         if needed.is_some() {
             equal.insert(output.name.clone());
         }
@@ -228,11 +229,13 @@ struct Base {
 
 fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>> {
     let mut base: Vec<Base> = Vec::new();
+    let mut known: HashSet<&str> = HashSet::new();
     let mut faults = Vec::new();
-    for (rules, other) in [(left, right), (right, left)] {
+    let by_name = [left, right].map(Rules::relations_by_name);
+    for (rules, other, twins) in [(left, right, &by_name[1]), (right, left, &by_name[0])] {
         for relation in rules.relations.iter().filter(|relation| relation.input) {
             let columns: Vec<BaseType> = relation.columns.iter().map(|column| column.base).collect();
-            let twin = other.relation(&relation.name).map(|id| &other.relations[id.index()]);
+            let twin = twins.get(relation.name.as_str()).map(|id| &other.relations[id.index()]);
             if let Some(twin) = twin {
                 let fits = twin
                     .columns
@@ -256,7 +259,7 @@ fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>
                     continue;
                 }
             }
-            if !base.iter().any(|known| known.name == relation.name) {
+            if known.insert(&relation.name) {
                 base.push(Base {
                     name: relation.name.clone(),
                 });
@@ -269,21 +272,23 @@ fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>
 fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>, Vec<Diagnostic>> {
     let mut names: Vec<&str> = options.predicates.iter().map(String::as_str).collect();
     if names.is_empty() {
+        let mut known: HashSet<&str> = HashSet::new();
         for relation in left
             .relations
             .iter()
             .chain(&right.relations)
             .filter(|relation| relation.output)
         {
-            if !names.contains(&relation.name.as_str()) {
+            if known.insert(&relation.name) {
                 names.push(&relation.name);
             }
         }
     }
     let mut outputs = Vec::new();
     let mut faults = Vec::new();
+    let [in_left, in_right] = [left, right].map(Rules::relations_by_name);
     for name in names {
-        let (Some(a), Some(b)) = (left.relation(name), right.relation(name)) else {
+        let (Some(&a), Some(&b)) = (in_left.get(name), in_right.get(name)) else {
             let message = format!("`{name}` is not declared on both sides");
             faults.push(Diagnostic::new(Code::RuleMismatch, message).help("name what to compare with --predicates"));
             continue;
@@ -319,7 +324,7 @@ fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
             stratum[relation.index()] = Some(position);
         }
     }
-    let position = |name: &str| base.iter().position(|base| base.name == name);
+    let positions: HashMap<&str, usize> = base.iter().map(|base| base.name.as_str()).zip(0..).collect();
     let guards = rules
         .clauses
         .iter()
@@ -337,7 +342,7 @@ fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
                 if relation.derived {
                     None
                 } else {
-                    position(&relation.name)
+                    positions.get(relation.name.as_str()).copied()
                 }
             })
             .collect(),
@@ -473,15 +478,13 @@ fn individuals(sides: [&Side<'_>; 2], entities: usize) -> Vec<Individual> {
 
 fn text_facts(side: &Side<'_>, individuals: &[Individual]) -> HashSet<(RelId, Vec<usize>)> {
     let mut facts = HashSet::new();
+    let positions: HashMap<&Individual, usize> = individuals.iter().zip(0..).collect();
     for clause in side.rules.clauses.iter().filter(|clause| clause.body.is_empty()) {
         let relation = clause.head.relation;
         let columns = &side.rules.relations[relation.index()].columns;
         let row: Option<Vec<usize>> = (clause.head.terms.iter().zip(columns))
             .map(|(term, column)| match term {
-                Term::Constant(value) => {
-                    let wanted = side.individual(*value, column.base);
-                    individuals.iter().position(|individual| *individual == wanted)
-                }
+                Term::Constant(value) => positions.get(&side.individual(*value, column.base)).copied(),
                 _ => None,
             })
             .collect();
@@ -623,7 +626,8 @@ fn tell(
             _ => by_predicate.push((name.clone(), vec![row])),
         }
     }
-    let derived = sides.map(|side| {
+    let derived = [0, 1].map(|number| {
+        let side = sides[number];
         let symbols: Symbols = side.rules.symbols.clone();
         let word = |index: usize| match &individuals[index] {
             Individual::Text(text) => Value(symbols.intern(text).0),
@@ -647,10 +651,7 @@ fn tell(
         let database = naive::evaluate(side.rules, &symbols, rows);
         let mut derived = Vec::new();
         for output in outputs {
-            let Some(relation) = side.rules.relation(&output.name) else {
-                continue;
-            };
-            for row in &database[relation.index()] {
+            for row in &database[output.ids[number].index()] {
                 let shown = (output.columns.iter().zip(row)).map(|(base, value)| match base {
                     BaseType::Number | BaseType::Unsigned | BaseType::Float => value.as_number().to_string(),
                     BaseType::Symbol => symbols.text(Symbol(value.0)).unwrap_or_default().to_owned(),

@@ -34,7 +34,7 @@ const STEPS_MAX: usize = 1_000_000;
 const STEPS_OF_PAIR: usize = 2_000;
 
 /// Something that need not be there.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 enum Finding {
     /// The literal at `literal` holds wherever the one at `because` does; always, if there is none.
     Redundant {
@@ -94,16 +94,17 @@ pub(super) fn optimize(rules: &Rules, promises: bool) -> Rules {
 pub fn lints(rules: &Rules) -> Vec<Diagnostic> {
     let theory = Theory::new(rules.promises.iter().map(|promise| promise.constraint));
     let plain = Theory::new([]);
-    let known: Vec<Finding> = find(rules, &plain)
-        .into_iter()
-        .filter(|one| matches!(one, Finding::Subsumed { .. }))
-        .collect();
+    let pair = |finding: &Finding| match *finding {
+        Finding::Subsumed { clause, by } => Some((clause, by)),
+        _ => None,
+    };
+    let known: BTreeSet<(ClauseId, ClauseId)> = find(rules, &plain).iter().filter_map(pair).collect();
     let mut lints = Vec::new();
     for finding in find(rules, &theory) {
         let named = |id: ClauseId| &rules.clauses[id.index()];
         lints.extend(match finding {
             // Without promises, loading has told.
-            Finding::Subsumed { .. } if known.contains(&finding) => None,
+            Finding::Subsumed { clause, by } if known.contains(&(clause, by)) => None,
             Finding::Subsumed { clause, by } => Some(
                 Diagnostic::new(
                     Code::SubsumedClause,

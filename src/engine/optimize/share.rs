@@ -37,6 +37,9 @@ const ORDERS_MAX: usize = 24;
 /// So many candidates are weighed.
 const CANDIDATES_MAX: usize = 512;
 
+/// For that, so many rewritten clauses are planned.
+const PLANS_MAX: usize = 20_000;
+
 /// So many literals are written down to be compared.
 const WORDS_MAX: usize = 1_000_000;
 
@@ -81,6 +84,7 @@ impl Use {
 /// What may still be looked at: the search is bounded by numbers, not by time.
 struct Left {
     candidates: usize,
+    plans: usize,
     words: usize,
 }
 
@@ -99,22 +103,38 @@ pub(super) fn share(rules: &mut Rules) {
     let mut rows: Vec<Both> = rules.relations.iter().map(assumed).collect();
     let mut left = Left {
         candidates: CANDIDATES_MAX,
+        plans: PLANS_MAX,
         words: WORDS_MAX,
     };
+    let mut known = Known {
+        costs: vec![[0.0; 2]; rules.clauses.len()],
+        uses: BTreeMap::new(),
+    };
+    let mut changed: Vec<usize> = (rules.strata.iter())
+        .filter(|stratum| !stratum.recursive)
+        .flat_map(|stratum| stratum.clauses.iter().map(|clause| clause.index()))
+        .collect();
     for number in 1..=SHARED_MAX {
-        let Some(best) = best(rules, &rows, number, &mut left) else {
+        let mut sketcher = Sketcher::new(rules);
+        let mut cities = [0, 1].map(|which| City::new(rules, &rows, which));
+        known.learn(rules, &changed, &cities, &mut sketcher, &mut left);
+        let Some(best) = known.best(rules, number, &mut cities, &mut sketcher, &mut left) else {
             return;
         };
         let (relation, clause) = (RelId(rules.relations.len() as u32), rules.clauses.len());
         rules.relations.push(best.hidden);
         rules.clauses.push(best.clause);
         rows.push(best.rows);
-        let mut first = rules.strata.len();
+        changed = best.rewritten.iter().map(|(index, _)| *index).collect();
+        known.forget(&changed, rules.clauses.len());
+        changed.push(clause);
+        let mut reads = vec![false; rules.clauses.len()];
         for (index, rewritten) in best.rewritten {
             rules.clauses[index] = rewritten;
-            let reads = |stratum: &Stratum| stratum.clauses.contains(&ClauseId(index as u32));
-            first = first.min(rules.strata.iter().position(reads).unwrap_or(first));
+            reads[index] = true;
         }
+        let asks = |stratum: &Stratum| stratum.clauses.iter().any(|clause| reads[clause.index()]);
+        let first = rules.strata.iter().position(asks).unwrap_or(rules.strata.len());
         let stratum = Stratum {
             relations: vec![relation],
             clauses: vec![ClauseId(clause as u32)],
@@ -140,14 +160,25 @@ struct City {
 
 impl City {
     fn new(rules: &Rules, rows: &[Both], which: usize) -> Self {
-        let rows: Vec<f64> = rows.iter().map(|rows| rows[which]).collect();
-        let relations = rules.relations.iter().zip(&rows);
-        City {
-            sizes: relations
-                .map(|(relation, &rows)| Some(Size::even(rows, relation.arity(), THINGS)))
-                .collect(),
-            rows,
+        let mut city = City {
+            rows: Vec::with_capacity(rows.len() + 1),
+            sizes: Vec::with_capacity(rows.len() + 1),
+        };
+        for (relation, rows) in rules.relations.iter().zip(rows) {
+            city.add(rows[which], relation.arity());
         }
+        city
+    }
+
+    fn add(&mut self, rows: f64, arity: usize) {
+        self.rows.push(rows);
+        self.sizes.push(Some(Size::even(rows, arity, THINGS)));
+    }
+
+    /// Keeps so many relations.
+    fn forget_after(&mut self, relations: usize) {
+        self.rows.truncate(relations);
+        self.sizes.truncate(relations);
     }
 
     /// The plan of a clause, the order in which it comes to the literals, and about how many rows it looks at and derives.
@@ -159,49 +190,87 @@ impl City {
     }
 }
 
-/// The candidate that saves most, if one saves enough.
-fn best(rules: &Rules, rows: &[Both], number: usize, left: &mut Left) -> Option<Candidate> {
-    let mut sketcher = Sketcher::new(rules);
-    let cities = [0, 1].map(|which| City::new(rules, rows, which));
-    let mut costs = vec![[0.0; 2]; rules.clauses.len()];
-    let mut uses: BTreeMap<Vec<Word>, Vec<Use>> = BTreeMap::new();
-    for stratum in rules.strata.iter().filter(|stratum| !stratum.recursive) {
-        for index in stratum.clauses.iter().map(|clause| clause.index()) {
+/// What is known of the clauses as they are now; after a step only those that it changed are looked at again.
+struct Known {
+    /// By clause: about how many rows its plan looks at.
+    costs: Vec<Both>,
+    /// What plans begin with, up to names, and where. Uses by one clause stand together.
+    uses: BTreeMap<Vec<Word>, Vec<Use>>,
+}
+
+impl Known {
+    /// Plans these clauses.
+    fn learn(
+        &mut self,
+        rules: &Rules,
+        clauses: &[usize],
+        cities: &[City; 2],
+        sketcher: &mut Sketcher,
+        left: &mut Left,
+    ) {
+        for &index in clauses {
             let clause = &rules.clauses[index];
             if atoms(&clause.body) < 2 {
                 continue;
             }
             for (which, city) in cities.iter().enumerate() {
-                let Some((order, looked_at, _)) = city.plan(&mut sketcher, clause) else {
+                let Some((order, looked_at, _)) = city.plan(sketcher, clause) else {
                     continue;
                 };
-                costs[index][which] = looked_at;
+                self.costs[index][which] = looked_at;
                 for (key, found) in beginnings(index, clause, &order, left) {
-                    let uses = uses.entry(key).or_default();
-                    if uses
-                        .iter()
-                        .all(|other| other.clause != index || other.positions != found.positions)
-                    {
+                    let uses = self.uses.entry(key).or_default();
+                    let mut own = uses.iter().rev().take_while(|other| other.clause == index);
+                    if own.all(|other| other.positions != found.positions) {
                         uses.push(found);
                     }
                 }
             }
         }
     }
-    let mut best: Option<Candidate> = None;
-    for uses in uses.values().filter(|uses| uses.len() > 1) {
-        if left.candidates == 0 {
-            break;
+
+    /// Makes room for a number of clauses, of which these are to be learnt again.
+    fn forget(&mut self, changed: &[usize], clauses: usize) {
+        self.costs.resize(clauses, [0.0; 2]);
+        let mut is_changed = vec![false; clauses];
+        for &index in changed {
+            is_changed[index] = true;
+            self.costs[index] = [0.0; 2];
         }
-        left.candidates -= 1;
-        let Some(candidate) = weigh(rules, uses, &costs, rows, number, &mut sketcher) else {
-            continue;
-        };
-        if best.as_ref().is_none_or(|best| candidate.saved > best.saved) {
-            best = Some(candidate);
-        }
+        self.uses.retain(|_, uses| {
+            uses.retain(|one| !is_changed[one.clause]);
+            !uses.is_empty()
+        });
     }
-    best
+
+    /// The candidate that saves most, if one saves enough.
+    fn best(
+        &self,
+        rules: &Rules,
+        number: usize,
+        cities: &mut [City; 2],
+        sketcher: &mut Sketcher,
+        left: &mut Left,
+    ) -> Option<Candidate> {
+        let mut best: Option<Candidate> = None;
+        for uses in self.uses.values().filter(|uses| uses.len() > 1) {
+            if left.candidates == 0 {
+                break;
+            }
+            left.candidates -= 1;
+            let Some(plans) = left.plans.checked_sub(uses.len()) else {
+                continue;
+            };
+            left.plans = plans;
+            let Some(candidate) = weigh(rules, uses, &self.costs, number, cities, sketcher) else {
+                continue;
+            };
+            if best.as_ref().is_none_or(|best| candidate.saved > best.saved) {
+                best = Some(candidate);
+            }
+        }
+        best
+    }
 }
 
 fn atoms<'a>(literals: impl IntoIterator<Item = &'a Literal>) -> usize {
@@ -275,8 +344,8 @@ fn weigh(
     rules: &Rules,
     uses: &[Use],
     costs: &[Both],
-    rows: &[Both],
     number: usize,
+    cities: &mut [City; 2],
     sketcher: &mut Sketcher,
 ) -> Option<Candidate> {
     let needed: Vec<usize> = (0..uses[0].terms.len())
@@ -300,17 +369,15 @@ fn weigh(
     let mut found_in = [0.0; 2];
     let mut own_in = [0.0; 2];
     let mut cheaper_in = vec![[0.0; 2]; uses.len()];
-    for which in [0, 1] {
-        let mut city = City::new(rules, rows, which);
+    for (which, city) in cities.iter_mut().enumerate() {
+        city.forget_after(rules.relations.len());
         let most = covering
             .iter()
             .map(|relation| city.rows[relation.index()])
             .reduce(f64::min)?;
         let (_, own, found) = city.plan(sketcher, &clause)?;
         (own_in[which], found_in[which]) = (own, found.min(most));
-        city.rows.push(found_in[which]);
-        city.sizes
-            .push(Some(Size::even(found_in[which], hidden.arity(), THINGS)));
+        city.add(found_in[which], hidden.arity());
         for (cheaper, shorter) in cheaper_in.iter_mut().zip(&shorter) {
             cheaper[which] = city.plan(sketcher, shorter)?.1;
         }
@@ -432,6 +499,7 @@ const WRITTEN_MAX: usize = 10;
 pub(super) fn repeated(rules: &Rules) -> Vec<Vec<Use>> {
     let mut left = Left {
         candidates: 0,
+        plans: 0,
         words: WORDS_MAX,
     };
     let mut parts: BTreeMap<Vec<Word>, Vec<Use>> = BTreeMap::new();
@@ -473,13 +541,13 @@ pub(super) fn repeated(rules: &Rules) -> Vec<Vec<Use>> {
     }
     let mut parts: Vec<Vec<Use>> = parts.into_values().filter(|uses| uses.len() >= WORTH_A_NAME).collect();
     parts.sort_by_key(|uses| std::cmp::Reverse(uses[0].positions.len() * uses.len()));
-    let mut taken: Vec<usize> = Vec::new();
+    let mut taken = vec![false; rules.clauses.len()];
     let mut found = Vec::new();
     for mut uses in parts {
-        uses.retain(|one| !taken.contains(&one.clause));
+        uses.retain(|one| !taken[one.clause]);
         uses.dedup_by_key(|one| one.clause);
         if uses.len() >= WORTH_A_NAME {
-            taken.extend(uses.iter().map(|one| one.clause));
+            uses.iter().for_each(|one| taken[one.clause] = true);
             found.push(uses);
         }
     }
