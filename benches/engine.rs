@@ -302,17 +302,17 @@ fn large_texts(c: &mut Criterion) {
         ),
     };
     let facts = |number| format!("Q(\"{number}\", \"{}\").\n", number / 2);
-    let cases: [(&str, usize, &dyn Fn(usize) -> String); 4] = [
-        ("one_head", 2_500, &one_head),
-        ("shared_body", 2_500, &shared),
-        ("negations", 2_500, &negations),
-        ("facts", 50_000, &facts),
+    let cases: [(&str, usize, fn(usize) -> String); 4] = [
+        ("one_head", 2_500, one_head),
+        ("shared_body", 2_500, shared),
+        ("negations", 2_500, negations),
+        ("facts", 50_000, facts),
     ];
     let mut group = c.benchmark_group("load");
     group.sample_size(10);
     for (name, count, clause) in cases {
         for count in [count, 2 * count] {
-            let text = text(count, clause);
+            let text = text(count, &clause);
             group.bench_function(format!("{name}/{count}"), |b| {
                 b.iter(|| program(black_box(&text)).session());
             });

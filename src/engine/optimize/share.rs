@@ -20,7 +20,7 @@ use crate::engine::plan::Sketcher;
 use crate::lang::{
     Atom, BaseType, Clause, ClauseId, Column, Comparison, Literal, RelId, Relation, Rules, Stratum, Term, VarId,
 };
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// No more hidden relations than this are made.
 const SHARED_MAX: usize = 32;
@@ -49,11 +49,11 @@ const SAVED_AT_LEAST: f64 = 0.25;
 /// How many things there are taken to be.
 const THINGS: f64 = 1000.0;
 
-/// How many rows a relation with one column is taken to have, and one with more: in a city where things are few of a kind, and in one where
-/// they are many. Sharing must pay in both.
+/// How many rows a relation with one column is taken to have, and one with more: where things are few of a kind, and where they are many.
+/// Sharing must pay in both cases.
 const ROWS: [[f64; 2]; 2] = [[100.0, 8_000.0], [350.0, 20_000.0]];
 
-/// A number for each of the two cities.
+/// A number for each of the two cases.
 type Both = [f64; 2];
 
 /// A literal whose variables are numbered, so that equal ones are equal.
@@ -116,9 +116,9 @@ pub(super) fn share(rules: &mut Rules) {
         .collect();
     for number in 1..=SHARED_MAX {
         let mut sketcher = Sketcher::new(rules);
-        let mut cities = [0, 1].map(|which| City::new(rules, &rows, which));
-        known.learn(rules, &changed, &cities, &mut sketcher, &mut left);
-        let Some(best) = known.best(rules, number, &mut cities, &mut sketcher, &mut left) else {
+        let mut cases = [0, 1].map(|which| Case::new(rules, &rows, which));
+        known.learn(rules, (&changed, number > 1), &cases, &mut sketcher, &mut left);
+        let Some(best) = known.best(rules, number, &mut cases, &mut sketcher, &mut left) else {
             return;
         };
         let (relation, clause) = (RelId(rules.relations.len() as u32), rules.clauses.len());
@@ -152,22 +152,22 @@ fn assumed(relation: &Relation) -> Both {
     })
 }
 
-/// One of the two cities.
-struct City {
+/// One of the two cases.
+struct Case {
     rows: Vec<f64>,
     sizes: Vec<Option<Size>>,
 }
 
-impl City {
+impl Case {
     fn new(rules: &Rules, rows: &[Both], which: usize) -> Self {
-        let mut city = City {
+        let mut case = Case {
             rows: Vec::with_capacity(rows.len() + 1),
             sizes: Vec::with_capacity(rows.len() + 1),
         };
         for (relation, rows) in rules.relations.iter().zip(rows) {
-            city.add(rows[which], relation.arity());
+            case.add(rows[which], relation.arity());
         }
-        city
+        case
     }
 
     fn add(&mut self, rows: f64, arity: usize) {
@@ -199,32 +199,53 @@ struct Known {
 }
 
 impl Known {
-    /// Plans these clauses.
+    /// Plans these clauses. Parts that look like none of another of these clauses are left out, unless `all` are wanted: giving
+    /// them their form takes longer than finding them.
     fn learn(
         &mut self,
         rules: &Rules,
-        clauses: &[usize],
-        cities: &[City; 2],
+        (clauses, all): (&[usize], bool),
+        cases: &[Case; 2],
         sketcher: &mut Sketcher,
         left: &mut Left,
     ) {
+        let mut parts: BTreeSet<(usize, Vec<usize>)> = BTreeSet::new();
         for &index in clauses {
             let clause = &rules.clauses[index];
             if atoms(&clause.body) < 2 {
                 continue;
             }
-            for (which, city) in cities.iter().enumerate() {
-                let Some((order, looked_at, _)) = city.plan(sketcher, clause) else {
+            for (which, case) in cases.iter().enumerate() {
+                let Some((order, looked_at, _)) = case.plan(sketcher, clause) else {
                     continue;
                 };
                 self.costs[index][which] = looked_at;
-                for (key, found) in beginnings(index, clause, &order, left) {
-                    let uses = self.uses.entry(key).or_default();
-                    let mut own = uses.iter().rev().take_while(|other| other.clause == index);
-                    if own.all(|other| other.positions != found.positions) {
-                        uses.push(found);
-                    }
-                }
+                parts.extend(
+                    beginnings(clause, &order)
+                        .into_iter()
+                        .map(|positions| (index, positions)),
+                );
+            }
+        }
+        let looks = |(index, positions): &(usize, Vec<usize>)| {
+            let literals = positions.iter().map(|&position| &rules.clauses[*index].body[position]);
+            let mut looks: Vec<(u8, u32)> = literals.map(look).collect();
+            looks.sort_unstable();
+            looks
+        };
+        // By look: a clause that has such a part, and whether another has one too.
+        let mut seen: BTreeMap<Vec<(u8, u32)>, (usize, bool)> = BTreeMap::new();
+        for part in &parts {
+            let (first, several) = seen.entry(looks(part)).or_insert((part.0, all));
+            *several |= *first != part.0;
+        }
+        for part in parts {
+            if !seen[&looks(&part)].1 {
+                continue;
+            }
+            let (index, positions) = part;
+            if let Some((key, found)) = beginning(index, &rules.clauses[index], positions, left) {
+                self.uses.entry(key).or_default().push(found);
             }
         }
     }
@@ -248,7 +269,7 @@ impl Known {
         &self,
         rules: &Rules,
         number: usize,
-        cities: &mut [City; 2],
+        cases: &mut [Case; 2],
         sketcher: &mut Sketcher,
         left: &mut Left,
     ) -> Option<Candidate> {
@@ -262,7 +283,7 @@ impl Known {
                 continue;
             };
             left.plans = plans;
-            let Some(candidate) = weigh(rules, uses, &self.costs, number, cities, sketcher) else {
+            let Some(candidate) = weigh(rules, uses, &self.costs, number, cases, sketcher) else {
                 continue;
             };
             if best.as_ref().is_none_or(|best| candidate.saved > best.saved) {
@@ -278,8 +299,8 @@ fn atoms<'a>(literals: impl IntoIterator<Item = &'a Literal>) -> usize {
     literals.into_iter().filter(positive).count()
 }
 
-/// What the plan begins with, in all lengths and with all choices of tests that may be worth sharing.
-fn beginnings(index: usize, clause: &Clause, order: &[usize], left: &mut Left) -> Vec<(Vec<Word>, Use)> {
+/// What the plan begins with, in all lengths and with all choices of tests that may be worth sharing: positions in ascending order.
+fn beginnings(clause: &Clause, order: &[usize]) -> Vec<Vec<usize>> {
     let mut found = Vec::new();
     let (mut leading, mut tests): (Vec<usize>, Vec<usize>) = (Vec::new(), Vec::new());
     let mut bound: Vec<Term> = Vec::new();
@@ -305,11 +326,26 @@ fn beginnings(index: usize, clause: &Clause, order: &[usize], left: &mut Left) -
             for chosen in 0..1_u32 << tests.len() {
                 let chosen = tests.iter().enumerate().filter(|(bit, _)| chosen >> bit & 1 == 1);
                 let positions = leading.iter().chain(chosen.map(|(_, position)| position));
-                found.extend(beginning(index, clause, positions.copied().collect(), left));
+                let mut positions: Vec<usize> = positions.copied().collect();
+                positions.sort_unstable();
+                if atoms(positions.iter().map(|&position| &clause.body[position])) >= 2 {
+                    found.push(positions);
+                }
             }
         }
     }
     found
+}
+
+/// What a literal looks like at first sight; equal ones look the same.
+fn look(literal: &Literal) -> (u8, u32) {
+    match literal {
+        Literal::Positive(atom) | Literal::Guard(atom) => (0, atom.relation.0),
+        Literal::Negative(atom) => (1, atom.relation.0),
+        Literal::Aggregate { atom, .. } => (2, atom.relation.0),
+        Literal::Compare { .. } => (3, 0),
+        Literal::Compute { .. } => (4, 0),
+    }
 }
 
 /// These literals of a clause, if they join two atoms.
@@ -345,7 +381,7 @@ fn weigh(
     uses: &[Use],
     costs: &[Both],
     number: usize,
-    cities: &mut [City; 2],
+    cases: &mut [Case; 2],
     sketcher: &mut Sketcher,
 ) -> Option<Candidate> {
     let needed: Vec<usize> = (0..uses[0].terms.len())
@@ -369,17 +405,17 @@ fn weigh(
     let mut found_in = [0.0; 2];
     let mut own_in = [0.0; 2];
     let mut cheaper_in = vec![[0.0; 2]; uses.len()];
-    for (which, city) in cities.iter_mut().enumerate() {
-        city.forget_after(rules.relations.len());
+    for (which, case) in cases.iter_mut().enumerate() {
+        case.forget_after(rules.relations.len());
         let most = covering
             .iter()
-            .map(|relation| city.rows[relation.index()])
+            .map(|relation| case.rows[relation.index()])
             .reduce(f64::min)?;
-        let (_, own, found) = city.plan(sketcher, &clause)?;
+        let (_, own, found) = case.plan(sketcher, &clause)?;
         (own_in[which], found_in[which]) = (own, found.min(most));
-        city.add(found_in[which], hidden.arity());
+        case.add(found_in[which], hidden.arity());
         for (cheaper, shorter) in cheaper_in.iter_mut().zip(&shorter) {
-            cheaper[which] = city.plan(sketcher, shorter)?.1;
+            cheaper[which] = case.plan(sketcher, shorter)?.1;
         }
     }
     let gains = |position: &usize| {
