@@ -2,13 +2,19 @@
 PYTHON ?= python3
 VENV := .venv
 
-.PHONY: test lint rust doc python
+# What `make fuzz` runs, each for so many seconds.
+FUZZ_TARGETS := parse check query evaluate config scene rows
+FUZZ_SECONDS := 600
+
+.PHONY: test lint rust doc python fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint rust doc python
 
 lint:
 	cargo fmt --all --check
+	cargo fmt --manifest-path tests/fuzz/Cargo.toml --check
 	cargo clippy --workspace --all-targets --locked -- -D warnings
+	cargo clippy --manifest-path tests/fuzz/Cargo.toml --target-dir target --no-default-features --locked -- -D warnings
 
 rust:
 	cargo test --locked
@@ -26,3 +32,18 @@ python: $(VENV)/bin/python
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV) || { echo "on Debian: apt-get install python3-venv"; exit 1; }
+
+# Not part of `make test`. Wants a C++ compiler and `cargo install cargo-fuzz`. There is no unsafe code to sanitize, so any
+# toolchain will do. What is found stays in tests/fuzz/corpus, and an input that breaks something in tests/fuzz/artifacts.
+fuzz: $(FUZZ_TARGETS:%=fuzz-%)
+
+fuzz-parse fuzz-check fuzz-query: SEEDS := tests/corpus rules tests/fixtures/diagnostics
+fuzz-parse fuzz-check fuzz-query: OPTIONS := -max_len=4096 -dict=tests/fuzz/language.dict
+fuzz-evaluate: OPTIONS := -max_len=2048 -len_control=0
+fuzz-config: SEEDS := configs tests/fixtures/diagnostics
+fuzz-scene: SEEDS := tests/fuzz/seeds/scene tests/fixtures/diagnostics
+
+$(FUZZ_TARGETS:%=fuzz-%): fuzz-%:
+	mkdir -p tests/fuzz/corpus/$*
+	cargo fuzz run --fuzz-dir tests/fuzz --sanitizer none $* tests/fuzz/corpus/$* $(SEEDS) -- \
+	    -max_total_time=$(FUZZ_SECONDS) -timeout=10 -rss_limit_mb=1024 $(OPTIONS)

@@ -22,6 +22,8 @@ pub enum Purpose {
     Move = 4,
     /// Predicates that hold with a probability; index: the pair of agents, see `sim::ground`.
     Predicate = 5,
+    /// A scene in which two rule sets are compared; index: its number.
+    Scene = 6,
 }
 
 /// The seed of a run, from which every stream is made.

@@ -8,7 +8,7 @@
 
 use indexmap::IndexSet;
 use std::fmt;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
 /// An interned text; meaningful only with the [`Symbols`] that made it.
@@ -24,12 +24,17 @@ pub struct Symbols {
     texts: [OnceLock<Block>; BLOCKS],
     /// How many texts there are; asked for every row that is inserted.
     len: AtomicUsize,
+    /// What the texts and their places take, in bytes.
+    bytes: AtomicU64,
 }
 
 type Block = Box<[OnceLock<Arc<str>>]>;
 
 /// Texts in the first block; a power of two.
 const FIRST_BLOCK: usize = 64;
+
+/// What a text takes besides its characters: its places in both directions and its counts.
+const TEXT_BYTES: u64 = 64;
 
 /// So many blocks hold 2^32 texts.
 const BLOCKS: usize = 27;
@@ -61,9 +66,24 @@ impl Symbols {
         let made = symbol(numbers.insert_full(Arc::clone(&text)).0);
         let (block, at) = place(made.0);
         let block = self.texts[block].get_or_init(|| (0..FIRST_BLOCK << block).map(|_| OnceLock::new()).collect());
+        self.bytes.fetch_add(TEXT_BYTES + text.len() as u64, Ordering::Relaxed);
         block[at].get_or_init(|| text);
         self.len.store(numbers.len(), Ordering::Release);
         made
+    }
+
+    /// Forgets all but the first `len` symbols.
+    pub fn truncate(&mut self, len: usize) {
+        let numbers = self.numbers.get_mut().unwrap_or_else(PoisonError::into_inner);
+        for text in numbers.drain(len.min(numbers.len())..).rev() {
+            let last = *self.len.get_mut() - 1;
+            let (block, at) = place(symbol(last).0);
+            if let Some(block) = self.texts[block].get_mut() {
+                block[at].take();
+            }
+            *self.bytes.get_mut() -= TEXT_BYTES + text.len() as u64;
+            *self.len.get_mut() = last;
+        }
     }
 
     /// The symbol of a text, if it has one.
@@ -81,6 +101,11 @@ impl Symbols {
     /// How many symbols there are.
     pub fn len(&self) -> usize {
         self.len.load(Ordering::Acquire)
+    }
+
+    /// About how much memory the table takes, in bytes: a function of the texts alone.
+    pub fn bytes(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
     }
 
     /// Whether there are none.
@@ -113,6 +138,25 @@ impl fmt::Debug for Symbols {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_forgotten_leaves_nothing() {
+        let mut symbols = Symbols::new();
+        symbols.intern("a");
+        let bytes = symbols.bytes();
+        (0..500).for_each(|number| _ = symbols.intern(&number.to_string()));
+        assert!(symbols.bytes() > bytes + 500);
+        symbols.truncate(700);
+        assert_eq!(symbols.len(), 501);
+        symbols.truncate(1);
+        assert_eq!((symbols.len(), symbols.bytes()), (1, bytes));
+        assert_eq!((symbols.text(Symbol(1)), symbols.get("0")), (None, None));
+        assert_eq!(symbols.intern("b"), Symbol(1));
+        assert_eq!(
+            (symbols.text(Symbol(0)), symbols.text(Symbol(1))),
+            (Some("a"), Some("b"))
+        );
+    }
 
     #[test]
     fn texts_and_numbers_go_both_ways() {

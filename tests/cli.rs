@@ -595,7 +595,7 @@ fn query_follows_souffle() {
         "-2\ta b\n9\tb\n10\tb\n"
     );
     let output = logicity(["query", &rules, "-F", here, "-D", "-"]);
-    let expected = "---------------\npath\n===============\n-2\ta b\n9\tb\n10\tb\n===============\npath\t3\n";
+    let expected = "---------------\npath\nx\ty\n===============\n-2\ta b\n9\tb\n10\tb\n===============\npath\t3\n";
     assert_eq!(out(&output), expected);
 
     write(folder.path(), "edge.facts", "10\tb\nten\tb\n1\n");
@@ -646,13 +646,96 @@ stratum 3: path (recursive)
     let output = logicity(["query", &rules, "--profile"]);
     assert_eq!((code(&output), out(&output).as_str()), (0, "path\t3\n"));
     let lines: Vec<String> = err(&output).lines().map(str::to_owned).collect();
-    assert!(lines[0].contains("looked at") && lines.len() == 3, "{lines:?}");
     assert!(
-        lines[1].contains("path(x, z) :- path(x, y)") && lines[1].ends_with(":7:1"),
+        lines[0].ends_with("new rows in     looked at       derived   runs  clause") && lines.len() == 5,
         "{lines:?}"
     );
-    let numbers: Vec<&str> = lines[2].split_whitespace().take(4).collect();
-    assert_eq!(numbers, ["0", "2", "2", "2"]);
+    let find = |what: &str| lines.iter().find(|line| line.contains(what)).unwrap().as_str();
+    assert!(find("path(x, z) :- path(x, y)").ends_with(":7:1"), "{lines:?}");
+    assert!(lines[3].ends_with("(sorting, merging, indexes)") && lines[4].contains(" ms 100.0% "));
+    let numbers: Vec<&str> = find("path(x, y) :- edge").split_whitespace().skip(3).take(4).collect();
+    assert_eq!(numbers, ["0", "2", "2", "1"]);
+}
+
+#[test]
+fn query_takes_threads_and_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path().to_str().unwrap();
+    let facts: String = (0..300).map(|n| format!("a({n}). ")).collect();
+    let text = ".decl a(x: number)\n.decl b(x: number, y: number)\n.output b\nb(x, y) :- a(x), a(y).\n";
+    let rules = write(folder.path(), "product.dl", &(text.to_owned() + &facts));
+    let answer = out(&logicity(["query", &rules, "-D", "-"]));
+    assert!(answer.lines().count() > 90_000);
+    for threads in ["0", "1", "2", "9"] {
+        let output = logicity(["query", &rules, "-D", "-", "--threads", threads]);
+        assert_eq!((code(&output), out(&output)), (0, answer.clone()));
+    }
+    fails(&logicity(["query", &rules, "--threads", "5000"]), 2, &["--threads"]);
+    for (option, value) in [("--max-rows", "89999"), ("--max-steps", "90000"), ("--max-memory", "0")] {
+        for threads in ["1", "2"] {
+            let output = logicity(["query", &rules, "-D", here, option, value, "--threads", threads]);
+            fails(
+                &output,
+                1,
+                &[
+                    "limit-exceeded",
+                    "product.dl:4",
+                    option,
+                    "shares no variable",
+                    "makes the join large",
+                ],
+            );
+            assert!(!folder.path().join("b.csv").exists());
+        }
+    }
+    let output = logicity(["query", &rules, "-D", here, "--max-rows", "90000", "--max-memory", "20"]);
+    assert_eq!(code(&output), 0);
+}
+
+#[test]
+fn query_shows_plans_for_the_facts_it_is_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "cycle.dl",
+        ".decl edge(x: number, y: number)\n.input edge\n.decl mark(x: number)\n.input mark\n\
+         .decl cycle(x: number, y: number, z: number)\n.decl near(x: number)\n\
+         cycle(x, y, z) :- edge(x, y), edge(y, z), edge(x, z).\n\
+         near(x) :- edge(x, y), mark(y).\n",
+    );
+    let star: String = (1..1000).map(|node| format!("0\t{node}\n{node}\t0\n")).collect();
+    write(folder.path(), "edge.facts", &star);
+    write(folder.path(), "mark.facts", "7\n");
+    let here = folder.path().to_str().unwrap();
+    let output = logicity(["query", &rules, "-F", here, "--plan"]);
+    let expected = format!(
+        "\
+stratum 1: cycle
+  over edge 1998
+
+  cycle(x, y, z) :- edge(x, y), edge(y, z), edge(x, z).    {rules}:7:1
+    once
+      scan   edge(x, y)
+      meet   edge(y, z) by x
+         and edge(x, z) by x
+      derive cycle(x, y, z)
+
+stratum 2: near
+  over edge 1998, mark 1
+
+  near(x) :- edge(x, y), mark(y).    {rules}:8:1
+    once
+      scan   mark(y)
+      scan   edge(x, y) by y, index (y, x)
+      derive near(x)
+
+"
+    );
+    assert_eq!((code(&output), out(&output)), (0, expected));
+    // Before there are facts, the text decides.
+    let output = logicity(["query", &rules, "--plan"]);
+    assert_eq!((code(&output), out(&output).contains("meet")), (0, false));
+    assert!(!folder.path().join("cycle.csv").exists());
 }
 
 #[test]
@@ -665,7 +748,7 @@ fn query_follows_the_options_of_directives() {
          .decl speed(name: symbol, v: float)\n\
          .input speed(IO=file, filename=\"in.csv\", delimiter=\",\", headers=true)\n\
          .input speed(IO=stdin)\n\
-         .decl fast(name: symbol, v: float) inline\n\
+         .decl fast(name: symbol, v: float) brie\n\
          .output fast(IO=stdout, headers=true)\n\
          .output fast(filename=\"out.csv\", rfc4180=true)\n\
          .decl any()\n\
@@ -762,6 +845,90 @@ fn a_faulty_scene_keeps_answers_in_step() {
     fails(&with_input(["infer"], b"5"), 1, &["a scene is a JSON object"]);
     let deep = "[".repeat(100_000);
     fails(&with_input(["infer"], deep.as_bytes()), 1, &["invalid-scene"]);
+}
+
+/// Promises of the rules are no rules: only who asks is told where facts break one.
+#[test]
+fn promises_are_checked_where_asked_for() {
+    let bus = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e1"]}}"#;
+    let car = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e1"],"IsCar":["e1"]}}"#;
+    let input = format!("{bus}\n{car}\n");
+    let plain = with_input(["infer"], input.as_bytes());
+    assert_eq!(plain.status.code(), Some(0), "{}", err(&plain));
+    let checked = with_input(["infer", "--check-promises"], input.as_bytes());
+    fails(
+        &checked,
+        1,
+        &[
+            "broken-promise",
+            "`IsBus(\"e1\")` holds, `IsCar(\"e1\")` does not",
+            "<stdin>:1:",
+        ],
+    );
+    let answers = |output: &Output| -> Vec<Value> {
+        out(output)
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect()
+    };
+    assert_eq!(answers(&checked)[0]["error"][0]["code"], "broken-promise");
+    assert_eq!(answers(&checked)[1], answers(&plain)[1]);
+
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "odd.dl",
+        ".include \"expert.dl\"\n.disjoint IsCar, IsPedestrian, IsTiro\n.irreflexive Sees\n",
+    );
+    let to = folder.path().join("out").to_str().unwrap().to_owned();
+    let unchecked = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "3",
+        "--no-pictures",
+        "--out",
+        &to,
+        "--rules",
+        &rules,
+    ]);
+    assert_eq!(unchecked.status.code(), Some(0), "{}", err(&unchecked));
+    let check = "--check-promises";
+    let kept = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "3",
+        "--no-pictures",
+        "--out",
+        &to,
+        "--rules",
+        "rules/expert.dl",
+        check,
+    ]);
+    assert_eq!(kept.status.code(), Some(0), "{}", err(&kept));
+    let output = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "3",
+        "--no-pictures",
+        "--out",
+        &to,
+        "--rules",
+        &rules,
+        check,
+    ]);
+    fails(
+        &output,
+        1,
+        &[
+            "broken-promise",
+            "odd.dl:3:1",
+            "in tick 0 for the first time; in 3 of 3 ticks",
+        ],
+    );
+    assert!(out(&output).contains("3 ticks"), "the summary is told nevertheless");
 }
 
 #[test]
@@ -861,5 +1028,39 @@ fn cities_that_cannot_be_are_told() {
         &logicity(["run", &config(&crowd)]),
         1,
         &["limit-exceeded", "mine.yaml:3"],
+    );
+}
+
+/// Columns are chosen by `columns`, and other values of the row are not looked at.
+#[test]
+fn query_reads_the_columns_it_is_told_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "main.dl",
+        ".decl a(x: number, y: symbol)\n.input a(columns=\"2:0\", delimiter=\",\")\n.output a\n",
+    );
+    let here = folder.path().to_str().unwrap();
+    write(folder.path(), "a.facts", "p,?,1\nq,,2,more\n");
+    let output = logicity(["query", &rules, "-F", here, "-D", "-"]);
+    let expected = "---------------\na\nx\ty\n===============\n1\tp\n2\tq\n===============\n";
+    assert_eq!(
+        (code(&output), out(&output).as_str()),
+        (0, expected),
+        "{}",
+        err(&output)
+    );
+
+    write(folder.path(), "a.facts", "p,?,1\nq,2\nr,,s\n");
+    let output = logicity(["query", &rules, "-F", here, "-D", "-"]);
+    fails(
+        &output,
+        1,
+        &[
+            "invalid-fact",
+            "a.facts:2:1",
+            "a row of 2 values where value 2 is read",
+            "a.facts:3:4",
+        ],
     );
 }

@@ -1,8 +1,8 @@
 //! Programs with their answers beside them, run in every mode. `tests/corpus/README.md` says how such a file is written.
 
 use logicity::diag::{Diagnostic, Severity, Sources, render};
-use logicity::engine::{Program, facts, naive};
-use logicity::lang::{self, BaseType, RelId, Rules, Value};
+use logicity::engine::{Options, Program, Strategy, facts, naive, promise};
+use logicity::lang::{self, BaseType, Inputs, RelId, Rules, Value};
 use logicity::symbol::{Symbol, Symbols};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -75,15 +75,41 @@ type Facts = BTreeMap<String, BTreeSet<String>>;
 /// The answer to a question: the rows of a relation as text, sorted.
 type Answer = Vec<String>;
 
-/// Runs all steps and gives the answers to the questions.
-type Mode = fn(&Rules, &[Step]) -> Vec<Answer>;
+/// How to evaluate a program.
+#[derive(Clone, Copy, Debug)]
+enum Mode {
+    /// By the specification.
+    Naive,
+    /// A new session for each question.
+    FromScratch(Options),
+    /// One session for all, a commit before each question.
+    OneSession(Options, Strategy),
+}
 
-/// Every way to evaluate a program.
-const MODES: &[(&str, Mode)] = &[
-    ("naive", by_naive),
-    ("from scratch", from_scratch),
-    ("one session", in_one_session),
-];
+/// Every way to evaluate a program: as written and optimised, with and without relying on promises, which the facts of the corpus keep; and
+/// of one session, every way to follow a change.
+fn modes() -> Vec<Mode> {
+    let options = |optimize, promises| Options { optimize, promises };
+    let options = [options(false, false), options(true, false), options(true, true)];
+    let mut modes = vec![Mode::Naive];
+    modes.extend(options.map(Mode::FromScratch));
+    for strategy in [Strategy::Auto, Strategy::Maintain, Strategy::Recompute] {
+        modes.extend(options.map(|options| Mode::OneSession(options, strategy)));
+    }
+    modes
+}
+
+impl Mode {
+    /// Runs all steps and gives the answers to the questions.
+    fn run(self, rules: &Rules, steps: &[Step]) -> Vec<Answer> {
+        let program = |options| Program::with(rules.clone(), options).expect("a small program");
+        match self {
+            Mode::Naive => by_naive(rules, steps),
+            Mode::FromScratch(options) => from_scratch(&program(options), steps),
+            Mode::OneSession(options, strategy) => in_one_session(&program(options), strategy, steps),
+        }
+    }
+}
 
 fn parse_row(rules: &Rules, symbols: &Symbols, relation: RelId, row: &str) -> Vec<Value> {
     let columns = &rules.relations[relation.index()].columns;
@@ -171,8 +197,8 @@ fn ask(session: &logicity::engine::Session, relation: &str) -> Answer {
     answer
 }
 
-fn from_scratch(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
-    let program = Program::new(rules.clone()).expect("a small program");
+fn from_scratch(program: &Program, steps: &[Step]) -> Vec<Answer> {
+    let rules = program.rules();
     let mut facts = Facts::new();
     let mut answers = Vec::new();
     for step in steps {
@@ -192,8 +218,10 @@ fn from_scratch(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
     answers
 }
 
-fn in_one_session(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
-    let mut session = Program::new(rules.clone()).expect("a small program").session();
+fn in_one_session(program: &Program, strategy: Strategy, steps: &[Step]) -> Vec<Answer> {
+    let rules = program.rules();
+    let mut session = program.session();
+    session.set_strategy(strategy);
     let mut answers = Vec::new();
     for step in steps {
         match step {
@@ -215,6 +243,8 @@ fn in_one_session(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
             }
             Step::Expect { relation, .. } => {
                 session.commit().expect("few rows");
+                // What the modes that rely on promises are allowed to rely on.
+                assert!(promise::broken(&session).is_empty(), "facts break a promise");
                 answers.push(ask(&session, relation));
             }
         }
@@ -228,7 +258,7 @@ fn check(path: &Path) -> Result<(), String> {
     let script = read_script(&text);
     let mut sources = Sources::new();
     let entry = sources.add(path.display().to_string(), text);
-    let loaded = lang::load(&mut sources, entry, &logicity::files::read_or_builtin);
+    let loaded = lang::load_with(&mut sources, entry, &logicity::files::read_or_builtin, Inputs::Extended);
     let found: BTreeSet<(usize, String)> = loaded.diagnostics.iter().map(|fault| place(fault, &sources)).collect();
     if found != script.diagnostics {
         let drawn = render(&loaded.diagnostics, &sources, false);
@@ -241,8 +271,8 @@ fn check(path: &Path) -> Result<(), String> {
     if !script.steps.iter().any(|step| matches!(step, Step::Expect { .. })) {
         return Err("nothing is expected".to_owned());
     }
-    for (mode, run) in MODES {
-        let mut answers = run(&rules, &script.steps).into_iter();
+    for mode in modes() {
+        let mut answers = mode.run(&rules, &script.steps).into_iter();
         for step in &script.steps {
             let Step::Expect { line, relation, rows } = step else {
                 continue;
@@ -252,7 +282,7 @@ fn check(path: &Path) -> Result<(), String> {
             let answer = answers.next().expect("an answer for each question");
             if answer != expected {
                 return Err(format!(
-                    "{mode}, line {line}: `{relation}` is {answer:?}, not {expected:?}"
+                    "{mode:?}, line {line}: `{relation}` is {answer:?}, not {expected:?}"
                 ));
             }
         }

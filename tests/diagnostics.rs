@@ -148,7 +148,7 @@ fn facts_that_break_promises_are_refused() {
 /// Lints stand on the lines that the fixtures mark, and nowhere else.
 #[test]
 fn lints_are_told_as_their_fixtures_say() {
-    for code in ["contradictory-body", "redundant-literal"] {
+    for code in ["contradictory-body", "redundant-literal", "repeated-body"] {
         let path = fixtures().join(code).with_extension("dl");
         let text = fs::read_to_string(&path).unwrap();
         let marked: Vec<usize> = text
@@ -173,7 +173,7 @@ fn lints_are_told_as_their_fixtures_say() {
             .collect();
         assert_eq!(lines, marked, "{answer}");
         let quiet = logicity(&["check", path.to_str().unwrap()]);
-        assert_eq!(quiet.stderr.is_empty(), code == "redundant-literal");
+        assert_eq!(quiet.stderr.is_empty(), code != "contradictory-body");
     }
 }
 
@@ -223,4 +223,27 @@ fn the_scenes_of_the_reference_do_what_it_says() {
         last = serde_json::from_slice(&output.stdout).unwrap();
     }
     assert!(count >= 4);
+}
+
+/// `query` takes given rows and derived ones; everybody else refuses the rule.
+#[test]
+fn an_input_that_is_derived_is_told_by_query_and_refused_by_check() {
+    let folder = fixtures().join("extended-input");
+    let folder = folder.to_str().unwrap();
+    let rules = format!("{folder}/main.dl");
+    let output = logicity(&["query", &rules, "-F", folder, "-D", "-"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(said.contains("warning[extended-input]"), "{said}");
+    assert!(said.contains("main.dl:4:1"), "{said}");
+    let answer = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(
+        answer,
+        "---------------\nEdge\nx\ty\n===============\na\tb\nb\ta\n===============\n"
+    );
+
+    let output = logicity(&["check", &rules]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("error[derived-input]"), "{said}");
 }

@@ -15,7 +15,7 @@ use logicity::lang::{self, Atom, ClauseId, Literal, RelId, Rules, Term, Value};
 use logicity::rng::Seed;
 use logicity::sim::{Simulation, World};
 use proptest::prelude::*;
-use random_program::{Genome, NUMBERS, TEXTS, genomes, recursive_genomes};
+use random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, recursive_genomes};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
@@ -354,6 +354,12 @@ proptest! {
     }
 
     #[test]
+    fn expressions_and_floats_are_explained(genome in computing_genomes(1..3)) {
+        check_genome(&genome);
+        check_matters(&genome);
+    }
+
+    #[test]
     fn random_recursion_is_explained(genome in recursive_genomes(1..2)) {
         check_genome(&genome);
     }
@@ -622,6 +628,33 @@ Not(free(1)): no clause of free holds
 Not(go(1)): no clause of go holds
 └─ G: somebody in view is free  [rules.dl:12]
    └─ nearest Y = 2: not in view: sees(1, 2)
+"
+    );
+}
+
+#[test]
+fn a_range_is_told_as_it_is_written() {
+    let text = "
+.decl upto(n: number)
+.decl a(x: number)
+.input upto
+a(x) :- upto(n), x = range(0, n).
+";
+    let facts: &[(&str, &[&[i32]])] = &[("upto", &[&[3]])];
+    assert_eq!(
+        told(text, facts, "a", &[2]),
+        "\
+a(2)  by a(x) :- upto(n), x = range(0, n).  [rules.dl:5]
+├─ upto(3)
+└─ 2 = range(0, 3, 1)
+"
+    );
+    assert_eq!(
+        told(text, facts, "a", &[3]),
+        "\
+Not(a(3)): no clause of a holds
+└─ a(x) :- upto(n), x = range(0, n).  [rules.dl:5]
+   └─ nearest n = 3: 3 = range(0, 3, _) does not hold
 "
     );
 }

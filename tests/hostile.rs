@@ -1,91 +1,119 @@
-//! Scenes and facts are never a panic, whatever bytes they are. (`tests/lang.rs` and `tests/config.rs` do the same for rules, maps and
-//! other configuration.)
+//! Input of any kind is used or refused, whatever bytes it is: what `tests/fuzz` asks of millions of inputs is asked here of the files
+//! of the repository, of files like them, and of what was once found. (`tests/lang.rs` and `tests/config.rs` have hostile texts of
+//! their own.)
 
-use logicity::config::load_scenario;
-use logicity::diag::{Code, Sources, render, to_json};
-use logicity::engine::{Program, facts};
-use logicity::files::{read_or_builtin, read_text};
-use logicity::lang;
-use logicity::rng::Seed;
-use logicity::sim::Inference;
+mod any_input;
+
 use proptest::prelude::*;
+use proptest::sample::Index;
+use std::fs;
 use std::path::Path;
+use std::sync::LazyLock;
 
-fn program(text: &str) -> Program {
-    let mut sources = Sources::new();
-    let entry = sources.add("test.dl", text);
-    Program::new(lang::load(&mut sources, entry, &read_or_builtin).rules.unwrap()).unwrap()
+/// The files of these folders and of those in them.
+fn files(folders: &[&str]) -> Vec<Vec<u8>> {
+    let mut folders: Vec<_> = folders
+        .iter()
+        .map(|folder| Path::new(env!("CARGO_MANIFEST_DIR")).join(folder))
+        .collect();
+    let mut paths = Vec::new();
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).expect("a readable folder") {
+            let path = entry.expect("a readable entry").path();
+            if path.is_dir() { &mut folders } else { &mut paths }.push(path);
+        }
+    }
+    paths.sort();
+    assert!(!paths.is_empty());
+    paths
+        .iter()
+        .map(|path| fs::read(path).expect("a readable file"))
+        .collect()
 }
 
-fn inference() -> Inference {
-    let mut sources = Sources::new();
-    let scenario = load_scenario(&mut sources, Path::new("expert"), &read_text).unwrap();
-    let rules = program(".include \"expert.dl\"");
-    Inference::new(scenario, rules, Seed(0), read_text).unwrap()
-}
+/// What the fuzzer begins with.
+static RULES: LazyLock<Vec<Vec<u8>>> =
+    LazyLock::new(|| files(&["tests/corpus", "rules", "tests/fixtures/diagnostics"]));
+static CONFIGS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| files(&["configs", "tests/fixtures/diagnostics"]));
+static SCENES: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| files(&["tests/fuzz/seeds/scene"]));
+static ROWS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
+    vec![
+        b"\0a\t1\t2\t1.5\tb\n\"\t-2\t0\tnan\t\n".to_vec(),
+        b"\xc1s,n,u,f,t\n\"a\"\"\",1,2,3,\",\"\n".to_vec(),
+    ]
+});
 
-const SCENES: [&str; 2] = [
-    r#"{"map":"square-5x5","agents":[{"id":"Car_1","type":"Car","at":[102,20],"heading":null,"concepts":["ambulance"],"priority":1},{"id":"Pedestrian_1","type":"Pedestrian","at":[98,20],"heading":"Up"}],"egos":["Car_1"],"given":{"CollidingClose":[["Car_1","Pedestrian_1"]]}}"#,
-    r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsCar":["e0"],"HigherPri":[["e1","e0"]]}}"#,
-];
-
-/// A text with some bytes replaced, removed or doubled.
-fn mutated(texts: &'static [&'static str]) -> impl Strategy<Value = String> {
-    let edit = (any::<prop::sample::Index>(), 0..4u8, any::<char>());
-    (prop::sample::select(texts), prop::collection::vec(edit, 1..8)).prop_map(|(text, edits)| {
-        let mut chars: Vec<char> = text.chars().collect();
-        for (at, kind, c) in edits {
-            let at = at.index(chars.len());
+/// One of the files with some bytes replaced, removed, doubled or put in, and some lines exchanged.
+fn near(files: &'static LazyLock<Vec<Vec<u8>>>) -> impl Strategy<Value = Vec<u8>> {
+    let edit = (any::<Index>(), any::<Index>(), 0..5u8, any::<u8>());
+    (any::<Index>(), prop::collection::vec(edit, 0..8)).prop_map(|(file, edits)| {
+        let mut bytes = file.get(files).clone();
+        for (at, other, kind, byte) in edits {
+            bytes.push(b'\n');
+            let (at, other) = (at.index(bytes.len()), other.index(bytes.len()));
             match kind {
-                0 => chars[at] = c,
-                1 if chars.len() > 1 => drop(chars.remove(at)),
-                2 => chars.insert(at, chars[at]),
-                _ => chars.insert(at, c),
+                0 => bytes[at] = byte,
+                1 => drop(bytes.remove(at)),
+                2 => bytes.insert(at, bytes[other]),
+                3 => bytes.insert(at, byte % 128),
+                _ => {
+                    let mut lines: Vec<&[u8]> = bytes.split(|byte| *byte == b'\n').collect();
+                    let count = lines.len();
+                    lines.swap(at % count, other % count);
+                    bytes = lines.join(&b'\n');
+                }
             }
         }
-        chars.into_iter().collect()
+        bytes
     })
+}
+
+fn any_bytes() -> impl Strategy<Value = Vec<u8>> {
+    prop::collection::vec(any::<u8>(), 0..300)
+}
+
+#[test]
+fn every_rule_file_is_used_or_refused() {
+    for bytes in RULES.iter() {
+        any_input::parse(bytes);
+        any_input::check(bytes);
+        any_input::query(bytes);
+    }
 }
 
 proptest! {
     #[test]
-    fn any_scene_is_answered_or_refused(text in prop_oneof![mutated(&SCENES), any::<String>()]) {
-        let mut inference = inference();
-        let mut sources = Sources::new();
-        let source = sources.add_from("scene", text, 9);
-        match inference.answer(&sources, source) {
-            Ok(answer) => prop_assert!(!answer.to_json().to_string().is_empty()),
-            Err(faults) => {
-                prop_assert!(!faults.is_empty());
-                prop_assert!(faults.iter().all(|fault| fault.code == Code::InvalidScene));
-                prop_assert!(!render(&faults, &sources, false).is_empty());
-                prop_assert!(!to_json(&faults, &sources).to_string().is_empty());
-            }
-        }
+    fn any_rules_are_parsed_or_refused(bytes in prop_oneof![4 => near(&RULES), 1 => any_bytes()]) {
+        any_input::parse(&bytes);
     }
 
     #[test]
-    fn any_facts_are_read_or_refused(text in prop_oneof![mutated(&["a\t1\nb\t-2\n"]), any::<String>()]) {
-        let program = program(".decl p(x: symbol, n: number)\n.input p\n");
-        let p = program.relation("p").unwrap();
-        let mut session = program.session();
-        let mut sources = Sources::new();
-        let source = sources.add("p.facts", text);
-        match facts::load(&mut session, p, &sources, source) {
-            Ok(lines) => {
-                session.commit().unwrap();
-                prop_assert!(session.len(p) <= lines);
-                // What was read is written so that it is read again as the same.
-                let mut again = program.session();
-                let source = sources.add("again", facts::print(&session, p));
-                facts::load(&mut again, p, &sources, source).unwrap();
-                again.commit().unwrap();
-                prop_assert_eq!(facts::print(&again, p), facts::print(&session, p));
-            }
-            Err(faults) => {
-                prop_assert!(faults.iter().all(|fault| fault.code == Code::InvalidFact));
-                prop_assert!(!render(&faults, &sources, false).is_empty());
-            }
-        }
+    fn any_rules_are_checked_or_refused(bytes in near(&RULES)) {
+        any_input::check(&bytes);
+    }
+
+    #[test]
+    fn any_rules_mean_what_they_mean_to_naive(bytes in near(&RULES)) {
+        any_input::query(&bytes);
+    }
+
+    #[test]
+    fn any_program_agrees_with_naive(bytes in prop::collection::vec(any::<u8>(), 0..1_000)) {
+        any_input::evaluate(&bytes);
+    }
+
+    #[test]
+    fn any_configuration_is_used_or_refused(bytes in prop_oneof![4 => near(&CONFIGS), 1 => any_bytes()]) {
+        any_input::config(&bytes);
+    }
+
+    #[test]
+    fn any_scene_is_answered_or_refused(bytes in prop_oneof![4 => near(&SCENES), 1 => any_bytes()]) {
+        any_input::scene(&bytes);
+    }
+
+    #[test]
+    fn any_rows_are_read_or_refused(bytes in prop_oneof![4 => near(&ROWS), 1 => any_bytes()]) {
+        any_input::rows(&bytes);
     }
 }

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
 use logicity::files::{BUILTIN_FOLDER, ReadError, read_text};
 use logicity::lang::{
-    AggregateOp, Atom, Clause, Comparison, Functor, Literal, Loaded, Rules, Term, ast, load, parse, print,
+    AggregateOp, Atom, Clause, Comparison, Functor, Inputs, Literal, Loaded, Rules, Term, ast, load, load_with, parse,
+    print,
 };
 use proptest::prelude::*;
 
@@ -62,6 +63,85 @@ fn strata(rules: &Rules) -> Vec<Vec<&str>> {
         .collect()
 }
 
+/// The help of the errors of a text, and nothing of its warnings.
+fn helps(text: &str) -> Vec<String> {
+    let (_, loaded) = load_text("main.dl", text);
+    let errors = loaded.diagnostics.into_iter().filter(Diagnostic::is_error);
+    errors.flat_map(|error| error.help).collect()
+}
+
+#[test]
+fn habits_of_other_languages_are_told_once_with_what_to_write_here() {
+    const HEAD: &str = ".decl A, B(x: number)\n.input A\n.output B\n";
+    for (written, help) in [
+        ("B(x) :- A(x) and x < 2.", "commas"),
+        ("B(x) :- A(x) AND A(x).", "commas"),
+        ("B(x) :- A(x) & x < 2.", "commas"),
+        ("B(x) :- A(x) && x < 2.", "commas"),
+        ("B(x) :- A(x) \u{2227} x < 2.", "commas"),
+        ("B(x) :- A(x) or A(x).", "`;`"),
+        ("B(x) :- A(x) | A(x).", "`;`"),
+        ("B(x) :- A(x) || A(x).", "`;`"),
+        ("B(x) :- A(x), NOT A(x).", "`!P(X)`"),
+        ("B(x) :- A(x), NOT(A(x)).", "`!P(X)`"),
+        ("B(x) :- A(x), \\+ A(x).", "`!P(X)`"),
+        ("B(x) :- A(x), ~A(x).", "`!P(X)`"),
+        ("B(x) :- A(x), \u{ac}A(x).", "`!P(X)`"),
+        ("B(x) :- A(x), x == 1.", "equality is written `=`"),
+        ("B(x) :- A(x), x =:= 1.", "equality is written `=`"),
+        ("B(x) :- A(x), x is 1.", "equality is written `=`"),
+        ("B(x) :- A(x), x <> 1.", "`!=`"),
+        ("B(x) :- A(x), x \\= 1.", "`!=`"),
+        ("B(x) :- A(x), x =\\= 1.", "`!=`"),
+        ("B(x) :- A(x), x \u{2260} 1.", "`!=`"),
+        ("B(x) :- A(x), x =< 1.", "`<=`"),
+        ("B(x) :- A(x), x \u{2265} 1.", "`>=`"),
+        ("B(x) :- A(x), x => 1.", "`>=`"),
+        ("B(x) <- A(x).", "`:-`"),
+        ("B(x) -> A(x).", "`:-`"),
+        ("B(x) := A(x).", "`:-`"),
+        ("B(x) \u{2190} A(x).", "`:-`"),
+        ("B(x) <= A(x).", "`:-`"),
+        ("B(x) if A(x).", "`:-`"),
+        ("A(x) => B(x).", "the head of a clause comes first"),
+        ("B(x) :- A(x)", "ends with a full stop"),
+        ("B(x) :- A(x)\n.decl C(x: number)", "ends with a full stop"),
+        ("B(1)\nB(2).", "ends with a full stop"),
+    ] {
+        let said = helps(&format!("{HEAD}{written}\n"));
+        assert!(said.len() == 1 && said[0].contains(help), "{written}: {said:?}");
+    }
+    // What only looks like it.
+    load_clean(
+        "main.dl",
+        &format!("{HEAD}B(x) :- A(x), x <-1.\n.decl and(x: number)\n.output and\nand(x) :- A(x).\n"),
+    );
+}
+
+#[test]
+fn a_missing_include_suggests_the_file_that_is_meant() {
+    for (written, meant) in [
+        ("vocabulary", "vocabulary.dl"),
+        ("vocabulry.dl", "vocabulary.dl"),
+        ("vocabulry", "vocabulary.dl"),
+        ("Easy.dl", "easy.dl"),
+    ] {
+        let said = helps(&format!(".include \"{written}\"\n"));
+        assert_eq!(said, [format!("did you mean `{meant}`?")], "{written}");
+    }
+    assert_eq!(helps(".include \"something-else.dl\""), [""; 0]);
+}
+
+#[test]
+fn a_circle_is_told_once_with_what_to_do() {
+    let text = ".decl A, B, C(x: number)\n.input A\n.output B, C\nB(x) :- A(x), !C(x).\nC(x) :- A(x), !B(x).\n";
+    let said = helps(text);
+    assert!(
+        said.len() == 1 && said[0].contains("predicates that do not need `B`"),
+        "{said:?}"
+    );
+}
+
 #[test]
 fn all_rule_files_load_without_a_diagnostic() {
     let mut count = 0;
@@ -90,7 +170,7 @@ fn stopping_comes_before_slowing_before_speeding() {
 
 // --- expectations beside the input
 
-/// Loads the first of some texts, the others being the files beside it.
+/// Loads the first of some texts, the others being the files beside it. One that expects `extended-input` is loaded as for a query.
 fn load_files(files: &[(String, String)]) -> (Sources, Loaded) {
     let read_one = |path: &Path| {
         let clean: PathBuf = path
@@ -106,7 +186,11 @@ fn load_files(files: &[(String, String)]) -> (Sources, Loaded) {
     };
     let mut sources = Sources::new();
     let entry = sources.add(files[0].0.as_str(), files[0].1.as_str());
-    let loaded = load(&mut sources, entry, &read_one);
+    let inputs = match files.iter().any(|(_, text)| text.contains("warning[extended-input]")) {
+        true => Inputs::Extended,
+        false => Inputs::Given,
+    };
+    let loaded = load_with(&mut sources, entry, &read_one, inputs);
     (sources, loaded)
 }
 
@@ -634,6 +718,9 @@ fn item() -> impl Strategy<Value = ast::Item> {
         }),
         1 => proptest::collection::vec(any::<String>(), 1..3).prop_map(|words| {
             ast::Item::Pragma(ast::Pragma { words, place: place() })
+        }),
+        1 => proptest::collection::vec((0..9_i64, proptest::collection::vec(0..9_i64, 0..3)), 1..3).prop_map(|orders| {
+            ast::Item::Plan(ast::Plan { orders, place: place() })
         }),
         1 => (0..4_usize, name(), name()).prop_map(|(kind, one, other)| {
             use ast::PromiseKind::{Disjoint, Implies, Irreflexive, Symmetric};

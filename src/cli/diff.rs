@@ -20,7 +20,7 @@ pub struct Arguments {
     /// Look at scenes of at most this many entities
     #[arg(long, value_name = "COUNT", default_value_t = Options::default().entities_max)]
     entities: usize,
-    /// Give up after this many dead ends of the search
+    /// Give up after this many dead ends of the search; a tenth as many scenes where they are tried one by one
     #[arg(long, value_name = "COUNT", default_value_t = Options::default().conflicts_max)]
     effort: u64,
     /// Print the scene that shows a difference, ready for `logicity infer`, and nothing else
@@ -84,6 +84,20 @@ fn equal(verdict: &Verdict) -> String {
             };
             format!("no difference in any scene of at most {}; {rest}", plural(*entities))
         }
+        Verdict::NoneTried {
+            facts,
+            entities,
+            scenes,
+        } => {
+            let every = match facts {
+                Some(facts) => format!(
+                    "every scene of at most {facts} facts about {} was tried, with values that the rules name and their neighbours",
+                    plural(*entities)
+                ),
+                None => "no size was tried completely".to_owned(),
+            };
+            format!("no difference found in {scenes} scenes: {every}, and larger ones at random; nothing is proved")
+        }
         Verdict::Different(_) => String::new(),
     }
 }
@@ -135,6 +149,13 @@ fn to_json(verdict: &Verdict) -> Value {
         Verdict::NoneFound { entities, proof } => {
             json!({ "verdict": "none-found", "proved": false, "entities": entities, "needed": proof })
         }
+        Verdict::NoneTried {
+            facts,
+            entities,
+            scenes,
+        } => json!({
+            "verdict": "none-found", "proved": false, "entities": entities, "facts": facts, "scenes": scenes, "needed": null
+        }),
         Verdict::Different(difference) => {
             let derived = |rows: &[(String, Vec<String>)]| -> Value {
                 rows.iter().map(|(name, row)| json!([name, row])).collect()

@@ -2,9 +2,10 @@
 
 use super::Failure;
 use super::trace::TraceReader;
+use super::why;
 use crate::config::Speed;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
-use crate::engine::provenance::{ExplainError, Explainer, Explanation, Teller};
+use crate::engine::provenance::{Explainer, Explanation, Teller};
 use crate::sim::{Replay, TraceTick};
 use serde_json::json;
 use std::io::Write;
@@ -104,12 +105,8 @@ fn ask(
         return Ok(None);
     };
     let agent = replay.value(position);
-    let fault = |error: ExplainError| Diagnostic::new(Code::LimitExceeded, error.to_string());
-    let proof = explainer.explain(relation, &[agent]).map_err(fault)?;
-    Ok(match proof {
-        Some(proof) => Some(proof),
-        None => explainer.explain_absence(relation, &[Some(agent)]).map_err(fault)?,
-    })
+    let (_, explanation) = why::explain(explainer, replay.session(), relation, &[Some(agent)])?;
+    Ok(explanation)
 }
 
 fn tell(

@@ -27,6 +27,9 @@ pub struct Arguments {
     /// Seed of the predicates that hold with a probability and are not given by the scene
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
+    /// Refuse scenes whose facts are not as the rules promise (`.disjoint`, `.implies`, ..)
+    #[arg(long)]
+    check_promises: bool,
     /// Where to write the answers; standard output unless given
     #[arg(long)]
     out: Option<PathBuf>,
@@ -35,6 +38,9 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let (scenario, program, _) = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
     let mut inference = Inference::new(scenario, program, Seed(arguments.seed), files::read_text)?;
+    if arguments.check_promises {
+        inference.check_promises();
+    }
 
     let (input, name): (Box<dyn Read>, _) = if arguments.file == Path::new("-") {
         (Box::new(io::stdin().lock()), "<stdin>".to_owned())

@@ -8,15 +8,19 @@ mod diff;
 mod explain;
 mod fmt;
 mod infer;
+mod lsp;
 mod query;
+mod repl;
 mod route;
 mod run;
 mod trace;
+mod why;
 
 use crate::config::{Located, MapConfig, Scenario, load_map, load_scenario};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, render};
-use crate::engine::Program;
+use crate::engine::{EvalError, Limits, Program};
 use crate::files::{self, ReadError};
+use crate::lang::{Inputs, Rules, Texts};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, Parser, Subcommand};
 use std::io::{self, IsTerminal, Write};
@@ -43,12 +47,16 @@ enum Command {
     Diff(diff::Arguments),
     /// Run any Datalog program on facts files, as Souffle does
     Query(query::Arguments),
+    /// Work on a Datalog program at a prompt: add and retract facts and rules, ask questions, see why
+    Repl(repl::Arguments),
     /// Decide scenes: one JSON scene a line in, one JSON answer a line out
     Infer(infer::Arguments),
     /// Tell why an agent did what it did in a run, or why it did not do something else
     Explain(explain::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
+    /// Serve an editor over standard input and output: diagnostics, hover, definitions, renaming and more
+    Lsp(lsp::Arguments),
     /// Print a completion script for a shell
     Completions {
         /// The shell
@@ -120,8 +128,10 @@ pub fn main() -> ExitCode {
             };
         }
         Command::Query(arguments) => query::run(&arguments, &mut sources),
+        Command::Repl(arguments) => repl::run(&arguments, &mut sources),
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
+        Command::Lsp(arguments) => lsp::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
         Command::Completions { shell } => {
             clap_complete::generate(shell, &mut Arguments::command(), "logicity", &mut io::stdout());
@@ -196,15 +206,61 @@ fn read(path: &Path) -> Result<String, Failure> {
     })
 }
 
+/// What an evaluation may take.
+#[derive(clap::Args)]
+struct LimitOptions {
+    /// Stop with an error if the rules derive more rows
+    #[arg(long, value_name = "COUNT", default_value_t = Limits::default().rows)]
+    max_rows: usize,
+    /// Stop with an error if more rows have to be looked at
+    #[arg(long, value_name = "COUNT", default_value_t = Limits::default().steps)]
+    max_steps: u64,
+    /// Stop with an error if rows, indexes and texts take more memory, in MiB; the process may need about three times as much
+    #[arg(long, value_name = "MIB", default_value_t = Limits::default().bytes >> 20)]
+    max_memory: u64,
+}
+
+impl LimitOptions {
+    fn limits(&self) -> Limits {
+        Limits {
+            rows: self.max_rows,
+            steps: self.max_steps,
+            bytes: self.max_memory.saturating_mul(1 << 20),
+        }
+    }
+}
+
+/// The fault of a commit, with what can be done about it.
+pub(super) fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
+    let option = match error {
+        EvalError::TooManyRows { .. } => "--max-rows",
+        EvalError::TooManySteps { .. } => "--max-steps",
+        EvalError::TooMuchMemory { .. } => "--max-memory",
+    };
+    error.diagnostic(rules).note(format!("`{option}` allows more"))
+}
+
 /// Reads, checks and plans a rule file. Warnings are returned beside the program.
 fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diagnostic>), Failure> {
+    compile(&load_texts(sources, path, Inputs::Given)?)
+}
+
+/// Checks and plans rules. Warnings are returned beside the program.
+fn compile(texts: &Texts) -> Result<(Program, Vec<Diagnostic>), Failure> {
+    let loaded = texts.check();
+    match loaded.rules {
+        Some(rules) => Ok((Program::new(rules)?, loaded.diagnostics)),
+        None => Err(loaded.diagnostics.into()),
+    }
+}
+
+/// Reads a rule file and all it includes.
+fn load_texts(sources: &mut Sources, path: &Path, inputs: Inputs) -> Result<Texts, Failure> {
     let text = read(path)?;
     let entry = sources.add(path.display().to_string(), text);
-    let (program, diagnostics) = Program::load(sources, entry, &files::read_or_builtin);
-    match program {
-        Some(program) => Ok((program, diagnostics)),
-        None => Err(diagnostics.into()),
-    }
+    let mut texts = Texts::new(inputs);
+    texts.add(sources, entry, &files::read_or_builtin);
+    Ok(texts)
 }
 
 /// A configuration and its rules, or those of the file that is given instead. Warnings have been told; the texts of the rules are

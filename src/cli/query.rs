@@ -1,35 +1,75 @@
 //! `logicity query`
 
-use super::{Failure, load_program, make_folder, report};
+use super::why::{self, Question};
+use super::{Failure, LimitOptions, compile, load_texts, make_folder, report, too_much};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::engine::{Options, Program, RuleWork, Session, StratumWork, facts, promise};
+use crate::engine::{Delta, Moment, Options, Program, RuleWork, Session, StratumWork, Threads, facts, promise};
 use crate::files::{self, Output, ReadError};
-use crate::lang::{MarkKind, RelId, RowPlace};
-use std::io::Write;
+use crate::lang::{ClauseId, Inputs, MarkKind, RelId, RowPlace};
+use std::cell::{Cell, RefCell};
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Rule file
     rules: PathBuf,
     /// Folder with one NAME.facts for each input relation: one row a line, values separated by tabs. The options of `.input`
-    /// may say otherwise
-    #[arg(short = 'F', long, value_name = "DIR", default_value = ".")]
-    facts: PathBuf,
+    /// may say otherwise. Without it, the current folder
+    #[arg(short = 'F', long, value_name = "DIR")]
+    facts: Option<PathBuf>,
     /// Folder for one NAME.csv for each output relation; `-` is standard output
     #[arg(short = 'D', long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
-    /// Print how every clause is evaluated, and do nothing else
+    /// Print how every clause is evaluated, and do nothing else: with `-F`, for relations of the sizes that the facts give
+    /// them; without, as long as there are few rows
     #[arg(long, conflicts_with = "profile")]
     plan: bool,
-    /// Tell on standard error what every clause did
+    /// Tell on standard error how long every clause took (wall clock) and on how many rows
     #[arg(long)]
     profile: bool,
+    /// Tell why this fact holds instead, for example 'Path(1, 2)': a shortest proof. `_` is any value
+    #[arg(long, value_name = "FACT", conflicts_with = "plan")]
+    explain: Option<String>,
+    /// Tell why this fact does not hold instead: what fails in each clause
+    #[arg(long, value_name = "FACT", conflicts_with_all = ["plan", "explain"])]
+    why_not: Option<String>,
+    /// Print the explanation as one line of JSON: `fact`, `holds`, `nodes`
+    #[arg(long)]
+    json: bool,
+    /// Evaluate on so many threads; 0 is one for each core. The answers and their order are the same
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(..=1024))]
+    threads: u16,
+    #[command(flatten)]
+    limits: LimitOptions,
+}
+
+impl Arguments {
+    /// The fact that is asked about, the name of the argument it stands in, and what is asked.
+    fn question(&self) -> Option<(&str, &'static str, Question)> {
+        let holds = self.explain.as_deref().map(|fact| (fact, "--explain", Question::Holds));
+        holds.or_else(|| Some((self.why_not.as_deref()?, "--why-not", Question::Fails)))
+    }
+
+    fn threads(&self) -> Threads {
+        NonZeroUsize::new(self.threads.into()).map_or_else(Threads::all, Threads::new)
+    }
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let (program, warnings) = load_program(sources, &arguments.rules)?;
+    let question = arguments.question();
+    if arguments.json && question.is_none() {
+        return Err(Failure::Usage("--json goes with --explain or --why-not".to_owned()));
+    }
+    let texts = load_texts(sources, &arguments.rules, Inputs::Extended)?;
+    let (program, warnings) = compile(&texts)?;
     report(&warnings, sources);
+    // Not needed any more, and perhaps large.
+    let texts = question.map(|_| texts);
     // The facts are checked below, before anybody sees an answer.
     let options = Options {
         promises: true,
@@ -39,84 +79,169 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         true => program,
         false => Program::with(program.rules().clone(), options)?,
     };
-    if arguments.plan {
+    if arguments.plan && arguments.facts.is_none() {
         write!(anstream::stdout(), "{}", program.show_plans(sources))?;
         return Ok(());
     }
     let mut session = program.session();
-    load_inputs(&arguments.facts, &mut session, sources)?;
-    session.commit().map_err(Diagnostic::from)?;
+    session.set_limits(arguments.limits.limits());
+    (session.set_threads(arguments.threads()))
+        .map_err(|error| Failure::Usage(format!("cannot start {} threads: {error}", arguments.threads)))?;
+    load_inputs(
+        arguments.facts.as_deref().unwrap_or(Path::new(".")),
+        &mut session,
+        sources,
+    )?;
+    let times = match arguments.profile {
+        true => timed_commit(&mut session).map(|(_, times)| Some(times)),
+        false => (session.commit().map(|_| None)).map_err(|error| too_much(&error, program.rules())),
+    };
+    let times = times?;
+    if arguments.plan {
+        write!(anstream::stdout(), "{}", session.show_plans(sources))?;
+        return Ok(());
+    }
 
     let broken = promise::broken(&session);
     if !broken.is_empty() {
         return Err(broken.into());
     }
 
-    if arguments.profile {
+    if let Some(times) = times {
         // Nobody may be there to read it; the results are worth more.
-        let _ = write!(anstream::stderr(), "{}", profile(&session, sources));
+        let _ = write!(anstream::stderr(), "{}", profile(&session, &times, sources));
     }
-    let mut out = anstream::stdout();
+    let mut out = io::BufWriter::new(anstream::stdout());
+    if let (Some((fact, name, question)), Some(texts)) = (question, texts) {
+        let asked = (question, sources.add(format!("<{name}>"), fact));
+        return why::tell(&mut out, asked, &texts, &session, sources, arguments.json);
+    }
     for (id, relation) in relations(&program) {
         for directive in &relation.directives {
             match directive.kind {
                 MarkKind::Input => {}
                 MarkKind::Output => {
-                    let text = facts::print_as(&session, id, &directive.format);
+                    let to_terminal = arguments.output == Path::new("-");
+                    let mut format = directive.format.clone();
+                    // As Souffle has it.
+                    format.headers |= to_terminal;
+                    let header = facts::header(relation, &format);
+                    let rows = |out: &mut dyn Write| facts::write_rows(&session, id, &format, out);
                     let path = match &directive.place {
-                        _ if arguments.output == Path::new("-") => None,
+                        _ if to_terminal => None,
                         RowPlace::Terminal => None,
                         RowPlace::Usual => Some(arguments.output.join(format!("{}.csv", relation.name))),
                         RowPlace::File(name) => Some(arguments.output.join(name)),
                     };
                     match path {
-                        Some(path) => write_relation(&path, &text)?,
-                        None => print_relation(&mut out, &relation.name, &text, directive.format.headers)?,
+                        Some(path) => write_relation(&path, &header, rows)?,
+                        None => print_relation(&mut out, &relation.name, &header, rows)?,
                     }
                 }
                 MarkKind::PrintSize => writeln!(out, "{}\t{}", relation.name, session.len(id))?,
             }
         }
     }
+    out.flush()?;
     Ok(())
 }
 
-/// What every clause did, those that looked at most rows first.
-fn profile(session: &Session, sources: &Sources) -> String {
-    let rounds = session.work().strata.iter().filter_map(StratumWork::work);
-    let mut rules: Vec<(usize, &RuleWork)> = rounds
-        .flat_map(|work| work.rules.iter().map(|rule| (work.rounds, rule)))
-        .collect();
-    rules.sort_by_key(|(_, rule)| std::cmp::Reverse(rule.looked_at));
+/// Wall-clock times of a commit.
+#[derive(Default)]
+pub(super) struct Times {
+    total: Duration,
+    /// How long the evaluation of a clause took, and how often it was evaluated.
+    clauses: BTreeMap<ClauseId, (Duration, u64)>,
+}
+
+/// Commits and takes the time.
+pub(super) fn timed_commit(session: &mut Session) -> Result<(Delta, Times), Diagnostic> {
+    let start = Instant::now();
+    let (begun, times) = (Cell::new(start), RefCell::new(Times::default()));
+    let watch = |moment| match moment {
+        Moment::Begin(_) => begun.set(Instant::now()),
+        Moment::End(clause) => {
+            let mut times = times.borrow_mut();
+            let (time, count) = times.clauses.entry(clause).or_default();
+            *time += begun.get().elapsed();
+            *count += 1;
+        }
+    };
+    let delta = session.commit_watched(&watch);
+    let delta = delta.map_err(|error| too_much(&error, session.program().rules()))?;
+    let mut times = times.into_inner();
+    times.total = start.elapsed();
+    Ok((delta, times))
+}
+
+/// What every clause did and how long it took, the longest first.
+pub(super) fn profile(session: &Session, times: &Times, sources: &Sources) -> String {
     let mut text = format!(
-        "{:>13} {:>13} {:>13} {:>7}  clause\n",
-        "new rows in", "looked at", "derived", "rounds"
+        "{:>10} {:>6} {:>13} {:>13} {:>13} {:>6}  clause\n",
+        "time", "", "new rows in", "looked at", "derived", "runs"
     );
-    for (rounds, rule) in rules {
-        let clause = session.program().show_clause(rule.clause, sources);
-        let RuleWork {
-            given,
-            looked_at,
-            derived,
-            ..
-        } = rule;
-        text += &format!("{given:>13} {looked_at:>13} {derived:>13} {rounds:>7}  {clause}\n");
+    let mut line = |time: Duration, numbers: [String; 4], what: &str| {
+        let share = 100.0 * time.as_secs_f64() / times.total.as_secs_f64().max(f64::MIN_POSITIVE);
+        let [given, looked_at, derived, runs] = numbers;
+        let time = format!("{:.3} ms", time.as_secs_f64() * 1e3);
+        text += &format!("{time:>10} {share:>5.1}% {given:>13} {looked_at:>13} {derived:>13} {runs:>6}  {what}\n");
+    };
+    let mut rules: Vec<(Duration, u64, &RuleWork)> = (session.work().rules())
+        .map(|rule| {
+            let (time, runs) = times.clauses.get(&rule.clause).copied().unwrap_or_default();
+            (time, runs, rule)
+        })
+        .collect();
+    rules.sort_by_key(|&(time, _, rule)| (Reverse(time), rule.clause));
+    for &(time, runs, rule) in &rules {
+        let numbers = [rule.given, rule.looked_at, rule.derived, runs].map(|number| number.to_string());
+        line(time, numbers, &session.program().show_clause(rule.clause, sources));
     }
+    let own = session.program().rules().clauses.len();
+    let shared = (times.clauses.iter())
+        .filter(|(clause, _)| clause.index() >= own)
+        .map(|(_, time)| *time);
+    let (shared_time, shared_runs) = shared.fold((Duration::ZERO, 0), |sum, next| (sum.0 + next.0, sum.1 + next.1));
+    let works = session.work().strata.iter().filter_map(StratumWork::work);
+    let shared: u64 = works.map(|work| work.shared).sum();
+    if shared_runs > 0 {
+        let numbers = [
+            String::new(),
+            shared.to_string(),
+            String::new(),
+            shared_runs.to_string(),
+        ];
+        line(shared_time, numbers, "(shared by several clauses)");
+    }
+    let clauses: Duration = times.clauses.values().map(|(time, _)| *time).sum();
+    let rest = times.total.saturating_sub(clauses);
+    line(rest, Default::default(), "(sorting, merging, indexes)");
+    let sum = |number: fn(&RuleWork) -> u64| rules.iter().map(|&(_, _, rule)| number(rule)).sum::<u64>();
+    let runs = shared_runs + rules.iter().map(|&(_, runs, _)| runs).sum::<u64>();
+    let totals = [
+        sum(|rule| rule.given),
+        shared + sum(|rule| rule.looked_at),
+        sum(|rule| rule.derived),
+        runs,
+    ];
+    line(times.total, totals.map(|number| number.to_string()), "(all)");
     text
 }
 
 /// Prints a relation between rules, its header above them.
-fn print_relation(out: &mut impl Write, name: &str, text: &str, headers: bool) -> std::io::Result<()> {
-    let (header, rows) = match text.split_once('\n') {
-        Some((header, rows)) if headers => (format!("{header}\n"), rows),
-        _ => (String::new(), text),
-    };
-    let rule = "-".repeat(15);
-    write!(out, "{rule}\n{name}\n{header}===============\n{rows}===============\n")
+fn print_relation(
+    out: &mut dyn Write,
+    name: &str,
+    header: &str,
+    rows: impl Fn(&mut dyn Write) -> io::Result<()>,
+) -> io::Result<()> {
+    write!(out, "---------------\n{name}\n{header}===============\n")?;
+    rows(out)?;
+    out.write_all(b"===============\n")
 }
 
 /// The declared relations in the order of the text.
-fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::lang::Relation)> {
+pub(super) fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::lang::Relation)> {
     let relations = program.rules().relations.iter().enumerate();
     relations.map(|(index, relation)| {
         let id = RelId(u32::try_from(index).expect("fewer than 2^32 relations"));
@@ -125,7 +250,7 @@ fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::lang::Re
 }
 
 /// Reads the facts of every input relation. All faulty files are told in one run.
-fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
+pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
     let program = session.program().clone();
     let mut faults = Vec::new();
     for (id, relation) in relations(&program) {
@@ -169,10 +294,12 @@ fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> R
     if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
 }
 
-fn write_relation(path: &Path, text: &str) -> Result<(), Failure> {
+/// Writes a relation to a file, which appears when it is complete.
+fn write_relation(path: &Path, header: &str, rows: impl Fn(&mut dyn Write) -> io::Result<()>) -> Result<(), Failure> {
     make_folder(path.parent().unwrap_or(Path::new(".")))?;
-    let fail = |error: std::io::Error| Failure::file("write", path, error);
+    let fail = |error: io::Error| Failure::file("write", path, error);
     let mut file = Output::create(path).map_err(fail)?;
-    file.write_all(text.as_bytes()).map_err(fail)?;
+    file.write_all(header.as_bytes()).map_err(fail)?;
+    rows(&mut file).map_err(fail)?;
     file.finish().map_err(fail)
 }

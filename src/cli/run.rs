@@ -3,6 +3,7 @@
 use super::{Failure, load_city, make_folder, one_of};
 use crate::config::{AgentKind, Speed, Split};
 use crate::diag::{Code, Diagnostic, Sources};
+use crate::engine::promise;
 use crate::engine::provenance::Teller;
 use crate::files::Output;
 use crate::lang::{Clause, ClauseId};
@@ -46,6 +47,9 @@ pub struct Arguments {
     /// Rule file instead of the configuration's
     #[arg(long)]
     rules: Option<PathBuf>,
+    /// Look at every tick whether the facts are as the rules promise (`.disjoint`, `.implies`, ..); exit code 1 if they are not
+    #[arg(long)]
+    check_promises: bool,
     /// Write the trace only
     #[arg(long)]
     no_pictures: bool,
@@ -63,6 +67,8 @@ struct Tally {
     last_move: Vec<u64>,
     /// For each agent that stands still, whom it waited for when it was looked at, and by which clause.
     waited: Vec<BTreeSet<(usize, ClauseId)>>,
+    /// For each promise that was broken, if that is looked for: what was told first, in which tick, and in how many ticks.
+    broken: Vec<(Diagnostic, u64, u64)>,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
@@ -116,9 +122,13 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let mut last = None;
     while tally.ticks < ticks && !stop.load(Ordering::Relaxed) {
         let begin = Instant::now();
-        let tick = simulation.tick(&[]).map_err(Diagnostic::from)?;
+        let tick = simulation.tick(&[]);
+        let tick = tick.map_err(|error| error.diagnostic(simulation.world().program.rules()))?;
         tally.deciding += begin.elapsed();
         tally.add(&simulation, &tick);
+        if arguments.check_promises {
+            tally.add_broken(promise::broken(simulation.session()), tick.tick);
+        }
         trace.tick(&simulation, &tick).map_err(writing("trace.jsonl"))?;
         if let Some((painter, animation)) = &mut pictures
             && tick.tick < MAX_FRAMES
@@ -149,7 +159,16 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         writeln!(out, "interrupted: {} of {ticks} ticks were run", tally.ticks)?;
         return Err(Failure::Interrupted);
     }
-    Ok(())
+    if tally.broken.is_empty() {
+        return Ok(());
+    }
+    let faults = tally.broken.into_iter().map(|(fault, first, count)| {
+        fault.note(format!(
+            "in tick {first} for the first time; in {count} of {} ticks",
+            tally.ticks
+        ))
+    });
+    Err(Failure::Input(faults.collect()))
 }
 
 /// Becomes true when the user interrupts the run (Ctrl-C) or the system asks it to end; what was done is then written and kept. A
@@ -207,6 +226,19 @@ impl Tally {
         }
         for (sum, fired) in self.firings.iter_mut().zip(&tick.firings) {
             *sum += *fired as u64;
+        }
+    }
+
+    /// Counts the promises that the facts of a tick break.
+    fn add_broken(&mut self, mut faults: Vec<Diagnostic>, tick: u64) {
+        // One directive may promise several things.
+        faults.dedup_by(|a, b| a.primary == b.primary);
+        for fault in faults {
+            let same = |(known, ..): &&mut (Diagnostic, u64, u64)| known.primary == fault.primary;
+            match self.broken.iter_mut().find(same) {
+                Some((_, _, count)) => *count += 1,
+                None => self.broken.push((fault, tick, 1)),
+            }
         }
     }
 }

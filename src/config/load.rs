@@ -7,13 +7,11 @@ use super::compose::{Composer, Read};
 use super::model::*;
 use super::read::{Fields, choice, entries, integer, invalid, is_name, list, name, number, text};
 use super::yaml::{Node, Value};
-use crate::diag::{Code, Diagnostic, Sources, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// The most faults told of one configuration.
-const MAX_FAULTS: usize = 100;
 /// The most base predicates of a scenario.
 const MAX_PREDICATES: usize = 1000;
 /// The most agents of a split, with the concepts they carry.
@@ -63,18 +61,10 @@ pub fn load_map(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Ma
     finish(map, composer.faults)
 }
 
-fn finish<T>(value: Option<T>, mut faults: Vec<Diagnostic>) -> Result<T, Vec<Diagnostic>> {
+fn finish<T>(value: Option<T>, faults: Vec<Diagnostic>) -> Result<T, Vec<Diagnostic>> {
     match value {
         Some(value) if faults.is_empty() => Ok(value),
-        _ => {
-            faults.sort_by_key(|fault| fault.primary.as_ref().map(|label| label.span));
-            let more = faults.len().saturating_sub(MAX_FAULTS);
-            faults.truncate(MAX_FAULTS);
-            if let (Some(last), 1..) = (faults.last_mut(), more) {
-                last.notes.push(format!("{more} more faults are not shown"));
-            }
-            Err(faults)
-        }
+        _ => Err(faults.into_iter().collect::<Faults>().finish()),
     }
 }
 

@@ -62,6 +62,8 @@ codes! {
     MissingInclude = "missing-include", Error;
     /// A predicate that is input and also head of a rule.
     DerivedInput = "derived-input", Error;
+    /// The same where both are meant to hold: the given rows and the derived ones.
+    ExtendedInput = "extended-input", Warning;
     /// A `.scope` that cannot guard the rules it is given.
     InvalidScope = "invalid-scope", Error;
     /// A promise that its predicates cannot keep: they are derived, or their columns do not fit it.
@@ -76,11 +78,15 @@ codes! {
     DeadClause = "dead-clause", Warning;
     /// Something of Souffle that is accepted and has no effect here.
     Ignored = "ignored", Warning;
+    /// A declaration of a type as older versions of Souffle write it.
+    OldForm = "old-form", Warning;
 
     /// A body two literals of which never hold together.
     ContradictoryBody = "contradictory-body", Warning;
     /// A literal that others imply.
     RedundantLiteral = "redundant-literal", Warning;
+    /// Several literals that stand together in several clauses.
+    RepeatedBody = "repeated-body", Warning;
 
     // --- facts
     /// A row of a facts file that does not fit its predicate's declaration.

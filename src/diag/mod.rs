@@ -7,10 +7,12 @@
 //! This module refuses to know what a rule, a configuration or a city is.
 
 mod code;
+mod faults;
 mod render;
 mod source;
 
 pub use code::Code;
+pub use faults::{Faults, MAX_FAULTS};
 pub use render::{render, to_json};
 pub use source::{Position, SourceId, Sources, Span};
 

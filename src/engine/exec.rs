@@ -4,16 +4,19 @@
 //! *new* for one round, and belong to its *stable* batches afterwards. The joins are our own ([`super::join`]), since
 //! datafrog's want their number and the types of their rows at compile time.
 
+use crate::engine::adapt::Basis;
 use crate::engine::estimate::{self, Shape};
 use crate::engine::join::{self, Effort, Output, Stop, View};
-use crate::engine::plan::{ClausePlans, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
+use crate::engine::plan::{Aim, ClausePlans, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Row, difference, merge, normalise};
 use crate::engine::table::{Net, Table, project};
-use crate::engine::{Compiled, Delta, EvalError, Rows, RuleWork, Strategy, StratumWork, Work, WorkLog};
+use crate::engine::workers::Workers;
+use crate::engine::{Compiled, Delta, EvalError, Limits, Moment, Rows, RuleWork, Strategy, StratumWork, Work, WorkLog};
 use crate::lang::{ClauseId, RelId, Term, Value};
 use crate::symbol::Symbols;
 pub(super) use datafrog::{Iteration, Relation, Variable};
 use std::cell::Ref;
+use std::sync::Arc;
 
 /// What a session keeps between commits, whatever the width of its rows.
 pub(super) trait Store: Send + Sync {
@@ -26,8 +29,7 @@ pub(super) trait Store: Send + Sync {
         &mut self,
         compiled: &Compiled,
         symbols: &Symbols,
-        limit: usize,
-        strategy: Strategy,
+        orders: Orders<'_>,
     ) -> Result<(Delta, WorkLog), EvalError>;
     /// Whether the row, which has the right arity, is there.
     fn contains(&self, relation: RelId, row: &[Value]) -> bool;
@@ -35,8 +37,32 @@ pub(super) trait Store: Send + Sync {
     fn row(&self, relation: RelId, position: usize) -> &[Value];
     /// How many rows the relation has.
     fn len(&self, relation: RelId) -> usize;
+    /// How clauses are evaluated now.
+    fn plans(&self) -> &Plans;
     /// The distinct rows that a clause derives.
     fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>>;
+}
+
+/// How a commit is to be made.
+#[derive(Clone, Copy)]
+pub(super) struct Orders<'a> {
+    pub(super) strategy: Strategy,
+    pub(super) limits: Limits,
+    pub(super) workers: &'a Workers,
+    /// Is told when a clause begins and ends.
+    pub(super) watch: Option<&'a dyn Fn(Moment)>,
+}
+
+/// What a stratum may take of what is left.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Room {
+    /// Rows of its members. If these are as many as there is memory for, `narrowed`.
+    pub(super) rows: usize,
+    narrowed: bool,
+    /// Rows looked at.
+    steps: u64,
+    /// Memory for its members' rows and the indexes it needs.
+    bytes: u64,
 }
 
 /// An empty store for a program.
@@ -58,10 +84,18 @@ pub(super) struct State<const W: usize> {
     given: Vec<Vec<Row<W>>>,
     /// By [`RelId`]: noted changes in the order they came; of several for one row the last counts.
     noted: Vec<Vec<(Row<W>, bool)>>,
+    /// How clauses are evaluated, for relations of about the sizes they have.
+    pub(super) plans: Arc<Plans>,
+    /// By position of the stratum: the sizes it was planned for.
+    pub(super) bases: Vec<Basis>,
     /// Whether a commit has succeeded.
     committed: bool,
     /// By position of the stratum: what the last computation from scratch took.
     costs: Vec<Cost>,
+    /// How many rows the tables have.
+    rows: usize,
+    /// Each of them is in memory no more often than this.
+    pub(super) copies_max: usize,
 }
 
 /// What computing a stratum from scratch took.
@@ -75,7 +109,10 @@ struct Cost {
 /// A commit while it is made.
 pub(super) struct Commit<'a, const W: usize> {
     pub(super) compiled: &'a Compiled,
+    /// How clauses are evaluated: the session's own plans.
+    pub(super) plans: Arc<Plans>,
     pub(super) symbols: &'a Symbols,
+    orders: Orders<'a>,
     /// By [`RelId`]: how the relations changed so far, and what they were before.
     pub(super) changed: Vec<Option<(Net<W>, Table<W>)>>,
 }
@@ -84,14 +121,12 @@ impl<const W: usize> Commit<'_, W> {
     /// All that changed. The tables as they were are dropped.
     fn delta(self) -> Delta {
         let mut delta = Delta::default();
-        for (changed, relation) in self.changed.into_iter().zip((0..).map(RelId)) {
+        // Relations that the optimiser added are nobody's business.
+        let relations = self.compiled.rules.relations.iter().zip((0..).map(RelId));
+        for (changed, (relation, id)) in self.changed.into_iter().zip(relations) {
             let Some((net, _)) = changed else { continue };
-            let arity = self.compiled.rules.relations[relation.index()].arity();
-            let list = |rows: Vec<Row<W>>| {
-                let rows: Vec<[Value; W]> = rows.into_iter().map(|row| row.0).collect();
-                Rows::of(arity, rows)
-            };
-            delta.push(relation, list(net.added), list(net.removed));
+            let arity = relation.arity();
+            delta.push(id, Rows::of(arity, net.added), Rows::of(arity, net.removed.into()));
         }
         delta
     }
@@ -106,17 +141,32 @@ impl<const W: usize> Commit<'_, W> {
 pub(super) type Failure = (ClauseId, Stop);
 
 /// Runs plans and keeps account of it.
-pub(super) struct Meter {
-    pub(super) effort: Effort,
+pub(super) struct Meter<'a> {
+    effort: Effort,
     rules: Vec<RuleWork>,
+    /// `None`: everything is done on the calling thread.
+    workers: Option<&'a Workers>,
+    watch: Option<&'a dyn Fn(Moment)>,
 }
 
-impl Meter {
+impl<'a> Meter<'a> {
     /// Nothing done yet; no more than `budget` rows may be looked at.
-    pub(super) fn new(budget: u64) -> Self {
+    fn new(budget: u64, orders: Orders<'a>, workers: Option<&'a Workers>) -> Self {
+        let mut effort = Effort::new(budget);
+        effort.text_bytes = orders.limits.bytes;
         Meter {
-            effort: Effort::new(budget),
+            effort,
             rules: Vec::new(),
+            workers,
+            watch: orders.watch,
+        }
+    }
+
+    /// The distinct rows of an output, in order; see [`Output::take`].
+    fn take<const W: usize>(&self, out: &mut Output<W>) -> Vec<Row<W>> {
+        match self.workers {
+            Some(workers) => out.take_by(|rows| workers.normalise(rows)),
+            None => out.take(),
         }
     }
 
@@ -130,7 +180,13 @@ impl Meter {
         out: &mut Output<W>,
     ) -> Result<(), Failure> {
         let before = (self.effort.looked_at, out.pushed);
-        let result = join::run(plan, views, symbols, &mut self.effort, out);
+        let tell = |moment| self.watch.iter().for_each(|watch| watch(moment));
+        tell(Moment::Begin(clause));
+        let result = match self.workers {
+            Some(workers) => workers.run(plan, views, symbols, &mut self.effort, out),
+            None => join::run(plan, views, symbols, &mut self.effort, out),
+        };
+        tell(Moment::End(clause));
         let position = self.rules.binary_search_by_key(&clause, |rule| rule.clause);
         let position = position.unwrap_or_else(|position| {
             let rule = RuleWork {
@@ -155,6 +211,7 @@ impl Meter {
             rounds,
             rules: self.rules,
             given_up: 0,
+            shared: 0,
         }
     }
 }
@@ -174,24 +231,24 @@ impl<const W: usize> State<W> {
             tables: indexes_of
                 .map(|indexes| Table::new(Vec::new(), indexes.len()))
                 .collect(),
+            rows: 0,
+            copies_max: compiled.plans.indexes_of.iter().map(Vec::len).max().unwrap_or(0) + 1,
             costs: vec![Cost::default(); compiled.plans.strata.len()],
             // They are inserted like any other fact, once.
             noted: given
                 .iter()
                 .map(|rows| rows.iter().map(|&row| (row, true)).collect())
                 .collect(),
+            plans: Arc::clone(&compiled.plans),
+            bases: vec![Basis::default(); compiled.plans.strata.len()],
             given,
             committed: false,
         }
     }
 
-    fn try_commit(
-        &mut self,
-        commit: &mut Commit<'_, W>,
-        limit: usize,
-        strategy: Strategy,
-    ) -> Result<(WorkLog, Vec<Cost>), EvalError> {
-        let Compiled { rules, plans } = commit.compiled;
+    fn try_commit(&mut self, commit: &mut Commit<'_, W>) -> Result<(WorkLog, Vec<Cost>), EvalError> {
+        let limits = commit.orders.limits;
+        let Compiled { rules, plans, .. } = commit.compiled;
         for relation in (0..rules.relations.len() as u32).map(RelId) {
             let noted = &mut self.noted[relation.index()];
             if noted.is_empty() {
@@ -200,41 +257,117 @@ impl<const W: usize> State<W> {
             settle(noted);
             let table = &self.tables[relation.index()];
             if let Some((net, rows)) = table.update(noted) {
-                let table = table.replaced(&specs(plans, relation), &net, rows);
+                let table = table.replaced(&specs(&commit.plans, relation), &net, rows);
                 self.put(commit, relation, net, table);
             }
         }
 
         let mut log = WorkLog::default();
         let mut costs = self.costs.clone();
-        // Rows derived by the strata so far. A limit that is passed by a sum of these is passed whatever was there before.
-        let mut derived = 0;
-        for (stratum, cost) in plans.strata.iter().zip(&mut costs) {
+        // Rows derived by the strata so far, and rows looked at for them. A limit that is passed by a sum of these is passed
+        // whatever was there before.
+        let (mut derived, mut steps) = (0, 0);
+        let mut shared = Vec::new();
+        for ((stratum, cost), number) in plans.strata.iter().zip(&mut costs).zip(0..) {
             let changes = stratum.inputs.iter().any(|&input| commit.net(input).is_some());
             let work = if self.committed && !changes {
                 StratumWork::Skipped
             } else {
-                let room = limit.saturating_sub(derived);
-                self.update(commit, stratum, cost, (room, strategy))
-                    .map_err(|clause| EvalError::TooManyRows { limit, clause })?
+                let room = self.room(commit, stratum, (derived, steps));
+                let work = self.update(commit, (stratum, number), cost, room);
+                work.map_err(|(clause, stop)| {
+                    let clause = commit.plans.reported(clause, rules.clauses.len());
+                    match stop {
+                        Stop::Budget => EvalError::TooManySteps {
+                            limit: limits.steps,
+                            clause,
+                        },
+                        Stop::Overflow if !room.narrowed => EvalError::TooManyRows {
+                            limit: limits.rows,
+                            clause,
+                        },
+                        Stop::Overflow | Stop::Memory => EvalError::TooMuchMemory {
+                            limit: limits.bytes,
+                            clause,
+                        },
+                    }
+                })?
             };
-            log.strata.push(work);
+            steps += work.work().map_or(0, |work| work.looked_at() + work.given_up);
+            if commit.compiled.is_shared(stratum) {
+                shared.push(work);
+                continue;
+            }
+            log.strata.push(work.after(std::mem::take(&mut shared)));
             let members = stratum.members.iter();
             derived += members.map(|&relation| self.len(relation)).sum::<usize>();
         }
         Ok((log, costs))
     }
 
-    /// Brings the relations of a stratum up to date in the way that looks cheaper. If there are more than `room` rows, a clause
-    /// that derives them.
+    /// What the limits leave for a stratum after so many rows were derived and looked at.
+    fn room(&self, commit: &Commit<'_, W>, stratum: &StratumPlan, (derived, steps): (usize, u64)) -> Room {
+        let limits = commit.orders.limits;
+        let most = (self.rows * self.copies_max * size_of::<Row<W>>()) as u64;
+        // Adding up takes longer than many a commit.
+        let held = if most <= limits.bytes / 16 {
+            most
+        } else {
+            let relations = (0..self.tables.len() as u32).map(RelId).zip(&self.tables);
+            let others = relations.filter(|(relation, _)| !stratum.members.contains(relation));
+            others.map(|(_, table)| table.bytes()).sum()
+        };
+        let bytes = limits.bytes.saturating_sub(held + commit.symbols.bytes());
+        // What is shared has no more rows than a relation that it reads, and does not count.
+        let rows = match commit.compiled.is_shared(stratum) {
+            true => usize::MAX,
+            false => limits.rows.saturating_sub(derived),
+        };
+        let fit = usize::try_from(bytes / size_of::<Row<W>>() as u64).unwrap_or(usize::MAX);
+        Room {
+            rows: rows.min(fit),
+            narrowed: fit < rows,
+            steps: limits.steps.saturating_sub(steps),
+            bytes,
+        }
+    }
+
+    /// What the indexes take that a computation of the stratum from scratch has to make.
+    fn missing_indexes(&self, plans: &Plans, stratum: &StratumPlan) -> u64 {
+        let clauses = stratum.clauses.iter().map(|clause| &plans.clauses[clause.index()]);
+        let all = clauses.flat_map(|clause| {
+            let deltas = clause.deltas.iter().map(|(_, plan)| plan);
+            deltas.chain(clause.detours.iter().flatten()).chain([&clause.complete])
+        });
+        let sources = all.flat_map(|plan| &plan.steps).flat_map(Step::sources);
+        let finished = sources.filter(|source| source.version == Version::Complete);
+        let mut missing: Vec<usize> = finished.map(|source| source.index.index()).collect();
+        missing.sort_unstable();
+        missing.dedup();
+        let specs = missing.into_iter().map(|index| &plans.indexes[index]);
+        let bytes = specs.map(|spec| {
+            let table = &self.tables[spec.relation.index()];
+            if table.has(spec) {
+                0
+            } else {
+                size_of_val(&table.rows[..]) as u64
+            }
+        });
+        bytes.sum()
+    }
+
+    /// Brings the relations of a stratum up to date in the way that looks cheaper.
     fn update(
         &mut self,
         commit: &mut Commit<'_, W>,
-        stratum: &StratumPlan,
+        (stratum, number): (&StratumPlan, usize),
         cost: &mut Cost,
-        (room, strategy): (usize, Strategy),
-    ) -> Result<StratumWork, ClauseId> {
-        let plans = &commit.compiled.plans;
+        room: Room,
+    ) -> Result<StratumWork, Failure> {
+        let Orders { strategy, workers, .. } = commit.orders;
+        // Symbols are numbered in the order in which they are made, so that is left to one thread.
+        let several = workers.are_several() && !makes_texts(&commit.plans, stratum);
+        let workers = several.then_some(workers);
         let inputs: usize = stratum.inputs.iter().map(|&input| self.len(input)).sum();
         let inputs = inputs as u64;
         let mut given_up = 0;
@@ -247,40 +380,57 @@ impl<const W: usize> State<W> {
                 Strategy::Maintain => Some(u64::MAX),
                 _ => (maintaining() <= recomputing).then_some(recomputing),
             };
-            if let Some(budget) = budget {
-                let mut meter = Meter::new(budget);
+            if let Some(budget) = budget.map(|budget| budget.min(room.steps)) {
+                self.adapt(commit, (stratum, number), Aim::Maintain);
+                let mut meter = Meter::new(budget, commit.orders, workers);
                 match self.maintain(commit, stratum, room, &mut meter) {
                     Ok((nets, rounds)) => {
                         for (&relation, net) in stratum.members.iter().zip(nets) {
                             if !net.is_empty() {
-                                let table = self.tables[relation.index()].patched(&specs(plans, relation), &net);
+                                let table =
+                                    self.tables[relation.index()].patched(&specs(&commit.plans, relation), &net);
                                 self.put(commit, relation, net, table);
                             }
                         }
                         return Ok(StratumWork::Maintained(meter.finish(rounds)));
                     }
-                    Err((clause, Stop::Overflow)) => return Err(clause),
-                    Err((_, Stop::Budget)) => given_up = meter.effort.looked_at,
+                    // Where it was stopped may depend on the number of threads. That it passed the budget does not.
+                    Err(_) => given_up = budget,
                 }
             }
         }
 
-        let mut meter = Meter::new(u64::MAX);
-        let (results, rounds) = self
-            .evaluate(commit, stratum, room, &mut meter)
-            .map_err(|(clause, _)| clause)?;
+        let room = Room {
+            steps: room.steps - given_up,
+            ..room
+        };
+        self.adapt(commit, (stratum, number), Aim::Recompute);
+        if room.narrowed || room.bytes < commit.orders.limits.bytes / 2 {
+            let missing = self.missing_indexes(&commit.plans, stratum);
+            if let (true, Some(&clause)) = (missing > room.bytes, stratum.clauses.first()) {
+                return Err((clause, Stop::Memory));
+            }
+        }
+        let attempt = |workers| {
+            let mut meter = Meter::new(room.steps, commit.orders, workers);
+            let result = self.evaluate(commit, stratum, room, &mut meter);
+            result.map(|(results, rounds)| (results, rounds, meter))
+        };
+        let (results, rounds, meter) = match attempt(workers) {
+            // Which limit is passed first, and where, may depend on the number of threads.
+            Err(_) if several => attempt(None)?,
+            result => result?,
+        };
         *cost = Cost {
             looked_at: meter.effort.looked_at,
             inputs,
         };
         for (&relation, rows) in stratum.members.iter().zip(results) {
             let table = &self.tables[relation.index()];
-            let net = Net {
-                added: difference(&rows, &table.rows),
-                removed: difference(&table.rows, &rows),
-            };
+            let rows = Arc::new(rows);
+            let net = Net::between(&table.rows, &rows);
             if !net.is_empty() {
-                let table = table.replaced(&specs(plans, relation), &net, rows);
+                let table = table.replaced(&specs(&commit.plans, relation), &net, rows);
                 self.put(commit, relation, net, table);
             }
         }
@@ -296,7 +446,7 @@ impl<const W: usize> State<W> {
         /// Beginning with a clause costs something even for one row.
         const CLAUSE: u64 = 8;
         let clauses = stratum.clauses.iter();
-        let changes = clauses.flat_map(|clause| &commit.compiled.plans.clauses[clause.index()].changes);
+        let changes = clauses.flat_map(|clause| &commit.plans.clauses[clause.index()].changes);
         let nets = changes.filter_map(|change| commit.net(change.over));
         nets.map(|net| CLAUSE + ROW * net.len() as u64).sum()
     }
@@ -304,6 +454,7 @@ impl<const W: usize> State<W> {
     /// Puts a relation's new table in place.
     fn put(&mut self, commit: &mut Commit<'_, W>, relation: RelId, net: Net<W>, table: Table<W>) {
         let old = std::mem::replace(&mut self.tables[relation.index()], table);
+        self.rows = self.rows + self.len(relation) - old.rows.len();
         commit.changed[relation.index()] = Some((net, old));
     }
 
@@ -312,11 +463,11 @@ impl<const W: usize> State<W> {
         &self,
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
-        room: usize,
-        meter: &mut Meter,
+        room: Room,
+        meter: &mut Meter<'_>,
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
-        let plans = &commit.compiled.plans;
-        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room)).collect();
+        let plans = &commit.plans;
+        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
         for &clause in &stratum.clauses {
             let plan = &plans.clauses[clause.index()];
             let Some(member) = plans.member[plan.complete.head.index()] else {
@@ -337,10 +488,10 @@ impl<const W: usize> State<W> {
         if stratum.recursive {
             return self.grow(commit, stratum, None, outputs, room, meter);
         }
-        let rows: Vec<_> = outputs.iter_mut().map(Output::take).collect();
+        let rows: Vec<_> = outputs.iter_mut().map(|output| meter.take(output)).collect();
         let total: usize = rows.iter().map(Vec::len).sum();
         match stratum.clauses.last() {
-            Some(&clause) if total > room => Err((clause, Stop::Overflow)),
+            Some(&clause) if total > room.rows => Err((clause, Stop::Overflow)),
             _ => Ok((rows, 1)),
         }
     }
@@ -353,15 +504,15 @@ impl<const W: usize> State<W> {
         stratum: &StratumPlan,
         base: Option<&[&Table<W>]>,
         mut outputs: Vec<Output<W>>,
-        room: usize,
-        meter: &mut Meter,
+        room: Room,
+        meter: &mut Meter<'_>,
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
-        let plans = &commit.compiled.plans;
-        let mut recursion = Recursion::new(commit.compiled, stratum, base);
+        let plans = &commit.plans;
+        let mut recursion = Recursion::new(commit.compiled, plans, stratum, base);
         let mut rounds = 0;
         loop {
             for (member, (variable, output)) in recursion.variables.iter().zip(&mut outputs).enumerate() {
-                let mut elements = output.take();
+                let mut elements = meter.take(output);
                 if let Some(base) = base {
                     elements = difference(&elements, &base[member].rows);
                 }
@@ -376,30 +527,35 @@ impl<const W: usize> State<W> {
                 chosen
                     .iter()
                     .flat_map(|(_, _, plan)| &plan.steps)
-                    .filter_map(Step::source)
+                    .flat_map(Step::sources)
             };
             recursion.keep(plans, |index| sources().any(|source| source.index == index));
             let held = recursion.hold();
             let known: usize = base.unwrap_or_default().iter().map(|table| table.rows.len()).sum();
             let total = known + held.iter().map(Held::len).sum::<usize>();
-            if let (true, Some(&clause)) = (total > room, stratum.clauses.first()) {
-                return Err((clause, Stop::Overflow));
+            if let Some(&clause) = stratum.clauses.first() {
+                if total > room.rows {
+                    return Err((clause, Stop::Overflow));
+                }
+                let copies: usize = recursion.grown.iter().map(Grown::len).sum();
+                if ((total + copies) * size_of::<Row<W>>()) as u64 > room.bytes {
+                    return Err((clause, Stop::Memory));
+                }
             }
             for &(clause, over, plan) in &chosen {
                 let Some(head) = plans.member[plan.head.index()] else {
                     continue;
                 };
-                let view = |step: &Step| match step.source() {
-                    None => View::NONE,
-                    Some(source) if source.version == Version::Complete => self.complete_view(plans, source),
-                    Some(source) => recursion.view(&held, plans, source),
+                let view = |step: &Step| match step.sources().next() {
+                    Some(source) if source.version != Version::Complete => recursion.view(&held, plans, source),
+                    _ => self.complete_view(plans, step),
                 };
                 let views: Vec<View<'_, W>> = plan.steps.iter().map(view).collect();
                 let given = held[over].new.len();
                 meter.run(clause, plan, (&views, given), commit.symbols, &mut outputs[head])?;
             }
         }
-        Ok((recursion.complete(), rounds))
+        Ok((recursion.complete(&outputs), rounds))
     }
 
     /// The plans for a round of a recursive stratum, with the clause and the member whose new rows they are for.
@@ -430,17 +586,23 @@ impl<const W: usize> State<W> {
     }
 
     fn complete_views(&self, plans: &Plans, plan: &Plan) -> Vec<View<'_, W>> {
-        let view = |step: &Step| {
-            step.source()
-                .map_or(View::NONE, |source| self.complete_view(plans, source))
-        };
-        plan.steps.iter().map(view).collect()
+        plan.steps.iter().map(|step| self.complete_view(plans, step)).collect()
     }
 
-    fn complete_view(&self, plans: &Plans, source: Source) -> View<'_, W> {
-        let spec = &plans.indexes[source.index.index()];
-        View::of(self.tables[spec.relation.index()].batch(spec))
+    fn complete_view(&self, plans: &Plans, step: &Step) -> View<'_, W> {
+        let batch = |source: Source| {
+            let spec = &plans.indexes[source.index.index()];
+            self.tables[spec.relation.index()].batch(spec)
+        };
+        View::across(step.sources().map(batch))
     }
+}
+
+/// Whether a clause of the stratum makes texts.
+fn makes_texts(plans: &Plans, stratum: &StratumPlan) -> bool {
+    let clauses = stratum.clauses.iter();
+    let mut steps = clauses.flat_map(|clause| &plans.clauses[clause.index()].complete.steps);
+    steps.any(|step| matches!(step, Step::Compute { functor, .. } if functor.makes_text()))
 }
 
 /// A relation's indexes.
@@ -470,15 +632,19 @@ impl<const W: usize> Store for State<W> {
         &mut self,
         compiled: &Compiled,
         symbols: &Symbols,
-        limit: usize,
-        strategy: Strategy,
+        orders: Orders<'_>,
     ) -> Result<(Delta, WorkLog), EvalError> {
         let mut commit = Commit {
             compiled,
+            // The commit alone holds them while it is made, so that it can change them in place.
+            plans: std::mem::replace(&mut self.plans, Arc::clone(&compiled.plans)),
             symbols,
+            orders,
             changed: self.tables.iter().map(|_| None).collect(),
         };
-        match self.try_commit(&mut commit, limit, strategy) {
+        let result = self.try_commit(&mut commit);
+        self.plans = Arc::clone(&commit.plans);
+        match result {
             Ok((log, costs)) => {
                 self.noted.iter_mut().for_each(Vec::clear);
                 self.costs = costs;
@@ -488,6 +654,7 @@ impl<const W: usize> Store for State<W> {
             Err(error) => {
                 for (table, changed) in self.tables.iter_mut().zip(commit.changed) {
                     if let Some((_, old)) = changed {
+                        self.rows = self.rows + old.rows.len() - table.rows.len();
                         *table = old;
                     }
                 }
@@ -509,11 +676,15 @@ impl<const W: usize> Store for State<W> {
         self.tables[relation.index()].rows.len()
     }
 
+    fn plans(&self) -> &Plans {
+        &self.plans
+    }
+
     fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>> {
-        let plan = &compiled.plans.clauses[clause.index()].complete;
+        let plan = &self.plans.clauses[clause.index()].complete;
         let mut out = Output::new(usize::MAX);
         if self.committed {
-            let views = self.complete_views(&compiled.plans, plan);
+            let views = self.complete_views(&self.plans, plan);
             // What a clause derives is in its head's relation, which is within the limit: it cannot overflow.
             let _ = join::run(plan, &views, symbols, &mut Effort::new(u64::MAX), &mut out);
         }
@@ -569,6 +740,12 @@ struct Grown<const W: usize> {
     new: Vec<Row<W>>,
 }
 
+impl<const W: usize> Grown<W> {
+    fn len(&self) -> usize {
+        self.stable.iter().map(Vec::len).sum::<usize>() + self.new.len()
+    }
+}
+
 /// A variable's rows, borrowed for one round.
 struct Held<'a, const W: usize> {
     stable: Ref<'a, Vec<Relation<Row<W>>>>,
@@ -582,8 +759,8 @@ impl<const W: usize> Held<'_, W> {
 }
 
 impl<'b, const W: usize> Recursion<'b, W> {
-    fn new(compiled: &Compiled, stratum: &StratumPlan, base: Option<&'b [&'b Table<W>]>) -> Self {
-        let Compiled { rules, plans } = compiled;
+    fn new(compiled: &Compiled, plans: &Plans, stratum: &StratumPlan, base: Option<&'b [&'b Table<W>]>) -> Self {
+        let rules = &compiled.rules;
         let members = &stratum.members;
         let mut iteration = Iteration::new();
         let name = |member: &RelId| &rules.relations[member.index()].name;
@@ -593,7 +770,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
             .clauses
             .iter()
             .flat_map(|clause| &plans.clauses[clause.index()].deltas);
-        for source in deltas.flat_map(|(_, plan)| &plan.steps).filter_map(Step::source) {
+        for source in deltas.flat_map(|(_, plan)| &plan.steps).flat_map(Step::sources) {
             let relation = plans.indexes[source.index.index()].relation;
             let known = source.version == Version::Complete || plans.is_own(source.index);
             let known = known || grown.iter().any(|grown| grown.id == source.index);
@@ -685,9 +862,17 @@ impl<'b, const W: usize> Recursion<'b, W> {
         lists.map(Shape::of).fold(Shape::default(), Shape::with)
     }
 
-    /// The rows that came. Only when nothing is new.
-    fn complete(self) -> Vec<Vec<Row<W>>> {
-        let variables = self.variables.into_iter();
-        variables.map(|variable| variable.complete().elements).collect()
+    /// The rows that came. Only when nothing is new. Where the outputs still know them all, they are read from there, so that
+    /// they are not in memory twice.
+    fn complete(self, outputs: &[Output<W>]) -> Vec<Vec<Row<W>>> {
+        drop(self.grown);
+        let rows = |(variable, output): (Variable<Row<W>>, &Output<W>)| {
+            if self.base.is_some() || !output.is_whole() {
+                return variable.complete().elements;
+            }
+            variable.stable.borrow_mut().clear();
+            output.all()
+        };
+        self.variables.into_iter().zip(outputs).map(rows).collect()
     }
 }

@@ -3,15 +3,12 @@
 //! One row is one line, its values are separated by tabs or what a [`RowFormat`] says: a symbol as it is, a number in decimal,
 //! a float with up to nine significant digits. The only row of a relation without columns is `()`. This module turns text into rows and rows into text; reading and writing files is for others.
 
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
 use crate::engine::Session;
-use crate::lang::{BaseType, Column, RelId, RowFormat, Value, parse_value};
+use crate::lang::{BaseType, Column, RelId, Relation, RowFormat, Value, parse_value};
 use crate::symbol::Symbol;
 use std::cmp::Ordering;
-use std::fmt::Write;
-
-/// At most this many faults of one text are reported.
-pub const FAULTS_MAX: usize = 20;
+use std::io::{self, Write};
 
 /// Inserts the rows of a `.facts` text into a relation, to hold from the next commit on, and says how many lines there were. If
 /// there are faults, nothing is inserted.
@@ -63,11 +60,18 @@ pub fn load_as(
                 faults.push(Diagnostic::new(Code::InvalidFact, message).at(span(0, content.len()), "expected `()`"));
             }
         } else {
-            let parts = split(content, format);
+            let mut parts = split(content, format);
             let found = parts.len();
-            if found != relation.arity() {
+            let last = format.columns.iter().max();
+            let complete = last.map_or(found == relation.arity(), |&last| last < found);
+            if complete && last.is_some() {
+                parts = format.columns.iter().map(|&column| parts[column].clone()).collect();
+            }
+            if !complete {
                 let message = if content.is_empty() {
                     format!("an empty line where a row of `{}` was expected", relation.name)
+                } else if let Some(last) = last {
+                    format!("a row of {found} values where value {last} is read, counted from 0")
                 } else {
                     let (name, arity) = (&relation.name, relation.arity());
                     format!("a row of `{name}` has {arity} values, not {found}")
@@ -148,44 +152,29 @@ fn parse(session: &mut Session, column: &Column, text: &str, format: &RowFormat)
     }
 }
 
-/// Faults, the first ones kept and all counted.
-#[derive(Default)]
-struct Faults {
-    kept: Vec<Diagnostic>,
-    count: usize,
-}
-
-impl Faults {
-    fn push(&mut self, fault: Diagnostic) {
-        self.count += 1;
-        if self.count <= FAULTS_MAX {
-            self.kept.push(fault);
-        }
-    }
-
-    fn finish(mut self) -> Vec<Diagnostic> {
-        if let (true, Some(last)) = (self.count > FAULTS_MAX, self.kept.last_mut()) {
-            last.notes.push(format!(
-                "{} more faults in this file are not shown",
-                self.count - FAULTS_MAX
-            ));
-        }
-        self.kept
-    }
-}
-
 /// The rows of a relation as text, ordered by what is shown: numbers by value, symbols by text.
 pub fn print(session: &Session, rel: RelId) -> String {
-    print_as(session, rel, &RowFormat::default())
+    let mut out = Vec::new();
+    write_rows(session, rel, &RowFormat::default(), &mut out).expect("writing to memory cannot fail");
+    String::from_utf8(out).expect("texts are written whole")
 }
 
-/// The same in any format.
-pub fn print_as(session: &Session, rel: RelId, format: &RowFormat) -> String {
+/// The names of the columns on a line, if the format has it.
+pub fn header(relation: &Relation, format: &RowFormat) -> String {
+    let names: Vec<&str> = relation.columns.iter().map(|column| column.name.as_str()).collect();
+    match format.headers {
+        true => names.join(&format.delimiter) + "\n",
+        false => String::new(),
+    }
+}
+
+/// The rows of a relation, ordered by what is shown: numbers by value, symbols by text.
+pub fn sorted(session: &Session, rel: RelId) -> Vec<&[Value]> {
+    let mut rows: Vec<&[Value]> = session.rows(rel).collect();
     let Some(relation) = session.program().rules().relations.get(rel.index()) else {
-        return String::new();
+        return rows;
     };
     let text = |value: Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
-    let mut rows: Vec<&[Value]> = session.rows(rel).collect();
     rows.sort_by(|a, b| {
         let mut columns = relation.columns.iter().zip(a.iter().zip(*b));
         let order = columns.find_map(|(column, (a, b))| {
@@ -199,32 +188,45 @@ pub fn print_as(session: &Session, rel: RelId, format: &RowFormat) -> String {
         });
         order.unwrap_or(Ordering::Equal)
     });
-    let mut out = String::new();
-    if format.headers {
-        let names: Vec<&str> = relation.columns.iter().map(|column| column.name.as_str()).collect();
-        out.push_str(&names.join(&format.delimiter));
-        out.push('\n');
+    rows
+}
+
+/// A value as it stands in a file of rows.
+pub fn print_value(session: &Session, value: Value, base: BaseType) -> String {
+    match base {
+        BaseType::Symbol => session.symbols().text(Symbol(value.0)).unwrap_or_default().to_owned(),
+        BaseType::Number => value.as_number().to_string(),
+        BaseType::Unsigned => value.0.to_string(),
+        BaseType::Float => print_float(value.as_float()),
     }
-    for row in rows {
+}
+
+/// Writes what [`print()`] prints in any format, without the header. The text may be far larger than the session: a long symbol may
+/// be in many rows.
+pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut dyn Write) -> io::Result<()> {
+    let Some(relation) = session.program().rules().relations.get(rel.index()) else {
+        return Ok(());
+    };
+    let text = |value: Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
+    for row in sorted(session, rel) {
         for (position, (column, value)) in relation.columns.iter().zip(row).enumerate() {
             if position > 0 {
-                out.push_str(&format.delimiter);
+                out.write_all(format.delimiter.as_bytes())?;
             }
-            let written = match column.base {
-                BaseType::Symbol if format.quoted => write!(out, "\"{}\"", text(*value).replace('"', "\"\"")),
-                BaseType::Symbol => out.write_str(text(*value)),
-                BaseType::Number => write!(out, "{}", value.as_number()),
-                BaseType::Unsigned => write!(out, "{}", value.0),
-                BaseType::Float => out.write_str(&print_float(value.as_float())),
-            };
-            written.expect("writing to a string cannot fail");
+            match column.base {
+                BaseType::Symbol if format.quoted => write!(out, "\"{}\"", text(*value).replace('"', "\"\""))?,
+                BaseType::Symbol => out.write_all(text(*value).as_bytes())?,
+                BaseType::Number => write!(out, "{}", value.as_number())?,
+                BaseType::Unsigned => write!(out, "{}", value.0)?,
+                BaseType::Float => out.write_all(print_float(value.as_float()).as_bytes())?,
+            }
         }
         if relation.columns.is_empty() {
-            out.push_str("()");
+            out.write_all(b"()")?;
         }
-        out.push('\n');
+        out.write_all(b"\n")?;
     }
-    out
+    Ok(())
 }
 
 /// A float as text: nine significant digits without trailing zeros, which is enough to read the same float back; an exponent where the number

@@ -1,13 +1,13 @@
 //! Runs the steps of a plan: one pipelined nested-loop join over sorted rows, without intermediate relations.
 
-use crate::engine::plan::{Plan, Slot, Step};
+use crate::engine::plan::{List, Plan, Slot, Step};
 use crate::engine::row::{Batch, Row, gallop, normalise};
 use crate::engine::seen::{Added, Seen};
 use crate::lang::{BaseType, Comparison, Functor, Patterns, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
 
-/// The rows a step looks at: sorted batches, mostly one.
+/// The rows a step looks at: sorted batches, mostly one; for a step that meets lists, one for each list.
 #[derive(Clone, Debug)]
 pub(super) struct View<'a, const W: usize> {
     pub(super) first: Batch<'a, W>,
@@ -21,15 +21,18 @@ impl<'a, const W: usize> View<'a, W> {
         rest: Vec::new(),
     };
 
-    /// Of one batch.
-    pub(super) fn of(batch: Batch<'a, W>) -> Self {
-        View {
-            first: batch,
-            rest: Vec::new(),
+    /// Of one batch for each list of a step, or of the one batch of a step.
+    pub(super) fn across(mut batches: impl Iterator<Item = Batch<'a, W>>) -> Self {
+        match batches.next() {
+            Some(first) => View {
+                first,
+                rest: batches.collect(),
+            },
+            None => View::NONE,
         }
     }
 
-    fn batches(&self) -> impl Iterator<Item = &Batch<'a, W>> {
+    pub(super) fn batches(&self) -> impl Iterator<Item = &Batch<'a, W>> {
         std::iter::once(&self.first).chain(&self.rest)
     }
 
@@ -49,6 +52,8 @@ pub(super) struct Output<const W: usize> {
     pub(super) pushed: u64,
     /// Holds what is in `rows`, if there is one.
     seen: Option<Seen<W>>,
+    /// Whether `seen` holds all rows that were ever pushed.
+    whole: bool,
     /// New rows that `seen` keeps in place of `rows`.
     kept: usize,
     /// With so many rows something is to be done about them.
@@ -64,6 +69,8 @@ pub(super) enum Stop {
     Overflow,
     /// More rows were looked at than allowed.
     Budget,
+    /// Rows, indexes or texts take more memory than allowed.
+    Memory,
 }
 
 /// What evaluations need besides their inputs, and how much they did.
@@ -74,6 +81,8 @@ pub(super) struct Effort {
     pub(super) looked_at: u64,
     /// More than this is too much.
     pub(super) budget: u64,
+    /// More bytes of texts than this are too much.
+    pub(super) text_bytes: u64,
 }
 
 impl Effort {
@@ -83,6 +92,7 @@ impl Effort {
             slots: Vec::new(),
             looked_at: 0,
             budget,
+            text_bytes: u64::MAX,
         }
     }
 }
@@ -94,6 +104,9 @@ impl<const W: usize> Output<W> {
     /// Rows before it is first asked whether their words are dense.
     const SEEN_MIN: usize = 256;
 
+    /// More than a gigabyte is never spent on bits.
+    const SEEN_BYTES_MAX: u64 = 1 << 30;
+
     /// No rows yet; at most `limit` distinct ones are accepted.
     pub(super) fn new(limit: usize) -> Self {
         let compact_at = (Self::COMPACT_WORDS / W).min(limit.saturating_add(1));
@@ -101,6 +114,7 @@ impl<const W: usize> Output<W> {
             rows: Vec::new(),
             pushed: 0,
             seen: None,
+            whole: true,
             kept: 0,
             act_at: compact_at.min(Self::SEEN_MIN),
             compact_at,
@@ -114,6 +128,64 @@ impl<const W: usize> Output<W> {
             rows,
             ..Self::new(limit)
         }
+    }
+
+    /// An empty output for some of the rows that are to go into this one, at most `limit` of them. It leaves out what is known here.
+    pub(super) fn fork(&self, limit: usize) -> Self {
+        Output {
+            seen: self.seen.as_ref().map(Seen::fork),
+            ..Self::new(limit)
+        }
+    }
+
+    /// How many distinct rows are accepted.
+    pub(super) fn limit(&self) -> usize {
+        self.limit
+    }
+
+    /// What the bits of known rows take.
+    pub(super) fn seen_bytes(&self) -> usize {
+        self.seen.as_ref().map_or(0, Seen::bytes)
+    }
+
+    /// Takes in what was derived into a fork.
+    pub(super) fn absorb(&mut self, mut fork: Self) -> Result<(), Stop> {
+        let pushed = self.pushed + fork.pushed;
+        self.pushed = pushed;
+        if let (Some(seen), Some(other)) = (&mut self.seen, &fork.seen)
+            && other.keeps()
+            && seen.is_like(other)
+        {
+            if !seen.keeps() {
+                seen.keep(&self.rows);
+                self.kept = std::mem::take(&mut self.rows).len();
+            }
+            self.kept += seen.absorb(other);
+            return if self.kept > self.limit {
+                Err(Stop::Overflow)
+            } else {
+                Ok(())
+            };
+        }
+        let rows = fork.take();
+        if self.seen.is_none() {
+            self.rows.extend_from_slice(&rows);
+            return if self.rows.len() >= self.act_at {
+                self.act()
+            } else {
+                Ok(())
+            };
+        }
+        for row in rows {
+            self.push(row)?;
+        }
+        self.pushed = pushed;
+        Ok(())
+    }
+
+    /// Puts the rows in order, if they are in a list.
+    pub(super) fn settle(&mut self) {
+        normalise(&mut self.rows);
     }
 
     /// Whether nothing is in it.
@@ -170,6 +242,7 @@ impl<const W: usize> Output<W> {
     /// Goes back to a plain list.
     #[cold]
     fn unmark(&mut self) {
+        self.whole = false;
         if let Some(mut seen) = self.seen.take().filter(Seen::keeps) {
             self.rows = seen.drain(std::mem::take(&mut self.kept));
         }
@@ -181,7 +254,7 @@ impl<const W: usize> Output<W> {
     #[cold]
     fn act(&mut self) -> Result<(), Stop> {
         if self.seen.is_none() {
-            self.seen = Seen::over(&self.rows, self.pushed);
+            self.seen = Seen::over(&self.rows, self.pushed.min(Self::SEEN_BYTES_MAX / W as u64));
             if self.seen.is_some() {
                 normalise(&mut self.rows);
             }
@@ -210,6 +283,12 @@ impl<const W: usize> Output<W> {
     /// The distinct rows, in order. The output is empty afterwards, but rows that were in it may be left out when they are
     /// derived again.
     pub(super) fn take(&mut self) -> Vec<Row<W>> {
+        self.take_by(normalise)
+    }
+
+    /// The same with another way to sort rows and remove repetitions.
+    pub(super) fn take_by(&mut self, normalise: impl FnOnce(&mut Vec<Row<W>>)) -> Vec<Row<W>> {
+        self.whole &= self.seen.is_some();
         self.act_at = self.compact_at.min(Self::SEEN_MIN);
         if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
             return seen.drain(std::mem::take(&mut self.kept));
@@ -217,6 +296,16 @@ impl<const W: usize> Output<W> {
         let mut rows = std::mem::take(&mut self.rows);
         normalise(&mut rows);
         rows
+    }
+
+    /// Whether it still knows all rows that were ever pushed.
+    pub(super) fn is_whole(&self) -> bool {
+        self.whole && self.seen.is_some()
+    }
+
+    /// The rows that it knows were pushed, in order: all of them if it [is whole](Output::is_whole).
+    pub(super) fn all(&self) -> Vec<Row<W>> {
+        self.seen.as_ref().map(Seen::all).unwrap_or_default()
     }
 }
 
@@ -237,12 +326,19 @@ pub(super) fn run<const W: usize>(
         slots: &mut effort.slots,
         looked_at: effort.looked_at,
         budget: effort.budget,
+        text_bytes: effort.text_bytes,
         patterns: None,
+        cursors: Vec::new(),
         out,
     };
-    let result = join.from(0);
+    let result = join.from(0, plan.steps.len());
     effort.looked_at = join.looked_at;
-    result.map(|_| ())
+    result?;
+    // The last scan may have been the one that was too much.
+    if effort.looked_at > effort.budget {
+        return Err(Stop::Budget);
+    }
+    Ok(())
 }
 
 /// Columns of an index and the slots that go with them.
@@ -255,28 +351,36 @@ struct Join<'a, const W: usize> {
     slots: &'a mut [Value],
     looked_at: u64,
     budget: u64,
+    text_bytes: u64,
     /// Made when first needed.
     patterns: Option<Patterns>,
+    /// What is left of the lists that the steps are meeting which are being done, and the column of the words.
+    cursors: Vec<(&'a [Row<W>], usize)>,
     out: &'a mut Output<W>,
 }
 
 impl<const W: usize> Join<'_, W> {
-    /// Does the steps from `depth` on and says whether they succeeded at least once.
-    fn from(&mut self, depth: usize) -> Result<bool, Stop> {
+    /// Does the steps from `depth` to `end` and says whether they succeeded at least once. A success of all steps derives a row.
+    fn from(&mut self, depth: usize, end: usize) -> Result<bool, Stop> {
         let plan = self.plan;
         let mut depth = depth;
         loop {
-            let Some(step) = plan.steps.get(depth) else {
-                return self.emit();
-            };
-            let passed = match step {
-                Step::Scan {
-                    key,
-                    bind,
-                    check,
-                    distinct,
-                    ..
-                } => return self.scan(depth, key, (bind, check), *distinct as usize),
+            if depth == end {
+                return if end == plan.steps.len() { self.emit() } else { Ok(true) };
+            }
+            let passed = match &plan.steps[depth] {
+                step @ (Step::Scan { .. } | Step::Meet { .. }) => match plan.enough[depth] as usize {
+                    0 => return self.branch(step, depth, (end, false)),
+                    // Within a part of which one success is enough there are only such parts, so this one ends in front of `end`.
+                    part => {
+                        let passed = self.branch(step, depth, (part, true))?;
+                        if part == plan.steps.len() {
+                            return Ok(passed);
+                        }
+                        depth = part - 1;
+                        passed
+                    }
+                },
                 Step::Exists { key, .. } => self.holds(depth, key),
                 Step::Absent { key, .. } => !self.holds(depth, key),
                 Step::Copy { to, from } => {
@@ -298,7 +402,10 @@ impl<const W: usize> Join<'_, W> {
                     to,
                     test,
                 } => {
-                    let value = self.compute(*functor, *base, arguments);
+                    let value = match functor.makes_text() {
+                        true => self.make(*functor, *base, arguments)?,
+                        false => self.compute(*functor, *base, arguments),
+                    };
                     self.fill(*to, *test, value)
                 }
                 Step::Aggregate {
@@ -312,6 +419,8 @@ impl<const W: usize> Join<'_, W> {
                 } => {
                     let words = self.key(key);
                     let views = self.views;
+                    let ranges = views[depth].batches().map(|batch| batch.range(&words[..key.len()]));
+                    self.looked_at += ranges.map(|range| range.len() as u64).sum::<u64>();
                     let rows = views[depth]
                         .batches()
                         .flat_map(|batch| batch.range(&words[..key.len()]));
@@ -339,23 +448,46 @@ impl<const W: usize> Join<'_, W> {
         }
     }
 
+    /// Does a step that may go on several times, and those behind it to `end`; only until they succeed if `once` is set.
+    fn branch(&mut self, step: &Step, depth: usize, (end, once): (usize, bool)) -> Result<bool, Stop> {
+        if self.looked_at > self.budget {
+            return Err(Stop::Budget);
+        }
+        match step {
+            Step::Scan {
+                key,
+                bind,
+                check,
+                distinct,
+                ..
+            } => {
+                let last = depth + 1 == self.plan.steps.len();
+                if last && !once && check.is_empty() && *distinct == 0 {
+                    let words = self.key(key);
+                    return self.spread(depth, &words[..key.len()], bind);
+                }
+                self.scan((depth, end, once), key, (bind, check), *distinct as usize)
+            }
+            Step::Meet { lists, to } => {
+                let base = self.cursors.len();
+                let result = self.meet((depth, end, once), lists, *to);
+                self.cursors.truncate(base);
+                result
+            }
+            _ => Ok(false),
+        }
+    }
+
     fn scan(
         &mut self,
-        depth: usize,
+        (depth, end, once): (usize, usize, bool),
         key: &[Slot],
         (bind, check): (Columns<'_>, Columns<'_>),
         distinct: usize,
     ) -> Result<bool, Stop> {
-        if self.looked_at > self.budget {
-            return Err(Stop::Budget);
-        }
         let views = self.views;
         let words = self.key(key);
         let last = depth + 1 == self.plan.steps.len();
-        let once = depth >= self.plan.settled;
-        if last && !once && check.is_empty() && distinct == 0 {
-            return self.spread(depth, &words[..key.len()], bind);
-        }
         let mut any = false;
         for batch in views[depth].batches() {
             let mut rest = batch.range(&words[..key.len()]);
@@ -374,7 +506,7 @@ impl<const W: usize> Join<'_, W> {
                 {
                     continue;
                 }
-                if if last { self.emit()? } else { self.from(depth + 1)? } {
+                if if last { self.emit()? } else { self.from(depth + 1, end)? } {
                     any = true;
                     if once {
                         return Ok(true);
@@ -383,6 +515,43 @@ impl<const W: usize> Join<'_, W> {
             }
         }
         Ok(any)
+    }
+
+    /// Leapfrog: each list in turn is asked for the first word that is not less than the largest found so far; where all lists
+    /// have found the same one, it is in all. The caller drops the cursors.
+    fn meet(&mut self, (depth, end, once): (usize, usize, bool), lists: &[List], to: Slot) -> Result<bool, Stop> {
+        let views = self.views;
+        let base = self.cursors.len();
+        for (list, batch) in lists.iter().zip(views[depth].batches()) {
+            let words = self.key(&list.key);
+            let rows = batch.range(&words[..list.key.len()]);
+            self.cursors.push((rows, list.key.len()));
+        }
+        let (mut any, mut word, mut agreeing, mut at) = (false, Value(0), 0, 0);
+        loop {
+            self.looked_at += 1;
+            let (rows, column) = &mut self.cursors[base + at];
+            *rows = &rows[gallop(rows, |row| row.0[*column] < word)..];
+            let Some(row) = rows.first() else { return Ok(any) };
+            let found = row.0[*column];
+            agreeing = if found == word { agreeing + 1 } else { 1 };
+            word = found;
+            at = (at + 1) % lists.len();
+            if agreeing < lists.len() {
+                continue;
+            }
+            self.slots[to as usize] = word;
+            if self.from(depth + 1, end)? {
+                any = true;
+                if once {
+                    return Ok(true);
+                }
+            }
+            let Some(next) = word.0.checked_add(1) else {
+                return Ok(any);
+            };
+            (word, agreeing) = (Value(next), 0);
+        }
     }
 
     /// The last scan of a plan: every row found is a row derived.
@@ -428,6 +597,26 @@ impl<const W: usize> Join<'_, W> {
             }
             None => false,
         }
+    }
+
+    /// As [`Join::compute`], for a functor that makes texts: there must be room for them.
+    #[cold]
+    fn make(&self, functor: Functor, base: BaseType, arguments: &[Slot]) -> Result<Option<Value>, Stop> {
+        if functor == Functor::Cat {
+            let length = |&slot: &Slot| {
+                self.symbols
+                    .text(Symbol(self.slots[slot as usize].0))
+                    .map_or(0, str::len)
+            };
+            if arguments.iter().map(length).sum::<usize>() as u64 > self.text_bytes {
+                return Err(Stop::Memory);
+            }
+        }
+        let value = self.compute(functor, base, arguments);
+        if self.symbols.bytes() > self.text_bytes {
+            return Err(Stop::Memory);
+        }
+        Ok(value)
     }
 
     fn compute(&self, functor: Functor, base: BaseType, arguments: &[Slot]) -> Option<Value> {
@@ -502,6 +691,7 @@ mod tests {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             (state >> 4) % below
         };
+        let mut known = 0;
         // Dense words, then larger ones, then some for which there are no bits.
         for phases in [
             &[40, 40, 300, 300, 2_000][..],
@@ -509,6 +699,7 @@ mod tests {
             &[1, 1],
         ] {
             let mut out = Output::<2>::new(usize::MAX);
+            assert!(!out.is_whole());
             let mut before: BTreeSet<Row<2>> = BTreeSet::new();
             for &words in phases {
                 let mut pushed: BTreeSet<Row<2>> = BTreeSet::new();
@@ -532,8 +723,14 @@ mod tests {
                 let taken: BTreeSet<Row<2>> = taken.into_iter().collect();
                 assert!(pushed.iter().all(|row| taken.contains(row) || before.contains(row)));
                 before.extend(pushed);
+                if out.is_whole() {
+                    assert!(out.all().iter().eq(&before));
+                    known += 1;
+                }
             }
         }
+        // Words that are dense from the beginning and stay so.
+        assert_eq!(known, 4);
     }
 
     #[test]

@@ -11,12 +11,13 @@
 //! No derivations are counted, so nothing is kept between commits besides the relations, clauses may stop at the first reason for
 //! a head, and a stratum can be recomputed in one commit and maintained in the next.
 
-use crate::engine::exec::{Commit, Failure, Iteration, Meter, Relation, State, Variable, specs};
+use crate::engine::exec::{Commit, Failure, Iteration, Meter, Relation, Room, State, Variable, specs};
 use crate::engine::join::{Output, Stop, View};
-use crate::engine::plan::{ChangePlan, Plan, Step, StratumPlan, Version};
+use crate::engine::plan::{ChangePlan, Plan, Source, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Row, difference, merge};
 use crate::engine::table::{Net, Table};
 use crate::lang::RelId;
+use std::sync::Arc;
 
 /// Rows by member of a stratum.
 type ByMember<const W: usize> = Vec<Vec<Row<W>>>;
@@ -28,17 +29,17 @@ impl<const W: usize> State<W> {
         &self,
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
-        room: usize,
-        meter: &mut Meter,
+        room: Room,
+        meter: &mut Meter<'_>,
     ) -> Result<(Vec<Net<W>>, usize), Failure> {
-        let plans = &commit.compiled.plans;
+        let plans = &commit.plans;
         let members = &stratum.members;
         let (lost, mut rounds) = self.lose(commit, stratum, meter)?;
 
         // In a recursive stratum, what may be lost must not be the reason for anything.
         let without = |(relation, lost): (&RelId, &Vec<Row<W>>)| {
             let net = Net {
-                added: Vec::new(),
+                added: Arc::default(),
                 removed: lost.clone(),
             };
             let needed = stratum.recursive && !lost.is_empty();
@@ -57,17 +58,21 @@ impl<const W: usize> State<W> {
         let nets: Vec<Net<W>> = if stratum.recursive {
             let again = lost.iter().zip(&gone).map(|(lost, gone)| difference(lost, gone));
             let seeds = again.zip(gained).map(|(again, gained)| merge(&again, &gained));
-            let seeds = seeds.map(|rows| Output::of(rows, room)).collect();
+            let seeds = seeds.map(|rows| Output::of(rows, room.rows)).collect();
             let (grown, more) = self.grow(commit, stratum, Some(&base), seeds, room, meter)?;
             rounds += more;
             let net = |(lost, grown): (&Vec<Row<W>>, &Vec<Row<W>>)| Net {
-                added: difference(grown, lost),
+                added: difference(grown, lost).into(),
                 removed: difference(lost, grown),
             };
             lost.iter().zip(&grown).map(net).collect()
         } else {
             let nets = gained.into_iter().zip(gone);
-            nets.map(|(added, removed)| Net { added, removed }).collect()
+            nets.map(|(added, removed)| Net {
+                added: added.into(),
+                removed,
+            })
+            .collect()
         };
 
         let after = |(relation, net): (&RelId, &Net<W>)| {
@@ -75,7 +80,7 @@ impl<const W: usize> State<W> {
         };
         let total: usize = members.iter().zip(&nets).map(after).sum();
         match stratum.clauses.last() {
-            Some(&clause) if total > room => Err((clause, Stop::Overflow)),
+            Some(&clause) if total > room.rows => Err((clause, Stop::Overflow)),
             _ => Ok((nets, rounds.max(1))),
         }
     }
@@ -85,9 +90,9 @@ impl<const W: usize> State<W> {
         &self,
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
-        meter: &mut Meter,
+        meter: &mut Meter<'_>,
     ) -> Result<(ByMember<W>, usize), Failure> {
-        let plans = &commit.compiled.plans;
+        let plans = &commit.plans;
         let before = |relation: RelId| match &commit.changed[relation.index()] {
             Some((_, table)) => table,
             None => &self.tables[relation.index()],
@@ -161,14 +166,14 @@ impl<const W: usize> State<W> {
         stratum: &StratumPlan,
         base: &[&Table<W>],
         lost: &ByMember<W>,
-        meter: &mut Meter,
+        meter: &mut Meter<'_>,
     ) -> Result<ByMember<W>, Failure> {
-        let plans = &commit.compiled.plans;
+        let plans = &commit.plans;
         let now = |relation| self.now(stratum, base, relation);
         let mut gone = lost.clone();
         for &clause in &stratum.clauses {
             let plans = &plans.clauses[clause.index()];
-            let Some(member) = commit.compiled.plans.member[plans.complete.head.index()] else {
+            let Some(member) = commit.plans.member[plans.complete.head.index()] else {
                 continue;
             };
             if let (Some(plan), false) = (&plans.check, gone[member].is_empty()) {
@@ -188,12 +193,12 @@ impl<const W: usize> State<W> {
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
         base: &[&Table<W>],
-        room: usize,
-        meter: &mut Meter,
+        room: Room,
+        meter: &mut Meter<'_>,
     ) -> Result<ByMember<W>, Failure> {
-        let plans = &commit.compiled.plans;
+        let plans = &commit.plans;
         let now = |relation| self.now(stratum, base, relation);
-        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room)).collect();
+        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
         for &clause in &stratum.clauses {
             for change in &plans.clauses[clause.index()].changes {
                 let Some(net) = commit.net(change.over) else { continue };
@@ -229,16 +234,18 @@ fn views<'a, 'b: 'a, const W: usize>(
     known: Option<&'a Table<W>>,
     table: &impl Fn(RelId) -> &'b Table<W>,
 ) -> Vec<View<'a, W>> {
-    let indexes = &commit.compiled.plans.indexes;
+    let indexes = &commit.plans.indexes;
     let view = |(position, step): (usize, &Step)| {
-        let Some(source) = step.source() else { return View::NONE };
-        let spec = &indexes[source.index.index()];
-        match known {
-            _ if source.version == Version::New => View::of(Batch::plain(rows)),
-            None if plan.fresh == Some(position) => View::NONE,
-            Some(known) if plan.fresh == Some(position) => View::of(known.batch(spec)),
-            _ => View::of(table(spec.relation).batch(spec)),
-        }
+        let batch = |source: Source| {
+            let spec = &indexes[source.index.index()];
+            match known {
+                _ if source.version == Version::New => Batch::plain(rows),
+                None if plan.fresh == Some(position) => Batch::plain(&[]),
+                Some(known) if plan.fresh == Some(position) => known.batch(spec),
+                _ => table(spec.relation).batch(spec),
+            }
+        };
+        View::across(step.sources().map(batch))
     };
     plan.steps.iter().enumerate().map(view).collect()
 }

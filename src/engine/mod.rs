@@ -14,19 +14,22 @@
 //! result stays the same stops the change there. [`Session::work`] tells what was done. [`naive`] is the specification: after
 //! every commit a session holds exactly what `naive` derives from the same facts.
 //!
-//! Inside: `plan` orders the literals of each clause and chooses indexes, once; `estimate` chooses between plans by the sizes of
-//! relations; `show` prints them; `join` runs a plan; `seen` knows what was derived before; `exec` makes a commit and runs strata
+//! Inside: `plan` orders the literals of each clause and chooses indexes; `estimate` judges plans by the sizes of relations, and `adapt`
+//! has clauses planned again when those have changed; `show` prints them; `join` runs a plan; `seen` knows what was derived before; `exec` makes a commit and runs strata
 //! to their fixpoint; `maintain` brings a stratum up to date from a change; `table` keeps a relation and its indexes;
+//! `workers` are the threads; `limits` says how much is too much;
 //! `row` has the sorted lists all this works on.
 //!
 //! This module refuses to know what a city, an agent or an ego is. It does no I/O and is deterministic.
 
+mod adapt;
 pub mod dense;
 pub mod diff;
 mod estimate;
 mod exec;
 pub mod facts;
 mod join;
+mod limits;
 mod maintain;
 pub mod naive;
 pub mod optimize;
@@ -37,16 +40,22 @@ mod row;
 mod seen;
 mod show;
 mod table;
+mod workers;
 
-use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::ReadError;
-use crate::lang::{self, BaseType, ClauseId, RelId, Rules, Value};
+use crate::lang::{self, BaseType, Clause, ClauseId, Inputs, RelId, Relation, Rules, Value};
 use crate::symbol::Symbols;
-use exec::Store;
-use plan::Plans;
+use exec::{Orders, Store};
+use plan::{Plans, StratumPlan};
+use row::{Row, RowList};
 use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
+use workers::Workers;
+
+pub use limits::{EvalError, Limits};
+pub use workers::Threads;
 
 /// Rules with a plan for every clause. Cheap to clone; many sessions can run one program.
 #[derive(Clone, Debug)]
@@ -74,7 +83,27 @@ impl Default for Options {
 #[derive(Debug)]
 struct Compiled {
     rules: Rules,
-    plans: Plans,
+    /// What the optimiser added after the predicates and clauses of the rules; nobody sees it but the plans.
+    shared: (Vec<Relation>, Vec<Clause>),
+    /// Made from the text alone.
+    plans: Arc<Plans>,
+}
+
+impl Compiled {
+    /// A predicate of the rules or of the plans only.
+    fn relation(&self, relation: RelId) -> &Relation {
+        let own = self.rules.relations.len();
+        match relation.index().checked_sub(own) {
+            Some(further) => &self.shared.0[further],
+            None => &self.rules.relations[relation.index()],
+        }
+    }
+
+    /// Whether the stratum is one that the optimiser added.
+    fn is_shared(&self, stratum: &StratumPlan) -> bool {
+        let own = self.rules.relations.len();
+        stratum.members.first().is_some_and(|member| member.index() >= own)
+    }
 }
 
 impl Program {
@@ -85,7 +114,17 @@ impl Program {
         entry: SourceId,
         read: &dyn Fn(&Path) -> Result<String, ReadError>,
     ) -> (Option<Program>, Vec<Diagnostic>) {
-        let mut loaded = lang::load(sources, entry, read);
+        Program::load_with(sources, entry, read, Inputs::Given)
+    }
+
+    /// As [`Program::load`], with a choice of what an `.input` is.
+    pub fn load_with(
+        sources: &mut Sources,
+        entry: SourceId,
+        read: &dyn Fn(&Path) -> Result<String, ReadError>,
+        inputs: Inputs,
+    ) -> (Option<Program>, Vec<Diagnostic>) {
+        let mut loaded = lang::load_with(sources, entry, read, inputs);
         let program = loaded
             .rules
             .and_then(|rules| Program::new(rules).map_err(|fault| loaded.diagnostics.push(fault)).ok());
@@ -100,11 +139,16 @@ impl Program {
 
     /// As [`Program::new`], with a choice of what to rely on. The answers are the same.
     pub fn with(rules: Rules, options: Options) -> Result<Program, Diagnostic> {
-        let plans = match options.optimize {
-            true => Plans::new(&optimize::optimize(&rules, options.promises))?,
-            false => Plans::new(&rules)?,
+        let (plans, shared) = if options.optimize {
+            let mut better = optimize::optimize(&rules, options.promises);
+            let plans = Plans::new(&better)?;
+            let relations = better.relations.split_off(rules.relations.len());
+            (plans, (relations, better.clauses.split_off(rules.clauses.len())))
+        } else {
+            (Plans::new(&rules)?, Default::default())
         };
-        Ok(Program(Arc::new(Compiled { rules, plans })))
+        let plans = Arc::new(plans);
+        Ok(Program(Arc::new(Compiled { rules, shared, plans })))
     }
 
     /// The rules.
@@ -117,14 +161,20 @@ impl Program {
         self.0.rules.relation(name)
     }
 
+    /// How many parts of bodies are computed once for several clauses. They are in no answer; [`Work::shared`] tells what they took.
+    pub fn shared_bodies(&self) -> usize {
+        self.0.shared.1.len()
+    }
+
     /// A session without inserted facts and without a commit: every relation is empty, also those with facts in the text.
     pub fn session(&self) -> Session {
         Session {
             store: exec::store(&self.0),
             symbols: self.0.rules.symbols.clone(),
             program: self.clone(),
-            limit: Session::DERIVED_ROWS_MAX,
+            limits: Limits::default(),
             strategy: Strategy::Auto,
+            workers: Workers::default(),
             work: WorkLog::default(),
         }
     }
@@ -139,9 +189,19 @@ pub struct Session {
     program: Program,
     symbols: Symbols,
     store: Box<dyn Store>,
-    limit: usize,
+    limits: Limits,
     strategy: Strategy,
+    workers: Workers,
     work: WorkLog,
+}
+
+/// What [`Session::commit_watched`] tells of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Moment {
+    /// A clause begins to be evaluated.
+    Begin(ClauseId),
+    /// It has been evaluated. There is always just one that has begun.
+    End(ClauseId),
 }
 
 /// How a commit brings a stratum up to date whose inputs changed. The result is the same.
@@ -160,9 +220,6 @@ pub enum Strategy {
 }
 
 impl Session {
-    /// The limit on derived rows that a session begins with.
-    pub const DERIVED_ROWS_MAX: usize = 100_000_000;
-
     /// The program.
     pub fn program(&self) -> &Program {
         &self.program
@@ -178,10 +235,16 @@ impl Session {
         Value(self.symbols.intern(text).0)
     }
 
-    /// Sets how many rows all derived relations together may have; a commit that would pass it fails. It also bounds the memory
-    /// of an evaluation.
-    pub fn set_limit(&mut self, derived_rows: usize) {
-        self.limit = derived_rows;
+    /// Sets what a commit may take; one that would take more fails.
+    pub fn set_limits(&mut self, limits: Limits) {
+        self.limits = limits;
+    }
+
+    /// Sets how many threads evaluate: one unless set otherwise. Answers, their order, deltas and work logs are the same with any
+    /// number. Fails if the system does not give so many.
+    pub fn set_threads(&mut self, threads: Threads) -> std::io::Result<()> {
+        self.workers = Workers::new(threads)?;
+        Ok(())
     }
 
     /// Sets how commits bring strata up to date: [`Strategy::Auto`] unless set otherwise. There is no need to set it besides
@@ -241,11 +304,33 @@ impl Session {
     /// relation. If it fails, the session is as before the call, with the same changes noted; see
     /// [`rollback`](Session::rollback).
     pub fn commit(&mut self) -> Result<Delta, EvalError> {
-        let (delta, work) = self
-            .store
-            .commit(&self.program.0, &self.symbols, self.limit, self.strategy)?;
-        self.work = work;
-        Ok(delta)
+        self.commit_with(None)
+    }
+
+    /// The same, telling on the calling thread when the evaluation of a clause begins and ends. The engine reads no clock; whoever
+    /// watches may.
+    pub fn commit_watched(&mut self, watch: &dyn Fn(Moment)) -> Result<Delta, EvalError> {
+        self.commit_with(Some(watch))
+    }
+
+    fn commit_with(&mut self, watch: Option<&dyn Fn(Moment)>) -> Result<Delta, EvalError> {
+        let orders = Orders {
+            strategy: self.strategy,
+            limits: self.limits,
+            workers: &self.workers,
+            watch,
+        };
+        let known = self.symbols.len();
+        match self.store.commit(&self.program.0, &self.symbols, orders) {
+            Ok((delta, work)) => {
+                self.work = work;
+                Ok(delta)
+            }
+            Err(error) => {
+                self.symbols.truncate(known);
+                Err(error)
+            }
+        }
     }
 
     /// Whether the row holds.
@@ -302,27 +387,21 @@ impl fmt::Debug for Session {
     }
 }
 
-/// Rows of one relation, sorted by their words.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+/// Rows of one relation, sorted by their words. Cheap to clone: they may be shared with the session they come from.
+#[derive(Clone)]
 pub struct Rows {
     arity: usize,
     len: usize,
-    words: Vec<Value>,
+    list: Arc<dyn RowList>,
 }
 
 impl Rows {
     /// Of rows that have at least so many words.
-    fn of<const W: usize>(arity: usize, rows: Vec<[Value; W]>) -> Self {
+    fn of<const W: usize>(arity: usize, rows: Arc<Vec<Row<W>>>) -> Self {
         Rows {
             arity,
             len: rows.len(),
-            words: if arity == W {
-                rows.into_flattened()
-            } else {
-                let mut words = Vec::with_capacity(arity * rows.len());
-                rows.iter().for_each(|row| words.extend_from_slice(&row[..arity]));
-                words
-            },
+            list: rows,
         }
     }
 
@@ -338,7 +417,27 @@ impl Rows {
 
     /// The rows in order.
     pub fn iter(&self) -> impl Iterator<Item = &[Value]> {
-        (0..self.len).map(|position| &self.words[position * self.arity..(position + 1) * self.arity])
+        (0..self.len).map(|position| &self.list.row(position)[..self.arity])
+    }
+}
+
+impl Default for Rows {
+    fn default() -> Self {
+        Rows::of::<2>(0, Arc::default())
+    }
+}
+
+impl PartialEq for Rows {
+    fn eq(&self, other: &Self) -> bool {
+        self.len == other.len && self.iter().eq(other.iter())
+    }
+}
+
+impl Eq for Rows {}
+
+impl fmt::Debug for Rows {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.iter()).finish()
     }
 }
 
@@ -397,6 +496,32 @@ pub enum StratumWork {
 }
 
 impl StratumWork {
+    /// With what was done before it, for parts of bodies that are computed once.
+    fn after(self, shared: Vec<StratumWork>) -> StratumWork {
+        let Some(last) = shared.iter().rfind(|work| **work != StratumWork::Skipped) else {
+            return self;
+        };
+        let maintained = matches!(last, StratumWork::Maintained(_));
+        let works = shared.iter().filter_map(StratumWork::work);
+        let shared = works.map(|work| work.looked_at() + work.given_up).sum();
+        match self {
+            StratumWork::Maintained(work) => StratumWork::Maintained(Work { shared, ..work }),
+            StratumWork::Recomputed(work) => StratumWork::Recomputed(Work { shared, ..work }),
+            // Its inputs changed, and what it reads of them did not.
+            StratumWork::Skipped => {
+                let work = Work {
+                    rounds: 1,
+                    shared,
+                    ..Work::default()
+                };
+                match maintained {
+                    true => StratumWork::Maintained(work),
+                    false => StratumWork::Recomputed(work),
+                }
+            }
+        }
+    }
+
     /// What was done, unless the stratum was skipped.
     pub fn work(&self) -> Option<&Work> {
         match self {
@@ -413,15 +538,18 @@ pub struct Work {
     pub rounds: usize,
     /// What its clauses did, those that ran, in order.
     pub rules: Vec<RuleWork>,
-    /// Rows looked at in maintaining the stratum before that turned out to be more than recomputing it; else 0. They are not in
-    /// `rules`.
+    /// If maintaining the stratum was given up: after so many rows were looked at, as many as recomputing it would take; else 0.
+    /// They are not in `rules`.
     pub given_up: u64,
+    /// Rows looked at for parts of bodies that clauses share and that were computed once, before this stratum; they serve later ones
+    /// too. They are not in `rules`.
+    pub shared: u64,
 }
 
 impl Work {
-    /// Rows that scans and tests of its clauses looked at.
+    /// Rows that scans and tests of its clauses looked at, and those for what they share.
     pub fn looked_at(&self) -> u64 {
-        self.rules.iter().map(|rule| rule.looked_at).sum()
+        self.shared + self.rules.iter().map(|rule| rule.looked_at).sum::<u64>()
     }
 
     /// Rows that its clauses derived, repetitions included.
@@ -515,31 +643,3 @@ impl fmt::Display for RowError {
 }
 
 impl std::error::Error for RowError {}
-
-/// Why a commit failed.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum EvalError {
-    /// The derived relations together have more rows than allowed; see [`Session::set_limit`].
-    TooManyRows {
-        /// The limit.
-        limit: usize,
-        /// A clause of the stratum where it was passed.
-        clause: ClauseId,
-    },
-}
-
-impl fmt::Display for EvalError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            EvalError::TooManyRows { limit, .. } => write!(f, "the rules derive more than {limit} rows"),
-        }
-    }
-}
-
-impl std::error::Error for EvalError {}
-
-impl From<EvalError> for Diagnostic {
-    fn from(error: EvalError) -> Self {
-        Diagnostic::new(Code::LimitExceeded, error.to_string())
-    }
-}

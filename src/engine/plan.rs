@@ -3,7 +3,8 @@
 //! A plan is a straight list of [`Step`]s over numbered slots (the clause's variables, then its constants). A scan binds
 //! variables, one atom at a time; every other step tests what is already bound and stands as early as it can. Literals are
 //! ordered greedily: tests first, then the atom that shares bound variables and adds the fewest new ones. A program is planned
-//! once, before there are any rows.
+//! once, before there are any rows, and clauses are planned again when there are ([`super::adapt`]): then the atom that finds the
+//! fewest rows comes next, and where several atoms wait for the same last variable, one step *meets* them all.
 //!
 //! A clause of a recursive stratum has one plan for each of its atoms over that stratum, beginning with the newest rows of it,
 //! and *detours*, which come to those rows later. Which is used is decided in every round from the sizes of relations
@@ -13,11 +14,13 @@
 //! and one that begins with rows of the head and asks whether they can be derived.
 
 use crate::diag::{Code, Diagnostic};
+use crate::engine::estimate::{Flow, Known, Reckoning, Size, effort_of_parts};
 use crate::engine::row::WIDTHS;
 use crate::lang::{
     AggregateOp, Atom, BaseType, Clause, ClauseId, Comparison, Functor, Literal, RelId, Rules, Stratum, Term, Value,
     VarId,
 };
+use std::sync::Arc;
 
 /// A place for a value while a clause is evaluated: a variable, or after them a constant.
 pub(super) type Slot = u16;
@@ -32,6 +35,12 @@ const MAINTAINED_LITERALS_MAX: usize = 24;
 
 /// A clause with more literals than this has no detours.
 const DETOUR_LITERALS_MAX: usize = 8;
+
+/// Putting a row into another order costs as much as looking at so many. Sorting costs more, but the order serves later commits.
+const INDEX_ROW: f64 = 1.9;
+
+/// So many atoms to begin with are tried when a clause is planned by sizes: those that find the fewest rows.
+const STARTS_MAX: usize = 3;
 
 /// Names an index of [`Plans::indexes`]. The first ones are the relations' own rows, by [`RelId`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,6 +81,13 @@ pub(super) struct Source {
     pub(super) version: Version,
 }
 
+/// The words that follow the key in the rows that begin with it, sorted.
+#[derive(Clone, Debug)]
+pub(super) struct List {
+    pub(super) source: Source,
+    pub(super) key: Vec<Slot>,
+}
+
 /// One step of a plan.
 #[derive(Clone, Debug)]
 pub(super) enum Step {
@@ -86,6 +102,9 @@ pub(super) enum Step {
         /// If not 0, only so many columns of the index matter, the first ones: of rows that agree in them one is enough.
         distinct: u16,
     },
+    /// For each word that all lists have, fill the slot with it and go on: a leapfrog join of one variable. However skewed the
+    /// rows are, it looks at no more of each list than the shortest is long.
+    Meet { lists: Vec<List>, to: Slot },
     /// Go on if some row begins with the key.
     Exists { source: Source, key: Vec<Slot> },
     /// Go on if no row begins with the key.
@@ -122,14 +141,46 @@ pub(super) enum Step {
 
 impl Step {
     /// Where the step finds rows, if it looks at any.
-    pub(super) fn source(&self) -> Option<Source> {
-        match *self {
+    pub(super) fn sources(&self) -> impl Iterator<Item = Source> {
+        let (one, many): (_, &[List]) = match self {
             Step::Scan { source, .. }
             | Step::Exists { source, .. }
             | Step::Absent { source, .. }
-            | Step::Aggregate { source, .. } => Some(source),
-            Step::Copy { .. } | Step::Compare { .. } | Step::Compute { .. } => None,
+            | Step::Aggregate { source, .. } => (Some(*source), &[]),
+            Step::Meet { lists, .. } => (None, lists),
+            Step::Copy { .. } | Step::Compare { .. } | Step::Compute { .. } => (None, &[]),
+        };
+        one.into_iter().chain(many.iter().map(|list| list.source))
+    }
+
+    /// The slots it fills.
+    fn fills(&self) -> Vec<Slot> {
+        match self {
+            Step::Scan { bind, .. } => bind.iter().map(|&(_, slot)| slot).collect(),
+            Step::Meet { to, .. } | Step::Copy { to, .. } => vec![*to],
+            Step::Compute { to, test: false, .. } | Step::Aggregate { to, test: false, .. } => vec![*to],
+            _ => Vec::new(),
         }
+    }
+
+    /// Whether it needs what is in a slot.
+    fn reads(&self, slot: Slot) -> bool {
+        match self {
+            Step::Scan { key, check, .. } => key.contains(&slot) || check.iter().any(|&(_, other)| other == slot),
+            Step::Meet { lists, .. } => lists.iter().any(|list| list.key.contains(&slot)),
+            Step::Exists { key, .. } | Step::Absent { key, .. } => key.contains(&slot),
+            Step::Copy { from, .. } => *from == slot,
+            Step::Compare { left, right, .. } => *left == slot || *right == slot,
+            Step::Compute {
+                arguments, to, test, ..
+            } => arguments.contains(&slot) || (*test && *to == slot),
+            Step::Aggregate { key, to, test, .. } => key.contains(&slot) || (*test && *to == slot),
+        }
+    }
+
+    /// Whether it may go on several times.
+    fn branches(&self) -> bool {
+        matches!(self, Step::Scan { .. } | Step::Meet { .. })
     }
 }
 
@@ -140,8 +191,9 @@ pub(super) struct Plan {
     /// Where the head's columns come from.
     pub(super) output: Vec<Slot>,
     pub(super) steps: Vec<Step>,
-    /// Once the steps before this one are done the head is known; one success of the rest is enough.
-    pub(super) settled: usize,
+    /// By step: where a part of the plan ends of which one success is enough, since nothing it binds is needed behind it. 0 if
+    /// none begins with the step.
+    pub(super) enough: Vec<u16>,
     /// What the slots hold at the beginning: zeros for variables, then the constants.
     pub(super) slots: Vec<Value>,
     /// The step that asks whether the head row is known already; only in plans for changes.
@@ -201,6 +253,8 @@ pub(super) struct StratumPlan {
 /// Everything about a program that does not change while it runs.
 #[derive(Clone, Debug)]
 pub(super) struct Plans {
+    /// By [`ClauseId`]: the clauses that were planned, which may be simpler than those of the text.
+    sources: Arc<[Clause]>,
     /// By [`ClauseId`].
     pub(super) clauses: Vec<ClausePlans>,
     pub(super) indexes: Vec<IndexSpec>,
@@ -235,12 +289,9 @@ impl Plans {
             .unwrap_or(0);
         let width = WIDTHS.into_iter().find(|&width| width >= arity).unwrap_or(width_max);
 
-        let own_rows = |(position, relation): (usize, &crate::lang::Relation)| IndexSpec {
-            relation: RelId(position as u32),
-            columns: (0..relation.arity() as u16).collect(),
-            position: 0,
-        };
-        let indexes: Vec<IndexSpec> = rules.relations.iter().enumerate().map(own_rows).collect();
+        let indexes: Vec<IndexSpec> = (rules.relations.iter().zip(0..))
+            .map(|(relation, number)| own_rows(RelId(number), relation.arity()))
+            .collect();
         let mut indexer = Indexer {
             of: (0..indexes.len() as u32).map(|index| vec![IndexId(index)]).collect(),
             specs: indexes,
@@ -266,6 +317,7 @@ impl Plans {
             clauses.push(plan_clause(clause, stratum, &mut indexer)?);
         }
         Ok(Plans {
+            sources: rules.clauses.clone().into(),
             clauses,
             strata,
             member,
@@ -275,10 +327,65 @@ impl Plans {
         })
     }
 
+    /// The clause of the text to name when something is wrong with this one: of those that the optimiser added, behind the first
+    /// `own`, the first that reads what it derives.
+    pub(super) fn reported(&self, clause: ClauseId, own: usize) -> ClauseId {
+        if clause.index() < own {
+            return clause;
+        }
+        let shared = self.sources[clause.index()].head.relation;
+        let reads = |clause: &Clause| {
+            clause
+                .body
+                .iter()
+                .filter_map(Literal::atom)
+                .any(|atom| atom.relation == shared)
+        };
+        let reader = self.sources[..own].iter().position(reads);
+        reader.map_or(clause, |reader| ClauseId(reader as u32))
+    }
+
     /// Whether the index is the relation's own rows.
     pub(super) fn is_own(&self, index: IndexId) -> bool {
         index.index() < self.indexes_of.len()
     }
+
+    /// Plans clauses again, for relations of these sizes: for a computation from scratch, as far as it is not done in rounds, or
+    /// for maintenance. There may be more indexes afterwards; those there are stay what they are.
+    pub(super) fn adapt(&mut self, clauses: &[ClauseId], aim: Aim, sizes: &[Option<Size>]) {
+        let mut indexer = Indexer {
+            specs: std::mem::take(&mut self.indexes),
+            of: std::mem::take(&mut self.indexes_of),
+        };
+        for &id in clauses {
+            let (clause, plans) = (&self.sources[id.index()], &mut self.clauses[id.index()]);
+            // What could be planned once can be planned again: which variables can be bound does not depend on the order.
+            match aim {
+                Aim::Recompute if plans.deltas.is_empty() => {
+                    if let Some((plan, _)) = plan_complete(clause, &mut indexer, sizes) {
+                        plans.complete = plan;
+                    }
+                }
+                Aim::Recompute => {}
+                Aim::Maintain => {
+                    if let Ok((changes, check)) = plan_changes(clause, &mut indexer, Order::Sizes(sizes)) {
+                        (plans.changes, plans.check) = (changes, check);
+                    }
+                }
+            }
+        }
+        self.indexes = indexer.specs;
+        self.indexes_of = indexer.of;
+    }
+}
+
+/// What plans are for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Aim {
+    /// A computation from scratch.
+    Recompute,
+    /// Maintenance.
+    Maintain,
 }
 
 fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
@@ -307,6 +414,62 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
     }
 }
 
+/// Plans clauses to see what they would cost, without keeping the plans.
+pub(super) struct Sketcher {
+    indexer: Indexer,
+}
+
+impl Sketcher {
+    /// For clauses over the relations of these rules.
+    pub(super) fn new(rules: &Rules) -> Self {
+        let mut sketcher = Sketcher {
+            indexer: Indexer {
+                specs: Vec::new(),
+                of: Vec::new(),
+            },
+        };
+        for (relation, number) in rules.relations.iter().zip(0..) {
+            sketcher.indexer.specs.push(own_rows(RelId(number), relation.arity()));
+            sketcher.indexer.of.push(vec![IndexId(number)]);
+        }
+        // Place for one relation more, with its own rows at the place of its number.
+        let next = rules.relations.len() as u32;
+        sketcher.indexer.specs.push(own_rows(RelId(next), 0));
+        sketcher.indexer.of.push(vec![IndexId(next)]);
+        sketcher
+    }
+
+    /// Sets the number of columns of the relation after those of the rules.
+    pub(super) fn declare(&mut self, relation: RelId, arity: usize) {
+        self.indexer.specs[relation.index()] = own_rows(relation, arity);
+        self.indexer.of[relation.index()].truncate(1);
+    }
+
+    /// The plan that a clause without recursion has for relations of these sizes, and the order in which it comes to the literals;
+    /// `None` if there is none.
+    pub(super) fn plan(&mut self, clause: &Clause, sizes: &[Option<Size>]) -> Option<(Plan, Vec<usize>)> {
+        let large = clause.body.len() > CLAUSE_MAX || clause.variables.len() > CLAUSE_MAX;
+        if large {
+            return None;
+        }
+        plan_complete(clause, &mut self.indexer, sizes)
+    }
+
+    /// The relation that a step of a plan looks at.
+    pub(super) fn relation(&self, source: Source) -> RelId {
+        self.indexer.specs[source.index.index()].relation
+    }
+}
+
+/// A relation's rows in their own order.
+fn own_rows(relation: RelId, arity: usize) -> IndexSpec {
+    IndexSpec {
+        relation,
+        columns: (0..arity as u16).collect(),
+        position: 0,
+    }
+}
+
 /// Hands out indexes, each once.
 struct Indexer {
     specs: Vec<IndexSpec>,
@@ -317,6 +480,14 @@ impl Indexer {
     /// Whether the index is a relation's own rows.
     fn is_own(&self, index: IndexId) -> bool {
         index.index() < self.of.len()
+    }
+
+    /// Takes back all indexes but the first ones.
+    fn forget(&mut self, count: usize) {
+        self.specs.truncate(count);
+        for known in &mut self.of {
+            known.retain(|index| index.index() < count);
+        }
     }
 
     /// An index that begins with the columns of each group in turn, within a group in some order, and its order of columns.
@@ -365,7 +536,8 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
             _ => false,
         })
         .collect();
-    let complete = Planner::new(clause, indexer).plan(First::Any, &|_| Version::Complete)?;
+    let order = Order::Text { large: &[] };
+    let complete = Planner::new(clause, indexer, order).plan(First::Any, &|_| Version::Complete)?;
     let (mut deltas, mut detours) = (Vec::new(), Vec::new());
     for &delta in &recursive {
         // Each derivation is found once: by the plan of its first atom that holds by a new row.
@@ -375,17 +547,19 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
             std::cmp::Ordering::Equal => Version::New,
             std::cmp::Ordering::Greater => Version::All,
         };
-        let plan = Planner::new(clause, indexer).plan(First::Literal(delta), &version)?;
+        let plan = Planner::new(clause, indexer, order).plan(First::Literal(delta), &version)?;
         let mut others = Vec::new();
         for (position, literal) in clause.body.iter().enumerate() {
             let finished =
                 matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
             if finished && clause.body.len() <= DETOUR_LITERALS_MAX {
-                let other = Planner::new(clause, indexer).plan(First::Literal(position), &version)?;
+                let other = Planner::new(clause, indexer, order).plan(First::Literal(position), &version)?;
                 // An index over a relation that grows has to be kept up; a detour must do without.
-                let mut sources = other.steps.iter().filter_map(Step::source);
+                let mut sources = other.steps.iter().flat_map(Step::sources);
                 let own = |source: Source| source.version == Version::Complete || indexer.is_own(source.index);
-                if sources.all(own) && !other.searches_new() {
+                let cheap = sources.all(own) && !other.searches_new();
+                drop(sources);
+                if cheap {
                     others.push(other);
                 }
             }
@@ -396,32 +570,10 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
         }
     }
     // In maintenance a recursive relation is no longer small, as it is when a computation from scratch begins.
-    let mut changes = Vec::new();
-    let mut check = None;
-    if is_maintainable(clause) {
-        for (position, literal) in clause.body.iter().enumerate() {
-            let Some(atom) = literal.atom() else { continue };
-            let version = |other: usize| {
-                if other == position {
-                    Version::New
-                } else {
-                    Version::Complete
-                }
-            };
-            changes.push(ChangePlan {
-                over: atom.relation,
-                negated: matches!(literal, Literal::Negative(_)),
-                plan: Planner::new(clause, indexer)
-                    .large(stratum)
-                    .plan(First::Change(position), &version)?,
-            });
-        }
-        check = Some(
-            Planner::new(clause, indexer)
-                .large(stratum)
-                .plan(First::Head, &|_| Version::Complete)?,
-        );
-    }
+    let (changes, check) = match is_maintainable(clause) {
+        true => plan_changes(clause, indexer, Order::Text { large: stratum })?,
+        false => (Vec::new(), None),
+    };
     Ok(ClausePlans {
         complete,
         deltas,
@@ -429,6 +581,58 @@ fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Res
         changes,
         check,
     })
+}
+
+/// The plans for maintenance.
+fn plan_changes(
+    clause: &Clause,
+    indexer: &mut Indexer,
+    order: Order<'_>,
+) -> Result<(Vec<ChangePlan>, Option<Plan>), Diagnostic> {
+    let mut changes = Vec::new();
+    for (position, literal) in clause.body.iter().enumerate() {
+        let Some(atom) = literal.atom() else { continue };
+        let version = |other: usize| {
+            if other == position {
+                Version::New
+            } else {
+                Version::Complete
+            }
+        };
+        changes.push(ChangePlan {
+            over: atom.relation,
+            negated: matches!(literal, Literal::Negative(_)),
+            plan: Planner::new(clause, indexer, order).plan(First::Change(position), &version)?,
+        });
+    }
+    let check = Planner::new(clause, indexer, order).plan(First::Head, &|_| Version::Complete)?;
+    Ok((changes, Some(check)))
+}
+
+/// The plan over finished relations of known sizes that looks at the fewest rows, of those that begin with one of the atoms that
+/// find few; and the order in which it comes to the literals.
+fn plan_complete(clause: &Clause, indexer: &mut Indexer, sizes: &[Option<Size>]) -> Option<(Plan, Vec<usize>)> {
+    let order = Order::Sizes(sizes);
+    let planner = Planner::new(clause, indexer, order);
+    let found = |position: usize| Some((planner.found(positive(&clause.body[position])?), position));
+    let mut starts: Vec<(f64, usize)> = (0..clause.body.len()).filter_map(found).collect();
+    starts.sort_by(|a, b| a.0.total_cmp(&b.0));
+    starts.truncate(STARTS_MAX);
+    let version = |_| Version::Complete;
+    if starts.len() > 1 {
+        for (effort, start) in &mut starts {
+            let known = indexer.specs.len();
+            *effort = Planner::new(clause, indexer, order)
+                .run(First::Literal(*start), &version)
+                .ok()?
+                .1;
+            indexer.forget(known);
+        }
+        starts.sort_by(|a, b| a.0.total_cmp(&b.0));
+    }
+    let first = starts.first().map_or(First::Any, |&(_, start)| First::Literal(start));
+    let (plan, _, sequence) = Planner::new(clause, indexer, order).run(first, &version).ok()?;
+    Some((plan, sequence))
 }
 
 /// What a plan begins with.
@@ -444,11 +648,29 @@ enum First {
     Head,
 }
 
+/// By what atoms are ordered.
+#[derive(Clone, Copy, Debug)]
+enum Order<'a> {
+    /// By what the clause says alone. Some relations are probably larger than others.
+    Text { large: &'a [RelId] },
+    /// By the sizes of relations, which are known for those in the body.
+    Sizes(&'a [Option<Size>]),
+}
+
+/// What comes next.
+enum Next {
+    /// The atom of this literal.
+    Scan(usize),
+    /// The atoms of these literals, which lack no variable but this one.
+    Meet(Vec<usize>, VarId),
+}
+
 struct Planner<'a> {
     clause: &'a Clause,
     indexer: &'a mut Indexer,
-    /// Relations that are probably larger than others.
-    large: &'a [RelId],
+    order: Order<'a>,
+    /// How many rows there are at this point of the plan.
+    flow: Flow,
     slots: Vec<Value>,
     /// By variable.
     bound: Vec<bool>,
@@ -456,13 +678,19 @@ struct Planner<'a> {
     uses: Vec<usize>,
     /// Positions in the body, in the order of the text.
     left: Vec<usize>,
+    /// Positions in the body of what is placed.
+    sequence: Vec<usize>,
     steps: Vec<Step>,
+    /// What the orders of rows cost that the plan needs besides relations' own; nothing if sizes are not known.
+    ordering: f64,
+    /// By step: what is expected behind it.
+    trail: Vec<Reckoning>,
     /// Whether a scan stands before, so that the next step may run many times.
     repeated: bool,
 }
 
 impl<'a> Planner<'a> {
-    fn new(clause: &'a Clause, indexer: &'a mut Indexer) -> Self {
+    fn new(clause: &'a Clause, indexer: &'a mut Indexer, order: Order<'a>) -> Self {
         let mut uses = vec![0; clause.variables.len()];
         let terms = clause
             .head
@@ -475,45 +703,54 @@ impl<'a> Planner<'a> {
         Planner {
             clause,
             indexer,
-            large: &[],
+            order,
+            flow: Flow::new(clause.variables.len()),
             slots: vec![Value(0); clause.variables.len()],
             bound: vec![false; clause.variables.len()],
             uses,
             left: (0..clause.body.len()).collect(),
+            sequence: Vec::new(),
             steps: Vec::new(),
+            ordering: 0.0,
+            trail: Vec::new(),
             repeated: false,
         }
     }
 
-    fn large(self, large: &'a [RelId]) -> Self {
-        Planner { large, ..self }
+    fn plan(self, first: First, version: &dyn Fn(usize) -> Version) -> Result<Plan, Diagnostic> {
+        self.run(first, version).map(|(plan, ..)| plan)
     }
 
-    fn plan(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<Plan, Diagnostic> {
+    /// The plan, about how many rows it will look at if sizes are known, and the positions of the literals in the order in which
+    /// it comes to them.
+    fn run(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<(Plan, f64, Vec<usize>), Diagnostic> {
         let clause = self.clause;
         let head = &clause.head;
         let head_variables: Vec<VarId> = head.terms.iter().filter_map(variable_of).collect();
-        let mut settled = head_variables.is_empty().then_some(0);
         let mut fresh = None;
         let mut next = match first {
-            First::Literal(position) | First::Change(position) => Some(position),
+            First::Literal(position) | First::Change(position) => Some(Next::Scan(position)),
             First::Any | First::Head => None,
         };
         if first == First::Head {
             self.scan(head, Version::New);
         }
         loop {
-            if let Some(position) = next {
-                let literal = &clause.body[position];
-                let atom = literal.atom();
-                if let Some(atom) = atom {
-                    self.scan(atom, version(position));
+            match next {
+                Some(Next::Scan(position)) => {
+                    let literal = &clause.body[position];
+                    let atom = literal.atom();
+                    if let Some(atom) = atom {
+                        self.scan(atom, version(position));
+                    }
+                    // Another row may have the same values in the other columns.
+                    let open = atom.is_some_and(|atom| atom.terms.contains(&Term::Wildcard));
+                    if !(open && matches!(literal, Literal::Negative(_))) {
+                        self.placed(position);
+                    }
                 }
-                // Another row may have the same values in the other columns.
-                let open = atom.is_some_and(|atom| atom.terms.contains(&Term::Wildcard));
-                if !(open && matches!(literal, Literal::Negative(_))) {
-                    self.placed(position);
-                }
+                Some(Next::Meet(positions, variable)) => self.meet(&positions, variable, version),
+                None => {}
             }
             let known = |planner: &Self| head_variables.iter().all(|variable| planner.bound[variable.index()]);
             // Whether the head is known is asked as early as possible: mostly it is.
@@ -523,33 +760,37 @@ impl<'a> Planner<'a> {
                     let key = head.terms.iter().filter_map(|term| self.slot(term)).collect();
                     let (index, version) = (IndexId(head.relation.0), Version::Complete);
                     let source = Source { index, version };
-                    self.steps.push(Step::Absent { source, key });
+                    self.push(Step::Absent { source, key });
                 }
                 if !tests_placed {
                     self.place_tests(version);
                 }
             }
-            if settled.is_none() && known(&self) {
-                settled = Some(self.steps.len());
-            }
-            next = self.next_atom();
+            next = self.next();
             if next.is_none() {
                 break;
             }
         }
-        let settled = match settled {
-            Some(settled) if self.left.is_empty() => settled,
-            _ => return Err(self.unbound()),
-        };
-        let output = head.terms.iter().filter_map(|term| self.slot(term)).collect();
-        Ok(Plan {
+        if !self.left.is_empty() || !head_variables.iter().all(|variable| self.bound[variable.index()]) {
+            return Err(self.unbound());
+        }
+        let output: Vec<Slot> = head.terms.iter().filter_map(|term| self.slot(term)).collect();
+        let plan = Plan {
             head: head.relation,
+            enough: enough(&self.steps, &output),
             output,
             steps: self.steps,
-            settled,
             slots: self.slots,
             fresh,
-        })
+        };
+        let effort = self.ordering + effort_of_parts(&self.trail, &plan.enough);
+        Ok((plan, effort, self.sequence))
+    }
+
+    /// Appends a step with which the flow has been reckoned.
+    fn push(&mut self, step: Step) {
+        self.steps.push(step);
+        self.trail.push(self.flow.reckoning());
     }
 
     /// What to say of a clause that checking should have refused.
@@ -602,12 +843,14 @@ impl<'a> Planner<'a> {
             self.placed(position);
             match &self.clause.body[position] {
                 Literal::Positive(atom) | Literal::Guard(atom) => {
+                    self.expect(atom, |flow, size, key| flow.exists(size, key));
                     let (source, key) = self.lookup(atom, version(position));
-                    self.steps.push(Step::Exists { source, key });
+                    self.push(Step::Exists { source, key });
                 }
                 Literal::Negative(atom) => {
+                    self.expect(atom, |flow, size, key| flow.absent(size, key));
                     let (source, key) = self.lookup(atom, Version::Complete);
-                    self.steps.push(Step::Absent { source, key });
+                    self.push(Step::Absent { source, key });
                 }
                 Literal::Compare {
                     op, left, right, base, ..
@@ -621,7 +864,7 @@ impl<'a> Planner<'a> {
                 } => {
                     let arguments = arguments.iter().filter_map(|argument| self.slot(argument)).collect();
                     let Some((to, test)) = self.result(to) else { continue };
-                    self.steps.push(Step::Compute {
+                    self.push(Step::Compute {
                         functor: *functor,
                         base: *base,
                         arguments,
@@ -640,7 +883,7 @@ impl<'a> Planner<'a> {
                     let columns = &self.indexer.specs[source.index.index()].columns;
                     let place = column.and_then(|column| columns.iter().position(|other| *other as usize == column));
                     let Some((to, test)) = self.result(to) else { continue };
-                    self.steps.push(Step::Aggregate {
+                    self.push(Step::Aggregate {
                         source,
                         key,
                         op: *op,
@@ -684,6 +927,7 @@ impl<'a> Planner<'a> {
     /// Strikes a literal off what is left.
     fn placed(&mut self, position: usize) {
         self.left.retain(|&other| other != position);
+        self.sequence.push(position);
         for variable in self.clause.body[position].terms().filter_map(variable_of) {
             self.uses[variable.index()] -= 1;
         }
@@ -719,6 +963,9 @@ impl<'a> Planner<'a> {
     /// The slot for a value, and whether something is there already.
     fn result(&mut self, to: &Term) -> Option<(Slot, bool)> {
         let test = self.is_bound(to);
+        if test {
+            self.flow.filter(Flow::EQUAL);
+        }
         let slot = self.slot(to)?;
         if let Some(variable) = variable_of(to) {
             self.bound[variable.index()] = true;
@@ -733,34 +980,156 @@ impl<'a> Planner<'a> {
         };
         let (to, from) = match bound {
             (true, true) => {
-                self.steps.push(Step::Compare { op, left, right, base });
+                self.flow.filter(match op {
+                    Comparison::Equal => Flow::EQUAL,
+                    _ => Flow::COMPARED,
+                });
+                self.push(Step::Compare { op, left, right, base });
                 return;
             }
             (false, _) => (left, right),
             (true, false) => (right, left),
         };
         self.bound[to as usize] = true;
-        self.steps.push(Step::Copy { to, from });
+        self.push(Step::Copy { to, from });
     }
 
-    /// The atom to scan next: connected to what is bound, then the fewest new variables, then the most bound columns, then one
-    /// that is not probably large.
-    fn next_atom(&self) -> Option<usize> {
-        let cost = |position: usize| match &self.clause.body[position] {
-            Literal::Positive(atom) | Literal::Guard(atom) => {
-                let needed = |term: &&Term| !self.is_bound(term) && !self.is_unneeded(term);
-                let known = |term: &&Term| **term != Term::Wildcard && self.is_bound(term);
-                let mut new: Vec<VarId> = atom.terms.iter().filter(needed).filter_map(variable_of).collect();
-                new.sort_unstable();
-                new.dedup();
-                let known = atom.terms.iter().filter(known).count();
-                let large = self.large.contains(&atom.relation);
-                Some((known == 0, new.len(), std::cmp::Reverse(known), large, position))
-            }
-            _ => None,
+    /// What to do next: scan an atom that is connected to what is bound, or meet several. If sizes are known, the atom that finds
+    /// the fewest rows; then the fewest new variables, then the most bound columns, then one that is not probably large.
+    fn next(&self) -> Option<Next> {
+        let cost = |position: usize| {
+            let atom = positive(&self.clause.body[position])?;
+            let new = self.new_variables(atom).len();
+            let known = (atom.terms.iter())
+                .filter(|term| **term != Term::Wildcard && self.is_bound(term))
+                .count();
+            let (found, large) = match self.order {
+                Order::Text { large } => (0.0, large.contains(&atom.relation)),
+                Order::Sizes(_) => (self.found(atom), false),
+            };
+            // A single row may stand in front of anything.
+            let apart = known == 0 && !(matches!(self.order, Order::Sizes(_)) && found <= 1.0);
+            Some((apart, found, new, std::cmp::Reverse(known), large, position))
         };
-        let best = self.left.iter().filter_map(|&position| cost(position)).min()?;
-        Some(best.4)
+        let best = (self.left.iter())
+            .filter_map(|&position| cost(position))
+            .min_by(|a, b| {
+                (a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))).then((a.2, a.3, a.4, a.5).cmp(&(b.2, b.3, b.4, b.5)))
+            })?
+            .5;
+        Some(self.next_meet(best).unwrap_or(Next::Scan(best)))
+    }
+
+    /// Whether the atom had better be met than scanned: several atoms lack nothing but the variable that it lacks, and rows
+    /// are so skewed that whichever is scanned may have many more than are left when all have been asked.
+    fn next_meet(&self, best: usize) -> Option<Next> {
+        let Order::Sizes(sizes) = self.order else { return None };
+        let [variable] = self.new_variables(positive(&self.clause.body[best])?)[..] else {
+            return None;
+        };
+        let once = |atom: &Atom| {
+            (atom.terms.iter())
+                .filter(|term| variable_of(term) == Some(variable))
+                .count()
+                == 1
+        };
+        let lacks = |position: &usize| {
+            let atom = positive(&self.clause.body[*position]);
+            atom.is_some_and(|atom| self.new_variables(atom) == [variable] && once(atom))
+        };
+        let lists: Vec<usize> = self.left.iter().copied().filter(lacks).collect();
+        if lists.len() < 2 {
+            return None;
+        }
+        let atoms = || {
+            lists
+                .iter()
+                .filter_map(|&position| positive(&self.clause.body[position]))
+        };
+        let least = |cost: &dyn Fn(&Atom, &Size) -> f64| {
+            let costs = atoms().filter_map(|atom| Some(cost(atom, sizes[atom.relation.index()].as_ref()?)));
+            costs.fold(f64::INFINITY, f64::min)
+        };
+        let count = lists.len() as f64;
+        let scanned = 1.0 + count * least(&|atom, size| self.flow.found_often(size, &self.key(atom)));
+        let met = count * (1.0 + least(&|atom, size| self.flow.found(size, &self.key(atom))));
+        (met < scanned).then_some(Next::Meet(lists, variable))
+    }
+
+    /// The variables of the atom that are not bound and needed, each once.
+    fn new_variables(&self, atom: &Atom) -> Vec<VarId> {
+        let needed = |term: &&Term| !self.is_bound(term) && !self.is_unneeded(term);
+        let mut new: Vec<VarId> = atom.terms.iter().filter(needed).filter_map(variable_of).collect();
+        new.sort_unstable();
+        new.dedup();
+        new
+    }
+
+    /// The bound columns of an atom with their variables; none for a constant.
+    fn key(&self, atom: &Atom) -> Vec<Known> {
+        let known = |term: &Term| *term != Term::Wildcard && self.is_bound(term);
+        let columns = (0..).zip(&atom.terms).filter(|(_, term)| known(term));
+        columns.map(|(column, term)| (column, variable_of(term))).collect()
+    }
+
+    /// How many rows the atom finds; none if sizes are not known.
+    fn found(&self, atom: &Atom) -> f64 {
+        match self.order {
+            Order::Sizes(sizes) => {
+                let size = sizes[atom.relation.index()].as_ref();
+                size.map_or(0.0, |size| self.flow.found(size, &self.key(atom)))
+            }
+            Order::Text { .. } => 0.0,
+        }
+    }
+
+    /// Reckons with what is about to be placed, if sizes are known.
+    fn expect(&mut self, atom: &Atom, reckon: impl Fn(&mut Flow, &Size, &[Known])) {
+        if let Order::Sizes(sizes) = self.order
+            && let Some(size) = &sizes[atom.relation.index()]
+        {
+            let key = self.key(atom);
+            reckon(&mut self.flow, size, &key);
+        }
+    }
+
+    /// Appends a step that meets the atoms of these literals, which lack only the variable.
+    fn meet(&mut self, positions: &[usize], variable: VarId, version: &dyn Fn(usize) -> Version) {
+        let mut lists = Vec::with_capacity(positions.len());
+        for &position in positions {
+            let Some(atom) = positive(&self.clause.body[position]) else {
+                continue;
+            };
+            let place = (0..)
+                .zip(&atom.terms)
+                .find(|(_, term)| variable_of(term) == Some(variable));
+            let Some((column, _)) = place else { continue };
+            let known: Vec<u16> = self.key(atom).iter().map(|&(column, _)| column).collect();
+            let (index, order) = self.indexer.prefix(atom.relation, [&known, &[column]]);
+            let key = (order[..known.len()].iter())
+                .filter_map(|&column| self.slot(&atom.terms[column as usize]))
+                .collect();
+            let source = Source {
+                index,
+                version: version(position),
+            };
+            lists.push(List { source, key });
+        }
+        if let Order::Sizes(sizes) = self.order {
+            let atoms = positions
+                .iter()
+                .filter_map(|&position| positive(&self.clause.body[position]));
+            let sized = atoms.filter_map(|atom| Some((sizes[atom.relation.index()].as_ref()?, self.key(atom))));
+            let sized: Vec<_> = sized.collect();
+            self.flow.meet(&sized, variable);
+        }
+        self.bound[variable.index()] = true;
+        positions.iter().for_each(|&position| self.placed(position));
+        self.push(Step::Meet {
+            lists,
+            to: variable.index() as Slot,
+        });
+        self.repeated = true;
     }
 
     /// Appends a scan of the atom.
@@ -781,6 +1150,9 @@ impl<'a> Planner<'a> {
                 binds.push((column, slot));
             }
         }
+        if version != Version::New {
+            self.expect(atom, |flow, size, key| flow.scan(size, key, &binds));
+        }
         for &(_, slot) in &binds {
             self.bound[slot as usize] = true;
         }
@@ -790,6 +1162,10 @@ impl<'a> Planner<'a> {
             let known: Vec<u16> = keys.iter().map(|&(column, _)| column).collect();
             let other: Vec<u16> = binds.iter().chain(&checks).map(|&(column, _)| column).collect();
             let (index, order) = self.indexer.prefix(atom.relation, [&known, &other]);
+            if let (false, Order::Sizes(sizes)) = (self.indexer.is_own(index), self.order) {
+                let rows = sizes[atom.relation.index()].as_ref().map_or(0, |size| size.rows);
+                self.ordering += INDEX_ROW * rows as f64;
+            }
             for (column, _) in keys.iter_mut().chain(&mut binds).chain(&mut checks) {
                 *column = (order.iter().position(|other| other == column)).map_or(*column, |position| position as u16);
             }
@@ -808,10 +1184,13 @@ impl<'a> Planner<'a> {
             } else {
                 (0..).zip(&keys).take_while(|(at, key)| *at == key.0).count()
             };
+            if prefix < keys.len() && version != Version::New {
+                self.expect(atom, |flow, size, _| flow.passes(size));
+            }
             checks.extend(keys.drain(prefix..));
             own
         };
-        self.steps.push(Step::Scan {
+        self.push(Step::Scan {
             source: Source { index, version },
             key: keys.into_iter().map(|(_, slot)| slot).collect(),
             bind: binds,
@@ -819,6 +1198,31 @@ impl<'a> Planner<'a> {
             distinct,
         });
         self.repeated = true;
+    }
+}
+
+/// By step: where a part of the plan ends of which one success is enough, or 0. See [`Plan::enough`].
+fn enough(steps: &[Step], output: &[Slot]) -> Vec<u16> {
+    let ends_at = |start: usize| {
+        let mut filled = Vec::new();
+        (start + 1..=steps.len()).find(|&end| {
+            filled.extend(steps[end - 1].fills());
+            let needed = |slot: &Slot| output.contains(slot) || steps[end..].iter().any(|step| step.reads(*slot));
+            !filled.iter().any(needed)
+        })
+    };
+    let parts = (0..steps.len()).map(|start| match steps[start].branches() {
+        true => ends_at(start).unwrap_or(0) as u16,
+        false => 0,
+    });
+    parts.collect()
+}
+
+/// The atom of a literal that may bind variables.
+fn positive(literal: &Literal) -> Option<&Atom> {
+    match literal {
+        Literal::Positive(atom) | Literal::Guard(atom) => Some(atom),
+        _ => None,
     }
 }
 

@@ -35,6 +35,18 @@ impl<const W: usize> Row<W> {
     }
 }
 
+/// Rows of some width.
+pub(super) trait RowList: Send + Sync {
+    /// The row at a position below the number of rows, padded.
+    fn row(&self, position: usize) -> &[Value];
+}
+
+impl<const W: usize> RowList for Vec<Row<W>> {
+    fn row(&self, position: usize) -> &[Value] {
+        &self[position].0
+    }
+}
+
 impl<const W: usize> Ord for Row<W> {
     /// Lexicographic, two words at a time: sorting spends its time here.
     #[inline]

@@ -66,6 +66,37 @@ impl<const W: usize> Seen<W> {
         Some(seen)
     }
 
+    /// A set with the same bounds and the same known rows. New rows are kept as bits, which is also faster where most are known.
+    pub(super) fn fork(&self) -> Self {
+        Seen {
+            known: self.known.clone(),
+            fresh: vec![0; self.known.len()],
+            ..*self
+        }
+    }
+
+    /// What its bits of known rows take.
+    pub(super) fn bytes(&self) -> usize {
+        self.known.len() * size_of::<u64>()
+    }
+
+    /// Whether both have a bit for the same rows.
+    pub(super) fn is_like(&self, other: &Self) -> bool {
+        self.bounds == other.bounds
+    }
+
+    /// Adds the rows that a set like this one keeps, while new rows are kept as bits here, too. Says how many were new.
+    pub(super) fn absorb(&mut self, other: &Self) -> usize {
+        let mut new = 0;
+        for ((known, fresh), other) in self.known.iter_mut().zip(&mut self.fresh).zip(&other.fresh) {
+            let come = other & !*known;
+            *known |= come;
+            *fresh |= come;
+            new += come.count_ones() as usize;
+        }
+        new
+    }
+
     #[inline]
     fn bit(&self, row: &Row<W>) -> Option<(usize, u64)> {
         let mut at = 0;
@@ -149,8 +180,21 @@ impl<const W: usize> Seen<W> {
 
     /// The `count` rows that were kept, in order. From now on new rows are not kept.
     pub(super) fn drain(&mut self, count: usize) -> Vec<Row<W>> {
+        let fresh = std::mem::take(&mut self.fresh);
+        self.listed(&fresh, count)
+    }
+
+    /// All rows that were ever added, in order.
+    pub(super) fn all(&self) -> Vec<Row<W>> {
+        let count: u32 = self.known.iter().map(|word| word.count_ones()).sum();
+        self.listed(&self.known, count as usize)
+    }
+
+    /// The `count` rows of a list of bits, in order.
+    fn listed(&self, bits: &[u64], count: usize) -> Vec<Row<W>> {
         let mut rows = Vec::with_capacity(count);
-        for (position, mut word) in (0_u64..).zip(std::mem::take(&mut self.fresh)) {
+        for (position, &word) in (0_u64..).zip(bits) {
+            let mut word = word;
             while word != 0 {
                 let mut rest = position * 64 + u64::from(word.trailing_zeros());
                 word &= word - 1;

@@ -1,8 +1,8 @@
 //! Plans as text: what is scanned and tested in which order, by which columns, through which index.
 
 use crate::diag::Sources;
-use crate::engine::plan::{IndexId, Plan, Slot, Source, Step, Version};
-use crate::engine::{Program, facts};
+use crate::engine::plan::{IndexId, List, Plan, Plans, Slot, Source, Step, StratumPlan, Version};
+use crate::engine::{Compiled, Program, Session, facts};
 use crate::lang::{BaseType, Clause, ClauseId, Functor, RelId, Value};
 use crate::symbol::Symbol;
 
@@ -19,19 +19,72 @@ impl Program {
     ///       derive Path(x, z)
     /// ```
     pub fn show_plans(&self, sources: &Sources) -> String {
-        let (rules, plans) = (&self.0.rules, &self.0.plans);
+        let shown = Shown {
+            compiled: &self.0,
+            plans: &self.0.plans,
+            rows: None,
+        };
+        shown.all(sources)
+    }
+
+    /// A clause on one line, with its place.
+    pub fn show_clause(&self, id: ClauseId, sources: &Sources) -> String {
+        on_one_line(&self.0.rules.clauses[id.index()], sources)
+    }
+}
+
+fn on_one_line(clause: &Clause, sources: &Sources) -> String {
+    let words: Vec<&str> = sources.slice(clause.span).split_whitespace().collect();
+    format!("{}    {}", words.join(" "), sources.locate(clause.span))
+}
+
+impl Session {
+    /// How the last commit evaluated every clause that it computed from scratch, with the numbers of rows of the relations it
+    /// reads; see [`Program::show_plans`].
+    pub fn show_plans(&self, sources: &Sources) -> String {
+        let shown = Shown {
+            compiled: &self.program.0,
+            plans: self.store.plans(),
+            rows: Some(&|relation| self.store.len(relation)),
+        };
+        shown.all(sources)
+    }
+}
+
+/// Plans to be shown.
+struct Shown<'a> {
+    compiled: &'a Compiled,
+    plans: &'a Plans,
+    /// How many rows a relation has, if there are any.
+    rows: Option<&'a dyn Fn(RelId) -> usize>,
+}
+
+impl Shown<'_> {
+    fn all(&self, sources: &Sources) -> String {
+        let (rules, plans) = (&self.compiled.rules, self.plans);
         let mut out = String::new();
-        for (stratum, number) in plans.strata.iter().zip(1..) {
+        let mut number = 0;
+        for stratum in &plans.strata {
+            if self.compiled.is_shared(stratum) {
+                self.show_shared(&mut out, stratum);
+                continue;
+            }
+            number += 1;
             if stratum.clauses.is_empty() {
                 continue;
             }
             let names: Vec<&str> = stratum.members.iter().map(|&member| self.name(member)).collect();
             let recursive = if stratum.recursive { " (recursive)" } else { "" };
             out += &format!("stratum {number}: {}{recursive}\n", names.join(", "));
+            if let Some(rows) = self.rows {
+                let size = |&input: &RelId| format!("{} {}", self.name(input), rows(input));
+                let sizes: Vec<String> = stratum.inputs.iter().map(size).collect();
+                out += &format!("  over {}\n", sizes.join(", "));
+            }
             for &id in &stratum.clauses {
                 let clause = &rules.clauses[id.index()];
                 let plans = &plans.clauses[id.index()];
-                out += &format!("\n  {}\n", self.show_clause(id, sources));
+                out += &format!("\n  {}\n", on_one_line(clause, sources));
                 if plans.deltas.is_empty() {
                     out += "    once\n";
                     self.show_steps(&mut out, clause, &plans.complete);
@@ -50,15 +103,23 @@ impl Program {
         out
     }
 
-    /// A clause on one line, with its place.
-    pub fn show_clause(&self, id: ClauseId, sources: &Sources) -> String {
-        let span = self.0.rules.clauses[id.index()].span;
-        let words: Vec<&str> = sources.slice(span).split_whitespace().collect();
-        format!("{}    {}", words.join(" "), sources.locate(span))
+    fn name(&self, relation: RelId) -> &str {
+        &self.compiled.relation(relation).name
     }
 
-    fn name(&self, relation: RelId) -> &str {
-        &self.0.rules.relations[relation.index()].name
+    /// How a part of bodies is computed that several clauses share.
+    fn show_shared(&self, out: &mut String, stratum: &StratumPlan) {
+        let own = self.compiled.rules.clauses.len();
+        for &id in &stratum.clauses {
+            let clause = &self.compiled.shared.1[id.index() - own];
+            let plan = &self.plans.clauses[id.index()].complete;
+            *out += &format!(
+                "{}: shared by several clauses\n\n    once\n",
+                self.name(clause.head.relation)
+            );
+            self.show_steps(out, clause, plan);
+            out.push('\n');
+        }
     }
 
     fn show_steps(&self, out: &mut String, clause: &Clause, plan: &Plan) {
@@ -67,9 +128,26 @@ impl Program {
             let name = known(slot).map(str::to_owned);
             name.unwrap_or_else(|| self.show_value(plan.slots[slot as usize], base))
         };
+        // Where the part ends of which was told that one match is enough.
+        let mut told = 0;
         for (position, step) in plan.steps.iter().enumerate() {
-            if position == plan.settled && position > 0 {
-                *out += "      the head is known: one match of the rest is enough\n";
+            match plan.enough[position] as usize {
+                0 => {}
+                _ if position < told => {}
+                end if end == plan.steps.len() => {
+                    told = end;
+                    if position > 0 {
+                        *out += "      the head is known: one match of the rest is enough\n";
+                    }
+                }
+                end => {
+                    told = end;
+                    let steps = match end - position {
+                        1 => "step".to_owned(),
+                        count => format!("{count} steps"),
+                    };
+                    *out += &format!("      one match of the next {steps} is enough\n");
+                }
             }
             let line = match step {
                 Step::Scan {
@@ -92,6 +170,15 @@ impl Program {
                         "absent"
                     };
                     format!("{what} {}", self.show_lookup(*source, &terms, key.len(), &value))
+                }
+                Step::Meet { lists, to } => {
+                    let list = |list: &List| {
+                        let found = list.key.iter().chain([to]).zip(0_u16..);
+                        let terms: Vec<(u16, Slot)> = found.map(|(&slot, column)| (column, slot)).collect();
+                        self.show_lookup(list.source, &terms, list.key.len(), &value)
+                    };
+                    let lists: Vec<String> = lists.iter().map(list).collect();
+                    format!("meet   {}", lists.join("\n         and "))
                 }
                 Step::Copy { to, from } => {
                     let name = |slot: Slot| value(slot, BaseType::Number);
@@ -145,7 +232,7 @@ impl Program {
             };
             *out += &format!("      {line}\n");
         }
-        let relation = &self.0.rules.relations[plan.head.index()];
+        let relation = self.compiled.relation(plan.head);
         let terms = relation.columns.iter().zip(&plan.output);
         let terms: Vec<String> = terms.map(|(column, &slot)| value(slot, column.base)).collect();
         *out += &format!("      derive {}({})\n", relation.name, terms.join(", "));
@@ -159,8 +246,8 @@ impl Program {
         key: usize,
         value: &dyn Fn(Slot, BaseType) -> String,
     ) -> String {
-        let order = &self.0.plans.indexes[source.index.index()];
-        let relation = &self.0.rules.relations[order.relation.index()];
+        let order = &self.plans.indexes[source.index.index()];
+        let relation = self.compiled.relation(order.relation);
         let mut atom = vec!["_".to_owned(); relation.arity()];
         for &(column, slot) in terms {
             let column = order.columns[column as usize] as usize;
@@ -190,7 +277,10 @@ impl Program {
 
     fn show_value(&self, value: Value, base: BaseType) -> String {
         match base {
-            BaseType::Symbol => format!("{:?}", self.0.rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
+            BaseType::Symbol => format!(
+                "{:?}",
+                self.compiled.rules.symbols.text(Symbol(value.0)).unwrap_or_default()
+            ),
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
             BaseType::Float => facts::print_float(value.as_float()),

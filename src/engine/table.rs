@@ -1,14 +1,15 @@
 //! A relation as it is kept: its rows, other orders of their columns, and how all of it is patched when rows come and go.
 
 use crate::engine::plan::IndexSpec;
-use crate::engine::row::{Batch, Row, gallop};
-use std::sync::OnceLock;
+use crate::engine::row::{Batch, Row, difference, gallop};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::{Arc, OnceLock};
 
 /// Rows that came and rows that went, both sorted; no row is in both.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Net<const W: usize> {
-    pub(super) added: Vec<Row<W>>,
+    /// Shared with the table if there was nothing before.
+    pub(super) added: Arc<Vec<Row<W>>>,
     pub(super) removed: Vec<Row<W>>,
 }
 
@@ -20,13 +21,24 @@ impl<const W: usize> Net<W> {
     pub(super) fn len(&self) -> usize {
         self.added.len() + self.removed.len()
     }
+
+    /// From one set of rows to another.
+    pub(super) fn between(old: &[Row<W>], new: &Arc<Vec<Row<W>>>) -> Self {
+        Net {
+            added: match old {
+                [] => Arc::clone(new),
+                _ => difference(new, old).into(),
+            },
+            removed: difference(old, new),
+        }
+    }
 }
 
 /// A relation's rows and the indexes over them.
 #[derive(Debug, Default)]
 pub(super) struct Table<const W: usize> {
     /// Sorted, without repetitions.
-    pub(super) rows: Vec<Row<W>>,
+    pub(super) rows: Arc<Vec<Row<W>>>,
     /// By [`IndexSpec::position`]: made when first needed.
     indexes: Vec<OnceLock<Index<W>>>,
 }
@@ -35,9 +47,14 @@ impl<const W: usize> Table<W> {
     /// A table without indexes, but room for so many.
     pub(super) fn new(rows: Vec<Row<W>>, indexes: usize) -> Self {
         Table {
-            rows,
+            rows: rows.into(),
             indexes: (0..indexes).map(|_| OnceLock::new()).collect(),
         }
+    }
+
+    /// Makes room for so many indexes.
+    pub(super) fn widen(&mut self, indexes: usize) {
+        self.indexes.resize_with(indexes.max(self.indexes.len()), OnceLock::new);
     }
 
     /// The rows in the order of an index.
@@ -51,6 +68,19 @@ impl<const W: usize> Table<W> {
         }
     }
 
+    /// What the rows and the indexes made so far take.
+    pub(super) fn bytes(&self) -> u64 {
+        let indexes = self.indexes.iter().filter_map(OnceLock::get);
+        let starts = indexes.clone().map(|index| size_of_val(&index.starts[..]));
+        let lists = indexes.map(|index| size_of_val(&index.rows[..]));
+        (starts.chain(lists).sum::<usize>() + size_of_val(&self.rows[..])) as u64
+    }
+
+    /// Whether the index has been made.
+    pub(super) fn has(&self, spec: &IndexSpec) -> bool {
+        spec.position == 0 || self.indexes[spec.position].get().is_some()
+    }
+
     /// The rows in their own order, for finding some: with a directory only if there is one already.
     fn known(&self) -> Batch<'_, W> {
         let starts = self.indexes.first().and_then(OnceLock::get);
@@ -61,8 +91,14 @@ impl<const W: usize> Table<W> {
     }
 
     /// What changes of rows add and remove, and the rows after it, if it is anything. The changes are sorted, one for each row.
-    pub(super) fn update(&self, noted: &[(Row<W>, bool)]) -> Option<(Net<W>, Vec<Row<W>>)> {
-        let mut net = Net::default();
+    pub(super) fn update(&self, noted: &[(Row<W>, bool)]) -> Option<(Net<W>, Arc<Vec<Row<W>>>)> {
+        if self.rows.is_empty() {
+            let come = noted.iter().filter(|(_, present)| *present);
+            let rows: Vec<Row<W>> = come.map(|(row, _)| *row).collect();
+            let rows = Arc::new(rows);
+            return (!rows.is_empty()).then(|| (Net::between(&[], &rows), rows));
+        }
+        let (mut added, mut removed) = (Vec::new(), Vec::new());
         let mut finder = Finder::new(self.known());
         let mut rows = Vec::new();
         let mut copied = 0;
@@ -71,34 +107,35 @@ impl<const W: usize> Table<W> {
             if was == *present {
                 continue;
             }
-            if net.is_empty() {
+            if rows.is_empty() {
                 rows.reserve(self.rows.len() + noted.len());
             }
             append(&mut rows, &self.rows[copied..finder.at]);
             copied = finder.at;
             if *present {
-                net.added.push(*row);
+                added.push(*row);
                 rows.push(*row);
             } else {
-                net.removed.push(*row);
+                removed.push(*row);
                 copied += 1;
             }
         }
-        if net.is_empty() {
+        if added.is_empty() && removed.is_empty() {
             return None;
         }
         append(&mut rows, &self.rows[copied..]);
-        Some((net, rows))
+        let added = added.into();
+        Some((Net { added, removed }, rows.into()))
     }
 
     /// The table after a change. Indexes that are in use are patched.
     pub(super) fn patched(&self, specs: &[&IndexSpec], net: &Net<W>) -> Table<W> {
         let rows = patch(self.known(), net);
-        self.replaced(specs, net, rows)
+        self.replaced(specs, net, rows.into())
     }
 
     /// The same, if the rows after the change are known.
-    pub(super) fn replaced(&self, specs: &[&IndexSpec], net: &Net<W>, rows: Vec<Row<W>>) -> Table<W> {
+    pub(super) fn replaced(&self, specs: &[&IndexSpec], net: &Net<W>, rows: Arc<Vec<Row<W>>>) -> Table<W> {
         let indexes = self.indexes.iter().zip(specs).map(|(index, spec)| {
             let index = index.get().filter(|_| net.len() <= rows.len() / 2);
             index
@@ -158,7 +195,7 @@ impl<const W: usize> Index<W> {
             (Vec::new(), patch_directory(&self.starts, net, new))
         } else {
             let net = Net {
-                added: project(&net.added, &spec.columns),
+                added: project(&net.added, &spec.columns).into(),
                 removed: project(&net.removed, &spec.columns),
             };
             debug_assert_eq!(self.rows.len(), old.len());
@@ -294,7 +331,7 @@ fn patch_directory<const W: usize>(old: &[u32], net: &Net<W>, rows: &[Row<W>]) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::row::{difference, merge, normalise};
+    use crate::engine::row::{merge, normalise};
     use crate::lang::{RelId, Value};
 
     fn spec(columns: &[u16], position: usize) -> IndexSpec {
@@ -359,10 +396,10 @@ mod tests {
                     continue;
                 };
                 let expected = merge(&difference(&table.rows, &net.removed), &net.added);
-                assert_eq!(net.added, difference(&expected, &table.rows));
-                assert_eq!(rows, expected);
+                assert_eq!(*net.added, difference(&expected, &table.rows));
+                assert_eq!(*rows, expected);
                 table = table.patched(&specs, &net);
-                assert_eq!(table.rows, expected);
+                assert_eq!(*table.rows, expected);
                 let built = Table::new(expected, 2);
                 for spec in &specs {
                     let (patched, built) = (table.batch(spec), built.batch(spec));
@@ -391,7 +428,7 @@ mod tests {
                 "{word}"
             );
             let net = Net {
-                added: vec![Row([Value(200 + word), Value(0)])],
+                added: vec![Row([Value(200 + word), Value(0)])].into(),
                 removed: Vec::new(),
             };
             table = table.patched(&specs, &net);

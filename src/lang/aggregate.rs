@@ -17,9 +17,9 @@ use crate::diag::{Code, Diagnostic, Span};
 
 use super::body::{Check, Known, Operand, Pending, VariableType, renumber};
 use super::clause::EdgeKind;
-use super::functor::AggregateOp;
-use super::names::{Names, Signature};
-use super::rules::{Atom, BaseType, Clause, Column, Comparison, Literal, RelId, Relation, Term, TypeId, VarId};
+use super::functor::{AggregateOp, Functor};
+use super::names::Names;
+use super::rules::{Atom, BaseType, Clause, Comparison, Literal, RelId, Term, TypeId, VarId};
 use super::scope::{self, Guard};
 
 /// What the literals of a clause become, and what they need besides.
@@ -47,13 +47,27 @@ impl<'c> Check<'_, 'c> {
     pub fn finish(&mut self, pending: &[Pending<'c>], context: &[Literal], finish: &mut Finish<'_>) -> Vec<Literal> {
         let mut done: Vec<Option<Literal>> = Vec::with_capacity(pending.len());
         for pending in pending {
-            let simple = !matches!(pending, Pending::Aggregate { .. });
+            let simple = !matches!(
+                pending,
+                Pending::Aggregate { .. }
+                    | Pending::Compute {
+                        functor: Functor::Range,
+                        ..
+                    }
+            );
             done.push(simple.then(|| self.written(pending)));
         }
-        // An aggregate may need the value of another one.
+        // An aggregate or a range may need the value of another one.
         let mut progress = true;
         while std::mem::take(&mut progress) {
             for (index, pending) in pending.iter().enumerate() {
+                if done[index].is_none()
+                    && let Pending::Compute { .. } = pending
+                {
+                    let around: Vec<Literal> = done.iter().flatten().cloned().collect();
+                    done[index] = self.range_literal(pending, &around, context, finish);
+                    progress |= done[index].is_some();
+                }
                 let Pending::Aggregate {
                     to,
                     op,
@@ -321,8 +335,6 @@ impl<'c> Check<'_, 'c> {
 
     /// A hidden predicate with these columns.
     fn define(&mut self, columns: &[VarId], mut body: Vec<Literal>, head: Head, finish: &mut Finish<'_>) -> RelId {
-        let names = &mut *self.names;
-        let relation = RelId(u32::try_from(names.relations.len()).expect("fewer than 2^32 predicates"));
         let column = |id: &VarId| {
             let Known { name, ty, .. } = &finish.variables[id.index()];
             let ty = match ty {
@@ -330,31 +342,10 @@ impl<'c> Check<'_, 'c> {
                 VariableType::Base(base) => Names::base_type(*base),
                 VariableType::Unknown => TypeId(0),
             };
-            Column {
-                name: name.clone(),
-                ty,
-                base: names.base(ty),
-            }
+            (name.clone(), ty)
         };
-        let columns_known: Vec<Column> = columns.iter().map(column).collect();
-        let types = columns_known.iter().map(|column| Some(column.ty)).collect();
-        names.relations.push(Relation {
-            name: format!("+{}", names.hidden() + 1),
-            columns: columns_known,
-            doc: format!("what `{}` is taken of", head.op.name()),
-            span: head.span,
-            input: false,
-            given: None,
-            output: false,
-            printsize: false,
-            derived: true,
-            hidden: true,
-            directives: Vec::new(),
-        });
-        names.signatures.push(Signature {
-            columns: Some(types),
-            input: None,
-        });
+        let doc = format!("what `{}` is taken of", head.op.name());
+        let relation = self.names.hide(columns.iter().map(column).collect(), doc, head.span);
         let mut terms: Vec<Term> = columns.iter().map(|id| Term::Variable(*id)).collect();
         let variables = renumber(finish.variables.clone(), std::iter::once(&mut terms), &mut body);
         finish.hidden.push(Clause {
@@ -386,7 +377,7 @@ fn fresh(variables: &mut Vec<Known>, ty: VariableType, span: Span) -> VarId {
 }
 
 /// The variables that literals bind among themselves.
-fn bound_by(literals: &[Literal]) -> BTreeSet<VarId> {
+pub(super) fn bound_by(literals: &[Literal]) -> BTreeSet<VarId> {
     let mut bound = BTreeSet::new();
     loop {
         let before = bound.len();

@@ -49,6 +49,8 @@ pub enum Item {
     Promise(Promise),
     /// `.pragma "key" "value"`: read and ignored.
     Pragma(Pragma),
+    /// `.plan 1:(2,1)`: read and ignored.
+    Plan(Plan),
     /// `.scope P`, or `.scope` alone
     Scope(Scope),
     /// A fact or a rule.
@@ -69,6 +71,15 @@ pub struct Include {
 pub struct Pragma {
     /// The texts after it: a key and perhaps a value.
     pub words: Vec<String>,
+    /// The directive.
+    pub place: Place,
+}
+
+/// `.plan 0:(1,2), 1:(2,1)`
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Plan {
+    /// Versions of the clause before it, each with an order of its atoms.
+    pub orders: Vec<(i64, Vec<i64>)>,
     /// The directive.
     pub place: Place,
 }

@@ -10,13 +10,13 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Code, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
+use super::Inputs;
 use super::aggregate::Finish;
 use super::ast::{self, TermKind};
 use super::clause::{Clauses, Edge, EdgeKind, names_in, names_of};
-use super::faults::Faults;
 use super::functor::{AggregateOp, Functor, Shape};
 use super::names::Names;
 use super::rules::{Atom, BaseType, Comparison, Literal, RelId, Term, TypeId, Value, VarId};
@@ -105,7 +105,7 @@ pub(super) fn check(
     if let Some(lowered) = &lowered {
         check.derivable(lowered.relation, clause, head);
     }
-    check.join_equals(&pending);
+    check.join_compared(&pending);
     check.infer(lowered.as_ref(), &pending);
     check.types(head, lowered.as_ref(), &pending);
     check.bindings(head, clause.body.is_empty(), &pending);
@@ -229,8 +229,8 @@ struct Use {
     span: Span,
 }
 
-/// What is known of a variable. Variables that `=` makes equal form a group and share all but name and places; the group is
-/// named by the variable at the end of the chain of `equal_to`.
+/// What is known of a variable. Variables that are compared form a group and have one type; the group is
+/// named by the variable at the end of the chain of `typed_as`.
 struct Variable<'c> {
     name: Name<'c>,
     first: Span,
@@ -238,7 +238,7 @@ struct Variable<'c> {
     /// The aggregates it is within; 0 for the clause itself.
     level: usize,
     /// `None`: it stands for the group itself.
-    equal_to: Option<usize>,
+    typed_as: Option<usize>,
     /// It occurs in something that was reported, so nothing follows from what is not known of it.
     excused: bool,
     /// The narrowest column it stands in.
@@ -358,7 +358,7 @@ impl<'c> Check<'_, 'c> {
             first: span,
             count: 0,
             level,
-            equal_to: None,
+            typed_as: None,
             excused: false,
             narrowest: None,
             base: None,
@@ -458,8 +458,14 @@ impl<'c> Check<'_, 'c> {
                 OperandKind::Variable(to)
             }
             TermKind::Cast(inner, ty) => {
-                let argument = self.operand(inner, None);
+                let mut argument = self.operand(inner, None);
                 let ty = self.names.type_named(ty);
+                if let (OperandKind::Whole(_), Some(base)) = (argument.kind, ty.map(|ty| self.names.base(ty)))
+                    && base != BaseType::Symbol
+                {
+                    // `as(2, float)` is 2.0.
+                    argument.kind = OperandKind::Constant(self.value(argument, base), base);
+                }
                 let to = into.unwrap_or_else(|| self.value_of(term));
                 match ty {
                     Some(ty) => self.narrow(to.index(), Use { ty, span }),
@@ -505,16 +511,20 @@ impl<'c> Check<'_, 'c> {
         let known = |name: &&&str| self.levels.iter().any(|level| level.direct.contains(**name));
         let own = |name: &&&str| (body.contains(**name) && target.contains(**name)) || !known(name);
         let direct = body.union(&target).filter(own).copied().collect();
-        if aggregate.body.is_empty() {
-            self.fault(Diagnostic::new(Code::Syntax, "an aggregate over nothing").at(span, ""));
-        }
         self.levels.push(Level {
             numbers: HashMap::new(),
             direct,
         });
         self.pending.push(Vec::new());
+        if aggregate.body.is_empty() {
+            self.always(true, span);
+        }
         for literal in &aggregate.body {
-            if let ast::Literal::Any(_) = literal {
+            if let ast::Literal::Any(alternatives) = literal {
+                if alternatives.is_empty() {
+                    self.always(false, span);
+                    continue;
+                }
                 let fault = Diagnostic::new(Code::Unsupported, "alternatives in an aggregate are not supported")
                     .at(span, "")
                     .help("define a predicate by a clause with these alternatives, and aggregate over that");
@@ -533,6 +543,20 @@ impl<'c> Check<'_, 'c> {
             target,
             body,
             level,
+            span,
+        });
+    }
+
+    /// `true` or `false` in the body of an aggregate.
+    fn always(&mut self, holds: bool, span: Span) {
+        let [left, right] = [0, i64::from(!holds)].map(|number| Operand {
+            kind: OperandKind::Whole(number),
+            span,
+        });
+        self.push(Pending::Compare {
+            op: Comparison::Equal,
+            left,
+            right,
             span,
         });
     }
@@ -741,10 +765,20 @@ impl<'c> Check<'_, 'c> {
         }
         if let Some(input) = self.names.signatures[relation.index()].input {
             let name = &head.predicate.text;
-            let fault = Diagnostic::new(Code::DerivedInput, format!("`{name}` is input and also derived"))
+            let (code, help) = match self.names.inputs {
+                Inputs::Given => (
+                    Code::DerivedInput,
+                    "derive another predicate, with one clause that takes over what is given",
+                ),
+                Inputs::Extended => (
+                    Code::ExtendedInput,
+                    "to tell them apart, derive another predicate, with one clause that takes over what is given",
+                ),
+            };
+            let fault = Diagnostic::new(code, format!("`{name}` is input and also derived"))
                 .at(head.place.0, "derived here")
                 .also(input, "input here")
-                .help("derive another predicate, with one clause that takes over what is given");
+                .help(help);
             self.faults.push(fault);
         }
     }
@@ -752,7 +786,7 @@ impl<'c> Check<'_, 'c> {
     // --- types
 
     fn group(&self, mut at: usize) -> usize {
-        while let Some(next) = self.variables[at].equal_to {
+        while let Some(next) = self.variables[at].typed_as {
             at = next;
         }
         at
@@ -793,39 +827,63 @@ impl<'c> Check<'_, 'c> {
         self.fault(fault);
     }
 
-    /// Makes a group of the variables that `=` makes equal.
-    fn join_equals(&mut self, pending: &[Pending<'c>]) {
+    /// Makes a group of variables that are compared, and of what an aggregate selects or adds up and its result.
+    fn join_compared(&mut self, pending: &[Pending<'c>]) {
         for pending in pending {
             match pending {
-                Pending::Compare {
-                    op: Comparison::Equal,
-                    left,
-                    right,
+                Pending::Compare { left, right, span, .. } => self.join(*left, *right, *span),
+                Pending::Aggregate {
+                    to,
+                    op,
+                    target,
+                    body,
+                    span,
                     ..
                 } => {
-                    if let (OperandKind::Variable(a), OperandKind::Variable(b)) = (left.kind, right.kind) {
-                        self.join(a.index(), b.index());
+                    self.join_compared(body);
+                    let result = Operand {
+                        kind: OperandKind::Variable(*to),
+                        span: *span,
+                    };
+                    if let (AggregateOp::Min | AggregateOp::Max | AggregateOp::Sum, Some(target)) = (op, target) {
+                        self.join(result, *target, *span);
                     }
                 }
-                Pending::Aggregate { body, .. } => self.join_equals(body),
-                _ => {}
+                Pending::Atom { .. } | Pending::Compute { .. } => {}
             }
         }
     }
 
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.group(a), self.group(b));
-        if a == b {
+    fn join(&mut self, left: Operand, right: Operand, span: Span) {
+        let (OperandKind::Variable(a), OperandKind::Variable(b)) = (left.kind, right.kind) else {
+            return;
+        };
+        let groups = [self.group(a.index()), self.group(b.index())];
+        if groups[0] == groups[1] {
             return;
         }
+        let [first, second] = groups.map(|group| self.variables[group].narrowest);
+        let excused = groups.iter().any(|&group| self.variables[group].excused);
+        let narrowest = match (first, second) {
+            (Some(first), Some(second)) => match self.names.meet(first.ty, second.ty) {
+                Some(meet) if meet == first.ty => Some(first),
+                Some(meet) => Some(Use { ty: meet, ..second }),
+                None => {
+                    // Different base types are told where those are looked at.
+                    if !excused && self.names.base(first.ty) == self.names.base(second.ty) {
+                        let types = [first.ty, second.ty].map(|ty| self.names.type_name(ty).to_owned());
+                        self.incomparable([(left, &types[0]), (right, &types[1])], span);
+                    }
+                    return;
+                }
+            },
+            (one, other) => one.or(other),
+        };
         // The later joins the earlier, so chains stay as short as the text makes them.
-        let (into, from) = (a.min(b), a.max(b));
-        self.variables[from].equal_to = Some(into);
-        let (excused, narrowest) = (self.variables[from].excused, self.variables[from].narrowest);
-        self.variables[into].excused |= excused;
-        if let Some(narrowest) = narrowest {
-            self.narrow(into, narrowest);
-        }
+        let [into, from] = [groups[0].min(groups[1]), groups[0].max(groups[1])];
+        self.variables[from].typed_as = Some(into);
+        self.variables[into].excused = excused;
+        self.variables[into].narrowest = narrowest;
     }
 
     fn type_of_variable(&self, id: VarId) -> VariableType {
@@ -1029,7 +1087,7 @@ impl<'c> Check<'_, 'c> {
         if let (TieKind::Compare, Some(other)) = (tie.kind, other)
             && tie.allowed.len() > 1
         {
-            self.incomparable([(first, base), other], tie.span);
+            self.incomparable([(first, base.name()), (other.0, other.1.name())], tie.span);
             return;
         }
         if let Some((operand, found)) = known.iter().find(|(_, found)| !tie.allowed.contains(found)) {
@@ -1078,18 +1136,15 @@ impl<'c> Check<'_, 'c> {
         self.fault(fault);
     }
 
-    fn incomparable(&mut self, sides: [(Operand, BaseType); 2], span: Span) {
-        let message = format!(
-            "a `{}` cannot be compared with a `{}`",
-            sides[0].1.name(),
-            sides[1].1.name()
-        );
+    /// Two operands, each with the name of its type.
+    fn incomparable(&mut self, sides: [(Operand, &str); 2], span: Span) {
+        let message = format!("a `{}` cannot be compared with a `{}`", sides[0].1, sides[1].1);
         let mut fault = Diagnostic::new(Code::TypeMismatch, message).at(span, "");
-        for (operand, base) in sides {
+        for (operand, ty) in sides {
             if let OperandKind::Variable(id) = operand.kind
                 && let Some(origin) = self.origin(id)
             {
-                fault = fault.also(origin, format!("`{}` is a `{}` here", self.name(id), base.name()));
+                fault = fault.also(origin, format!("`{}` is a `{ty}` here", self.name(id)));
             }
         }
         self.fault(fault);
@@ -1130,7 +1185,7 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// In a head the variable must be of a subtype of the column; in a negated atom of the same line.
+    /// In a head the variable must be of a subtype of the column; in a negated atom of the same base.
     fn fits(&mut self, atom: &Atom, column: usize, span: Span, is_head: bool) {
         let (Term::Variable(id), Some(wanted)) = (atom.terms[column], self.column(atom.relation, column)) else {
             return;
@@ -1139,7 +1194,7 @@ impl<'c> Check<'_, 'c> {
             VariableType::Unknown => true,
             VariableType::Base(base) => base == self.names.base(wanted),
             VariableType::Type(found) if is_head => self.names.is_subtype(found, wanted),
-            VariableType::Type(found) => self.names.meet(found, wanted).is_some(),
+            VariableType::Type(found) => self.names.base(found) == self.names.base(wanted),
         };
         if fits {
             return;

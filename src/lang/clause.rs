@@ -3,14 +3,13 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Code, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
 use super::ast::{self, Item, TermKind};
-use super::body::{self, Body};
-use super::faults::Faults;
+use super::body::{self, Body, VariableType};
 use super::names::Names;
-use super::rules::{Atom, Clause, Literal, RelId, Relation, Term, VarId};
+use super::rules::{Atom, BaseType, Clause, Literal, RelId, Relation, Term, VarId};
 use super::scope::{self, Scope};
 use super::witness;
 
@@ -41,6 +40,8 @@ pub(super) enum EdgeKind {
 #[derive(Debug)]
 pub(super) struct Checked {
     pub clause: Clause,
+    /// What its variables are made of, as far as that is known.
+    pub bases: Vec<Option<BaseType>>,
     /// Whether no error was found in it.
     pub sound: bool,
 }
@@ -59,8 +60,12 @@ pub(super) struct Clauses {
     pub incomplete: bool,
 }
 
-pub(super) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> Clauses {
-    let mut clauses = Clauses::default();
+/// Checks all clauses. The constants' texts are added to `symbols`.
+pub(super) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults: &mut Faults) -> Clauses {
+    let mut clauses = Clauses {
+        symbols,
+        ..Clauses::default()
+    };
     let mut scopes = scope::Scopes::default();
     for item in items {
         match item {
@@ -238,6 +243,7 @@ fn alternative(
     if sound && !is_fact {
         lone_variables(clause, &variables, &guarded, faults);
     }
+    let bases = variables.iter().map(|variable| base(variable.ty, names)).collect();
     let derived = &mut names.relations[head.relation.index()].derived;
     *derived |= !is_fact;
     out.clauses.push(Checked {
@@ -248,8 +254,17 @@ fn alternative(
             doc: clause.doc.clone(),
             span: clause.place.0,
         },
+        bases,
         sound,
     });
+}
+
+fn base(ty: VariableType, names: &Names) -> Option<BaseType> {
+    match ty {
+        VariableType::Unknown => None,
+        VariableType::Base(base) => Some(base),
+        VariableType::Type(id) => Some(names.base(id)),
+    }
 }
 
 /// Warns of variables that occur once. One guarded by a scope says "somebody in view" and needs no second occurrence.

@@ -9,9 +9,8 @@
 //!   literals are kept, and more are made where a line would be too long.
 //! - A comment behind code stays behind it, in its column if there is room; a comment on a line of its own keeps one.
 
-use crate::diag::{Diagnostic, SourceId, Sources};
+use crate::diag::{Diagnostic, Faults, SourceId, Sources};
 
-use super::faults::Faults;
 use super::lexer::{self, Kind, Lexed, Token};
 use super::parser;
 

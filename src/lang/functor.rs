@@ -45,6 +45,8 @@ pub enum Functor {
     ToUnsigned,
     /// `as(x, T)`: the same bits, of another type.
     Cast,
+    /// It has many values; checking takes it apart, so nobody applies it. See `range`.
+    Range,
 }
 
 use Functor::*;
@@ -96,6 +98,7 @@ impl Functor {
         (ToFloat, "to_float"),
         (ToUnsigned, "to_unsigned"),
         (Cast, "as"),
+        (Range, "range"),
     ];
 
     /// How it is written.
@@ -123,6 +126,11 @@ impl Functor {
         matches!(self, Negate | BitNot | Not)
     }
 
+    /// Whether its values may be texts that were not there.
+    pub fn makes_text(self) -> bool {
+        matches!(self, Cat | Substring | ToText)
+    }
+
     /// How tightly an operator binds; `None` for functions.
     pub(super) fn precedence(self) -> Option<u8> {
         Some(match self {
@@ -146,6 +154,7 @@ impl Functor {
         match self {
             Min | Max | Cat => (2, 64),
             Substring => (3, 3),
+            Range => (2, 3),
             Length | Ordinal | ToNumber | ToText | ToFloat | ToUnsigned | Cast => (1, 1),
             _ if self.is_prefix() => (1, 1),
             _ => (2, 2),
@@ -156,8 +165,8 @@ impl Functor {
         use BaseType::{Float, Number, Symbol, Unsigned};
         match self {
             Negate => Shape::Same(SIGNED),
-            Add | Subtract | Multiply | Divide | Power => Shape::Same(NUMERIC),
-            Min | Max => Shape::Same(ANY),
+            Subtract | Multiply | Divide | Power | Range => Shape::Same(NUMERIC),
+            Add | Min | Max => Shape::Same(ANY),
             BitNot | Not | Remainder | BitAnd | BitOr | BitXor | ShiftLeft | ShiftRight | ShiftRightUnsigned | And
             | Or | Xor => Shape::Same(INTEGER),
             Cat => Shape::Same(&[Symbol]),
@@ -180,6 +189,7 @@ impl Functor {
         match (self, arguments) {
             (Cast, [value]) => return Some(*value),
             (Ordinal, [value]) => return Some(*value),
+            (Add, parts) if base == BaseType::Symbol => return made(&parts.iter().map(text).collect::<String>()),
             (Cat, parts) => return made(&parts.iter().map(text).collect::<String>()),
             (Length, [value]) => {
                 return i32::try_from(text(value).chars().count()).ok().map(Value::number);

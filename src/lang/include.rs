@@ -1,48 +1,53 @@
 //! Follows `.include`: the texts of a program become one list of items, in the order in which they would be read aloud.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
-use crate::files::{BUILTIN_FOLDER, ReadError, normalise};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
+use crate::files::{BUILTIN, BUILTIN_FOLDER, ReadError, normalise};
 
 use super::ast::{File, Include, Item};
-use super::faults::Faults;
 use super::parser;
 
 /// A larger text is refused.
 const MAX_TEXT_BYTES: usize = 64 << 20;
 
+/// What names of rule files end with.
+const ENDING: &str = "dl";
+
 /// A longer chain of includes is refused.
 const MAX_DEPTH: usize = 64;
 
 /// The items of all texts.
+#[derive(Clone, Debug, Default)]
 pub(super) struct Gathered {
     /// No [`Item::Include`] is left among them.
     pub items: Vec<Item>,
-    /// Whether every included text was there. If not, names may be unknown only because their declaration was not read.
-    pub complete: bool,
+    /// Whether an included text was not there, so that names may be unknown only because their declaration was not read.
+    pub incomplete: bool,
+    /// The normal paths of all texts so far. It is only asked, never walked.
+    seen: HashSet<PathBuf>,
 }
 
+/// Adds the items of a text and of all it includes; a text that is there already is not read again.
 pub(super) fn gather(
+    gathered: &mut Gathered,
     sources: &mut Sources,
     entry: SourceId,
     read: &dyn Fn(&Path) -> Result<String, ReadError>,
     faults: &mut Faults,
-) -> Gathered {
+) {
     let key = normalise(Path::new(sources.name(entry)));
-    let mut walk = Walk {
-        sources,
-        read,
-        faults,
-        seen: std::iter::once(key.clone()).collect(),
-        open: vec![(key, None)],
-        gathered: Gathered {
-            items: Vec::new(),
-            complete: true,
-        },
-    };
-    walk.text(entry);
-    walk.gathered
+    if gathered.seen.insert(key.clone()) {
+        let mut walk = Walk {
+            sources,
+            read,
+            faults,
+            open: vec![(key, None)],
+            gathered,
+        };
+        walk.text(entry);
+    }
 }
 
 pub(super) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) -> File {
@@ -64,11 +69,9 @@ struct Walk<'a> {
     sources: &'a mut Sources,
     read: &'a dyn Fn(&Path) -> Result<String, ReadError>,
     faults: &'a mut Faults,
-    /// The normal paths of all texts so far. It is only asked, never walked.
-    seen: std::collections::HashSet<PathBuf>,
     /// The texts being read, outermost first: normal path, and the include that led to it.
     open: Vec<(PathBuf, Option<Span>)>,
-    gathered: Gathered,
+    gathered: &'a mut Gathered,
 }
 
 impl Walk<'_> {
@@ -94,7 +97,7 @@ impl Walk<'_> {
             if let Some(position) = self.open.iter().position(|(open, _)| *open == key) {
                 return self.cycle(position, span);
             }
-            if self.seen.contains(&key) {
+            if self.gathered.seen.contains(&key) {
                 return;
             }
             if path.as_os_str() == builtin.as_os_str() && !builtin.starts_with(BUILTIN_FOLDER) {
@@ -109,13 +112,17 @@ impl Walk<'_> {
                 }
             }
         }
-        self.gathered.complete = false;
+        self.gathered.incomplete = true;
         let path = beside.display();
         let fault = match error {
             ReadError::NotFound => {
-                Diagnostic::new(Code::MissingInclude, format!("no file `{}` to include", include.path))
+                let fault = Diagnostic::new(Code::MissingInclude, format!("no file `{}` to include", include.path))
                     .at(span, "")
-                    .note(format!("looked for `{path}` and for a built-in rule file of that name"))
+                    .note(format!("looked for `{path}` and for a built-in rule file of that name"));
+                match self.similar(from, &include.path) {
+                    Some(near) => fault.help(format!("did you mean `{near}`?")),
+                    None => fault,
+                }
             }
             ReadError::NotText { .. } => {
                 Diagnostic::new(Code::NotText, format!("`{path}` is {error}")).at(span, "included here")
@@ -129,9 +136,23 @@ impl Walk<'_> {
         self.faults.push(fault);
     }
 
+    /// A name like this one that could have been included: with the usual ending, or of a built-in file.
+    fn similar(&self, from: SourceId, path: &str) -> Option<String> {
+        let folder = Path::new(self.sources.name(from)).parent().unwrap_or(Path::new(""));
+        let is_there = |path: &Path| (self.read)(path).is_ok();
+        let ended = format!("{path}.{ENDING}");
+        let builtin = |name: &str| is_there(&Path::new(BUILTIN_FOLDER).join(name));
+        if is_there(&folder.join(&ended)) || builtin(&ended) {
+            return Some(ended);
+        }
+        let names = (BUILTIN.iter()).filter_map(|(known, _)| known.strip_prefix("rules/"));
+        let near = did_you_mean(path, names.clone()).or_else(|| did_you_mean(&ended, names))?;
+        builtin(near).then(|| near.to_owned())
+    }
+
     fn open(&mut self, path: &Path, key: PathBuf, text: String, span: Span) {
         if self.open.len() >= MAX_DEPTH {
-            self.gathered.complete = false;
+            self.gathered.incomplete = true;
             let fault = Diagnostic::new(Code::LimitExceeded, "includes nested too deeply")
                 .at(span, "")
                 .note(format!("a chain of includes has at most {MAX_DEPTH} files"));
@@ -139,7 +160,7 @@ impl Walk<'_> {
             return;
         }
         let id = self.sources.add(path.display().to_string(), text);
-        self.seen.insert(key.clone());
+        self.gathered.seen.insert(key.clone());
         self.open.push((key, Some(span)));
         self.text(id);
         self.open.pop();

@@ -11,13 +11,13 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{Code, Diagnostic, Faults, Span};
 
-use super::ast::{Atom, Clause, Item, Literal, Term, TermKind};
-use super::clause::names_in;
-use super::faults::Faults;
+use super::ast::{Atom, Clause, Decl, Item, Literal, Name, Term, TermKind};
+use super::clause::{names_in, names_of};
 use super::parser::negate;
 use super::rules::Comparison;
+use super::strata::components;
 use super::witness::{Names, bound_names, renamed, renamed_term};
 
 /// Inline predicates may use each other so deeply.
@@ -31,44 +31,35 @@ type Meanings<'c> = HashMap<&'c str, Vec<(&'c Atom, &'c [Literal])>>;
 
 /// The items with such predicates replaced; `None` if there are none.
 pub(super) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> {
-    let inline: HashSet<&str> = (items.iter())
-        .filter_map(|item| match item {
-            Item::Decl(decl) if decl.qualifiers.iter().any(|word| word.text == "inline") => Some(&decl.names),
-            _ => None,
-        })
-        .flatten()
-        .map(|name| name.text.as_str())
-        .collect();
+    let inline = declared(items);
     if inline.is_empty() {
         return None;
     }
-    let clauses = || {
-        items.iter().filter_map(|item| match item {
-            Item::Clause(clause) => Some(clause),
-            _ => None,
-        })
-    };
+    refuse_marks(items, &inline, faults);
+    let cyclic = refuse_cycles(items, &inline, faults);
     let mut meanings: Meanings<'_> = HashMap::new();
     let mut open: HashSet<&str> = HashSet::new();
-    for clause in clauses() {
+    for clause in clauses(items) {
         for head in clause
             .heads
             .iter()
-            .filter(|head| inline.contains(head.predicate.text.as_str()))
+            .filter(|head| inline.contains_key(head.predicate.text.as_str()))
         {
             let name = head.predicate.text.as_str();
             meanings.entry(name).or_default().push((head, &clause.body));
             let bound = bound_names(&clause.body.iter().collect::<Vec<_>>());
             let is_open =
                 |term: &Term| matches!(&term.kind, TermKind::Variable(name) if !bound.contains(name.as_str()));
-            let simple = !clause.body.iter().any(|literal| matches!(literal, Literal::Any(_)));
+            let says_true = |literal: &Literal| *literal == Literal::Any(vec![Vec::new()]);
+            let simple = !(clause.body.iter()).any(|literal| matches!(literal, Literal::Any(_)) && !says_true(literal));
             if simple && !clause.body.is_empty() && head.terms.iter().any(is_open) {
                 open.insert(name);
             }
         }
     }
-    meanings.retain(|name, _| open.contains(name));
-    if meanings.is_empty() {
+    refuse_negated(items, &meanings, &open, faults);
+    meanings.retain(|name, _| open.contains(name) && !cyclic.contains(name));
+    if meanings.is_empty() && cyclic.is_empty() {
         return None;
     }
     let mut inliner = Inliner {
@@ -82,7 +73,10 @@ pub(super) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> 
         match item {
             Item::Clause(clause) => {
                 let heads: Vec<Atom> = (clause.heads.iter())
-                    .filter(|head| !meanings.contains_key(head.predicate.text.as_str()))
+                    .filter(|head| {
+                        let name = head.predicate.text.as_str();
+                        !meanings.contains_key(name) && !cyclic.contains(name)
+                    })
                     .cloned()
                     .collect();
                 if !heads.is_empty() {
@@ -98,7 +92,8 @@ pub(super) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> 
             Item::Decl(decl) => {
                 let mut decl = decl.clone();
                 // Here the word has an effect.
-                if decl.names.iter().all(|name| meanings.contains_key(name.text.as_str())) {
+                let replaced = |name: &str| meanings.contains_key(name) || cyclic.contains(name);
+                if decl.names.iter().all(|name| replaced(&name.text)) {
                     decl.qualifiers.retain(|word| word.text != "inline");
                 }
                 out.push(Item::Decl(decl));
@@ -107,6 +102,136 @@ pub(super) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> 
         }
     }
     Some(out)
+}
+
+fn clauses(items: &[Item]) -> impl Iterator<Item = &Clause> {
+    items.iter().filter_map(|item| match item {
+        Item::Clause(clause) => Some(clause),
+        _ => None,
+    })
+}
+
+/// The inline predicates and where they are declared. `no_inline` beside `inline` wins.
+fn declared(items: &[Item]) -> HashMap<&str, Span> {
+    let has = |decl: &Decl, wanted: &str| decl.qualifiers.iter().any(|word| word.text == wanted);
+    (items.iter())
+        .filter_map(|item| match item {
+            Item::Decl(decl) if has(decl, "inline") && !has(decl, "no_inline") => Some(&decl.names),
+            _ => None,
+        })
+        .flatten()
+        .map(|name| (name.text.as_str(), name.place.0))
+        .collect()
+}
+
+fn refused(name: &Name, why: &str) -> Diagnostic {
+    Diagnostic::new(
+        Code::Unsupported,
+        format!("`{}` {why}: this is not supported", name.text),
+    )
+    .at(name.place.0, "")
+    .help("remove `inline` from its declaration")
+}
+
+/// What stands for something else is neither read nor written.
+fn refuse_marks(items: &[Item], inline: &HashMap<&str, Span>, faults: &mut Faults) {
+    for item in items {
+        let Item::Mark(mark) = item else { continue };
+        for name in &mark.names {
+            if let Some(&declaration) = inline.get(name.text.as_str()) {
+                let why = format!("is inline and named by `.{}`", mark.kind.name());
+                faults.push(refused(name, &why).also(declaration, "declared here"));
+            }
+        }
+    }
+}
+
+/// The inline predicates that stand for themselves, by way of inline ones only. Each circle is told once.
+fn refuse_cycles<'c>(items: &'c [Item], inline: &HashMap<&'c str, Span>, faults: &mut Faults) -> HashSet<&'c str> {
+    let mut names: Vec<&str> = inline.keys().copied().collect();
+    names.sort_unstable_by_key(|name| inline[name]);
+    let number: HashMap<&str, usize> = names.iter().enumerate().map(|(number, name)| (*name, number)).collect();
+    let mut uses: Vec<(usize, usize, &Name)> = Vec::new();
+    for clause in clauses(items) {
+        for head in &clause.heads {
+            if let Some(&from) = number.get(head.predicate.text.as_str()) {
+                each_atom(&clause.body, &mut |_, atom| {
+                    if let Some(&to) = number.get(atom.predicate.text.as_str()) {
+                        uses.push((from, to, &atom.predicate));
+                    }
+                });
+            }
+        }
+    }
+    let mut successors = vec![Vec::new(); names.len()];
+    for &(from, to, _) in &uses {
+        successors[from].push(to);
+    }
+    let (component, _) = components(&successors);
+    let mut told: HashSet<usize> = HashSet::new();
+    let mut cyclic = HashSet::new();
+    for (from, to, place) in uses {
+        if component[from] == component[to] {
+            cyclic.extend([names[from], names[to]]);
+            if told.insert(component[from]) {
+                let why = "is inline and depends on itself by way of inline predicates only";
+                faults.push(refused(place, why).also(inline[names[to]], "declared here"));
+            }
+        }
+    }
+    cyclic
+}
+
+/// "Not P" for a P that is closed: what a clause of P has besides the variables of its head cannot be bound outside.
+fn refuse_negated(items: &[Item], meanings: &Meanings<'_>, open: &HashSet<&str>, faults: &mut Faults) {
+    let has_own = |(head, body): &(&Atom, &[Literal])| {
+        let mut of_head: HashSet<&str> = HashSet::new();
+        head.terms.iter().for_each(|term| {
+            names_of(term, true, &mut |name| {
+                of_head.insert(name);
+            })
+        });
+        let mut own = false;
+        body.iter()
+            .for_each(|literal| names_in(literal, true, &mut |name| own |= !of_head.contains(name)));
+        own
+    };
+    for clause in clauses(items) {
+        each_atom(&clause.body, &mut |negated, atom| {
+            let name = atom.predicate.text.as_str();
+            let meaning = meanings.get(name).filter(|_| negated && !open.contains(name));
+            if meaning.is_some_and(|clauses| clauses.iter().any(has_own)) {
+                let why = "is inline, has variables of its own, and is negated";
+                faults.push(refused(&atom.predicate, why));
+            }
+        });
+    }
+}
+
+/// Every atom of literals, those of aggregates included, and whether it is negated.
+fn each_atom<'c>(literals: &'c [Literal], each: &mut dyn FnMut(bool, &'c Atom)) {
+    for literal in literals {
+        match literal {
+            Literal::Atom { negated, atom } => {
+                each(*negated, atom);
+                atom.terms.iter().for_each(|term| each_atom_of(term, each));
+            }
+            Literal::Compare { left, right, .. } => {
+                each_atom_of(left, each);
+                each_atom_of(right, each);
+            }
+            Literal::Any(alternatives) => alternatives.iter().for_each(|all| each_atom(all, each)),
+        }
+    }
+}
+
+fn each_atom_of<'c>(term: &'c Term, each: &mut dyn FnMut(bool, &'c Atom)) {
+    match &term.kind {
+        TermKind::Functor(_, arguments) => arguments.iter().for_each(|argument| each_atom_of(argument, each)),
+        TermKind::Cast(inner, _) => each_atom_of(inner, each),
+        TermKind::Aggregate(aggregate) => each_atom(&aggregate.body, each),
+        _ => {}
+    }
 }
 
 struct Inliner<'a, 'c> {
@@ -146,7 +271,7 @@ impl Inliner<'_, '_> {
                 };
                 self.growth += meanings.iter().map(|(_, body)| 1 + body.len()).sum::<usize>();
                 if depth >= MAX_DEPTH || self.growth > MAX_GROWTH {
-                    return self.refuse(atom, "is inline and used too deeply or by itself");
+                    return self.refuse(atom, "is inline and used too deeply");
                 }
                 let mut alternatives = Vec::new();
                 for &(head, body) in meanings {
@@ -154,7 +279,7 @@ impl Inliner<'_, '_> {
                         return vec![literal.clone()];
                     }
                     let Some(alternative) = self.meaning(atom, head, body, *negated) else {
-                        return self.refuse(atom, "is inline, has variables of its own, and cannot be negated");
+                        return self.refuse(atom, "is inline, has variables of its own, and is negated");
                     };
                     alternatives.push(self.all(&alternative, depth + 1));
                 }
@@ -186,9 +311,7 @@ impl Inliner<'_, '_> {
     }
 
     fn refuse(&mut self, atom: &Atom, why: &str) -> Vec<Literal> {
-        let message = format!("`{}` {why}: this is not supported", atom.predicate.text);
-        self.faults
-            .push(Diagnostic::new(Code::Unsupported, message).at(atom.place.0, ""));
+        self.faults.push(refused(&atom.predicate, why));
         Vec::new()
     }
 

@@ -1,8 +1,6 @@
 //! Text to tokens. One pass, no look-back; faults are reported and lexing goes on.
 
-use crate::diag::{Code, Diagnostic, SourceId, Span};
-
-use super::faults::Faults;
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Span};
 
 /// Longer names are refused, so that they can be shown and compared.
 pub(super) const MAX_NAME_BYTES: usize = 255;
@@ -42,7 +40,7 @@ pub(super) enum Kind {
     /// `<:`
     Subtype,
     Pipe,
-    /// `+ * / % ^ &`
+    /// `+ * / % ^`
     Operator,
     Minus,
     Dollar,
@@ -50,6 +48,33 @@ pub(super) enum Kind {
     Hash,
     End,
 }
+
+/// What other languages write, the token that stands for it here, and how that is written.
+const FOREIGN: &[(&str, Kind, &str)] = &[
+    ("\\+", Kind::Bang, NEGATION),
+    ("=\\=", Kind::NotEqual, "inequality is written `!=`"),
+    ("\\=", Kind::NotEqual, "inequality is written `!=`"),
+    ("<>", Kind::NotEqual, "inequality is written `!=`"),
+    ("\u{2260}", Kind::NotEqual, "inequality is written `!=`"),
+    ("=:=", Kind::Equal, "equality is written `=`"),
+    ("==", Kind::Equal, "equality is written `=`"),
+    ("=<", Kind::LessEqual, "\"at most\" is written `<=`"),
+    ("\u{2264}", Kind::LessEqual, "\"at most\" is written `<=`"),
+    ("\u{2265}", Kind::GreaterEqual, "\"at least\" is written `>=`"),
+    ("&&", Kind::Comma, CONJUNCTION),
+    ("&", Kind::Comma, CONJUNCTION),
+    ("\u{2227}", Kind::Comma, CONJUNCTION),
+    ("||", Kind::Semicolon, DISJUNCTION),
+    ("\u{2228}", Kind::Semicolon, DISJUNCTION),
+    ("~", Kind::Bang, NEGATION),
+    ("\u{ac}", Kind::Bang, NEGATION),
+    ("\u{2190}", Kind::If, IMPLICATION),
+];
+
+pub(super) const NEGATION: &str = "negation is written `Not(P(X))`, `not P(X)` or `!P(X)`";
+pub(super) const CONJUNCTION: &str = "literals are separated by commas, which mean \"and\"";
+pub(super) const DISJUNCTION: &str = "alternatives are separated by `;`";
+pub(super) const IMPLICATION: &str = "head and body are separated by `:-`";
 
 /// A token: what it is and its bytes.
 #[derive(Clone, Copy, Debug)]
@@ -92,6 +117,15 @@ pub(super) fn is_name_start(byte: u8) -> bool {
 
 pub(super) fn is_name_part(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'?'
+}
+
+/// Whether a text can be the name of a predicate or a type.
+pub fn is_name(text: &str) -> bool {
+    let mut bytes = text.bytes();
+    text.len() <= MAX_NAME_BYTES
+        && bytes.next().is_some_and(is_name_start)
+        && bytes.all(is_name_part)
+        && !matches!(text, "_" | "Not" | "not")
 }
 
 /// `text` must be shorter than 4 GiB.
@@ -297,7 +331,28 @@ impl Lexer<'_> {
         self.push(kind, length);
     }
 
+    /// Reports a spelling of other languages and goes on with what it stands for. `None` if there is none here.
+    fn foreign(&mut self) -> Option<()> {
+        let rest = &self.bytes[self.at..];
+        let (written, kind, help) = FOREIGN
+            .iter()
+            .find(|(written, ..)| rest.starts_with(written.as_bytes()))?;
+        // `T<>` is a lattice of Souffle's, which the parser knows.
+        if *written == "<>" && matches!(rest.get(2), Some(b')' | b',')) {
+            return None;
+        }
+        let fault = Diagnostic::new(Code::Syntax, format!("`{written}` has no meaning here"))
+            .at(self.span(self.at, self.at + written.len()), "")
+            .help(*help);
+        self.faults.push(fault);
+        self.push(*kind, written.len());
+        Some(())
+    }
+
     fn punctuation(&mut self, byte: u8) {
+        if self.foreign().is_some() {
+            return;
+        }
         let (kind, length) = match (byte, self.peek(1)) {
             (b':', Some(b'-')) => (Kind::If, 2),
             (b'!', Some(b'=')) => (Kind::NotEqual, 2),
@@ -320,7 +375,7 @@ impl Lexer<'_> {
             (b'>', _) => (Kind::Greater, 1),
             (b'|', _) => (Kind::Pipe, 1),
             (b'-', _) => (Kind::Minus, 1),
-            (b'+' | b'*' | b'/' | b'%' | b'^' | b'&', _) => (Kind::Operator, 1),
+            (b'+' | b'*' | b'/' | b'%' | b'^', _) => (Kind::Operator, 1),
             (b'$', _) => (Kind::Dollar, 1),
             (b'@', _) => (Kind::At, 1),
             (b'#', _) => (Kind::Hash, 1),
@@ -350,7 +405,6 @@ impl Lexer<'_> {
             '\'' | '\u{2018}' | '\u{2019}' | '\u{201c}' | '\u{201d}' => {
                 fault.help("texts are written in double quotes: `\"...\"`")
             }
-            '\u{ac}' | '~' | '\\' => fault.help("negation is written `Not(P(X))`, `not P(X)` or `!P(X)`"),
             _ if first.is_alphabetic() => fault.help(
                 "names are made of the letters a-z and A-Z, digits, `_` and `?`; other letters stand in texts only",
             ),

@@ -2,13 +2,12 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Code, Diagnostic, Faults, Span};
 
 use super::clause::{Checked, Clauses};
-use super::faults::Faults;
 use super::functor::Functor;
 use super::names::Names;
-use super::rules::{Atom, BaseType, Clause, Comparison, Literal, RelId, Term, Value};
+use super::rules::{Atom, BaseType, Clause, Comparison, Literal, RelId, Relation, Term, Value};
 use super::strata;
 
 // --- clauses that never fire
@@ -102,7 +101,9 @@ fn filled(all: &Clauses, names: &Names) -> Vec<bool> {
             users[atom.relation.index()].push(index);
         }
     }
-    let mut filled: Vec<bool> = names.relations.iter().map(|relation| relation.input).collect();
+    // A hidden predicate with positive atoms, see `range`, is filled by what the clause asks of it.
+    let given = |relation: &Relation| relation.input || relation.hidden;
+    let mut filled: Vec<bool> = names.relations.iter().map(given).collect();
     for (index, Checked { clause, .. }) in all.clauses.iter().enumerate() {
         filled[clause.head.relation.index()] |= waiting[index] == 0;
     }
@@ -136,7 +137,7 @@ const MAX_STEPS_OF_PAIR: usize = 2_000;
 pub(super) fn redundant(clauses: &[Checked], faults: &mut Faults) {
     // Facts are found by their rows: there may be very many. The map is only asked, never walked.
     let mut facts: HashMap<(RelId, &[Term]), Span> = HashMap::new();
-    for Checked { clause, sound } in clauses {
+    for Checked { clause, sound, .. } in clauses {
         if *sound && clause.body.is_empty() {
             let row = (clause.head.relation, clause.head.terms.as_slice());
             if let Some(&first) = facts.get(&row) {
@@ -147,7 +148,7 @@ pub(super) fn redundant(clauses: &[Checked], faults: &mut Faults) {
         }
     }
     let mut by_head: indexmap::IndexMap<RelId, Vec<Pattern>> = indexmap::IndexMap::new();
-    for Checked { clause, sound } in clauses {
+    for Checked { clause, sound, .. } in clauses {
         // Of aggregates nothing is known.
         let known = !(clause.body.iter()).any(|literal| matches!(literal, Literal::Aggregate { .. }));
         if *sound && known && !clause.body.is_empty() {

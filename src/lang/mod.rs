@@ -1,27 +1,27 @@
 //! From text to checked rules.
 //!
 //! [`load`] is the door: it reads a rule file and all it includes and gives the checked [`Rules`], or every fault of every
-//! file. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names; [`format`](fn@format) lays a
+//! file; [`Texts`] is for those who change a program and ask it questions. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names; [`format`](fn@format) lays a
 //! text out and keeps its comments.
 //!
 //! The stages, each in its own file: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
 //! list of items), `inline` (predicates that stand for their bodies), `names` (types and predicates), `clause` (alternatives and
-//! several heads), `witness` (who has the least), `body` (one clause: names, expressions, types, safety), `aggregate` (hidden
-//! predicates for aggregates), `scope` (guards), `promise` (what is promised of facts), `strata` (order of evaluation), `lint`
+//! several heads), `witness` (who has the least), `body` (one clause: names, expressions, types, safety), `aggregate` and `range` (hidden
+//! predicates for these), `scope` (guards), `promise` (what is promised of facts), `strata` (order of evaluation), `lint`
 //! (warnings that need all clauses). None stops at the first fault.
 //!
 //! This room refuses to know what a city is, how rules are evaluated, and where texts come from: the caller reads the files.
 
 use std::path::Path;
 
-use crate::diag::{Diagnostic, SourceId, Sources};
+use crate::diag::{Diagnostic, Faults, SourceId, Sources};
 use crate::files::ReadError;
+use crate::symbol::Symbols;
 
 mod aggregate;
 pub mod ast;
 mod body;
 mod clause;
-mod faults;
 mod format;
 mod functor;
 mod include;
@@ -32,20 +32,24 @@ mod names;
 mod parser;
 mod print;
 mod promise;
+mod range;
 mod rules;
 mod scope;
 mod strata;
+mod texts;
 mod witness;
 
 pub use format::format;
 pub use functor::{AggregateOp, Functor, Patterns, parse as parse_value};
+pub use parser::DIRECTIVES;
 pub use print::print;
 pub use rules::{
     Atom, BaseType, Clause, ClauseId, Column, Comparison, Constraint, Directive, Literal, MarkKind, Promise, RelId,
     Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, Value, VarId,
 };
 
-use faults::Faults;
+pub use lexer::is_name;
+pub use texts::{FactPattern, FactRow, Texts, is_complete};
 
 /// What [`load`] gives.
 #[derive(Clone, Debug)]
@@ -62,22 +66,38 @@ pub struct Loaded {
 /// not found, for the path [`BUILTIN_FOLDER`](crate::files::BUILTIN_FOLDER)`/x`, at which the caller may serve rule files of its own. Included texts are added to
 /// `sources`.
 pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn Fn(&Path) -> Result<String, ReadError>) -> Loaded {
-    let mut faults = Faults::default();
-    let gathered = include::gather(sources, entry, read, &mut faults);
-    let rules = check(&gathered, &mut faults);
-    let rules = if faults.failed() { None } else { rules };
-    Loaded {
-        rules,
-        diagnostics: faults.finish(),
-    }
+    load_with(sources, entry, read, Inputs::Given)
 }
 
-fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
-    let replaced = inline::replace(&gathered.items, faults);
+/// What holds of a predicate that is `.input`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Inputs {
+    /// The rows that are given, and the facts of the text: a rule for it is an error.
+    #[default]
+    Given,
+    /// Besides, what rules derive, as in Souffle: a rule for it is told by a warning.
+    Extended,
+}
+
+/// As [`load`], with a choice of what an `.input` is.
+pub fn load_with(
+    sources: &mut Sources,
+    entry: SourceId,
+    read: &dyn Fn(&Path) -> Result<String, ReadError>,
+    inputs: Inputs,
+) -> Loaded {
+    let mut texts = Texts::new(inputs);
+    texts.add(sources, entry, read);
+    texts.check()
+}
+
+/// Checks all items. The constants' texts are added to `symbols`.
+fn check(items: &[ast::Item], complete: bool, inputs: Inputs, symbols: Symbols, faults: &mut Faults) -> Option<Rules> {
+    let replaced = inline::replace(items, faults);
     let syntax_is_good = !faults.failed();
-    let items = replaced.as_ref().unwrap_or(&gathered.items);
-    let mut names = names::declare(items, gathered.complete, faults);
-    let checked = clause::check(items, &mut names, faults);
+    let items = replaced.as_deref().unwrap_or(items);
+    let mut names = names::declare(items, complete, inputs, faults);
+    let checked = clause::check(items, &mut names, symbols, faults);
     let promises = promise::check(items, &mut names, faults);
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
@@ -108,7 +128,7 @@ fn check(gathered: &include::Gathered, faults: &mut Faults) -> Option<Rules> {
 pub struct Parsed {
     /// The tree of all that could be understood.
     pub file: ast::File,
-    /// The faults of the text; all are errors.
+    /// The faults of the text.
     pub diagnostics: Vec<Diagnostic>,
 }
 

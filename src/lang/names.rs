@@ -2,10 +2,10 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, Span, did_you_mean};
 
-use super::ast::{Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
-use super::faults::Faults;
+use super::Inputs;
+use super::ast::{self, Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
 use super::rules::{BaseType, Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
 
 /// More columns than this are refused.
@@ -40,12 +40,18 @@ pub(super) struct Names {
     /// Where each type is declared, for labels; none for `symbol` and `number`.
     type_spans: Vec<Option<Span>>,
     type_by_name: HashMap<String, Option<TypeId>>,
+    /// Where each type is declared, those too that are another name for one.
+    declared_types: HashMap<String, Span>,
     /// The unions that a type is a member of.
     unions_of: HashMap<TypeId, Vec<TypeId>>,
     relation_by_name: HashMap<String, RelId>,
+    /// The `.printsize` that names a predicate.
+    printsizes: HashMap<RelId, Span>,
     unknown: Unknown,
     /// Whether every declaration was read; if not, unknown names are not reported.
     complete: bool,
+    /// What an `.input` may be.
+    pub inputs: Inputs,
 }
 
 /// Unknown names and where they are used, in the order of first use.
@@ -55,17 +61,20 @@ struct Unknown {
     types: indexmap::IndexMap<String, Vec<Span>>,
 }
 
-pub(super) fn declare(items: &[Item], complete: bool, faults: &mut Faults) -> Names {
+pub(super) fn declare(items: &[Item], complete: bool, inputs: Inputs, faults: &mut Faults) -> Names {
     let mut names = Names {
         types: Vec::new(),
         relations: Vec::new(),
         signatures: Vec::new(),
         type_spans: Vec::new(),
         type_by_name: HashMap::new(),
+        declared_types: HashMap::new(),
         unions_of: HashMap::new(),
         relation_by_name: HashMap::new(),
+        printsizes: HashMap::new(),
         unknown: Unknown::default(),
         complete,
+        inputs,
     };
     names.declare_types(items, faults);
     for item in items {
@@ -73,18 +82,54 @@ pub(super) fn declare(items: &[Item], complete: bool, faults: &mut Faults) -> Na
             names.declare_predicates(decl, faults);
         }
     }
+    let mut before: Option<&ast::Clause> = None;
     for item in items {
         match item {
+            Item::Clause(clause) => before = Some(clause),
             Item::Mark(mark) => names.mark(mark, faults),
             Item::Pragma(pragma) => faults.push(
                 Diagnostic::new(Code::Ignored, "`.pragma` has no effect")
                     .at(pragma.place.0, "")
                     .help("remove it"),
             ),
+            Item::Plan(plan) => check_plan(plan, before, faults),
             _ => {}
         }
     }
     names
+}
+
+/// Orders that are none of the clause before are refused, as Souffle does.
+fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Faults) {
+    let positive = |literal: &ast::Literal| matches!(literal, ast::Literal::Atom { negated: false, .. });
+    let is_flat = |clause: &&ast::Clause| {
+        !clause
+            .body
+            .iter()
+            .any(|literal| matches!(literal, ast::Literal::Any(_)))
+    };
+    if let Some(clause) = clause.filter(is_flat) {
+        let count = clause.body.iter().filter(|literal| positive(literal)).count();
+        for (version, order) in &plan.orders {
+            let mut sorted = order.clone();
+            sorted.sort_unstable();
+            if !sorted.into_iter().eq(1..=count as i64) {
+                let fault = Diagnostic::new(
+                    Code::Syntax,
+                    format!("version {version} is no order of the clause's atoms"),
+                )
+                .at(plan.place.0, "")
+                .also(
+                    clause.place.0,
+                    format!("the positive atoms of the clause before it: {count}"),
+                );
+                faults.push(fault.help("name each atom once by its number, or remove `.plan`: it has no effect"));
+                return;
+            }
+        }
+    }
+    let fault = Diagnostic::new(Code::Ignored, "`.plan` has no effect").at(plan.place.0, "");
+    faults.push(fault.help("remove it; the order of literals is chosen by itself"));
 }
 
 impl Names {
@@ -128,6 +173,34 @@ impl Names {
             .rev()
             .take_while(|relation| relation.hidden)
             .count()
+    }
+
+    /// A hidden predicate with these columns, which clauses are to derive.
+    pub fn hide(&mut self, columns: Vec<(String, TypeId)>, doc: String, span: Span) -> RelId {
+        let relation = RelId(u32::try_from(self.relations.len()).expect("fewer than 2^32 predicates"));
+        self.signatures.push(Signature {
+            columns: Some(columns.iter().map(|(_, ty)| Some(*ty)).collect()),
+            input: None,
+        });
+        let column = |(name, ty)| Column {
+            name,
+            ty,
+            base: self.base(ty),
+        };
+        self.relations.push(Relation {
+            name: format!("+{}", self.hidden() + 1),
+            columns: columns.into_iter().map(column).collect(),
+            doc,
+            span,
+            input: false,
+            given: None,
+            output: false,
+            printsize: false,
+            derived: true,
+            hidden: true,
+            directives: Vec::new(),
+        });
+        relation
     }
 
     pub fn type_name(&self, id: TypeId) -> &str {
@@ -209,6 +282,7 @@ impl Names {
                 faults.push(fault);
             } else {
                 first.insert(name, decl);
+                self.declared_types.insert(name.to_owned(), decl.name.place.0);
                 declared.push(decl);
             }
         }
@@ -258,6 +332,7 @@ impl Names {
                 self.types[id.0 as usize].members = known;
             }
         }
+        self.refuse_subtypes_of_unions(&declared, &mut faulty, faults);
         self.settle_parents(&mut faulty, faults);
         self.settle_unions(&declared, &mut faulty, faults);
         for decl in &declared {
@@ -315,6 +390,27 @@ impl Names {
             };
         }
         None
+    }
+
+    /// A subtype has one parent line, which a union has not.
+    fn refuse_subtypes_of_unions(&self, declared: &[&TypeDecl], faulty: &mut [bool], faults: &mut Faults) {
+        let is_union = |decl: &&&TypeDecl| matches!(decl.definition, TypeDefinition::Union(_));
+        let unions: HashMap<TypeId, Span> = (declared.iter().filter(is_union))
+            .filter_map(|decl| Some((self.type_by_name[&decl.name.text]?, decl.name.place.0)))
+            .collect();
+        for decl in declared {
+            if let (TypeDefinition::Subtype(parent), Some(id)) = (&decl.definition, self.type_by_name[&decl.name.text])
+                && let Some(union) = self.types[id.0 as usize].parent.and_then(|id| unions.get(&id))
+            {
+                faulty[id.0 as usize] = true;
+                let message = format!("`{}` is a subtype of the union `{}`", decl.name.text, parent.text);
+                let fault = Diagnostic::new(Code::TypeMismatch, message)
+                    .at(parent.place.0, "")
+                    .also(*union, "the union")
+                    .help("make it a subtype of a member");
+                faults.push(fault);
+            }
+        }
     }
 
     /// Finds the base of every type through its parents. Types on a cycle or under a faulty one become faulty.
@@ -480,12 +576,17 @@ impl Names {
                 .note(format!("a predicate has at most {MAX_COLUMNS}"));
             faults.push(fault);
         }
-        for word in &decl.qualifiers {
-            let fault = Diagnostic::new(Code::Ignored, format!("`{}` has no effect", word.text));
-            faults.push(fault.at(word.place.0, "").help("remove it"));
-        }
+        qualifiers(&decl.qualifiers, faults);
         for name in &decl.names {
             let span = name.place.0;
+            if let Some(&earlier) = self.declared_types.get(&name.text) {
+                let message = format!("`{}` is a type and a predicate", name.text);
+                let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
+                    .at(span, "declared as a predicate here")
+                    .also(earlier, "declared as a type here")
+                    .help("give one of them another name");
+                faults.push(fault);
+            }
             if let Some(&earlier) = self.relation_by_name.get(&name.text) {
                 let message = format!("the predicate `{}` is declared twice", name.text);
                 let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
@@ -527,7 +628,25 @@ impl Names {
                     self.signatures[id.index()].input.get_or_insert(name.place.0);
                 }
                 MarkKind::Output => relation.output = true,
-                MarkKind::PrintSize => relation.printsize = true,
+                MarkKind::PrintSize => {
+                    relation.printsize = true;
+                    if let Some(earlier) = self.printsizes.insert(id, name.place.0) {
+                        let message = format!("`{}` has two `.printsize`", name.text);
+                        let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
+                            .at(name.place.0, "again here")
+                            .also(earlier, "first here");
+                        faults.push(fault.help("remove one of them"));
+                    }
+                }
+            }
+            let (columns, chosen) = (relation.arity(), directive.format.columns.len());
+            if let Some(option) = mark.options.iter().find(|option| option.key.text == "columns")
+                && chosen != columns
+                && chosen > 0
+            {
+                let message = format!("`columns` names {chosen} columns, `{}` has {columns}", relation.name);
+                let fault = Diagnostic::new(Code::ArityMismatch, message).at(option.place.0, "");
+                faults.push(fault.also(relation.span, "declared here"));
             }
             relation.directives.push(directive.clone());
         }
@@ -589,6 +708,26 @@ impl Names {
     }
 }
 
+/// Reports the words after a declaration: each has no effect, and none may say again or otherwise what another says.
+fn qualifiers(words: &[Name], faults: &mut Faults) {
+    let storage = |word: &Name| matches!(word.text.as_str(), "btree" | "brie");
+    let rivals = |a: &Name, b: &Name| a.text == b.text || (storage(a) && storage(b));
+    for (index, word) in words.iter().enumerate() {
+        if let Some(earlier) = words[..index].iter().find(|earlier| rivals(earlier, word)) {
+            let fault = Diagnostic::new(
+                Code::DuplicateDeclaration,
+                format!("`{}` after `{}`", word.text, earlier.text),
+            )
+            .at(word.place.0, "")
+            .also(earlier.place.0, "one of them is enough");
+            faults.push(fault.help("remove one of them"));
+        } else if !words[index + 1..].iter().any(|later| rivals(word, later)) {
+            let fault = Diagnostic::new(Code::Ignored, format!("`{}` has no effect", word.text));
+            faults.push(fault.at(word.place.0, "").help("remove it"));
+        }
+    }
+}
+
 /// How far back a place is looked for.
 const MAX_USES_REMEMBERED: usize = 8;
 
@@ -634,7 +773,15 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
             "delimiter" => delimiter = Some(option.value.clone()),
             "headers" => format.headers = flag,
             "rfc4180" => format.quoted = flag,
-            key @ ("columns" | "compress" | "dbname") => {
+            "columns" if mark.kind == MarkKind::Input => match column_numbers(&option.value) {
+                Some(numbers) => format.columns = numbers,
+                None => {
+                    let fault = Diagnostic::new(Code::Syntax, "not a list of columns").at(option.place.0, "");
+                    faults.push(fault.help("it is written as numbers, from 0 on, each once: `columns=\"0:2:1\"`"));
+                }
+            },
+            "compress" if option.value == "false" => {}
+            key @ ("compress" | "dbname") => {
                 let fault = Diagnostic::new(Code::Unsupported, format!("the option `{key}` is not supported"));
                 faults.push(fault.at(option.key.place.0, ""));
             }
@@ -654,6 +801,16 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
         place,
         format,
     }
+}
+
+/// `0:2:1`
+fn column_numbers(text: &str) -> Option<Vec<usize>> {
+    let numbers: Vec<usize> = text
+        .split(':')
+        .map(|number| number.trim().parse::<u16>().ok().map(usize::from))
+        .collect::<Option<_>>()?;
+    let different: HashSet<&usize> = numbers.iter().collect();
+    (different.len() == numbers.len()).then_some(numbers)
 }
 
 fn with_uses(mut fault: Diagnostic, uses: &[Span]) -> Diagnostic {

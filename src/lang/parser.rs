@@ -5,16 +5,15 @@
 //! parentheses and braces are nested, and that is bounded, as is the height of an expression: no text can exhaust the stack.
 //! Each token is looked at a bounded number of times.
 
-use crate::diag::{Code, Diagnostic, SourceId, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Span, did_you_mean};
 
 use super::ast::{
     Aggregate, Atom, Clause, ColumnDecl, Decl, DirectiveOption, File, Include, Item, Literal, Mark, MarkKind, Name,
-    Place, Pragma, Promise, PromiseKind, Scope, Term, TermKind, TypeDecl, TypeDefinition,
+    Place, Plan, Pragma, Promise, PromiseKind, Scope, Term, TermKind, TypeDecl, TypeDefinition,
 };
-use super::faults::Faults;
 use super::functor::{AggregateOp, Functor};
-use super::lexer::{self, DocLine, Kind, Lexed, Token};
-use super::rules::Comparison;
+use super::lexer::{self, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, NEGATION, Token};
+use super::rules::{BaseType, Comparison};
 
 /// More negations, parentheses and braces than this around anything are refused.
 const MAX_NESTING: usize = 64;
@@ -22,15 +21,19 @@ const MAX_NESTING: usize = 64;
 /// Higher expressions are refused: an operator or function is one higher than its highest operand.
 const MAX_HEIGHT: usize = 256;
 
-/// Every directive, for suggestions.
-const DIRECTIVES: &[&str] = &[
+/// The words of all directives.
+pub const DIRECTIVES: &[&str] = &[
     "decl",
     "type",
+    "symbol_type",
+    "number_type",
     "input",
     "output",
     "printsize",
     "pragma",
+    "plan",
     "include",
+    "once",
     "scope",
     "disjoint",
     "implies",
@@ -45,13 +48,13 @@ const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
     ("override", "components (`.override`)"),
     ("functor", "user-defined functors (`.functor`)"),
     ("lattice", "lattices (`.lattice`)"),
-    ("plan", "`.plan`"),
     ("limitsize", "`.limitsize`"),
-    ("symbol_type", "the old form `.symbol_type`"),
-    ("number_type", "the old form `.number_type`"),
 ];
 
-/// What Souffle allows after the columns of a declaration and what does not change the answer.
+/// How older versions of Souffle declare a type, and what it is a subtype of.
+const OLD_TYPES: &[(&str, BaseType)] = &[("symbol_type", BaseType::Symbol), ("number_type", BaseType::Number)];
+
+/// What Souffle allows after the columns of a declaration and this language reads.
 const QUALIFIERS: &[&str] = &[
     "inline",
     "no_inline",
@@ -60,7 +63,20 @@ const QUALIFIERS: &[&str] = &[
     "brie",
     "btree",
     "overridable",
+    "input",
+    "output",
+    "printsize",
 ];
+
+/// `.decl A(x: number) output` is Souffle's old way to write `.output A`.
+fn mark_of(qualifier: &str) -> Option<MarkKind> {
+    match qualifier {
+        "input" => Some(MarkKind::Input),
+        "output" => Some(MarkKind::Output),
+        "printsize" => Some(MarkKind::PrintSize),
+        _ => None,
+    }
+}
 
 /// The tree of one text.
 pub(super) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
@@ -70,19 +86,16 @@ pub(super) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
 
 /// The tree of a text that is lexed already, and the number of each item's first token.
 pub(super) fn parse_tokens(source: SourceId, text: &str, lexed: &Lexed, faults: &mut Faults) -> (File, Vec<usize>) {
-    let mut parser = Parser {
-        source,
-        text,
-        tokens: &lexed.tokens,
-        docs: &lexed.docs,
-        next_doc: 0,
-        at: 0,
-        starts: Vec::new(),
-        nesting: 0,
-        faults,
-    };
+    let mut parser = Parser::new(source, text, lexed, faults);
     let file = parser.file();
     (file, parser.starts)
+}
+
+/// The body of a question: `?- A(x), x > 1.`; what is not in doubt, `?-` and the full stop, may be missing.
+pub(super) fn parse_question(source: SourceId, text: &str, faults: &mut Faults) -> Option<(Vec<Literal>, Place)> {
+    let lexed = lexer::lex(source, text, faults);
+    let mut parser = Parser::new(source, text, &lexed, faults);
+    parser.question().ok()
 }
 
 /// The fault has been reported; the caller leaves what it was reading.
@@ -101,10 +114,27 @@ struct Parser<'a> {
     starts: Vec<usize>,
     /// Parentheses, braces and negations around what is being read.
     nesting: usize,
+    /// What the qualifiers of the declaration just read mark its predicates as.
+    marks: Vec<Item>,
     faults: &'a mut Faults,
 }
 
 impl<'a> Parser<'a> {
+    fn new(source: SourceId, text: &'a str, lexed: &'a Lexed, faults: &'a mut Faults) -> Self {
+        Parser {
+            source,
+            text,
+            tokens: &lexed.tokens,
+            docs: &lexed.docs,
+            next_doc: 0,
+            at: 0,
+            starts: Vec::new(),
+            nesting: 0,
+            marks: Vec::new(),
+            faults,
+        }
+    }
+
     // --- looking at tokens
 
     fn token(&self) -> Token {
@@ -165,7 +195,9 @@ impl<'a> Parser<'a> {
     fn at_known_directive(&self) -> bool {
         self.token().first_on_line
             && self.directive_ahead().is_some_and(|name| {
-                DIRECTIVES.contains(&name) || FOREIGN_DIRECTIVES.iter().any(|(foreign, _)| *foreign == name)
+                DIRECTIVES.contains(&name)
+                    || FOREIGN_DIRECTIVES.iter().any(|(foreign, _)| *foreign == name)
+                    || OLD_TYPES.iter().any(|(old, _)| *old == name)
             })
     }
 
@@ -190,6 +222,12 @@ impl<'a> Parser<'a> {
 
     /// Something is missing before the present token.
     fn expected(&mut self, what: &str) -> Reported {
+        let help = self.habit();
+        self.expected_with(what, help)
+    }
+
+    /// As [`Parser::expected`], with what to do.
+    fn expected_with(&mut self, what: &str, help: Option<&str>) -> Reported {
         let token = self.token();
         if token.kind == Kind::Faulty {
             return Reported;
@@ -203,7 +241,7 @@ impl<'a> Parser<'a> {
             self.span(token)
         };
         let mut fault = Diagnostic::new(Code::Syntax, message).at(span, format!("expected {what}"));
-        if let Some(help) = self.habit() {
+        if let Some(help) = help {
             fault = fault.help(help);
         }
         self.faults.push(fault);
@@ -213,14 +251,33 @@ impl<'a> Parser<'a> {
     /// What to write instead of a present token that other languages have at such a place.
     fn habit(&self) -> Option<&'static str> {
         let (token, next) = (self.token(), self.ahead(1));
-        match self.slice(token) {
-            "and" | "&" => Some("literals are separated by commas, which mean \"and\""),
-            "or" | "|" => Some("alternatives are separated by `;`"),
-            "if" => Some("head and body are separated by `:-`"),
-            "<" | ":" if next.kind == Kind::Minus => Some("head and body are separated by `:-`"),
-            "=" if self.at > 0 && self.previous().kind == Kind::Equal => Some("equality is written `=`"),
+        match (self.slice(token), next.kind) {
+            ("and" | "And" | "AND", _) => Some(CONJUNCTION),
+            ("or" | "Or" | "OR" | "|", _) => Some(DISJUNCTION),
+            ("if" | "If" | "IF", _) | ("<" | ":", Kind::Minus) | (":", Kind::Equal) | ("-", Kind::Greater) => {
+                Some(IMPLICATION)
+            }
+            ("=", Kind::Greater) => Some("the head of a clause comes first: `A(x) :- B(x).`"),
+            (">", _) if self.at > 0 && self.previous().kind == Kind::Equal => Some("\"at least\" is written `>=`"),
+            ("is", _) => Some("equality is written `=`"),
             _ => None,
         }
+    }
+
+    /// Reports one of these words, so many tokens long, where `what` is expected, and goes on behind it.
+    fn goes_on_after(&mut self, help: &str, what: &str) -> bool {
+        let token = self.token();
+        // On a line of its own a name with arguments begins a clause.
+        let is_atom = token.first_on_line && self.ahead(1).kind == Kind::LParen;
+        if self.habit() != Some(help) || is_atom {
+            return false;
+        }
+        self.expected(what);
+        self.bump();
+        if token.kind != Kind::Ident && token.kind != Kind::Pipe {
+            self.bump();
+        }
+        true
     }
 
     /// The present token cannot begin a clause or directive.
@@ -253,7 +310,10 @@ impl<'a> Parser<'a> {
             self.starts.push(start);
             self.nesting = 0;
             match self.item() {
-                Ok(item) => file.items.extend(item),
+                Ok(item) => {
+                    file.items.extend(item);
+                    file.items.append(&mut self.marks);
+                }
                 Err(Reported) => self.recover(start),
             }
             debug_assert!(self.at > start || self.kind() == Kind::End, "every item reads a token");
@@ -324,6 +384,15 @@ impl<'a> Parser<'a> {
             },
             Kind::Ident => self.clause(doc).map(|clause| Some(Item::Clause(clause))),
             Kind::Bang => Err(self.expected_item(" (a head cannot be negated)")),
+            Kind::Hash if self.slice(self.ahead(1)) == "include" && self.ahead(2).kind == Kind::Text => {
+                self.bump();
+                self.bump();
+                let file = self.bump();
+                Ok(Some(Item::Include(Include {
+                    path: self.unescape(file),
+                    place: Place(self.span(file)),
+                })))
+            }
             Kind::Hash => {
                 self.bump();
                 while self.kind() != Kind::End && !self.token().first_on_line {
@@ -351,7 +420,7 @@ impl<'a> Parser<'a> {
         let span = self.span(dot).to(self.span(word));
         match name {
             "decl" => self.decl(doc).map(|decl| Some(Item::Decl(decl))),
-            "type" => self.type_decl(doc).map(|decl| Some(Item::Type(decl))),
+            "type" => self.type_decl(doc, None).map(|decl| Some(Item::Type(decl))),
             "input" => self.mark(MarkKind::Input).map(|mark| Some(Item::Mark(mark))),
             "output" => self.mark(MarkKind::Output).map(|mark| Some(Item::Mark(mark))),
             "printsize" => self.mark(MarkKind::PrintSize).map(|mark| Some(Item::Mark(mark))),
@@ -370,6 +439,13 @@ impl<'a> Parser<'a> {
                     place: Place(self.span(token)),
                 })))
             }
+            "once" => {
+                let fault = Diagnostic::new(Code::Ignored, "`.once` has no effect")
+                    .at(span, "")
+                    .note("every file is read once");
+                self.faults.push(fault.help("remove it"));
+                Ok(None)
+            }
             "pragma" => {
                 let mut words = Vec::new();
                 while matches!(self.kind(), Kind::Text | Kind::OpenText) {
@@ -384,6 +460,11 @@ impl<'a> Parser<'a> {
                     place: Place(span),
                 })))
             }
+            "plan" => {
+                let orders = self.join_orders()?;
+                let place = self.place_from(dot);
+                Ok(Some(Item::Plan(Plan { orders, place })))
+            }
             "scope" => {
                 let named = self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen;
                 let predicate = if named { Some(self.name("a predicate")?) } else { None };
@@ -391,13 +472,13 @@ impl<'a> Parser<'a> {
                 Ok(Some(Item::Scope(Scope { predicate, place })))
             }
             _ => {
+                if let Some(&(_, base)) = OLD_TYPES.iter().find(|(old, _)| *old == name) {
+                    return self.type_decl(doc, Some(base)).map(|decl| Some(Item::Type(decl)));
+                }
                 if let Some((_, what)) = FOREIGN_DIRECTIVES.iter().find(|(foreign, _)| *foreign == name) {
                     let verb = if what.contains('(') { "are" } else { "is" };
                     let help = match name {
                         "limitsize" => "remove it; a query stops by itself when it derives too many rows",
-                        "plan" => "remove it; the order of literals is chosen by itself",
-                        "symbol_type" => "write `.type name <: symbol`",
-                        "number_type" => "write `.type name <: number`",
                         _ => "",
                     };
                     let reported = self.unsupported(span, &format!("{what} {verb}"), help);
@@ -412,6 +493,38 @@ impl<'a> Parser<'a> {
                 self.faults.push(fault);
                 Err(Reported)
             }
+        }
+    }
+
+    /// `0:(1,2), 1:(2,1)`
+    fn join_orders(&mut self) -> Parse<Vec<(i64, Vec<i64>)>> {
+        let mut orders = Vec::new();
+        loop {
+            let version = self.wanted(Kind::Number, "the number of a version")?;
+            let version = self.number(version);
+            self.wanted(Kind::Colon, "`:`")?;
+            self.wanted(Kind::LParen, "`(`")?;
+            let mut order = Vec::new();
+            while self.kind() == Kind::Number {
+                let atom = self.bump();
+                order.push(self.number(atom));
+                if !self.eat(Kind::Comma) {
+                    break;
+                }
+            }
+            self.wanted(Kind::RParen, "`)`")?;
+            orders.push((version, order));
+            if !self.eat(Kind::Comma) {
+                return Ok(orders);
+            }
+        }
+    }
+
+    fn wanted(&mut self, kind: Kind, what: &str) -> Parse<Token> {
+        if self.kind() == kind {
+            Ok(self.bump())
+        } else {
+            Err(self.expected(what))
         }
     }
 
@@ -564,7 +677,15 @@ impl<'a> Parser<'a> {
                 && QUALIFIERS.contains(&self.slice(self.token()))
                 && self.ahead(1).kind != Kind::LParen
             {
-                qualifiers.push(self.name("a qualifier")?);
+                let word = self.name("a qualifier")?;
+                match mark_of(&word.text) {
+                    Some(kind) => self.marks.push(Item::Mark(Mark {
+                        kind,
+                        names: names.clone(),
+                        options: Vec::new(),
+                    })),
+                    None => qualifiers.push(word),
+                }
             }
             self.foreign_qualifiers();
         }
@@ -590,6 +711,9 @@ impl<'a> Parser<'a> {
                 return Err(self.expected("`:` and the column's type"));
             }
             let ty = self.name("a type")?;
+            if self.kind() == Kind::Less {
+                return Err(self.unsupported(self.span(self.token()), "lattices (`<>`) are", ""));
+            }
             columns.push(ColumnDecl { name, ty });
             if self.eat(Kind::RParen) {
                 return Ok(columns);
@@ -605,7 +729,7 @@ impl<'a> Parser<'a> {
         let first = self.token();
         let known = matches!(
             self.slice(first),
-            "btree_delete" | "provenance" | "eqrel" | "override" | "input" | "output" | "printsize" | "choice"
+            "btree_delete" | "provenance" | "eqrel" | "override" | "choice"
         );
         let clause_follows = self.ahead(1).kind == Kind::LParen;
         if first.kind != Kind::Ident || !known || clause_follows {
@@ -621,20 +745,21 @@ impl<'a> Parser<'a> {
             "choice" => "choice-domain".to_owned(),
             word => word.to_owned(),
         };
-        let help = match word.as_str() {
-            "input" | "output" | "printsize" => {
-                format!("write `.{word}` and the predicate's name on a line of its own")
-            }
-            _ => "remove it".to_owned(),
-        };
         let span = self.span(first);
-        self.unsupported(span, &format!("the qualifier `{word}` is"), &help);
+        self.unsupported(span, &format!("the qualifier `{word}` is"), "remove it");
     }
 
-    fn type_decl(&mut self, doc: String) -> Parse<TypeDecl> {
+    /// What follows `.type`, or one of its old forms that say themselves of what base the type is.
+    fn type_decl(&mut self, doc: String, old: Option<BaseType>) -> Parse<TypeDecl> {
         let name = self.name("the type's name")?;
         let start = self.at - 1;
-        let definition = match self.type_definition() {
+        let ends = self.token().first_on_line || self.kind() == Kind::End;
+        let old = old.or(ends.then_some(BaseType::Symbol));
+        let definition = match old {
+            Some(base) => Ok(self.old_type(&name, base)),
+            None => self.type_definition(),
+        };
+        let definition = match definition {
             Ok(definition) => definition,
             Err(Reported) => {
                 self.recover(start);
@@ -642,6 +767,17 @@ impl<'a> Parser<'a> {
             }
         };
         Ok(TypeDecl { name, definition, doc })
+    }
+
+    fn old_type(&mut self, name: &Name, base: BaseType) -> TypeDefinition {
+        let fault = Diagnostic::new(Code::OldForm, "an old form of `.type`")
+            .at(name.place.0, "")
+            .help(format!("write `.type {} <: {}`", name.text, base.name()));
+        self.faults.push(fault);
+        TypeDefinition::Subtype(Name {
+            text: base.name().to_owned(),
+            place: name.place,
+        })
     }
 
     fn type_definition(&mut self) -> Parse<TypeDefinition> {
@@ -672,13 +808,33 @@ impl<'a> Parser<'a> {
 
     // --- clauses
 
+    /// The present tokens are `?-`.
+    fn at_question(&self) -> bool {
+        self.kind() == Kind::Ident && self.slice(self.token()) == "?" && self.ahead(1).kind == Kind::Minus
+    }
+
+    fn question(&mut self) -> Parse<(Vec<Literal>, Place)> {
+        if self.at_question() {
+            self.bump();
+            self.bump();
+        }
+        let start = self.token();
+        let body = self.disjunction()?;
+        let place = self.place_from(start);
+        self.eat(Kind::Dot);
+        match self.kind() {
+            Kind::End => Ok((body, place)),
+            _ => Err(self.expected("`,` or `.`")),
+        }
+    }
+
     fn clause(&mut self, doc: String) -> Parse<Clause> {
         let start = self.token();
         if matches!(self.slice(start), "Not" | "not") {
             return Err(self.expected_item(" (a head cannot be negated)"));
         }
-        if self.slice(start) == "?" && self.ahead(1).kind == Kind::Minus {
-            let help = "mark a predicate as a result with `.output`";
+        if self.at_question() {
+            let help = "mark a predicate as a result with `.output`, or ask it in `logicity repl`";
             return Err(self.unsupported(self.span(start), "queries (`?-`) are", help));
         }
         let mut heads = vec![self.atom("the arguments of the head: `(`")?];
@@ -687,14 +843,18 @@ impl<'a> Parser<'a> {
         }
         let mut body = Vec::new();
         match self.kind() {
-            Kind::If => {
-                self.bump();
-                body = self.disjunction()?;
-                self.full_stop("`,` or `.`", start)?;
-            }
             Kind::LessEqual => {
                 let span = self.span(self.token());
-                return Err(self.unsupported(span, "subsumption (`<=` between heads) is", ""));
+                return Err(self.unsupported(span, "subsumption (`<=` between heads) is", IMPLICATION));
+            }
+            kind if kind == Kind::If || self.goes_on_after(IMPLICATION, "`:-`") => {
+                self.eat(Kind::If);
+                body = self.disjunction()?;
+                if body.is_empty() {
+                    // `A(x) :- true.` is no fact.
+                    body.push(Literal::Any(vec![Vec::new()]));
+                }
+                self.full_stop("`,` or `.`", start)?;
             }
             _ => self.full_stop("`:-` or `.`", start)?,
         }
@@ -709,26 +869,16 @@ impl<'a> Parser<'a> {
     /// A full stop. If only that seems to be missing, the clause that began at `start` is whole and is kept.
     fn full_stop(&mut self, what: &str, start: Token) -> Parse<()> {
         let token = self.token();
-        if self.at_known_directive() {
-            self.expected(what);
+        // A line further in is more likely a literal after a forgotten comma.
+        let next_clause = token.kind == Kind::Ident && token.first_on_line && self.indent(token) <= self.indent(start);
+        if self.at_known_directive() || token.kind == Kind::End || next_clause {
+            self.expected_with(what, Some("a clause ends with a full stop"));
             return Ok(());
         }
-        match token.kind {
-            Kind::Dot => {
-                self.bump();
-                Ok(())
-            }
-            Kind::End => {
-                self.expected(what);
-                Ok(())
-            }
-            // A line further in is more likely a literal after a forgotten comma.
-            Kind::Ident if token.first_on_line && self.indent(token) <= self.indent(start) => {
-                self.expected(what);
-                Ok(())
-            }
-            _ => Err(self.expected(what)),
+        if self.eat(Kind::Dot) {
+            return Ok(());
         }
+        Err(self.expected(what))
     }
 
     fn atom(&mut self, open: &str) -> Parse<Atom> {
@@ -773,20 +923,22 @@ impl<'a> Parser<'a> {
 
     /// `A(x), B(x); C(x)`
     fn disjunction(&mut self) -> Parse<Vec<Literal>> {
-        let first = self.conjunction()?;
-        if self.kind() != Kind::Semicolon {
-            return Ok(first);
-        }
-        let mut alternatives = vec![first];
-        while self.eat(Kind::Semicolon) {
+        let mut alternatives = vec![self.conjunction()?];
+        while self.eat(Kind::Semicolon) || self.goes_on_after(DISJUNCTION, "`;`") {
             alternatives.push(self.conjunction()?);
         }
-        Ok(vec![Literal::Any(alternatives)])
+        Ok(match alternatives.pop() {
+            Some(only) if alternatives.is_empty() => only,
+            last => {
+                alternatives.extend(last);
+                vec![Literal::Any(alternatives)]
+            }
+        })
     }
 
     fn conjunction(&mut self) -> Parse<Vec<Literal>> {
         let mut all = self.literals()?;
-        while self.eat(Kind::Comma) {
+        while self.eat(Kind::Comma) || self.goes_on_after(CONJUNCTION, "`,`") {
             all.append(&mut self.literals()?);
         }
         Ok(all)
@@ -801,6 +953,10 @@ impl<'a> Parser<'a> {
             match token.kind {
                 Kind::Bang => negated = !negated,
                 Kind::Ident if matches!(self.slice(token), "Not" | "not") => negated = !negated,
+                Kind::Ident if self.is_loud_negation() => {
+                    self.expected_with("a literal", Some(NEGATION));
+                    negated = !negated;
+                }
                 _ => break,
             }
             self.deeper()?;
@@ -819,6 +975,17 @@ impl<'a> Parser<'a> {
         };
         self.nesting = outside;
         Ok(if negated { negate(all) } else { all })
+    }
+
+    /// `NOT A(x)` or `NOT(A(x))`
+    fn is_loud_negation(&self) -> bool {
+        let [next, second, third] = [1, 2, 3].map(|count| self.ahead(count).kind);
+        let atom_follows = match next {
+            Kind::Ident => second == Kind::LParen,
+            Kind::LParen => second == Kind::Ident && third == Kind::LParen,
+            _ => false,
+        };
+        self.slice(self.token()) == "NOT" && atom_follows
     }
 
     /// The token after the `)` that closes the parenthesis so many tokens ahead, if the clause goes on until there.
@@ -929,6 +1096,7 @@ impl<'a> Parser<'a> {
         let Some(op) = comparison(op_token.kind) else {
             if let TermKind::Variable(_) = &left.kind {
                 let help = match op_token.kind {
+                    _ if self.habit().is_some() => self.habit().unwrap_or_default().to_owned(),
                     Kind::Ident | Kind::Underscore => {
                         format!(
                             "arguments stand in parentheses: `{}({})`",
@@ -1087,11 +1255,13 @@ impl<'a> Parser<'a> {
                 match self.slice(start) {
                     _ if self.is_aggregate() => (self.aggregate()?, 0),
                     "as" if applied => self.cast()?,
-                    "range" | "autoinc" if applied => {
-                        let what = format!("the functor `{}` is", self.slice(start));
-                        return Err(self.unsupported(self.span(start), &what, ""));
+                    "autoinc" if applied => {
+                        return Err(self.unsupported(self.span(start), "the functor `autoinc` is", ""));
                     }
                     "nil" => return Err(self.unsupported(self.span(start), "records (`nil`) are", "")),
+                    _ if self.ahead(1).kind == Kind::LBracket => {
+                        return Err(self.unsupported(self.span(start), "records (`[...]`) are", ""));
+                    }
                     word if applied => match Functor::function(word) {
                         Some(functor) => self.function(functor)?,
                         None => {

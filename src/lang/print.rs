@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Display, Write};
 
-use super::ast::{Atom, Clause, File, Item, Literal, MarkKind, Term, TermKind, TypeDefinition};
+use super::ast::{Atom, Clause, File, Item, Literal, Term, TermKind, TypeDefinition};
 use super::functor::Functor;
 use super::rules::Comparison;
 
@@ -49,11 +49,7 @@ impl Display for Item {
                 writeln!(f)
             }
             Item::Mark(mark) => {
-                f.write_str(match mark.kind {
-                    MarkKind::Input => ".input ",
-                    MarkKind::Output => ".output ",
-                    MarkKind::PrintSize => ".printsize ",
-                })?;
+                write!(f, ".{} ", mark.kind.name())?;
                 separated(f, &mark.names, |f, name| f.write_str(&name.text))?;
                 if !mark.options.is_empty() {
                     f.write_char('(')?;
@@ -70,6 +66,15 @@ impl Display for Item {
                     .words
                     .iter()
                     .try_for_each(|word| write!(f, " {}", Quoted(word)))?;
+                writeln!(f)
+            }
+            Item::Plan(plan) => {
+                f.write_str(".plan ")?;
+                separated(f, &plan.orders, |f, (version, order)| {
+                    write!(f, "{version}:(")?;
+                    separated(f, order, |f, atom| write!(f, "{atom}"))?;
+                    f.write_char(')')
+                })?;
                 writeln!(f)
             }
             Item::Promise(promise) => {

@@ -1,9 +1,8 @@
 //! `.disjoint`, `.implies`, `.irreflexive`, `.symmetric`: what the author promises of the facts of base predicates.
 
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Code, Diagnostic, Faults, Span};
 
 use super::ast::{self, Item, Name, PromiseKind};
-use super::faults::Faults;
 use super::names::Names;
 use super::rules::{Constraint, Promise, RelId};
 

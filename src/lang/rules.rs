@@ -154,6 +154,17 @@ pub enum MarkKind {
     PrintSize,
 }
 
+impl MarkKind {
+    /// Its name in the language, without the full stop.
+    pub fn name(self) -> &'static str {
+        match self {
+            MarkKind::Input => "input",
+            MarkKind::Output => "output",
+            MarkKind::PrintSize => "printsize",
+        }
+    }
+}
+
 /// Where rows come from or go to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RowPlace {
@@ -172,6 +183,9 @@ pub struct RowFormat {
     pub delimiter: String,
     /// `headers=`: whether the first line names the columns.
     pub headers: bool,
+    /// `columns=`: for each column of the predicate the position of its value in the row that is read, from 0 on. Empty: rows have these
+    /// values and no others.
+    pub columns: Vec<usize>,
     /// `rfc4180=`: whether texts stand in double quotes, with a double quote in them written twice.
     pub quoted: bool,
 }
@@ -181,6 +195,7 @@ impl Default for RowFormat {
         RowFormat {
             delimiter: "\t".to_owned(),
             headers: false,
+            columns: Vec::new(),
             quoted: false,
         }
     }

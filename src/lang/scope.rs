@@ -10,14 +10,13 @@
 
 use indexmap::IndexMap;
 
-use crate::diag::{Code, Diagnostic, Span};
+use crate::diag::{Code, Diagnostic, Faults, Span};
 
 use super::ast;
 use super::body::VariableType;
 use super::clause::{Clauses, Edge, EdgeKind};
-use super::faults::Faults;
-use super::names::{Names, Signature};
-use super::rules::{Atom, Clause, Column, Literal, RelId, Relation, Term, TypeId, VarId};
+use super::names::Names;
+use super::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
 
 /// A clause that the scope may add to.
 pub(super) struct Scope<'a> {
@@ -285,34 +284,13 @@ impl Scopes {
         names: &mut Names,
         out: &mut Clauses,
     ) -> RelId {
-        let relation = RelId(u32::try_from(names.relations.len()).expect("fewer than 2^32 predicates"));
-        names.relations.push(Relation {
-            name: format!("+{}", names.hidden() + 1),
-            columns: (columns.iter())
-                .map(|(ty, name)| Column {
-                    name: name.clone(),
-                    ty: *ty,
-                    base: names.base(*ty),
-                })
-                .collect(),
-            doc: format!(
-                "some `{}` in `{}`",
-                names.relation(definition.relation).name,
-                names.relation(guard.relation).name
-            ),
-            span,
-            input: false,
-            given: None,
-            output: false,
-            printsize: false,
-            derived: true,
-            hidden: true,
-            directives: Vec::new(),
-        });
-        names.signatures.push(Signature {
-            columns: Some(columns.iter().map(|(ty, _)| Some(*ty)).collect()),
-            input: None,
-        });
+        let doc = format!(
+            "some `{}` in `{}`",
+            names.relation(definition.relation).name,
+            names.relation(guard.relation).name
+        );
+        let hidden = columns.iter().map(|(ty, name)| (name.clone(), *ty)).collect();
+        let relation = names.hide(hidden, doc, span);
         let mut variables: Vec<String> = columns.iter().map(|(_, name)| name.clone()).collect();
         let mut terms = definition.terms.clone();
         let mut body = Vec::new();

@@ -4,10 +4,9 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 
-use crate::diag::{Code, Diagnostic};
+use crate::diag::{Code, Diagnostic, Faults};
 
 use super::clause::{Edge, EdgeKind};
-use super::faults::Faults;
 use super::names::Names;
 use super::rules::{Clause, ClauseId, RelId, Relation, Stratum};
 
@@ -69,8 +68,19 @@ pub(super) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
         for at in back {
             fault = fault.also(edges[at].span, step(&edges[at]));
         }
+        let help = match edge.kind {
+            EdgeKind::Aggregates => format!(
+                "aggregate over a predicate that does not need `{}`, such as one that holds what is known before",
+                name(edge.from)
+            ),
+            _ => format!(
+                "let `{}` be decided by predicates that do not need `{}`, or leave one of these steps out",
+                name(edge.to),
+                name(edge.from)
+            ),
+        };
         faults.push(
-            fault.note("what a negated atom or an aggregate says must be settled before it is used, so no circle may lead through one"),
+            fault.help(help).note("what a negated atom or an aggregate says must be settled before it is used, so no circle may lead through one"),
         );
     }
 }

@@ -46,7 +46,7 @@ pub(super) fn write_out(head: &Atom, body: &[&Literal]) -> Option<Vec<Literal>> 
             of_target.insert(name);
         });
         let free = |name: &str| !bound.contains(name) || of_target.contains(name);
-        let is_witness = |name: &str| outside.contains(name) && !bound.contains(name) && !of_target.contains(name);
+        let is_witness = |name: &str| outside.contains(name) && !bound.contains(name);
         if !inside.iter().any(|name| is_witness(name)) {
             out.push((*literal).clone());
             continue;
@@ -65,7 +65,7 @@ pub(super) fn write_out(head: &Atom, body: &[&Literal]) -> Option<Vec<Literal>> 
             right: Term {
                 kind: TermKind::Aggregate(Box::new(Aggregate {
                     op: aggregate.op,
-                    target: Some(target.clone()),
+                    target: Some(renamed_term(target, &apart)),
                     body: aggregate.body.iter().map(|literal| renamed(literal, &apart)).collect(),
                 })),
                 place,

@@ -7,7 +7,7 @@
 //! aggregates, `match` or `contains`, and with values other than symbols, are left out. What is found is true; what is not found may exist all the same.
 
 use crate::config::Speed;
-use crate::engine::{Program, Session};
+use crate::engine::{Limits, Program, Session};
 use crate::lang::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Relation, Rules, Term, Value};
 use crate::symbol::Symbol;
 use serde_json::{Map, json};
@@ -166,7 +166,10 @@ impl<'p> Search<'p> {
             })
             .collect();
         let mut session = program.session();
-        session.set_limit(ROWS_MAX);
+        session.set_limits(Limits {
+            rows: ROWS_MAX,
+            ..Limits::default()
+        });
         Search {
             rules,
             session,

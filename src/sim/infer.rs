@@ -6,7 +6,7 @@ use super::vocabulary::Vocabulary;
 use crate::city::CityMap;
 use crate::config::{Definition, Scenario, Speed, load_map};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
-use crate::engine::{EvalError, Program, Session};
+use crate::engine::{EvalError, Program, Session, promise};
 use crate::files::ReadError;
 use crate::lang::{RelId, Value};
 use crate::rng::{Purpose, RngExt, Seed};
@@ -26,6 +26,7 @@ pub struct Inference {
     read: Box<ReadFile>,
     maps: HashMap<String, Arc<CityMap>>,
     seed: Seed,
+    check_promises: bool,
 }
 
 /// What the rules decide for the egos of a scene.
@@ -102,14 +103,21 @@ impl Inference {
             read: Box::new(read),
             maps: HashMap::new(),
             seed,
+            check_promises: false,
         })
+    }
+
+    /// From here on scenes are refused in which the facts are not as the rules promise. Answers rely on no promise either way.
+    pub fn check_promises(&mut self) {
+        self.check_promises = true;
     }
 
     /// Answers the scene in `source`. The same scene always gets the same answer: predicates that hold with a probability and are
     /// not given are drawn by seed, the scene's `tick` and the positions of the two agents.
     ///
     /// # Errors
-    /// All faults of the scene: `invalid-scene`, or `limit-exceeded` if it is too large or the rules derive too much from it.
+    /// All faults of the scene: `invalid-scene`; `limit-exceeded` if it is too large or the rules derive too much from it;
+    /// `broken-promise` after [`Inference::check_promises`].
     pub fn answer(&mut self, sources: &Sources, source: SourceId) -> Result<Answer, Vec<Diagnostic>> {
         let terms = Terms {
             predicates: (self.vocabulary.predicates.iter())
@@ -213,6 +221,14 @@ impl Inference {
     fn decide(&self, names: &[&str], egos: &[usize], facts: &Facts) -> Result<Answer, Diagnostic> {
         let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
         state.set(facts)?;
+        if self.check_promises {
+            // The rules are another text than the scene, so where it was promised is not pointed at.
+            let mut broken = promise::broken(state.session()).into_iter();
+            if let Some(first) = broken.next() {
+                let fault = Diagnostic::new(Code::BrokenPromise, first.message);
+                return Err(broken.fold(fault, |fault, other| fault.note(other.message)));
+            }
+        }
         let egos = egos
             .iter()
             .map(|&ego| {
@@ -400,6 +416,7 @@ impl GroundState {
 mod tests {
     use super::*;
     use crate::config::load_scenario;
+    use crate::engine::Limits;
 
     #[test]
     fn facts_that_derive_too_much_leave_no_trace() {
@@ -421,11 +438,15 @@ mod tests {
         let mut one_bus = nothing.clone();
         one_bus.rows[bus].push([0, 0]);
 
+        let rows = |rows| Limits {
+            rows,
+            ..Limits::default()
+        };
         let mut state = GroundState::new(&program, &vocabulary, ["Car_1"].into_iter());
-        state.session.set_limit(0);
+        state.session.set_limits(rows(0));
         assert!(state.set(&one_bus).is_err());
         state.set(&nothing).expect("it derives nothing");
-        state.session.set_limit(10);
+        state.session.set_limits(rows(10));
         assert_eq!(state.derived(&vocabulary, 0), []);
         state.set(&one_bus).expect("within the limit");
         assert_eq!(state.derived(&vocabulary, 0), [Speed::Stop]);

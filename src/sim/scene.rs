@@ -2,7 +2,7 @@
 
 use crate::city::{Cell, CityMap, Heading};
 use crate::config::AgentKind;
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
 use indexmap::IndexMap;
 use indexmap::map::Entry;
 use serde::Deserialize;
@@ -159,9 +159,6 @@ pub struct Terms<'a> {
     pub concepts: Vec<(AgentKind, &'a str)>,
 }
 
-/// The most faults of one scene that are told.
-const MAX_FAULTS: usize = 100;
-
 /// Reads a scene.
 ///
 /// # Errors
@@ -172,10 +169,7 @@ pub fn parse_scene(sources: &Sources, source: SourceId, terms: &Terms<'_>) -> Re
         text: sources.text(source),
         terms,
     };
-    reader.scene().map_err(|mut faults| {
-        faults.truncate(MAX_FAULTS);
-        faults
-    })
+    (reader.scene()).map_err(|faults| faults.into_iter().collect::<Faults>().finish())
 }
 
 /// What was read, or all that is wrong with it.
@@ -460,8 +454,7 @@ impl GeometricScene {
     /// `invalid-scene` for each that is not.
     pub fn check_cells(&self, map: &CityMap) -> Result<(), Vec<Diagnostic>> {
         let outside = self.agents.iter().filter(|agent| !map.contains(agent.at));
-        let faults: Vec<Diagnostic> = outside
-            .take(MAX_FAULTS)
+        let faults: Faults = outside
             .map(|agent| {
                 let message = format!("`{}` is not on the map `{}`", agent.id, map.name);
                 let (rows, cols) = (map.rows() - 1, map.cols() - 1);
@@ -470,6 +463,6 @@ impl GeometricScene {
                     .help(format!("rows are 0 to {rows}, columns 0 to {cols}"))
             })
             .collect();
-        if faults.is_empty() { Ok(()) } else { Err(faults) }
+        if faults.failed() { Err(faults.finish()) } else { Ok(()) }
     }
 }

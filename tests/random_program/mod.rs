@@ -5,6 +5,8 @@
 
 #![allow(dead_code, reason = "each test target uses its own part")]
 
+pub mod agree;
+
 use logicity::diag::{Sources, Span};
 use logicity::lang::{
     AggregateOp, Atom, BaseType, Clause, ClauseId, Column, Comparison, Functor, Literal, RelId, Relation, Rules,
@@ -19,8 +21,14 @@ pub const TEXTS: [&str; 5] = ["m", "b", "", "é", "a"];
 /// The numbers of the domain.
 pub const NUMBERS: [i32; 8] = [0, 1, -1, i32::MIN, 7, 2, 3, i32::MAX];
 
-/// Variables of a clause: the even ones hold symbols, the odd ones numbers.
+/// Variables of a clause that stand in atoms: the even ones hold symbols, the odd ones numbers.
 const VARIABLES: usize = 8;
+
+/// After them those that hold floats. They are computed and compared, and stand in no atom.
+const FLOATS: [usize; 2] = [8, 9];
+
+/// Among them one without a value of its own: "not a number".
+const FLOAT_CONSTANTS: [f32; 6] = [0.0, -0.0, 0.5, -2.5, f32::INFINITY, f32::NAN];
 
 /// Raw material of an atom or comparison.
 #[derive(Clone, Debug)]
@@ -40,6 +48,9 @@ pub struct ClauseGene {
 
 /// A change of a base fact: whether it is inserted, relation, values.
 pub type ChangeGene = (bool, u8, [u8; 5]);
+
+/// Changes of facts that are committed together: whether the row is inserted, else it is retracted.
+pub type Batch = Vec<(bool, RelId, Vec<Value>)>;
 
 /// Raw material of a program and of what happens to it.
 #[derive(Clone, Debug)]
@@ -105,7 +116,123 @@ pub fn recursive_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value
     (pairs(1..=2), vec(stratum, 1..=2), script).prop_map(|(base, strata, script)| Genome { base, strata, script })
 }
 
+/// Programs of which most literals compute, aggregate or compare, with floats too, over relations of numbers.
+pub fn computing_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value = Genome> {
+    let columns = || vec(prop::bool::weighted(0.8), 1..=2);
+    let kind = prop_oneof![2 => 0..130u8, 1 => 150..190u8, 5 => 225..233u8, 1 => 233..241u8, 3 => 241..=255u8];
+    let literal =
+        (kind, any::<u8>(), any::<[u8; 5]>()).prop_map(|(kind, relation, terms)| LiteralGene { kind, relation, terms });
+    let clause = (any::<u8>(), any::<[u8; 5]>(), vec(literal, 2..7)).prop_map(|(relation, head, body)| ClauseGene {
+        relation,
+        head,
+        body,
+    });
+    let stratum = (vec(columns(), 1..=2), vec(clause, 1..4));
+    let script = vec(
+        vec((prop::bool::weighted(0.8), any::<u8>(), any::<[u8; 5]>()), 5..20),
+        batches,
+    );
+    (vec(columns(), 1..=3), vec(stratum, 1..=3), script).prop_map(|(base, strata, script)| Genome {
+        base,
+        strata,
+        script,
+    })
+}
+
+/// Programs of which many clauses begin with the same atoms, under other names of variables and in another order.
+pub fn sharing_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value = Genome> {
+    let common = vec((0..4u8, prop::array::uniform5(0..40u8)), 3..5);
+    let own = (any::<u8>(), 0..4u8, any::<[u8; 5]>()).prop_map(|(kind, relation, terms)| LiteralGene {
+        kind,
+        relation,
+        terms,
+    });
+    let clause = || (any::<u8>(), any::<[u8; 5]>(), 0..4u8, 0..3usize, vec(own.clone(), 0..3));
+    let strata = vec(vec(clause(), 2..5), 1..3);
+    let script = vec(
+        vec((prop::bool::weighted(0.8), 0..4u8, any::<[u8; 5]>()), 5..30),
+        batches,
+    );
+    (common, strata, script).prop_map(|(common, strata, script)| Genome {
+        // Two relations of one column, two of two; symbols everywhere.
+        base: [1, 1, 2, 2].map(|arity| vec![false; arity]).into(),
+        strata: strata
+            .into_iter()
+            .map(|clauses| {
+                let clauses = clauses.into_iter().map(|(relation, head, names, order, own)| {
+                    let mut body: Vec<LiteralGene> = common
+                        .iter()
+                        .map(|&(relation, terms)| LiteralGene {
+                            kind: 0,
+                            relation,
+                            terms: terms.map(|gene| gene.wrapping_add(names)),
+                        })
+                        .collect();
+                    let middle = order % body.len();
+                    body.rotate_left(middle);
+                    body.extend(own);
+                    ClauseGene { relation, head, body }
+                });
+                (vec![vec![false], vec![false; 2]], clauses.collect())
+            })
+            .collect(),
+        script,
+    })
+}
+
+/// Bytes as numbers of a genome; zeros after the last.
+struct Numbers<'b>(std::slice::Iter<'b, u8>);
+
+impl Numbers<'_> {
+    fn next(&mut self) -> u8 {
+        self.0.next().copied().unwrap_or(0)
+    }
+
+    fn list<T>(&mut self, length: std::ops::RangeInclusive<u8>, mut read: impl FnMut(&mut Self) -> T) -> Vec<T> {
+        let length = length.start() + self.next() % (length.end() - length.start() + 1);
+        (0..length).map(|_| read(self)).collect()
+    }
+
+    fn array<T>(&mut self, mut read: impl FnMut(&mut Self) -> T) -> [T; 5] {
+        std::array::from_fn(|_| read(self))
+    }
+}
+
 impl Genome {
+    /// The genome that the bytes are read as, whatever they are: one like those of [`genomes`], or, if the first byte is odd, of
+    /// [`recursive_genomes`].
+    pub fn read(bytes: &[u8]) -> Genome {
+        let mut numbers = Numbers(bytes.iter());
+        let pairs = numbers.next() % 2 == 1;
+        let relations = |numbers: &mut Numbers<'_>| {
+            let columns = |numbers: &mut Numbers<'_>| match pairs {
+                true => vec![true; 2],
+                false => numbers.list(0..=5, |numbers| numbers.next() % 3 == 0),
+            };
+            numbers.list(1..=3, columns)
+        };
+        let term = |numbers: &mut Numbers<'_>| if pairs { numbers.next() % 192 } else { numbers.next() };
+        let literal = |numbers: &mut Numbers<'_>| LiteralGene {
+            kind: numbers.next(),
+            relation: numbers.next(),
+            terms: numbers.array(term),
+        };
+        let clause = |numbers: &mut Numbers<'_>| ClauseGene {
+            relation: numbers.next(),
+            head: numbers.array(term),
+            body: numbers.list(0..=5, literal),
+        };
+        let change = |numbers: &mut Numbers<'_>| {
+            let kind = numbers.next();
+            (kind % 4 != 3, kind / 4, numbers.array(Numbers::next))
+        };
+        Genome {
+            base: relations(&mut numbers),
+            strata: numbers.list(1..=3, |numbers| (relations(numbers), numbers.list(1..=5, clause))),
+            script: numbers.list(1..=4, |numbers| numbers.list(0..=24, change)),
+        }
+    }
+
     /// The program.
     pub fn rules(&self) -> Rules {
         let span = Span::new(Sources::new().add("random.dl", ""), 0..0);
@@ -162,8 +289,13 @@ impl Genome {
         rules
     }
 
+    /// All batches.
+    pub fn batches(&self, rules: &Rules) -> Vec<Batch> {
+        (0..self.script.len()).map(|batch| self.batch(rules, batch)).collect()
+    }
+
     /// A batch as rows of base relations.
-    pub fn batch(&self, rules: &Rules, batch: usize) -> Vec<(bool, RelId, Vec<Value>)> {
+    pub fn batch(&self, rules: &Rules, batch: usize) -> Batch {
         let base: Vec<RelId> = (0..rules.relations.len()).map(rel).collect();
         let base: Vec<RelId> = base
             .into_iter()
@@ -231,7 +363,7 @@ fn term(base: BaseType, gene: u8) -> Term {
 }
 
 /// The term, if it is bound; else a bound variable of that base, else a constant.
-fn bound_term(base: BaseType, gene: u8, bound: &[bool; VARIABLES]) -> Term {
+fn bound_term(base: BaseType, gene: u8, bound: &[bool; VARIABLES + FLOATS.len()]) -> Term {
     match term(base, gene) {
         Term::Variable(variable) if bound[variable.index()] => Term::Variable(variable),
         Term::Variable(_) => (0..=u8::MAX)
@@ -246,9 +378,18 @@ fn bound_term(base: BaseType, gene: u8, bound: &[bool; VARIABLES]) -> Term {
     }
 }
 
+/// Mostly a bound variable, if there is one; else a constant.
+fn float_term(gene: u8, bound: &[bool; VARIABLES + FLOATS.len()]) -> Term {
+    let variable = FLOATS[gene as usize % 2];
+    match bound[variable] && gene % 8 != 7 {
+        true => Term::Variable(VarId(variable as u32)),
+        false => Term::Constant(Value::float(FLOAT_CONSTANTS[gene as usize % FLOAT_CONSTANTS.len()])),
+    }
+}
+
 /// A clause whose head is one of the relations from `first` on; those before may be negated.
 fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause {
-    let mut bound = [false; VARIABLES];
+    let mut bound = [false; VARIABLES + FLOATS.len()];
     let atom = |relation: usize, terms: Vec<Term>| Atom {
         relation: rel(relation),
         terms,
@@ -308,6 +449,33 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
                     span,
                 }
             }
+            225..233 if literal.relation % 2 == 1 => {
+                // A float: of a number, or of floats; or a test of one.
+                let float = |gene: u8| float_term(gene, &bound);
+                let to = Term::Variable(VarId(FLOATS[literal.terms[3] as usize % 2] as u32));
+                use Functor::*;
+                let (functor, base, arguments) = match literal.terms[4] % 6 {
+                    0 | 1 => (
+                        ToFloat,
+                        BaseType::Number,
+                        vec![bound_term(BaseType::Number, literal.terms[0], &bound)],
+                    ),
+                    2 => (Negate, BaseType::Float, vec![float(literal.terms[0])]),
+                    kind => (
+                        [Divide, Multiply, Power][kind as usize % 3],
+                        BaseType::Float,
+                        vec![float(literal.terms[0]), float(literal.terms[1])],
+                    ),
+                };
+                bound[FLOATS[literal.terms[3] as usize % 2]] = true;
+                Literal::Compute {
+                    to,
+                    functor,
+                    base,
+                    arguments,
+                    span,
+                }
+            }
             225..233 => {
                 // An expression that may bind what it computes. Its values are few, so that recursion ends.
                 let (functor, argument) = [
@@ -317,7 +485,7 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
                     (Functor::Not, BaseType::Number),
                     (Functor::Length, BaseType::Symbol),
                     (Functor::ToNumber, BaseType::Symbol),
-                ][literal.relation as usize % 6];
+                ][literal.relation as usize / 2 % 6];
                 let count = if matches!(functor, Functor::Min | Functor::Max | Functor::And) {
                     2
                 } else {
@@ -367,8 +535,19 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
             }
             241.. => {
                 use Comparison::*;
+                let op = [NotEqual, Less, LessEqual, Greater, GreaterEqual, Equal][literal.terms[3] as usize % 6];
+                if literal.terms[4] % 2 == 1 && FLOATS.iter().any(|&float| bound[float]) {
+                    body.push(Literal::Compare {
+                        op,
+                        left: float_term(literal.terms[0], &bound),
+                        right: float_term(literal.terms[1], &bound),
+                        base: BaseType::Float,
+                        span,
+                    });
+                    continue;
+                }
                 Literal::Compare {
-                    op: [NotEqual, Less, LessEqual, Greater, GreaterEqual, Equal][literal.terms[3] as usize % 6],
+                    op,
                     left: bound_term(base, literal.terms[0], &bound),
                     right: bound_term(base, literal.terms[1], &bound),
                     base,
@@ -386,7 +565,9 @@ fn clause(gene: &ClauseGene, rules: &Rules, first: usize, span: Span) -> Clause 
     Clause {
         head: atom(relation, terms),
         body,
-        variables: (0..VARIABLES).map(|variable| format!("v{variable}")).collect(),
+        variables: (0..VARIABLES + FLOATS.len())
+            .map(|variable| format!("v{variable}"))
+            .collect(),
         doc: String::new(),
         span,
     }

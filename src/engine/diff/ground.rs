@@ -5,8 +5,8 @@
 
 use super::sat::{Lit, Solver};
 use super::{Individual, Side};
-use crate::lang::{Atom, BaseType, Clause, Comparison, Constraint, Literal, RelId, Term};
-use std::collections::{BTreeMap, HashMap};
+use crate::lang::{Atom, BaseType, Clause, Comparison, Constraint, Literal, RelId, Term, Value};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// The circuit would be larger than allowed.
 pub(super) struct TooLarge;
@@ -30,10 +30,16 @@ pub(super) struct Circuit<'a> {
     /// Conjunctions by their sorted inputs; only asked, never walked.
     gates: HashMap<Vec<Lit>, Lit>,
     pub(super) atoms: BTreeMap<BaseFact, Lit>,
+    /// The same in the order in which they were asked for.
+    asked: Vec<BaseFact>,
     /// Derived facts by side, predicate, row and, in a recursive stratum, round; only asked, never walked.
     derived: HashMap<(usize, RelId, Vec<usize>, usize), Lit>,
-    /// How many more literals may be looked at.
-    room: usize,
+    /// Recursive strata by side whose rounds are taken apart.
+    unrolled: BTreeSet<(usize, usize)>,
+    /// By side: where constants stand among the individuals.
+    places: [HashMap<(BaseType, Value), Option<usize>>; 2],
+    /// How many more literals, and rows of literals with `_`, may be looked at.
+    pub(super) room: usize,
     /// How many derived facts are being taken apart, each for the one before.
     depth: usize,
 }
@@ -54,7 +60,10 @@ impl<'a> Circuit<'a> {
             yes,
             gates: HashMap::new(),
             atoms: BTreeMap::new(),
+            asked: Vec::new(),
             derived: HashMap::new(),
+            unrolled: BTreeSet::new(),
+            places: [HashMap::new(), HashMap::new()],
             room,
             depth: 0,
         }
@@ -139,7 +148,9 @@ impl<'a> Circuit<'a> {
             return Ok(known);
         }
         let inner = stratum.filter(|_| recursive).map(|stratum| (stratum, round - 1));
-        if let (Some((stratum, before)), false) = (inner, round_given) {
+        if let (Some((stratum, before)), false) = (inner, round_given)
+            && self.unrolled.insert((side, stratum))
+        {
             self.unroll(side, stratum, before)?;
         }
         self.depth += 1;
@@ -215,6 +226,7 @@ impl<'a> Circuit<'a> {
         }
         self.room = self.room.checked_sub(1).ok_or(TooLarge)?;
         let fresh = self.solver.fresh();
+        self.asked.push(key.clone());
         self.atoms.insert(key, fresh);
         Ok(fresh)
     }
@@ -312,14 +324,14 @@ impl<'a> Circuit<'a> {
             Literal::Compare {
                 op, left, right, base, ..
             } => {
-                let value = |term| self.value(search.side, term, *base, &search.bound);
+                let mut value = |term| self.value(search.side, term, *base, &search.bound);
                 let holds = match (value(*left), value(*right)) {
                     (Some(left), Some(right)) => self.compare(*op, left, right),
                     _ => false,
                 };
                 Ok(if holds { self.yes } else { !self.yes })
             }
-            // `diff` refuses rules that have them.
+            // Rules that have them are compared by trial.
             Literal::Compute { .. } | Literal::Aggregate { .. } => Ok(!self.yes),
         }
     }
@@ -336,8 +348,9 @@ impl<'a> Circuit<'a> {
                     .into_iter()
                     .collect(),
             };
-            if rows.len().saturating_mul(values.len()) > self.room {
-                return Err(TooLarge);
+            if values.len() > 1 {
+                let many = rows.len().saturating_mul(values.len());
+                self.room = self.room.checked_sub(many).ok_or(TooLarge)?;
             }
             rows = (rows.iter())
                 .flat_map(|row| {
@@ -363,18 +376,18 @@ impl<'a> Circuit<'a> {
             Comparison::LessEqual => order.is_le(),
             Comparison::Greater => order.is_gt(),
             Comparison::GreaterEqual => order.is_ge(),
-            // `diff` refuses rules that have them.
+            // Rules that have them are compared by trial.
             Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => false,
         }
     }
 
-    fn value(&self, side: usize, term: Term, base: BaseType, bound: &[Option<usize>]) -> Option<usize> {
+    fn value(&mut self, side: usize, term: Term, base: BaseType, bound: &[Option<usize>]) -> Option<usize> {
         match term {
             Term::Variable(variable) => bound[variable.index()],
-            Term::Constant(value) => {
+            Term::Constant(value) => *self.places[side].entry((base, value)).or_insert_with(|| {
                 let wanted = self.sides[side].individual(value, base);
                 self.individuals.iter().position(|individual| *individual == wanted)
-            }
+            }),
             Term::Wildcard => None,
         }
     }
@@ -430,13 +443,11 @@ impl<'a> Circuit<'a> {
                     self.solver.add(&clause);
                 }
             }
-            if self.atoms.len() > queue.len() {
-                let known: std::collections::BTreeSet<&BaseFact> = queue.iter().collect();
-                let more: Vec<BaseFact> = (self.atoms.keys().filter(|key| !known.contains(key)))
-                    .cloned()
-                    .collect();
-                queue.extend(more);
-            }
+            // What was asked for just now: all before is in the queue.
+            let mut more = self.asked.split_off(queue.len());
+            more.sort_unstable();
+            queue.extend(more.iter().cloned());
+            self.asked.extend(more);
         }
         Ok(())
     }

@@ -5,12 +5,16 @@
 //! searches it completely. `bound` says how large a scene a difference may need; if none is found up to that size, the two are *proved*
 //! equal. A scene that is found is evaluated by [`super::naive`] on both sides before anybody is told.
 //!
+//! Rules with expressions, aggregates, floats or unsigned numbers have no such circuit. For them `trial` evaluates scene after scene within
+//! a bound; it finds differences and proves nothing.
+//!
 //! A *scope* (a predicate that guards, see `.scope`) is first taken as complete: everybody sees everybody. Only if that shows no
 //! difference may its rows be chosen like those of any predicate.
 
 mod bound;
 mod ground;
 mod sat;
+mod trial;
 
 use crate::diag::{Code, Diagnostic};
 use crate::engine::naive;
@@ -56,6 +60,16 @@ pub enum Verdict {
         entities: usize,
         /// The size up to which looking would be a proof, if there is one.
         proof: Option<usize>,
+    },
+    /// No difference was found by evaluating scenes one by one; others may show one. The values were those that the rules name, their
+    /// neighbours and a few small ones.
+    NoneTried {
+        /// All scenes of at most so many facts were tried, if any were.
+        facts: Option<usize>,
+        /// And of at most so many entities.
+        entities: usize,
+        /// How many scenes were tried, with larger ones that were drawn at random.
+        scenes: u64,
     },
     /// They differ in this scene.
     Different(Difference),
@@ -135,18 +149,20 @@ struct Output {
 /// More literals than this are not looked at for scenes of one size.
 const ROOM: usize = 3_000_000;
 
+/// Nor more than this for scenes of all sizes together.
+const ROOM_IN_ALL: usize = 12_000_000;
+
 /// Compares two sets of rules.
 ///
 /// # Errors
-/// If a rule set has expressions, aggregates, floats or unsigned numbers; if a predicate does not fit: it has other columns on the other side, is given on one side and derived on the other, or is to be
+/// If a rule set is too large to be planned; if a predicate does not fit: it has other columns on the other side, is given on one side and derived on the other, or is to be
 /// compared and is not declared on both.
 pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, Vec<Diagnostic>> {
-    let unknown: Vec<Diagnostic> = [left, right].into_iter().flat_map(unknown).collect();
-    if !unknown.is_empty() {
-        return Err(unknown);
-    }
     let base = shared_base(left, right)?;
     let outputs = outputs(left, right, options)?;
+    if !(speaks(left) && speaks(right)) {
+        return trial::search([left, right], &base, &outputs, options);
+    }
     let sides = [left, right].map(|rules| side(rules, &base));
     let sides = [&sides[0], &sides[1]];
 
@@ -164,7 +180,10 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, V
     }
 
     let last = proof.map_or(options.entities_max, |proof| proof.min(options.entities_max));
-    let mut conflicts = options.conflicts_max;
+    let mut left = Left {
+        conflicts: options.conflicts_max,
+        room: ROOM_IN_ALL,
+    };
     let scoped = sides.iter().any(|side| !side.scopes.is_empty());
     let views: &[View] = if scoped {
         &[View::Full, View::Free]
@@ -174,7 +193,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, V
     let mut seen_all = last;
     for &view in views {
         for entities in 0..=last {
-            match search(sides, &base, &outputs, entities, view, &mut conflicts) {
+            match search(sides, &base, &outputs, entities, view, &mut left) {
                 Some(Some(difference)) => return Ok(Verdict::Different(difference)),
                 Some(None) => {}
                 None => {
@@ -193,22 +212,11 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, V
     })
 }
 
-/// What the search cannot speak of: clauses with expressions or aggregates, columns of floats or unsigned numbers.
-fn unknown(rules: &Rules) -> Vec<Diagnostic> {
-    let refused = |what: &str, span| {
-        let message = format!("`diff` does not compare rules with {what}");
-        Diagnostic::new(Code::Unsupported, message).at(span, "")
-    };
-    let clauses = rules.clauses.iter().filter(|clause| !speaks_of(clause));
-    let clauses = clauses.map(|clause| refused("expressions, aggregates, `match` or `contains`", clause.span));
-    let wide = |base: &BaseType| matches!(base, BaseType::Float | BaseType::Unsigned);
-    let relations = (rules.relations.iter())
-        .filter(|relation| relation.columns.iter().any(|column| wide(&column.base)))
-        .map(|relation| refused("floats or unsigned numbers", relation.span));
-    let mut refused: Vec<Diagnostic> = relations.chain(clauses).collect();
-    // Alternatives and heads of one clause stand in one place.
-    refused.dedup();
-    refused
+/// Whether the rules have neither expressions nor aggregates, and no columns of floats or unsigned numbers.
+fn speaks(rules: &Rules) -> bool {
+    let mut columns = rules.relations.iter().flat_map(|relation| &relation.columns);
+    let wide = |base: BaseType| matches!(base, BaseType::Float | BaseType::Unsigned);
+    rules.clauses.iter().all(speaks_of) && !columns.any(|column| wide(column.base))
 }
 
 // --- what the two have in common
@@ -342,6 +350,14 @@ fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
 
 // --- scenes of one size
 
+/// What the search may still do: it is bounded by numbers, not by time.
+struct Left {
+    /// Dead ends.
+    conflicts: u64,
+    /// Literals to look at.
+    room: usize,
+}
+
 /// A scene of that size that shows a difference, if there is one; `None` if that could not be settled.
 #[allow(clippy::option_option)]
 fn search(
@@ -350,7 +366,7 @@ fn search(
     outputs: &[Output],
     entities: usize,
     view: View,
-    conflicts: &mut u64,
+    effort: &mut Left,
 ) -> Option<Option<Difference>> {
     let individuals = individuals(sides, entities);
     let [left, right] = sides.map(|side| Side {
@@ -361,20 +377,23 @@ fn search(
         facts: text_facts(side, &individuals),
         scopes: side.scopes.clone(),
     });
-    let mut circuit = Circuit::new([&left, &right], &individuals, view, ROOM);
-    let questions = questions(&mut circuit, outputs, entities, &individuals).ok()?;
-    circuit.promises().ok()?;
+    let mut circuit = Circuit::new([&left, &right], &individuals, view, ROOM.min(effort.room));
+    let before = circuit.room;
+    let asked = questions(&mut circuit, outputs, entities, &individuals);
+    let kept = circuit.promises();
+    effort.room -= before - circuit.room;
+    let (questions, ()) = asked.ok().zip(kept.ok())?;
     let any = circuit.any(questions.iter().map(|question| question.differs).collect());
     if circuit.is_no(any) {
         return Some(None);
     }
     circuit.solver.add(&[any]);
-    match circuit.solver.solve(&[], conflicts) {
+    match circuit.solver.solve(&[], &mut effort.conflicts) {
         Outcome::Unsatisfiable => return Some(None),
         Outcome::Unknown => return None,
         Outcome::Satisfiable => {}
     }
-    let smallest = shrink(&mut circuit, conflicts);
+    let smallest = shrink(&mut circuit, &mut effort.conflicts);
     let asked = questions
         .iter()
         .find(|question| circuit.solver.is_true(question.differs))?;

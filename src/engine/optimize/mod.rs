@@ -4,11 +4,14 @@
 //! contradicts itself is stopped before it looks at a row, and a clause whose rows another one derives is not evaluated. A clause keeps
 //! its id, and [`super::Session::fired`] still tells what it derives. [`lints`] tells the author what was found.
 //!
+//! Then `share` finds what several clauses have in common, and computes it once where that pays.
+//!
 //! `theory` knows what follows from a literal; `saturate` searches the forms of a body. What a body means is never looked at through
 //! derived predicates, so what holds here holds whatever the other clauses are. Promises are used only if the caller says so. Bounded and
 //! deterministic: no clock, no hash order.
 
 mod saturate;
+mod share;
 mod theory;
 
 use crate::diag::{Code, Diagnostic};
@@ -45,7 +48,8 @@ enum Finding {
     Subsumed { clause: ClauseId, by: ClauseId },
 }
 
-/// Rules with the same predicates, clauses (by id) and answers. With `promises`, answers are the same for facts that keep them.
+/// Rules with the same predicates, clauses (by id) and answers, and after them hidden ones for what several clauses share, in strata of
+/// their own. With `promises`, answers are the same for facts that keep them.
 pub(super) fn optimize(rules: &Rules, promises: bool) -> Rules {
     let mut better = rules.clone();
     let constraints: Vec<Constraint> = rules.promises.iter().map(|promise| promise.constraint).collect();
@@ -81,11 +85,12 @@ pub(super) fn optimize(rules: &Rules, promises: bool) -> Rules {
     for stratum in &mut better.strata {
         stratum.clauses.retain(|clause| !gone[clause.index()]);
     }
+    share::share(&mut better);
     better
 }
 
 /// What could be simpler, for the author: literals that others imply, bodies that contradict themselves, clauses that others cover
-/// under the promises.
+/// under the promises, and what is said again and again.
 pub fn lints(rules: &Rules) -> Vec<Diagnostic> {
     let theory = Theory::new(rules.promises.iter().map(|promise| promise.constraint));
     let plain = Theory::new([]);
@@ -132,8 +137,33 @@ pub fn lints(rules: &Rules) -> Vec<Diagnostic> {
             } => redundant(rules, &theory, named(clause), literal, because),
         });
     }
+    lints.extend(share::repeated(rules).iter().map(|uses| repeated(rules, uses)));
     lints.sort_by_key(|lint| lint.primary.as_ref().map(|label| (label.span.source, label.span.start)));
     lints
+}
+
+/// A part of several bodies that is worth a name.
+fn repeated(rules: &Rules, uses: &[share::Use]) -> Diagnostic {
+    let first = &uses[0];
+    let clause = &rules.clauses[first.clause];
+    let literals = first.positions.iter();
+    let body: Vec<String> = literals.map(|&index| shown_literal(rules, clause, index)).collect();
+    let body = body.join(", ");
+    let variables = first.outside(uses, clause);
+    let variables: Vec<&str> = (variables.iter())
+        .filter_map(|term| match term {
+            Term::Variable(VarId(id)) => Some(clause.variables[*id as usize].as_str()),
+            _ => None,
+        })
+        .collect();
+    let lint = Diagnostic::new(Code::RepeatedBody, format!("{} clauses ask for `{body}`", uses.len()))
+        .at(clause.span, "the first of them");
+    let others = uses[1..].iter().map(|one| rules.clauses[one.clause].span);
+    let lint = others.fold(lint, |lint, span| lint.also(span, "the same"));
+    lint.help(format!(
+        "give it a name, and ask for that: `Name({}) :- {body}.`",
+        variables.join(", ")
+    ))
 }
 
 fn redundant(

@@ -78,8 +78,8 @@ impl<'a> Teller<'a> {
 
     /// The explanation as JSON: `{"nodes": [..]}`, the first node being what was asked; nodes refer to others by position.
     ///
-    /// A node is `{"holds", "height", "by": "input" | "text" | "clause", "clause", "binding", "premises"}` or
-    /// `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into", "clauses": [{"clause", "binding", "fails"}]}`. An entry
+    /// A node is `{"holds", "height", "by": "input" | "text" | "clause" | "range", "clause", "binding", "premises"}` or
+    /// `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range", "clauses": [{"clause", "binding", "fails"}]}`. An entry
     /// of `premises` and `fails` has the `literal` as it reads under the binding, the `kind` (`fact`, `in-view`, `not`,
     /// `comparison`, `expression`, `aggregate`) and, except for the last three, the `node` that tells why it holds or does not. A `clause` has `head`, `file`, `line`
     /// and `doc`; where only the head does not fit, `fails` is empty.
@@ -96,6 +96,9 @@ impl<'a> Teller<'a> {
     fn fact_json(&self, fact: &Fact) -> serde_json::Value {
         let pattern: Vec<Option<Value>> = fact.row.iter().copied().map(Some).collect();
         let holds = self.row(fact.relation, &pattern);
+        if self.is_range(fact.relation) {
+            return json!({ "holds": holds, "height": fact.height, "by": "range" });
+        }
         match &fact.origin {
             Origin::Input => json!({ "holds": holds, "height": fact.height, "by": "input" }),
             Origin::Text(clause) => json!({
@@ -126,6 +129,9 @@ impl<'a> Teller<'a> {
 
     fn absence_json(&self, absence: &Absence) -> serde_json::Value {
         let absent = self.row(absence.relation, &absence.pattern);
+        if self.is_range(absence.relation) {
+            return json!({ "absent": absent, "because": "range" });
+        }
         match &absence.reason {
             Reason::NotAFact => json!({ "absent": absent, "because": "not-a-fact" }),
             Reason::NotLookedInto => json!({ "absent": absent, "because": "not-looked-into" }),
@@ -334,6 +340,14 @@ impl<'a> Teller<'a> {
         }
     }
 
+    /// Whether a hidden predicate holds the values of a `range`: no other is recursive. How it is computed is not told.
+    fn is_range(&self, rel: RelId) -> bool {
+        let itself = |literal: &Literal| literal.atom().is_some_and(|atom| atom.relation == rel);
+        let mut clauses = self.rules.clauses.iter().filter(|clause| clause.head.relation == rel);
+        let hidden = self.rules.relations[rel.index()].hidden;
+        hidden && clauses.any(|clause| clause.body.iter().any(itself))
+    }
+
     /// What a hidden predicate stands for: the bodies of its clauses.
     fn unfold(&self, rel: RelId, pattern: &[Option<Value>], depth: usize) -> String {
         const UNFOLD_MAX: usize = 8;
@@ -346,6 +360,14 @@ impl<'a> Teller<'a> {
             .clauses
             .iter()
             .filter(|clause| clause.head.relation == rel && !clause.body.is_empty());
+        if self.is_range(rel) {
+            let columns = relation.columns.iter().zip(pattern);
+            let values: Vec<String> = columns
+                .map(|(column, value)| value.map_or("_".to_owned(), |value| self.value(value, column.base)))
+                .collect();
+            let (value, arguments) = values.split_last().unwrap_or((&relation.doc, &[]));
+            return format!("{value} = {}", applied(Functor::Range, arguments));
+        }
         let bodies: Vec<String> = clauses
             .map(|clause| {
                 let mut binding = vec![None; clause.variables.len()];
@@ -545,11 +567,15 @@ impl Drawing<'_> {
     /// What stands below a node, unless it has been told or is too deep.
     fn below(&mut self, id: NodeId, depth: usize, item: &mut Item) {
         let node = self.explanation.node(id);
-        if let Node::Absence(Absence {
-            reason: Reason::NotAFact,
-            ..
-        }) = node
-        {
+        let relation = match node {
+            Node::Absence(Absence {
+                reason: Reason::NotAFact,
+                ..
+            }) => return,
+            Node::Fact(fact) => fact.relation,
+            Node::Absence(absence) => absence.relation,
+        };
+        if self.teller.is_range(relation) {
             return;
         }
         if !self.told.insert(id) {

@@ -1,20 +1,21 @@
-//! Where the stages of this room put what they find.
+//! Collects what is found.
 
-use crate::diag::{Code, Diagnostic, Severity};
+use super::{Code, Diagnostic, Severity};
 
-/// More errors, and more warnings, than this are not kept: a file of noise must not fill the memory or the screen.
-pub(super) const MAX_FAULTS: usize = 1000;
+/// More errors, and more warnings, of one input than this are not kept: a file of noise must not fill the memory or the screen.
+pub const MAX_FAULTS: usize = 100;
 
-/// The faults found so far.
-#[derive(Debug, Default)]
-pub(super) struct Faults {
+/// The faults of one input found so far.
+#[derive(Clone, Debug, Default)]
+pub struct Faults {
     errors: Vec<Diagnostic>,
     warnings: Vec<Diagnostic>,
     hidden_warnings: usize,
 }
 
 impl Faults {
-    pub(super) fn push(&mut self, fault: Diagnostic) {
+    /// Adds a fault.
+    pub fn push(&mut self, fault: Diagnostic) {
         let list = match fault.severity() {
             Severity::Error => &mut self.errors,
             Severity::Warning => &mut self.warnings,
@@ -27,20 +28,20 @@ impl Faults {
     }
 
     /// Whether there is an error among them.
-    pub(super) fn failed(&self) -> bool {
+    pub fn failed(&self) -> bool {
         !self.errors.is_empty()
     }
 
-    /// Whether no further error will be kept.
-    pub(super) fn full(&self) -> bool {
+    /// Whether no further error will be kept, so that there is no use in looking on.
+    pub fn full(&self) -> bool {
         self.errors.len() >= MAX_FAULTS
     }
 
     /// All of them in the order of the text.
-    pub(super) fn finish(mut self) -> Vec<Diagnostic> {
+    pub fn finish(self) -> Vec<Diagnostic> {
         let full = self.full();
         let mut list = self.errors;
-        list.append(&mut self.warnings);
+        list.extend(self.warnings);
         let place = |fault: &Diagnostic| {
             fault
                 .primary
@@ -51,7 +52,7 @@ impl Faults {
         // A clause with alternatives or several heads is looked at several times.
         list.dedup();
         if full {
-            // The parser stops at the limit, so how many more there are is not known.
+            // Whoever collects may have stopped here, so how many more there are is not known.
             list.push(Diagnostic::new(
                 Code::LimitExceeded,
                 format!("{MAX_FAULTS} errors; further ones are not shown"),
@@ -64,5 +65,13 @@ impl Faults {
                 .push(format!("{} more warnings are not shown", self.hidden_warnings));
         }
         list
+    }
+}
+
+impl FromIterator<Diagnostic> for Faults {
+    fn from_iter<I: IntoIterator<Item = Diagnostic>>(list: I) -> Self {
+        let mut faults = Faults::default();
+        list.into_iter().for_each(|fault| faults.push(fault));
+        faults
     }
 }

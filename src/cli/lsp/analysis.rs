@@ -1,0 +1,229 @@
+//! One rule file with all it includes: its faults, and which name stands where.
+
+use crate::diag::{Diagnostic, SourceId, Sources, Span};
+use crate::engine::{Program, optimize};
+use crate::files::{BUILTIN_FOLDER, ReadError, normalise};
+use crate::lang::ast::{self, Item, Literal, Name, Term, TermKind, TypeDefinition};
+use crate::lang::{self, print};
+use std::path::{Path, PathBuf};
+
+/// What a name means.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Meaning {
+    Predicate(String),
+    Type(String),
+    /// An include, and the text it leads to if there is one.
+    Include(Option<SourceId>),
+}
+
+/// A name in the text.
+#[derive(Clone, Debug)]
+pub struct Occurrence {
+    pub span: Span,
+    pub meaning: Meaning,
+    /// Whether it is declared here.
+    pub declares: bool,
+}
+
+/// The first text of `sources` is the file itself.
+pub struct Analysis {
+    pub sources: Sources,
+    pub entry: SourceId,
+    pub diagnostics: Vec<Diagnostic>,
+    /// Places of hints: what is true and needless.
+    pub hints: Vec<Diagnostic>,
+    pub files: Vec<(SourceId, ast::File)>,
+    pub occurrences: Vec<Occurrence>,
+}
+
+impl Analysis {
+    /// Reads, checks and lints a text that has this path.
+    pub fn new(path: &Path, text: &str, read: &dyn Fn(&Path) -> Result<String, ReadError>) -> Analysis {
+        let mut sources = Sources::new();
+        let entry = sources.add(path.display().to_string(), text);
+        let loaded = lang::load(&mut sources, entry, read);
+        let mut diagnostics = loaded.diagnostics;
+        let mut hints = Vec::new();
+        if let Some(rules) = loaded.rules {
+            for lint in optimize::lints(&rules) {
+                match lint.code {
+                    crate::diag::Code::ContradictoryBody => diagnostics.push(lint),
+                    _ => hints.push(lint),
+                }
+            }
+            diagnostics.extend(Program::new(rules).err());
+        }
+        let files: Vec<(SourceId, ast::File)> =
+            (sources.ids()).map(|id| (id, lang::parse(&sources, id).file)).collect();
+        let mut analysis = Analysis {
+            sources,
+            entry,
+            diagnostics,
+            hints,
+            files: Vec::new(),
+            occurrences: Vec::new(),
+        };
+        for (id, file) in &files {
+            file.items.iter().for_each(|item| analysis.item(*id, item));
+        }
+        analysis.files = files;
+        analysis
+    }
+
+    /// The name at a byte of the file itself.
+    pub fn at(&self, byte: usize) -> Option<&Occurrence> {
+        self.occurrences.iter().find(|one| {
+            let bytes = one.span.range();
+            one.span.source == self.entry && bytes.start <= byte && byte <= bytes.end
+        })
+    }
+
+    /// Where it is declared.
+    pub fn declaration(&self, meaning: &Meaning) -> Option<Span> {
+        if let Meaning::Include(target) = meaning {
+            return target.map(|target| Span::new(target, 0..0));
+        }
+        let found = self
+            .occurrences
+            .iter()
+            .find(|one| one.declares && one.meaning == *meaning);
+        found.map(|one| one.span)
+    }
+
+    /// The declaration as text, and its doc comment.
+    pub fn described(&self, meaning: &Meaning) -> Option<(String, String)> {
+        let items = self.files.iter().flat_map(|(_, file)| &file.items);
+        let mut items = items.filter_map(|item| match (item, meaning) {
+            (Item::Decl(decl), Meaning::Predicate(name)) => {
+                let name = decl.names.iter().find(|known| known.text == *name)?;
+                let (names, doc) = (vec![name.clone()], String::new());
+                Some((
+                    Item::Decl(ast::Decl {
+                        names,
+                        doc,
+                        ..decl.clone()
+                    }),
+                    &decl.doc,
+                ))
+            }
+            (Item::Type(decl), Meaning::Type(name)) if decl.name.text == *name => {
+                let doc = String::new();
+                Some((Item::Type(ast::TypeDecl { doc, ..decl.clone() }), &decl.doc))
+            }
+            _ => None,
+        });
+        let (item, doc) = items.next()?;
+        let file = ast::File { items: vec![item] };
+        Some((print(&file).trim_end().to_owned(), doc.clone()))
+    }
+
+    /// All that is declared, each once, in the order of the texts.
+    pub fn declared(&self) -> impl Iterator<Item = &Meaning> {
+        self.occurrences
+            .iter()
+            .filter(|one| one.declares)
+            .map(|one| &one.meaning)
+    }
+
+    /// The include of the file itself that leads to a text, directly or through others.
+    pub fn include_of(&self, mut id: SourceId) -> Option<Span> {
+        // As many steps as there are texts.
+        for _ in &self.files {
+            let include = (self.occurrences.iter()).find(|one| one.meaning == Meaning::Include(Some(id)))?;
+            if include.span.source == self.entry {
+                return Some(include.span);
+            }
+            id = include.span.source;
+        }
+        None
+    }
+
+    fn add(&mut self, name: &Name, meaning: fn(String) -> Meaning, declares: bool) {
+        self.occurrences.push(Occurrence {
+            span: name.place.0,
+            meaning: meaning(name.text.clone()),
+            declares,
+        });
+    }
+
+    fn item(&mut self, id: SourceId, item: &Item) {
+        match item {
+            Item::Include(include) => {
+                let meaning = Meaning::Include(self.target(id, &include.path));
+                self.occurrences.push(Occurrence {
+                    span: include.place.0,
+                    meaning,
+                    declares: false,
+                });
+            }
+            Item::Type(decl) => {
+                self.add(&decl.name, Meaning::Type, true);
+                match &decl.definition {
+                    TypeDefinition::Subtype(name) | TypeDefinition::Alias(name) => self.add(name, Meaning::Type, false),
+                    TypeDefinition::Union(names) => names.iter().for_each(|name| self.add(name, Meaning::Type, false)),
+                    TypeDefinition::Faulty => {}
+                }
+            }
+            Item::Decl(decl) => {
+                decl.names
+                    .iter()
+                    .for_each(|name| self.add(name, Meaning::Predicate, true));
+                let columns = decl.columns.iter().flatten();
+                columns.for_each(|column| self.add(&column.ty, Meaning::Type, false));
+            }
+            Item::Mark(ast::Mark { names, .. }) | Item::Promise(ast::Promise { names, .. }) => {
+                names.iter().for_each(|name| self.add(name, Meaning::Predicate, false));
+            }
+            Item::Scope(scope) => scope
+                .predicate
+                .iter()
+                .for_each(|name| self.add(name, Meaning::Predicate, false)),
+            Item::Clause(clause) => {
+                clause.heads.iter().for_each(|head| self.atom(head));
+                clause.body.iter().for_each(|literal| self.literal(literal));
+            }
+            Item::Plan(_) | Item::Pragma(_) => {}
+        }
+    }
+
+    fn atom(&mut self, atom: &ast::Atom) {
+        self.add(&atom.predicate, Meaning::Predicate, false);
+        atom.terms.iter().for_each(|term| self.term(term));
+    }
+
+    fn literal(&mut self, literal: &Literal) {
+        match literal {
+            Literal::Atom { atom, .. } => self.atom(atom),
+            Literal::Compare { left, right, .. } => [left, right].into_iter().for_each(|term| self.term(term)),
+            Literal::Any(alternatives) => alternatives.iter().flatten().for_each(|one| self.literal(one)),
+        }
+    }
+
+    fn term(&mut self, term: &Term) {
+        match &term.kind {
+            TermKind::Functor(_, arguments) => arguments.iter().for_each(|argument| self.term(argument)),
+            TermKind::Cast(inner, ty) => {
+                self.term(inner);
+                self.add(ty, Meaning::Type, false);
+            }
+            TermKind::Aggregate(aggregate) => {
+                aggregate.target.iter().for_each(|target| self.term(target));
+                aggregate.body.iter().for_each(|literal| self.literal(literal));
+            }
+            _ => {}
+        }
+    }
+
+    /// The text that an include leads to, as `lang::load` finds it.
+    fn target(&self, from: SourceId, path: &str) -> Option<SourceId> {
+        let beside = Path::new(self.sources.name(from)).parent()?.join(path);
+        let builtin = Path::new(BUILTIN_FOLDER).join(path);
+        let named = |wanted: PathBuf| {
+            let wanted = normalise(&wanted);
+            self.sources
+                .ids()
+                .find(|&id| normalise(Path::new(self.sources.name(id))) == wanted)
+        };
+        named(beside).or_else(|| named(builtin))
+    }
+}

@@ -1,0 +1,548 @@
+//! `logicity lsp`
+//!
+//! A language server: an editor sends the texts that are open and asks about places in them. After every change all open texts are
+//! checked anew, each with what it includes, open texts before those on disk.
+
+mod analysis;
+mod place;
+
+use super::Failure;
+use crate::diag::{Diagnostic, Label, Severity, SourceId, Sources, Span};
+use crate::files::{self, normalise};
+use crate::lang::{self, DIRECTIVES, ast};
+use analysis::{Analysis, Meaning};
+use lsp_server::{Connection, ErrorCode, Message, Notification, ProtocolError, Request, Response};
+use lsp_types::{
+    CompletionItem, CompletionItemKind, CompletionParams, DiagnosticSeverity, DidChangeTextDocumentParams,
+    DidCloseTextDocumentParams, DidOpenTextDocumentParams, DocumentFormattingParams, DocumentSymbolParams,
+    Documentation, GotoDefinitionParams, HoverParams, MarkupContent, MarkupKind, Position, ReferenceParams,
+    RenameParams, SymbolKind, TextDocumentPositionParams,
+};
+use place::{Lines, path_of, uri_of};
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Speak over standard input and output; there is no other way
+    #[arg(long)]
+    stdio: bool,
+}
+
+pub fn run(_: &Arguments) -> Result<(), Failure> {
+    let fail = |error: ProtocolError| Failure::Usage(format!("the editor does not keep the protocol: {error}"));
+    let (connection, threads) = Connection::stdio();
+    serve(&connection).map_err(fail)?;
+    // The thread that writes ends when nobody can send.
+    drop(connection);
+    threads
+        .join()
+        .map_err(|error| Failure::Usage(format!("the connection broke: {error}")))
+}
+
+/// Serves one editor until it says goodbye or is gone.
+fn serve(connection: &Connection) -> Result<(), ProtocolError> {
+    let (id, _) = connection.initialize_start()?;
+    let capabilities = json!({
+        "positionEncoding": "utf-16",
+        "textDocumentSync": { "openClose": true, "change": 1 },
+        "hoverProvider": true,
+        "definitionProvider": true,
+        "referencesProvider": true,
+        "documentSymbolProvider": true,
+        "documentFormattingProvider": true,
+        "completionProvider": { "triggerCharacters": ["."] },
+        "renameProvider": { "prepareProvider": true },
+    });
+    let server = json!({ "name": "logicity", "version": env!("CARGO_PKG_VERSION") });
+    connection.initialize_finish(id, json!({ "capabilities": capabilities, "serverInfo": server }))?;
+    let mut server = Server::default();
+    for message in &connection.receiver {
+        let replies = match message {
+            Message::Request(request) => {
+                if connection.handle_shutdown(&request)? {
+                    return Ok(());
+                }
+                vec![Message::Response(server.answer(request))]
+            }
+            Message::Notification(notification) => server.note(notification),
+            // Nothing is asked of the editor.
+            Message::Response(_) => Vec::new(),
+        };
+        for reply in replies {
+            if connection.sender.send(reply).is_err() {
+                return Ok(());
+            }
+        }
+    }
+    Ok(())
+}
+
+/// An open text.
+struct Document {
+    uri: String,
+    text: String,
+    version: i32,
+    analysis: Analysis,
+}
+
+#[derive(Default)]
+struct Server {
+    /// By normal path.
+    documents: BTreeMap<PathBuf, Document>,
+}
+
+/// Why a request is refused: the protocol's number and words for the user.
+type Refusal = (ErrorCode, String);
+
+impl Server {
+    // --- texts
+
+    fn note(&mut self, notification: Notification) -> Vec<Message> {
+        let Notification { method, params } = notification;
+        match method.as_str() {
+            "textDocument/didOpen" => {
+                let Ok(DidOpenTextDocumentParams { text_document: it }) = serde_json::from_value(params) else {
+                    return Vec::new();
+                };
+                self.set(it.uri.as_str(), it.text, it.version)
+            }
+            "textDocument/didChange" => {
+                let Ok(DidChangeTextDocumentParams {
+                    text_document,
+                    content_changes,
+                }) = serde_json::from_value(params)
+                else {
+                    return Vec::new();
+                };
+                // Texts come whole; the last one counts.
+                let Some(change) = content_changes.into_iter().next_back() else {
+                    return Vec::new();
+                };
+                self.set(text_document.uri.as_str(), change.text, text_document.version)
+            }
+            "textDocument/didClose" => {
+                let Ok(DidCloseTextDocumentParams { text_document }) = serde_json::from_value(params) else {
+                    return Vec::new();
+                };
+                self.documents.remove(&key(text_document.uri.as_str()));
+                let mut messages = self.check();
+                messages.push(published(text_document.uri.as_str(), None, Vec::new()));
+                messages
+            }
+            "textDocument/didSave" | "workspace/didChangeWatchedFiles" => self.check(),
+            _ => Vec::new(),
+        }
+    }
+
+    fn set(&mut self, uri: &str, text: String, version: i32) -> Vec<Message> {
+        let document = Document {
+            uri: uri.to_owned(),
+            analysis: Analysis::new(&key(uri), "", &files::read_or_builtin),
+            text,
+            version,
+        };
+        self.documents.insert(key(uri), document);
+        self.check()
+    }
+
+    /// Checks all open texts, which may include each other; the messages with what was found.
+    fn check(&mut self) -> Vec<Message> {
+        let read = |path: &Path| match self.documents.get(&normalise(path)) {
+            Some(document) => Ok(document.text.clone()),
+            None => files::read_or_builtin(path),
+        };
+        let analyses: Vec<Analysis> = (self.documents.iter())
+            .map(|(path, document)| Analysis::new(path, &document.text, &read))
+            .collect();
+        for (document, analysis) in self.documents.values_mut().zip(analyses) {
+            document.analysis = analysis;
+        }
+        let told = self.documents.values().map(|document| {
+            let found = self.diagnostics(document);
+            published(&document.uri, Some(document.version), found)
+        });
+        told.collect()
+    }
+
+    // --- diagnostics
+
+    fn diagnostics(&self, document: &Document) -> Vec<Value> {
+        let Analysis { diagnostics, hints, .. } = &document.analysis;
+        let severe = diagnostics.iter().map(|fault| {
+            let severity = match fault.severity() {
+                Severity::Error => DiagnosticSeverity::ERROR,
+                Severity::Warning => DiagnosticSeverity::WARNING,
+            };
+            self.diagnostic(document, fault, severity)
+        });
+        let hints = hints
+            .iter()
+            .map(|lint| self.diagnostic(document, lint, DiagnosticSeverity::INFORMATION));
+        severe.chain(hints).collect()
+    }
+
+    /// A fault as the editor shows it. One in an included file is shown at the include.
+    fn diagnostic(&self, document: &Document, fault: &Diagnostic, severity: DiagnosticSeverity) -> Value {
+        let Analysis { sources, entry, .. } = &document.analysis;
+        let lines = Lines::of(sources, *entry);
+        let primary = fault.primary.as_ref();
+        let elsewhere = primary.filter(|label| label.span.source != *entry);
+        let span = match (primary, elsewhere) {
+            (_, Some(label)) => document.analysis.include_of(label.span.source),
+            (Some(label), None) => Some(label.span),
+            (None, None) => None,
+        };
+        let mut message = match elsewhere {
+            Some(label) => format!("{}: {}", sources.locate(label.span), fault.message),
+            None => fault.message.clone(),
+        };
+        if let Some(label) = primary.filter(|label| !label.message.is_empty()) {
+            message += &format!(": {}", label.message);
+        }
+        let notes = fault.notes.iter().map(|note| format!("\nnote: {note}"));
+        let help = fault.help.iter().map(|help| format!("\nhelp: {help}"));
+        message.extend(notes.chain(help));
+        let related: Vec<Value> = (elsewhere.into_iter().chain(&fault.secondary))
+            .filter_map(|Label { span, message }| {
+                let message = if message.is_empty() { &fault.message } else { message };
+                Some(json!({ "location": self.location(sources, *span)?, "message": message }))
+            })
+            .collect();
+        json!({
+            "range": span.map_or(lines.range(Span::new(*entry, 0..0)), |span| lines.range(span)),
+            "severity": severity,
+            "code": fault.code.name(),
+            "source": "logicity",
+            "message": message,
+            "relatedInformation": related,
+        })
+    }
+
+    /// Where a span is; nowhere if it is in a built-in file.
+    fn location(&self, sources: &Sources, span: Span) -> Option<Value> {
+        let uri = self.uri(sources, span.source)?;
+        Some(json!({ "uri": uri, "range": Lines::of(sources, span.source).range(span) }))
+    }
+
+    /// The URI of a text: the editor's own if it is open there.
+    fn uri(&self, sources: &Sources, id: SourceId) -> Option<String> {
+        let path = normalise(Path::new(sources.name(id)));
+        match self.documents.get(&path) {
+            Some(document) => Some(document.uri.clone()),
+            None => uri_of(&path),
+        }
+    }
+
+    // --- questions
+
+    fn answer(&self, request: Request) -> Response {
+        let Request { id, method, params } = request;
+        let answer =
+            match method.as_str() {
+                "textDocument/hover" => {
+                    read(params).and_then(|params: HoverParams| self.hover(&params.text_document_position_params))
+                }
+                "textDocument/definition" => read(params)
+                    .and_then(|params: GotoDefinitionParams| self.definition(&params.text_document_position_params)),
+                "textDocument/references" => read(params).and_then(|params: ReferenceParams| {
+                    let declared = params.context.include_declaration;
+                    self.references(&params.text_document_position, declared)
+                }),
+                "textDocument/documentSymbol" => read(params)
+                    .and_then(|params: DocumentSymbolParams| self.symbols(params.text_document.uri.as_str())),
+                "textDocument/formatting" => read(params)
+                    .and_then(|params: DocumentFormattingParams| self.format(params.text_document.uri.as_str())),
+                "textDocument/completion" => {
+                    read(params).and_then(|params: CompletionParams| self.complete(&params.text_document_position))
+                }
+                "textDocument/prepareRename" => {
+                    read(params).and_then(|params: TextDocumentPositionParams| self.prepare_rename(&params))
+                }
+                "textDocument/rename" => read(params).and_then(|params: RenameParams| self.rename(&params)),
+                other => Err((ErrorCode::MethodNotFound, format!("`{other}` is not served here"))),
+            };
+        match answer {
+            Ok(value) => Response::new_ok(id, value),
+            Err((code, message)) => Response::new_err(id, code as i32, message),
+        }
+    }
+
+    fn document(&self, uri: &str) -> Result<&Document, Refusal> {
+        let document = self.documents.get(&key(uri));
+        document.ok_or_else(|| (ErrorCode::InvalidParams, format!("`{uri}` is not open")))
+    }
+
+    /// The document, and what its name at a place means.
+    fn named(&self, at: &TextDocumentPositionParams) -> Result<Named<'_>, Refusal> {
+        let document = self.document(at.text_document.uri.as_str())?;
+        let byte = Lines::new(&document.text).byte(at.position);
+        let found = document.analysis.at(byte);
+        Ok((document, found.map(|one| (one.span, &one.meaning))))
+    }
+
+    fn hover(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
+        let (document, Some((span, meaning))) = self.named(at)? else {
+            return Ok(Value::Null);
+        };
+        let Analysis { sources, entry, .. } = &document.analysis;
+        let text = match meaning {
+            Meaning::Include(Some(target)) => format!("`{}`", sources.name(*target)),
+            _ => match described(&document.analysis, meaning) {
+                Some(text) => text,
+                None => return Ok(Value::Null),
+            },
+        };
+        Ok(json!({ "contents": markdown(text), "range": Lines::of(sources, *entry).range(span) }))
+    }
+
+    fn definition(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
+        let (document, Some((_, meaning))) = self.named(at)? else {
+            return Ok(Value::Null);
+        };
+        let analysis = &document.analysis;
+        let place = analysis
+            .declaration(meaning)
+            .and_then(|span| self.location(&analysis.sources, span));
+        Ok(place.unwrap_or(Value::Null))
+    }
+
+    /// All places of a name in the open texts and what they include, by URI; and whether it stands in built-in files as well.
+    fn places(&self, meaning: &Meaning, declared: bool) -> (BTreeMap<String, BTreeSet<Place>>, bool) {
+        let mut places: BTreeMap<String, BTreeSet<Place>> = BTreeMap::new();
+        let mut builtin = false;
+        for document in self.documents.values() {
+            let sources = &document.analysis.sources;
+            let named = document
+                .analysis
+                .occurrences
+                .iter()
+                .filter(|one| one.meaning == *meaning);
+            for one in named.filter(|one| declared || !one.declares) {
+                let Some(uri) = self.uri(sources, one.span.source) else {
+                    builtin = true;
+                    continue;
+                };
+                let range = Lines::of(sources, one.span.source).range(one.span);
+                let place = [range.start, range.end].map(|position| (position.line, position.character));
+                places.entry(uri).or_default().insert(place);
+            }
+        }
+        (places, builtin)
+    }
+
+    fn references(&self, at: &TextDocumentPositionParams, declared: bool) -> Result<Value, Refusal> {
+        let (_, Some((_, meaning))) = self.named(at)? else {
+            return Ok(Value::Null);
+        };
+        if matches!(meaning, Meaning::Include(_)) {
+            return Ok(Value::Null);
+        }
+        let (places, _) = self.places(meaning, declared);
+        let places = places
+            .iter()
+            .flat_map(|(uri, ranges)| ranges.iter().map(move |range| (uri, range)));
+        Ok(places
+            .map(|(uri, range)| json!({ "uri": uri, "range": range_json(range) }))
+            .collect())
+    }
+
+    fn prepare_rename(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
+        let (document, found) = self.named(at)?;
+        let Some((span, Meaning::Predicate(_) | Meaning::Type(_))) = found else {
+            return Ok(Value::Null);
+        };
+        Ok(json!(Lines::new(&document.text).range(span)))
+    }
+
+    fn rename(&self, params: &RenameParams) -> Result<Value, Refusal> {
+        let refuse = |message: String| Err((ErrorCode::RequestFailed, message));
+        let (document, found) = self.named(&params.text_document_position)?;
+        let (meaning, new) = match found {
+            Some((_, meaning @ Meaning::Predicate(_))) => (meaning, Meaning::Predicate(params.new_name.clone())),
+            Some((_, meaning @ Meaning::Type(_))) => (meaning, Meaning::Type(params.new_name.clone())),
+            _ => return refuse("only predicates and types can be renamed".to_owned()),
+        };
+        if !lang::is_name(&params.new_name) {
+            return refuse(format!("`{}` is not a name", params.new_name));
+        }
+        if document.analysis.declaration(&new).is_some() {
+            return refuse(format!("`{}` is declared already", params.new_name));
+        }
+        let (places, builtin) = self.places(meaning, true);
+        if builtin || document.analysis.declaration(meaning).is_none() {
+            return refuse("the name is declared in a file that cannot be changed".to_owned());
+        }
+        let changes = places.into_iter().map(|(uri, ranges)| {
+            let edits = ranges
+                .iter()
+                .map(|range| json!({ "range": range_json(range), "newText": params.new_name }));
+            (uri, edits.collect::<Value>())
+        });
+        Ok(json!({ "changes": changes.collect::<serde_json::Map<_, _>>() }))
+    }
+
+    /// Declarations, types and clauses, in order.
+    fn symbols(&self, uri: &str) -> Result<Value, Refusal> {
+        let document = self.document(uri)?;
+        let lines = Lines::new(&document.text);
+        let symbol = |name: &str, detail: &str, kind: SymbolKind, whole: Span, name_span: Span| {
+            json!({
+                "name": name, "detail": detail, "kind": kind,
+                "range": lines.range(whole), "selectionRange": lines.range(name_span),
+            })
+        };
+        let title = |doc: &str| doc.lines().next().unwrap_or_default().to_owned();
+        let mut symbols = Vec::new();
+        let own = document
+            .analysis
+            .files
+            .iter()
+            .filter(|(id, _)| *id == document.analysis.entry);
+        for item in own.flat_map(|(_, file)| &file.items) {
+            match item {
+                ast::Item::Decl(decl) => symbols.extend(decl.names.iter().map(|name| {
+                    let span = name.place.0;
+                    symbol(&name.text, &title(&decl.doc), SymbolKind::FUNCTION, span, span)
+                })),
+                ast::Item::Type(decl) => {
+                    let span = decl.name.place.0;
+                    symbols.push(symbol(
+                        &decl.name.text,
+                        &title(&decl.doc),
+                        SymbolKind::CLASS,
+                        span,
+                        span,
+                    ));
+                }
+                ast::Item::Clause(clause) => symbols.extend(clause.heads.iter().take(1).map(|head| {
+                    let name = document.analysis.sources.slice(head.place.0);
+                    symbol(
+                        name,
+                        &title(&clause.doc),
+                        SymbolKind::EVENT,
+                        clause.place.0,
+                        head.place.0,
+                    )
+                })),
+                _ => {}
+            }
+        }
+        Ok(Value::Array(symbols))
+    }
+
+    /// Nothing for a text that does not parse; its diagnostics tell why.
+    fn format(&self, uri: &str) -> Result<Value, Refusal> {
+        let document = self.document(uri)?;
+        let Analysis { sources, entry, .. } = &document.analysis;
+        Ok(match lang::format(sources, *entry) {
+            Ok(formatted) if formatted != document.text => {
+                json!([{ "range": Lines::new(&document.text).whole(), "newText": formatted }])
+            }
+            Ok(_) => json!([]),
+            Err(_) => Value::Null,
+        })
+    }
+
+    /// Directives after a full stop that begins a line, types after a colon, else predicates.
+    fn complete(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
+        let document = self.document(at.text_document.uri.as_str())?;
+        let lines = Lines::new(&document.text);
+        let start = lines.byte(Position::new(at.position.line, 0));
+        let line = &document.text[start..lines.byte(at.position)];
+        let before = line.trim_end_matches(|c: char| c.is_ascii_alphanumeric() || c == '_' || c == '?');
+        let before = before.trim();
+        let item = |name: &str, kind: CompletionItemKind| {
+            let analysis = &document.analysis;
+            let meaning = match kind {
+                CompletionItemKind::CLASS => Meaning::Type(name.to_owned()),
+                _ => Meaning::Predicate(name.to_owned()),
+            };
+            let (detail, doc) = analysis.described(&meaning).unzip();
+            let doc = doc.filter(|doc| !doc.is_empty());
+            CompletionItem {
+                label: name.to_owned(),
+                kind: Some(kind),
+                detail,
+                documentation: doc.map(|doc| Documentation::MarkupContent(markdown(doc))),
+                ..CompletionItem::default()
+            }
+        };
+        if before == "." {
+            let directives = DIRECTIVES.iter().map(|name| CompletionItem {
+                label: (*name).to_owned(),
+                kind: Some(CompletionItemKind::KEYWORD),
+                ..CompletionItem::default()
+            });
+            return Ok(json!(directives.collect::<Vec<_>>()));
+        }
+        let of_types = (before.starts_with(".decl") && before.ends_with(':'))
+            || (before.starts_with(".type") && before.ends_with([':', '=', '|']));
+        let mut items = Vec::new();
+        if of_types {
+            items.extend(lang::BaseType::ALL.map(|base| item(base.name(), CompletionItemKind::CLASS)));
+        }
+        let mut seen = BTreeSet::new();
+        for meaning in document.analysis.declared() {
+            match meaning {
+                Meaning::Type(name) if of_types && seen.insert(name) => {
+                    items.push(item(name, CompletionItemKind::CLASS))
+                }
+                Meaning::Predicate(name) if !of_types && seen.insert(name) => {
+                    items.push(item(name, CompletionItemKind::FUNCTION));
+                }
+                _ => {}
+            }
+        }
+        Ok(json!(items))
+    }
+}
+
+/// An open text, and a name in it with its place.
+type Named<'d> = (&'d Document, Option<(Span, &'d Meaning)>);
+
+/// First and last position of a place, each line and column, so that places can be sorted.
+type Place = [(u32, u32); 2];
+
+fn range_json(place: &Place) -> Value {
+    let [start, end] = place.map(|(line, column)| Position::new(line, column));
+    json!({ "start": start, "end": end })
+}
+
+/// A document's name among the open ones.
+fn key(uri: &str) -> PathBuf {
+    normalise(&path_of(uri))
+}
+
+fn read<T: DeserializeOwned>(params: Value) -> Result<T, Refusal> {
+    serde_json::from_value(params).map_err(|error| (ErrorCode::InvalidParams, error.to_string()))
+}
+
+fn markdown(value: String) -> MarkupContent {
+    MarkupContent {
+        kind: MarkupKind::Markdown,
+        value,
+    }
+}
+
+/// The declaration and, below it, its doc comment.
+fn described(analysis: &Analysis, meaning: &Meaning) -> Option<String> {
+    let (declaration, doc) = analysis.described(meaning)?;
+    let mut text = format!("```prolog\n{declaration}\n```\n");
+    if !doc.is_empty() {
+        text += &format!("\n{doc}\n");
+    }
+    if let Some(span) = analysis.declaration(meaning)
+        && span.source != analysis.entry
+    {
+        text += &format!("\n`{}`\n", analysis.sources.name(span.source));
+    }
+    Some(text)
+}
+
+fn published(uri: &str, version: Option<i32>, diagnostics: Vec<Value>) -> Message {
+    let params = json!({ "uri": uri, "version": version, "diagnostics": diagnostics });
+    Message::Notification(Notification::new("textDocument/publishDiagnostics".to_owned(), params))
+}

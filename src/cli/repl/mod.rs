@@ -1,0 +1,299 @@
+//! `logicity repl`
+//!
+//! What is typed passes through these stages: *lines* are put together until they are complete; the *input* gets a name, `<input 3>`, by
+//! which diagnostics point into it; it is a question, a command, or text of the language.
+
+mod command;
+mod prompt;
+mod table;
+mod workbench;
+
+use super::why::{self, Question};
+use super::{Failure, LimitOptions, exit, query, report};
+use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::engine::{Session, facts};
+use crate::lang::{self, BaseType, ClauseId, MarkKind, RelId, Value, is_complete};
+use command::Command;
+use prompt::{Line, Lines};
+use std::io::{self, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use table::Column;
+use workbench::{Outcome, Workbench};
+
+/// On a terminal so many rows of a relation are shown.
+const SHOWN_MAX: usize = 200;
+
+#[derive(clap::Args)]
+#[command(
+    after_help = "Type .help at the prompt. What is not typed at a terminal is read without a prompt, \
+and the exit code is 1 if an input was faulty."
+)]
+pub struct Arguments {
+    /// Rule files to begin with
+    rules: Vec<PathBuf>,
+    /// Folder with one NAME.facts for each input relation
+    #[arg(short = 'F', long, value_name = "DIR")]
+    facts: Option<PathBuf>,
+    #[command(flatten)]
+    limits: LimitOptions,
+}
+
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let mut bench = Workbench::new(sources, arguments.limits.limits())?;
+    let mut lines = Lines::open();
+    let mut repl = Repl {
+        out: anstream::stdout(),
+        profile: String::new(),
+        rows_max: if io::stdout().is_terminal() {
+            SHOWN_MAX
+        } else {
+            usize::MAX
+        },
+    };
+    if lines.is_interactive() {
+        let version = env!("CARGO_PKG_VERSION");
+        writeln!(
+            repl.out,
+            "logicity {version}; .help tells what can be typed, .quit ends"
+        )?;
+    }
+    let mut faulty = false;
+    // A faulty file can be mended and loaded again; one that is not there was a slip of the pen.
+    match repl.begin(&mut bench, arguments) {
+        Err(Failure::Input(faults)) => {
+            report(&faults, bench.sources);
+            faulty = true;
+        }
+        other => other?,
+    }
+    for number in 1.. {
+        let text = match lines.next(&bench)? {
+            Line::Text(text) => text,
+            Line::NotText => {
+                let fault = Diagnostic::new(Code::NotText, "the input is not UTF-8 text");
+                report(&[fault], bench.sources);
+                faulty = true;
+                continue;
+            }
+            Line::End => break,
+        };
+        let id = bench.sources.add(format!("<input {number}>"), text);
+        match repl.input(&mut bench, id) {
+            Ok(true) => {}
+            Ok(false) => break,
+            Err(Failure::Closed) => return Err(Failure::Closed),
+            Err(failure) => {
+                exit(command::pointing_at(failure, id, bench.sources), bench.sources);
+                faulty = true;
+            }
+        }
+        repl.out.flush()?;
+    }
+    if faulty && !lines.is_interactive() {
+        return Err(Failure::Told);
+    }
+    Ok(())
+}
+
+struct Repl<W> {
+    out: W,
+    /// What the last evaluation did.
+    profile: String,
+    rows_max: usize,
+}
+
+impl<W: Write> Repl<W> {
+    fn begin(&mut self, bench: &mut Workbench<'_>, arguments: &Arguments) -> Result<(), Failure> {
+        if !arguments.rules.is_empty() {
+            let outcome = bench.load(&arguments.rules)?;
+            report(&outcome.warnings, bench.sources);
+        }
+        if let Some(folder) = &arguments.facts {
+            self.load_facts(bench, folder)?;
+        }
+        self.profile = query::profile(&bench.session, &bench.times, bench.sources);
+        Ok(())
+    }
+
+    /// Does what an input says. Whether to go on.
+    fn input(&mut self, bench: &mut Workbench<'_>, id: SourceId) -> Result<bool, Failure> {
+        let is_question = bench.sources.text(id).trim_start().starts_with("?-");
+        let told = match command::read(bench.sources, id)? {
+            None if is_question => return self.answer(bench, id).map(|()| true),
+            None => bench.add(id)?,
+            Some(Command::Quit) => return Ok(false),
+            Some(Command::Load(paths)) => bench.load(&paths)?,
+            Some(Command::Reload) => bench.reload()?,
+            Some(Command::Facts(folder)) => return self.load_facts(bench, &folder).map(|()| true),
+            Some(Command::Retract(id)) => bench.retract(id)?,
+            Some(command) => return self.show(bench, command).map(|()| true),
+        };
+        self.tell(bench, &told)?;
+        Ok(true)
+    }
+
+    fn load_facts(&mut self, bench: &mut Workbench<'_>, folder: &Path) -> Result<(), Failure> {
+        let outcome = bench.load_facts(folder)?;
+        self.tell(bench, &outcome)
+    }
+
+    /// Commands that change nothing.
+    fn show(&mut self, bench: &Workbench<'_>, command: Command) -> Result<(), Failure> {
+        match command {
+            Command::Explain(id) => self.why(bench, Question::Holds, id)?,
+            Command::WhyNot(id) => self.why(bench, Question::Fails, id)?,
+            Command::Plan(None) => {
+                let program = bench.session.program();
+                write!(self.out, "{}", program.show_plans(bench.sources))?;
+            }
+            Command::Plan(Some(question)) => {
+                let (program, _) = bench.compile_question(question)?;
+                write!(self.out, "{}", program.show_plans(bench.sources))?;
+            }
+            Command::Profile => write!(self.out, "{}", self.profile)?,
+            Command::Relations => self.relations(bench)?,
+            Command::Show(name, span) => match bench.session.program().relation(&name) {
+                Some(id) if !bench.session.program().rules().relations[id.index()].hidden => {
+                    self.relation(bench, id)?
+                }
+                _ => {
+                    let fault = Diagnostic::new(Code::UnknownPredicate, format!("no predicate `{name}` is declared"));
+                    return Err(fault.at(span, "").help("`.relations` names them").into());
+                }
+            },
+            Command::Help => write!(self.out, "{}", command::HELP)?,
+            Command::Quit | Command::Load(_) | Command::Reload | Command::Facts(_) | Command::Retract(_) => {}
+        }
+        Ok(())
+    }
+
+    fn why(&mut self, bench: &Workbench<'_>, question: Question, id: SourceId) -> Result<(), Failure> {
+        let (texts, session) = (&bench.texts, &bench.session);
+        why::tell(&mut self.out, (question, id), texts, session, bench.sources, false)
+    }
+
+    /// `Edge +1, Path +3`
+    fn tell(&mut self, bench: &Workbench<'_>, outcome: &Outcome) -> Result<(), Failure> {
+        self.profile = query::profile(&bench.session, &bench.times, bench.sources);
+        report(&outcome.warnings, bench.sources);
+        for note in &outcome.notes {
+            writeln!(self.out, "{note}")?;
+        }
+        let changes = outcome.changes.iter().map(|change| {
+            let signed = [('+', change.added), ('-', change.removed)];
+            let signed = signed.iter().filter(|(_, count)| *count > 0);
+            let signed: Vec<String> = signed.map(|(sign, count)| format!("{sign}{count}")).collect();
+            format!("{} {}", change.relation, signed.join(" "))
+        });
+        let changes: Vec<String> = changes.collect();
+        if !changes.is_empty() {
+            writeln!(self.out, "{}", changes.join(", "))?;
+        }
+        Ok(())
+    }
+
+    fn answer(&mut self, bench: &Workbench<'_>, id: SourceId) -> Result<(), Failure> {
+        let answer = bench.ask(id)?;
+        report(&answer.warnings, bench.sources);
+        self.profile = query::profile(&answer.session, &answer.times, bench.sources);
+        let relation = &answer.session.program().rules().relations[answer.relation.index()];
+        if relation.columns.is_empty() {
+            writeln!(self.out, "{}", !answer.session.is_empty(answer.relation))?;
+            return Ok(());
+        }
+        self.rows(&answer.session, answer.relation)
+    }
+
+    /// The rows of a relation as a table, and their number.
+    fn rows(&mut self, session: &Session, id: RelId) -> Result<(), Failure> {
+        let relation = &session.program().rules().relations[id.index()];
+        let columns: Vec<Column> = (relation.columns.iter())
+            .map(|column| Column {
+                title: column.name.clone(),
+                numeric: column.base != BaseType::Symbol,
+            })
+            .collect();
+        let sorted = facts::sorted(session, id);
+        let cell = |(column, value): (&lang::Column, &Value)| facts::print_value(session, *value, column.base);
+        let rows: Vec<Vec<String>> = (sorted.iter().take(self.rows_max))
+            .map(|row| relation.columns.iter().zip(*row).map(cell).collect())
+            .collect();
+        if !rows.is_empty() && !columns.is_empty() {
+            write!(self.out, "{}", table::draw(&columns, &rows))?;
+        }
+        let count = if sorted.len() == 1 {
+            "1 row".to_owned()
+        } else {
+            format!("{} rows", sorted.len())
+        };
+        let shown = match rows.len() < sorted.len() {
+            true => format!(", the first {} of them shown", rows.len()),
+            false => String::new(),
+        };
+        writeln!(self.out, "{count}{shown}")?;
+        Ok(())
+    }
+
+    fn relations(&mut self, bench: &Workbench<'_>) -> Result<(), Failure> {
+        let title = |title: &str, numeric| Column {
+            title: title.to_owned(),
+            numeric,
+        };
+        let columns = [title("rows", true), title("relation", false), title("", false)];
+        let session = &bench.session;
+        let shown = query::relations(session.program()).filter(|(_, relation)| !relation.hidden);
+        let rows: Vec<Vec<String>> = shown
+            .map(|(id, relation)| {
+                let mut words = Vec::new();
+                words.extend(relation.derived.then_some("derived"));
+                words.extend(relation.input.then_some("input"));
+                words.extend(relation.output.then_some("output"));
+                vec![session.len(id).to_string(), signature(session, id), words.join(", ")]
+            })
+            .collect();
+        write!(self.out, "{}", table::draw(&columns, &rows))?;
+        Ok(())
+    }
+
+    /// All there is to know of a relation.
+    fn relation(&mut self, bench: &Workbench<'_>, id: RelId) -> Result<(), Failure> {
+        let (session, rules) = (&bench.session, bench.session.program().rules());
+        let relation = &rules.relations[id.index()];
+        for line in relation.doc.lines() {
+            writeln!(self.out, "/// {line}")?;
+        }
+        let place = bench.sources.locate(relation.span);
+        writeln!(self.out, ".decl {}    {place}", signature(session, id))?;
+        for directive in &relation.directives {
+            let word = match directive.kind {
+                MarkKind::Input => "input",
+                MarkKind::Output => "output",
+                MarkKind::PrintSize => "printsize",
+            };
+            writeln!(self.out, ".{word} {}", relation.name)?;
+        }
+        for (clause, number) in rules.clauses.iter().zip(0..) {
+            if clause.head.relation == id && !clause.body.is_empty() {
+                let shown = session.program().show_clause(ClauseId(number), bench.sources);
+                writeln!(self.out, "{shown}")?;
+            }
+        }
+        self.rows(session, id)
+    }
+}
+
+/// `Path(x: number, y: number)`
+fn signature(session: &Session, id: RelId) -> String {
+    let rules = session.program().rules();
+    let relation = &rules.relations[id.index()];
+    let columns = relation.columns.iter().map(|column| {
+        let ty = &rules.types[column.ty.0 as usize].name;
+        format!("{}: {ty}", column.name)
+    });
+    format!("{}({})", relation.name, columns.collect::<Vec<_>>().join(", "))
+}
+
+/// Whether an input may end here. A command is one line.
+fn is_whole(text: &str) -> bool {
+    command::word(text).is_some() || is_complete(text)
+}

@@ -1,0 +1,241 @@
+//! Where inputs come from: a terminal with a line editor, or anything else, line by line.
+
+use super::command;
+use super::workbench::Workbench;
+use crate::cli::{Failure, query};
+use rustyline::completion::{Completer, FilenameCompleter, Pair};
+use rustyline::config::{BellStyle, Config};
+use rustyline::error::ReadlineError;
+use rustyline::highlight::Highlighter;
+use rustyline::hint::Hinter;
+use rustyline::history::FileHistory;
+use rustyline::validate::{ValidationContext, ValidationResult, Validator};
+use rustyline::{CompletionType, Context, Editor, Helper};
+use std::borrow::Cow;
+use std::io::{self, BufRead, IsTerminal, Write};
+use std::path::PathBuf;
+
+/// So many inputs are remembered.
+const HISTORY_MAX: usize = 1000;
+
+/// What comes next.
+pub enum Line {
+    Text(String),
+    /// Bytes that are not UTF-8.
+    NotText,
+    End,
+}
+
+/// A source of inputs.
+pub enum Lines {
+    Editor(Box<Terminal>),
+    Plain,
+}
+
+pub struct Terminal {
+    editor: Editor<Words, FileHistory>,
+    /// `None` if there is no place for it.
+    history: Option<PathBuf>,
+}
+
+impl Lines {
+    /// Standard input: with an editor if it is a terminal.
+    pub fn open() -> Lines {
+        if !io::stdin().is_terminal() {
+            return Lines::Plain;
+        }
+        let config = Config::builder()
+            .completion_type(CompletionType::List)
+            .bell_style(BellStyle::None)
+            .max_history_size(HISTORY_MAX)
+            .map(|builder| builder.auto_add_history(true).build());
+        let editor = config.and_then(Editor::with_config);
+        match editor {
+            Ok(mut editor) => {
+                editor.set_helper(Some(Words::default()));
+                let history = history_file();
+                if let Some(path) = &history {
+                    // There is none before the first time.
+                    let _ = editor.load_history(path);
+                }
+                Lines::Editor(Box::new(Terminal { editor, history }))
+            }
+            Err(error) => {
+                let _ = writeln!(io::stderr(), "the line editor cannot be used: {error}");
+                Lines::Plain
+            }
+        }
+    }
+
+    /// Whether somebody types.
+    pub fn is_interactive(&self) -> bool {
+        matches!(self, Lines::Editor(_))
+    }
+
+    /// The next input that is not empty.
+    pub fn next(&mut self, bench: &Workbench<'_>) -> Result<Line, Failure> {
+        loop {
+            let line = match self {
+                Lines::Editor(terminal) => terminal.next(bench)?,
+                Lines::Plain => plain()?,
+            };
+            match line {
+                Line::Text(text) if text.trim().is_empty() => {}
+                line => return Ok(line),
+            }
+        }
+    }
+}
+
+fn plain() -> Result<Line, Failure> {
+    let mut input = io::stdin().lock();
+    let mut bytes = Vec::new();
+    loop {
+        let read = input.read_until(b'\n', &mut bytes);
+        let read = read.map_err(|error| Failure::Usage(format!("cannot read standard input: {error}")))?;
+        let Ok(text) = std::str::from_utf8(&bytes) else {
+            return Ok(Line::NotText);
+        };
+        if read == 0 && text.trim().is_empty() {
+            return Ok(Line::End);
+        }
+        // At the end, what is there is all there is.
+        if read == 0 || super::is_whole(text) {
+            return Ok(Line::Text(text.to_owned()));
+        }
+    }
+}
+
+impl Terminal {
+    fn next(&mut self, bench: &Workbench<'_>) -> Result<Line, Failure> {
+        if let Some(words) = self.editor.helper_mut() {
+            let shown = query::relations(bench.session.program()).filter(|(_, relation)| !relation.hidden);
+            words.relations = shown.map(|(_, relation)| relation.name.clone()).collect();
+        }
+        loop {
+            match self.editor.readline("> ") {
+                Ok(text) => {
+                    self.save();
+                    return Ok(Line::Text(text));
+                }
+                Err(ReadlineError::Interrupted) => {}
+                Err(ReadlineError::Eof) => return Ok(Line::End),
+                Err(error) => return Err(Failure::Usage(format!("cannot read from the terminal: {error}"))),
+            }
+        }
+    }
+
+    /// After every input, so that nothing is lost if an evaluation is interrupted. That it cannot be saved is told once.
+    fn save(&mut self) {
+        let Some(path) = &self.history else { return };
+        let folder = path.parent().map_or(Ok(()), std::fs::create_dir_all);
+        let saved = folder
+            .map_err(ReadlineError::Io)
+            .and_then(|()| self.editor.append_history(path));
+        if let Err(error) = saved {
+            let _ = writeln!(
+                io::stderr(),
+                "inputs will not be remembered in `{}`: {error}",
+                path.display()
+            );
+            self.history = None;
+        }
+    }
+}
+
+/// `$XDG_STATE_HOME/logicity/history`, by default in `~/.local/state`.
+fn history_file() -> Option<PathBuf> {
+    let state = std::env::var_os("XDG_STATE_HOME")
+        .map(PathBuf::from)
+        .filter(|path| path.is_absolute());
+    let state = state.or_else(|| Some(std::env::home_dir()?.join(".local/state")))?;
+    Some(state.join("logicity/history"))
+}
+
+/// What can be completed.
+#[derive(Default)]
+struct Words {
+    relations: Vec<String>,
+    files: FilenameCompleter,
+}
+
+impl Words {
+    /// The words that may stand where the text ends, and where the last one begins.
+    fn candidates(&self, before: &str) -> (usize, Vec<String>) {
+        let is_part = |c: char| c.is_ascii_alphanumeric() || "_?-".contains(c);
+        let start = before.rfind(|c| !is_part(c)).map_or(0, |at| at + 1);
+        let (lead, word) = before.split_at(start);
+        let mut candidates: Vec<&str> = Vec::new();
+        if lead.trim_start() == "." {
+            candidates.extend(command::DOTTED.iter().chain(command::DIRECTIVES));
+        } else {
+            candidates.extend(self.relations.iter().map(String::as_str));
+            if lead.trim().is_empty() {
+                candidates.extend(command::WORDS);
+            }
+        }
+        let mut found: Vec<String> = (candidates.into_iter().filter(|candidate| candidate.starts_with(word)))
+            .map(str::to_owned)
+            .collect();
+        found.sort();
+        (start, found)
+    }
+}
+
+impl Completer for Words {
+    type Candidate = Pair;
+
+    fn complete(&self, line: &str, position: usize, context: &Context<'_>) -> rustyline::Result<(usize, Vec<Pair>)> {
+        let before = &line[..position];
+        let names_files = matches!(command::word(before), Some(("load" | "facts", rest)) if !rest.is_empty());
+        if names_files || before.trim_start().starts_with(".include") {
+            return self.files.complete(line, position, context);
+        }
+        let (start, found) = self.candidates(before);
+        let pair = |word: String| Pair {
+            display: word.clone(),
+            replacement: word,
+        };
+        Ok((start, found.into_iter().map(pair).collect()))
+    }
+}
+
+impl Validator for Words {
+    fn validate(&self, context: &mut ValidationContext<'_>) -> rustyline::Result<ValidationResult> {
+        Ok(match super::is_whole(context.input()) {
+            true => ValidationResult::Valid(None),
+            false => ValidationResult::Incomplete,
+        })
+    }
+}
+
+impl Highlighter for Words {
+    fn highlight_prompt<'b, 's: 'b, 'p: 'b>(&'s self, prompt: &'p str, _: bool) -> Cow<'b, str> {
+        Cow::Owned(format!("\u{1b}[1;34m{prompt}\u{1b}[0m"))
+    }
+}
+
+impl Hinter for Words {
+    type Hint = String;
+}
+
+impl Helper for Words {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn completion_knows_commands_directives_and_relations() {
+        let words = Words {
+            relations: vec!["Path".to_owned(), "Edge".to_owned(), "explained".to_owned()],
+            ..Words::default()
+        };
+        let found = |text: &str| words.candidates(text);
+        assert_eq!(found(".re"), (1, vec!["relations".to_owned(), "reload".to_owned()]));
+        assert_eq!(found(".de"), (1, vec!["decl".to_owned()]));
+        assert_eq!(found("expl"), (0, vec!["explain".to_owned(), "explained".to_owned()]));
+        assert_eq!(found("?- Edge(x, y), !Pa"), (16, vec!["Path".to_owned()]));
+        assert_eq!(found("explain P"), (8, vec!["Path".to_owned()]));
+    }
+}

@@ -1,0 +1,472 @@
+//! What is being worked on: texts, the program they make, and a session with its facts.
+//!
+//! ```text
+//! files, typed texts --Texts--> Rules --> Program --> Session <-- facts: typed, or read from a folder
+//! ```
+//!
+//! A change either succeeds as a whole or leaves everything as it was. Facts of predicates without rules go into the session by a
+//! commit; anything else makes a new program, and the facts move to its session.
+
+use crate::cli::query::{self, Times};
+use crate::cli::{Failure, read};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::engine::{Delta, Limits, Program, RowError, Session, facts};
+use crate::files;
+use crate::lang::{self, BaseType, Functor, Inputs, Literal, RelId, Relation, Rules, Texts, Value, ast};
+use crate::symbol::Symbol;
+use std::collections::{BTreeSet, HashSet};
+use std::path::{Path, PathBuf};
+
+pub struct Workbench<'s> {
+    pub sources: &'s mut Sources,
+    pub texts: Texts,
+    pub session: Session,
+    /// How long the last change took.
+    pub times: Times,
+    limits: Limits,
+    files: Vec<PathBuf>,
+    made: Made,
+}
+
+/// What was done to the texts besides loading files.
+#[derive(Clone, Default)]
+struct Made {
+    /// Texts that were typed.
+    typed: Vec<SourceId>,
+    /// Heads that were retracted.
+    retracted: HashSet<Span>,
+}
+
+/// How many rows of a predicate came and went.
+pub struct Changed {
+    pub relation: String,
+    pub added: usize,
+    pub removed: usize,
+}
+
+/// What a change did.
+#[derive(Default)]
+pub struct Outcome {
+    pub changes: Vec<Changed>,
+    pub warnings: Vec<Diagnostic>,
+    /// What the user would not expect.
+    pub notes: Vec<String>,
+}
+
+/// The answer to a question.
+pub struct Answer {
+    pub session: Session,
+    pub times: Times,
+    pub relation: RelId,
+    pub warnings: Vec<Diagnostic>,
+}
+
+impl<'s> Workbench<'s> {
+    /// With nothing on it.
+    pub fn new(sources: &'s mut Sources, limits: Limits) -> Result<Self, Failure> {
+        let texts = Texts::new(Inputs::Extended);
+        let loaded = texts.check();
+        let rules = loaded.rules.ok_or(loaded.diagnostics)?;
+        Ok(Workbench {
+            sources,
+            texts,
+            session: Program::new(rules)?.session(),
+            times: Times::default(),
+            limits,
+            files: Vec::new(),
+            made: Made::default(),
+        })
+    }
+
+    /// Adds rule files, which are read again by [`Workbench::reload`] even if they are faulty now.
+    pub fn load(&mut self, paths: &[PathBuf]) -> Result<Outcome, Failure> {
+        let new: Vec<PathBuf> = paths
+            .iter()
+            .filter(|path| !self.files.contains(path))
+            .cloned()
+            .collect();
+        let first_new = self.sources.ids().count();
+        let mut texts = self.texts.clone();
+        for path in &new {
+            let text = read(path)?;
+            let entry = self.sources.add(path.display().to_string(), text);
+            texts.add(self.sources, entry, &files::read_or_builtin);
+        }
+        self.files.extend(new);
+        self.adopt(texts, self.made.clone(), first_new)
+    }
+
+    /// Reads all files anew. What was typed stays, what was retracted from files is back.
+    pub fn reload(&mut self) -> Result<Outcome, Failure> {
+        let first_new = self.sources.ids().count();
+        let mut texts = Texts::new(Inputs::Extended);
+        for path in &self.files {
+            let text = read(path)?;
+            let entry = self.sources.add(path.display().to_string(), text);
+            texts.add(self.sources, entry, &files::read_or_builtin);
+        }
+        for &typed in &self.made.typed {
+            texts.add(self.sources, typed, &files::read_or_builtin);
+        }
+        texts.remove_heads(&self.made.retracted);
+        self.adopt(texts, self.made.clone(), first_new)
+    }
+
+    /// Reads the facts of all input predicates from a folder.
+    pub fn load_facts(&mut self, folder: &Path) -> Result<Outcome, Failure> {
+        let loaded = query::load_inputs(folder, &mut self.session, self.sources);
+        self.commit(loaded)
+    }
+
+    /// Adds what a text says: facts, clauses, declarations, directives.
+    pub fn add(&mut self, id: SourceId) -> Result<Outcome, Failure> {
+        let rules = self.session.program().rules();
+        let rows = self.texts.facts(self.sources, id, self.session.symbols())?;
+        if rows.as_ref().is_some_and(Vec::is_empty) {
+            return Ok(Outcome::default()); // a comment
+        }
+        if let Some(rows) = rows
+            && rows
+                .iter()
+                .all(|(relation, _)| !rules.relations[relation.index()].derived)
+        {
+            let inserted = rows
+                .iter()
+                .try_for_each(|(relation, row)| self.session.insert(*relation, row));
+            return self.commit(inserted.map_err(not_taken));
+        }
+        let first_new = self.sources.ids().count() - 1;
+        let (mut texts, mut made) = (self.texts.clone(), self.made.clone());
+        texts.add(self.sources, id, &files::read_or_builtin);
+        made.typed.push(id);
+        self.adopt(texts, made, first_new)
+    }
+
+    /// Takes a fact or a clause back.
+    pub fn retract(&mut self, id: SourceId) -> Result<Outcome, Failure> {
+        if let Some(rows) = self.texts.facts(self.sources, id, self.session.symbols())? {
+            return self.retract_facts(id, &rows);
+        }
+        let parsed = lang::parse(self.sources, id);
+        if !parsed.diagnostics.is_empty() {
+            return Err(parsed.diagnostics.into());
+        }
+        let mut places = HashSet::new();
+        for item in &parsed.file.items {
+            let ast::Item::Clause(clause) = item else {
+                let fault = Diagnostic::new(Code::Unsupported, "only facts and clauses can be retracted");
+                let whole = Span::new(id, 0..self.sources.text(id).len());
+                let help = "take it out of the file, and `.reload`";
+                return Err(fault.at(whole, "").help(help).into());
+            };
+            let found = self.texts.find(clause);
+            if found.is_empty() {
+                let fault = Diagnostic::new(Code::InvalidFact, "there is no such clause");
+                let help = "`.show` shows the clauses of a predicate; the names of variables do not matter";
+                return Err(fault.at(clause.place.0, "").help(help).into());
+            }
+            places.extend(found);
+        }
+        self.take_out(places)
+    }
+
+    fn retract_facts(&mut self, id: SourceId, rows: &[(RelId, Vec<Value>)]) -> Result<Outcome, Failure> {
+        let rules = self.session.program().rules();
+        let whole = Span::new(id, 0..self.sources.text(id).trim_end().len());
+        let mut in_text = HashSet::new();
+        let mut given: Vec<(RelId, &[Value])> = Vec::new();
+        for (relation, row) in rows {
+            let stated = rules.clauses.iter().filter(|clause| clause.head.relation == *relation);
+            let stated = stated.filter(|clause| constants(clause).as_ref() == Some(row));
+            let before = in_text.len();
+            in_text.extend(stated.map(|clause| clause.head.span));
+            if in_text.len() > before {
+                continue;
+            }
+            let Relation { name, derived, .. } = &rules.relations[relation.index()];
+            if *derived {
+                let message = format!("`{name}` is derived by rules, and no text states this fact");
+                let fault = Diagnostic::new(Code::InvalidFact, message).at(whole, "");
+                return Err(fault.help("`explain` tells what it follows from, if it holds").into());
+            }
+            if self.session.contains(*relation, row) {
+                given.push((*relation, row));
+            } else {
+                let fault = Diagnostic::new(Code::InvalidFact, "this fact does not hold");
+                return Err(fault.at(whole, "").into());
+            }
+        }
+        let retracted = (given.into_iter()).try_for_each(|(relation, row)| self.session.retract(relation, row));
+        let mut outcome = self.commit(retracted.map_err(not_taken))?;
+        if !in_text.is_empty() {
+            let further = self.take_out(in_text)?;
+            outcome.changes.extend(further.changes);
+            outcome.notes = further.notes;
+        }
+        Ok(outcome)
+    }
+
+    fn take_out(&mut self, heads: HashSet<Span>) -> Result<Outcome, Failure> {
+        let (mut texts, mut made) = (self.texts.clone(), self.made.clone());
+        texts.remove_heads(&heads);
+        made.retracted.extend(heads);
+        let first_new = self.sources.ids().count();
+        self.adopt(texts, made, first_new)
+    }
+
+    /// Makes the noted facts true, unless noting them failed.
+    fn commit(&mut self, noted: Result<(), Failure>) -> Result<Outcome, Failure> {
+        match noted.and_then(|()| Ok(query::timed_commit(&mut self.session)?)) {
+            Ok((delta, times)) => {
+                self.times = times;
+                let nothing = delta.is_empty().then(|| "no fact changed".to_owned());
+                Ok(Outcome {
+                    changes: self.changes(&delta),
+                    notes: nothing.into_iter().collect(),
+                    ..Outcome::default()
+                })
+            }
+            Err(failure) => {
+                self.session.rollback();
+                Err(failure)
+            }
+        }
+    }
+
+    fn changes(&self, delta: &Delta) -> Vec<Changed> {
+        let rules = self.session.program().rules();
+        let shown = delta
+            .changes()
+            .iter()
+            .filter(|change| !rules.relations[change.relation.index()].hidden);
+        shown
+            .map(|change| Changed {
+                relation: rules.relations[change.relation.index()].name.clone(),
+                added: change.added.len(),
+                removed: change.removed.len(),
+            })
+            .collect()
+    }
+
+    /// Makes `texts` the program and moves the facts to it. Told are the warnings about texts from number `first_new` on.
+    fn adopt(&mut self, mut texts: Texts, mut made: Made, first_new: usize) -> Result<Outcome, Failure> {
+        let mut loaded = texts.check();
+        let mut rules = loaded
+            .rules
+            .take()
+            .ok_or_else(|| std::mem::take(&mut loaded.diagnostics))?;
+        let stated = self.stated_from_now_on(&rules);
+        if !stated.is_empty() {
+            for (name, text) in stated {
+                let id = self.sources.add(format!("<facts of {name}>"), text);
+                texts.add(self.sources, id, &files::read_or_builtin);
+                made.typed.push(id);
+            }
+            loaded = texts.check();
+            rules = loaded
+                .rules
+                .take()
+                .ok_or_else(|| std::mem::take(&mut loaded.diagnostics))?;
+        }
+        let mut session = Program::new(rules)?.session();
+        session.set_limits(self.limits);
+        let notes = self.move_facts(&mut session);
+        let (_, times) = query::timed_commit(&mut session)?;
+
+        let new: HashSet<SourceId> = self.sources.ids().skip(first_new).collect();
+        let is_told = |warning: &Diagnostic| {
+            // What has no rows yet may be given some.
+            warning.code != Code::DeadClause
+                && (warning.primary.as_ref()).is_none_or(|label| new.contains(&label.span.source))
+        };
+        let outcome = Outcome {
+            changes: compare(&self.session, &session),
+            warnings: loaded.diagnostics.into_iter().filter(is_told).collect(),
+            notes,
+        };
+        (self.texts, self.made, self.session, self.times) = (texts, made, session, times);
+        Ok(outcome)
+    }
+
+    /// The facts of predicates that will have rules, as text: a session takes no facts of those.
+    fn stated_from_now_on(&self, rules: &Rules) -> Vec<(String, String)> {
+        let derived = |name: &str| {
+            rules
+                .relation(name)
+                .is_some_and(|id| rules.relations[id.index()].derived)
+        };
+        let old = self.session.program().rules();
+        let mut stated = Vec::new();
+        for (id, relation) in query::relations(self.session.program()) {
+            if old.relations[id.index()].derived || !derived(&relation.name) {
+                continue;
+            }
+            let items = self.given(id).into_iter().map(|row| {
+                let place = ast::Place(relation.span);
+                let term = |(column, value): (&lang::Column, &Value)| ast::Term {
+                    kind: self.written(*value, column.base, place),
+                    place,
+                };
+                let head = ast::Atom {
+                    predicate: ast::Name {
+                        text: relation.name.clone(),
+                        place,
+                    },
+                    terms: relation.columns.iter().zip(&row).map(term).collect(),
+                    place,
+                };
+                ast::Item::Clause(ast::Clause {
+                    heads: vec![head],
+                    body: Vec::new(),
+                    doc: String::new(),
+                    place,
+                })
+            });
+            let file = ast::File { items: items.collect() };
+            if !file.items.is_empty() {
+                stated.push((relation.name.clone(), lang::print(&file)));
+            }
+        }
+        stated
+    }
+
+    fn written(&self, value: Value, base: BaseType, place: ast::Place) -> ast::TermKind {
+        match base {
+            BaseType::Symbol => ast::TermKind::Text(self.text(value).to_owned()),
+            BaseType::Number => ast::TermKind::Number(i64::from(value.as_number())),
+            BaseType::Unsigned => ast::TermKind::Unsigned(value.0),
+            BaseType::Float if value.as_float().is_finite() => {
+                ast::TermKind::Float(facts::print_float(value.as_float()))
+            }
+            BaseType::Float => {
+                let text = ast::Term {
+                    kind: ast::TermKind::Text(facts::print_float(value.as_float())),
+                    place,
+                };
+                ast::TermKind::Functor(Functor::ToFloat, vec![text])
+            }
+        }
+    }
+
+    fn text(&self, value: Value) -> &str {
+        self.session.symbols().text(Symbol(value.0)).unwrap_or_default()
+    }
+
+    /// The rows of a predicate without rules that no text states.
+    fn given(&self, id: RelId) -> Vec<Vec<Value>> {
+        let clauses = &self.session.program().rules().clauses;
+        let stated: BTreeSet<Vec<Value>> = (clauses.iter())
+            .filter(|clause| clause.head.relation == id)
+            .filter_map(constants)
+            .collect();
+        let given = self.session.rows(id).filter(|row| !stated.contains(*row));
+        given.map(<[Value]>::to_vec).collect()
+    }
+
+    /// Gives the facts to another session. Says which have no place there.
+    fn move_facts(&self, to: &mut Session) -> Vec<String> {
+        let mut notes = Vec::new();
+        for (id, relation) in query::relations(self.session.program()) {
+            if relation.derived {
+                continue;
+            }
+            let given = self.given(id);
+            if given.is_empty() {
+                continue;
+            }
+            let rules = to.program().rules();
+            let bases = |columns: &[lang::Column]| columns.iter().map(|column| column.base).collect::<Vec<_>>();
+            let place = rules.relation(&relation.name).filter(|id| {
+                let new = &rules.relations[id.index()];
+                bases(&new.columns) == bases(&relation.columns)
+            });
+            let Some(place) = place else {
+                let name = &relation.name;
+                notes.push(format!(
+                    "{} facts of `{name}` are gone: it is declared otherwise now, or no more",
+                    given.len()
+                ));
+                continue;
+            };
+            if rules.relations[place.index()].derived {
+                continue; // They are in the text now.
+            }
+            for mut row in given {
+                for (value, column) in row.iter_mut().zip(&relation.columns) {
+                    if column.base == BaseType::Symbol {
+                        *value = to.intern(self.text(*value));
+                    }
+                }
+                to.insert(place, &row).expect("predicate and columns fit");
+            }
+        }
+        notes
+    }
+
+    /// Answers a question: the rules for it, evaluated on the rows of the predicates that it names.
+    pub fn ask(&self, id: SourceId) -> Result<Answer, Failure> {
+        let (program, warnings) = self.compile_question(id)?;
+        let mut session = program.session();
+        session.set_limits(self.limits);
+        let named: BTreeSet<RelId> = (program.rules().clauses.iter())
+            .flat_map(|clause| clause.body.iter().filter_map(Literal::atom))
+            .map(|atom| atom.relation)
+            .filter(|relation| program.rules().relations[relation.index()].input)
+            .collect();
+        for relation in named {
+            for row in self.session.rows(relation) {
+                session.insert(relation, row).map_err(not_taken)?;
+            }
+        }
+        let (_, times) = query::timed_commit(&mut session)?;
+        let relation = program.relation(Texts::ANSWER).expect("every question has an answer");
+        Ok(Answer {
+            session,
+            times,
+            relation,
+            warnings,
+        })
+    }
+
+    /// The program that answers a question.
+    pub fn compile_question(&self, id: SourceId) -> Result<(Program, Vec<Diagnostic>), Failure> {
+        let loaded = self.texts.ask(self.sources, id, self.session.symbols().clone());
+        let Some(rules) = loaded.rules else {
+            return Err(loaded.diagnostics.into());
+        };
+        Ok((Program::new(rules)?, loaded.diagnostics))
+    }
+}
+
+fn not_taken(error: RowError) -> Failure {
+    Diagnostic::new(Code::InvalidFact, error.to_string()).into()
+}
+
+/// The row of a fact in the text.
+fn constants(clause: &lang::Clause) -> Option<Vec<Value>> {
+    if !clause.body.is_empty() {
+        return None;
+    }
+    let constant = |term: &lang::Term| match term {
+        lang::Term::Constant(value) => Some(*value),
+        _ => None,
+    };
+    clause.head.terms.iter().map(constant).collect()
+}
+
+/// By how many rows the predicates of the new session have more or fewer.
+fn compare(old: &Session, new: &Session) -> Vec<Changed> {
+    let mut changes = Vec::new();
+    for (id, relation) in query::relations(new.program()) {
+        let before = old.program().relation(&relation.name).map_or(0, |id| old.len(id));
+        let after = new.len(id);
+        if before != after && !relation.hidden {
+            changes.push(Changed {
+                relation: relation.name.clone(),
+                added: after.saturating_sub(before),
+                removed: before.saturating_sub(after),
+            });
+        }
+    }
+    changes
+}

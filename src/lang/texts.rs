@@ -1,0 +1,497 @@
+//! A program in the making: texts that are added to and taken from, and questions about what they declare.
+//!
+//! ```text
+//! ?- Path(x, y), y > 3.    becomes    .decl ?-(x: number, y: number)    ?-(x, y) :- Path(x, y), y > 3.
+//! ```
+//!
+//! A question is checked as a program of its own, in which every declared predicate is input. So asking needs no clause of the
+//! program to be looked at again, and everything that is allowed in a body is allowed in a question.
+
+use std::collections::HashSet;
+use std::path::Path;
+
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
+use crate::files::ReadError;
+use crate::symbol::{Symbol, Symbols};
+
+use super::ast::{Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind};
+use super::clause::{self, names_in, names_of};
+use super::include::{self, Gathered};
+use super::lexer::{self, Kind};
+use super::rules::{self, BaseType, RelId, Value};
+use super::witness::{renamed, renamed_term};
+use super::{Inputs, Loaded, check, inline, names, parser};
+
+/// The predicate of the rows that answer a question.
+const ANSWER: &str = "?-";
+
+/// The texts of a program, read and not yet checked.
+#[derive(Clone, Debug, Default)]
+pub struct Texts {
+    gathered: Gathered,
+    inputs: Inputs,
+    faults: Faults,
+}
+
+/// A fact as it is asked about: a value for each column, or any.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FactPattern {
+    /// The predicate.
+    pub relation: RelId,
+    /// By column; `None` for `_`.
+    pub values: Vec<Option<Value>>,
+}
+
+/// A predicate and one of its rows.
+pub type FactRow = (RelId, Vec<Value>);
+
+impl Texts {
+    /// The name of the predicate, in the rules that [`Texts::ask`] gives, whose rows are the answer.
+    pub const ANSWER: &str = ANSWER;
+
+    /// None yet.
+    pub fn new(inputs: Inputs) -> Self {
+        Texts {
+            inputs,
+            ..Texts::default()
+        }
+    }
+
+    /// Adds a text of `sources` and all it includes, as [`load`](super::load) does. A file that is there already is not read again.
+    pub fn add(&mut self, sources: &mut Sources, entry: SourceId, read: &dyn Fn(&Path) -> Result<String, ReadError>) {
+        include::gather(&mut self.gathered, sources, entry, read, &mut self.faults);
+    }
+
+    /// The rules that the texts make, or all their faults.
+    pub fn check(&self) -> Loaded {
+        let mut faults = self.faults.clone();
+        let rules = check(
+            &self.gathered.items,
+            !self.gathered.incomplete,
+            self.inputs,
+            Symbols::new(),
+            &mut faults,
+        );
+        Loaded {
+            rules: if faults.failed() { None } else { rules },
+            diagnostics: faults.finish(),
+        }
+    }
+
+    /// Where the heads of a clause stand, whatever the names of its variables and its comments.
+    pub fn find(&self, clause: &Clause) -> Vec<Span> {
+        let wanted = canonical(clause);
+        let found = self.gathered.items.iter().filter_map(|item| match item {
+            Item::Clause(clause) if canonical(clause) == wanted => Some(clause),
+            _ => None,
+        });
+        found
+            .flat_map(|clause| &clause.heads)
+            .map(|head| head.place.0)
+            .collect()
+    }
+
+    /// Takes out the heads that stand in these places, and clauses that have no others.
+    pub fn remove_heads(&mut self, places: &HashSet<Span>) {
+        for item in &mut self.gathered.items {
+            if let Item::Clause(clause) = item {
+                clause.heads.retain(|head| !places.contains(&head.place.0));
+            }
+        }
+        (self.gathered.items).retain(|item| !matches!(item, Item::Clause(clause) if clause.heads.is_empty()));
+    }
+
+    /// The rules that answer a question: the body of a clause, which may be preceded by `?-`. They speak of the declared predicates,
+    /// which are all input and have the ids that [`Texts::check`] gives them; the answer is the predicate [`Texts::ANSWER`], with
+    /// a column for each variable that stands outside of aggregates and does not begin with `_`. `symbols` are those of the rows
+    /// that will be given. No `.scope` holds.
+    ///
+    /// The texts themselves must be without errors.
+    pub fn ask(&self, sources: &Sources, question: SourceId, symbols: Symbols) -> Loaded {
+        let mut faults = Faults::default();
+        let parsed = parser::parse_question(question, sources.text(question), &mut faults);
+        match parsed.filter(|_| !faults.failed()) {
+            Some((body, place)) => self.answer(&body, place, symbols),
+            None => Loaded {
+                rules: None,
+                diagnostics: faults.finish(),
+            },
+        }
+    }
+
+    /// Reads a fact that is asked about, such as `Path(1, _)`, whose texts are added to `symbols`. The full stop may be missing.
+    ///
+    /// # Errors
+    /// All that is wrong with it.
+    pub fn fact(
+        &self,
+        sources: &Sources,
+        question: SourceId,
+        symbols: &Symbols,
+    ) -> Result<FactPattern, Vec<Diagnostic>> {
+        let mut faults = Faults::default();
+        let parsed = parser::parse_question(question, sources.text(question), &mut faults);
+        let Some((body, place)) = parsed.filter(|_| !faults.failed()) else {
+            return Err(faults.finish());
+        };
+        let [Literal::Atom { negated: false, atom }] = body.as_slice() else {
+            let fault = Diagnostic::new(Code::InvalidFact, "this is not one fact");
+            return Err(vec![fault.at(place.0, "expected a predicate and its values")]);
+        };
+        for term in &atom.terms {
+            let mut variable = None;
+            names_of(term, true, &mut |name| {
+                variable.get_or_insert(name);
+            });
+            if let Some(name) = variable {
+                let fault = Diagnostic::new(Code::InvalidFact, format!("`{name}` is a variable, not a value"));
+                let help = format!("texts stand in double quotes: `\"{name}\"`; `_` is any value");
+                faults.push(fault.at(term.place.0, "").help(help));
+            }
+        }
+        if faults.failed() {
+            return Err(faults.finish());
+        }
+        let loaded = self.answer(&body, place, Symbols::new());
+        let Some(rules) = loaded.rules else {
+            return Err(loaded.diagnostics);
+        };
+        let answer = rules.relation(ANSWER);
+        let clause = rules.clauses.iter().find(|clause| Some(clause.head.relation) == answer);
+        match clause.map(|clause| clause.body.as_slice()) {
+            Some([rules::Literal::Positive(atom)]) => {
+                let columns = &rules.relations[atom.relation.index()].columns;
+                let value = |(term, column): (&rules::Term, &rules::Column)| match *term {
+                    rules::Term::Constant(value) => Some(moved(value, column.base, &rules.symbols, symbols)),
+                    rules::Term::Variable(_) | rules::Term::Wildcard => None,
+                };
+                Ok(FactPattern {
+                    relation: atom.relation,
+                    values: atom.terms.iter().zip(columns).map(value).collect(),
+                })
+            }
+            _ => {
+                let fault = Diagnostic::new(Code::InvalidFact, "a fact has constants only");
+                Err(vec![fault.at(place.0, "").help("write the value of the expression")])
+            }
+        }
+    }
+
+    /// The rows of a text that consists of facts, whose texts are added to `symbols`. `None` if the text says anything else, also
+    /// a fact with an expression that has no value.
+    ///
+    /// # Errors
+    /// All that is wrong with them.
+    pub fn facts(
+        &self,
+        sources: &Sources,
+        id: SourceId,
+        symbols: &Symbols,
+    ) -> Result<Option<Vec<FactRow>>, Vec<Diagnostic>> {
+        let mut faults = Faults::default();
+        let file = include::parse_one(sources, id, &mut faults);
+        if faults.failed() {
+            return Err(faults.finish());
+        }
+        let is_fact = |item: &Item| matches!(item, Item::Clause(clause) if clause.body.is_empty());
+        if !file.items.iter().all(is_fact) {
+            return Ok(None);
+        }
+        let mut items = self.declarations(false);
+        items.extend(file.items);
+        let rules = check(&items, true, self.inputs, Symbols::new(), &mut faults);
+        let Some(rules) = rules.filter(|_| !faults.failed()) else {
+            return Err(of(id, faults));
+        };
+        let row = |clause: &rules::Clause| {
+            let columns = &rules.relations[clause.head.relation.index()].columns;
+            let value = |(term, column): (&rules::Term, &rules::Column)| match *term {
+                rules::Term::Constant(value) => Some(moved(value, column.base, &rules.symbols, symbols)),
+                rules::Term::Variable(_) | rules::Term::Wildcard => None,
+            };
+            let row: Option<Vec<Value>> = clause.head.terms.iter().zip(columns).map(value).collect();
+            Some((clause.head.relation, row?))
+        };
+        Ok(rules.clauses.iter().map(row).collect())
+    }
+
+    /// Types and predicates alone; if `given`, marked as input.
+    fn declarations(&self, given: bool) -> Vec<Item> {
+        let declared = |item: &&Item| matches!(item, Item::Type(_) | Item::Decl(_));
+        let mut items: Vec<Item> = self.gathered.items.iter().filter(declared).cloned().collect();
+        let mut names = Vec::new();
+        for item in &mut items {
+            if let Item::Decl(decl) = item {
+                // They would be warned of once more.
+                decl.qualifiers.clear();
+                names.extend(decl.names.iter().cloned());
+            }
+        }
+        if given && !names.is_empty() {
+            items.push(Item::Mark(Mark {
+                kind: MarkKind::Input,
+                names,
+                options: Vec::new(),
+            }));
+        }
+        items
+    }
+
+    /// The body with predicates replaced that stand for their bodies.
+    fn inlined(&self, clause: Clause, faults: &mut Faults) -> Clause {
+        let mut items: Vec<Item> = (self.gathered.items.iter())
+            .filter(|item| matches!(item, Item::Decl(_) | Item::Clause(_)))
+            .cloned()
+            .collect();
+        items.push(Item::Clause(clause.clone()));
+        match inline::replace(&items, faults).and_then(|mut items| items.pop()) {
+            Some(Item::Clause(replaced)) => replaced,
+            _ => clause,
+        }
+    }
+
+    fn uses_inline(&self) -> bool {
+        let is_inline = |item: &Item| match item {
+            Item::Decl(decl) => decl.qualifiers.iter().any(|word| word.text == "inline"),
+            _ => false,
+        };
+        self.gathered.items.iter().any(is_inline)
+    }
+
+    fn answer(&self, body: &[Literal], place: Place, symbols: Symbols) -> Loaded {
+        let mut faults = Faults::default();
+        let name = Name {
+            text: ANSWER.to_owned(),
+            place,
+        };
+        let head = Atom {
+            predicate: name.clone(),
+            terms: Vec::new(),
+            place,
+        };
+        let mut clause = Clause {
+            heads: vec![head],
+            body: body.to_vec(),
+            doc: String::new(),
+            place,
+        };
+        if self.uses_inline() {
+            clause = self.inlined(clause, &mut faults);
+        }
+        let declared = |columns: Vec<ColumnDecl>| Decl {
+            names: vec![name.clone()],
+            columns: Some(columns),
+            qualifiers: Vec::new(),
+            doc: String::new(),
+        };
+        // First without columns, to find what the variables are made of.
+        let mut items = self.declarations(true);
+        items.push(Item::Decl(declared(Vec::new())));
+        items.push(Item::Clause(clause.clone()));
+        let mut known = names::declare(&items, true, self.inputs, &mut faults);
+        let checked = clause::check(&items, &mut known, Symbols::new(), &mut faults);
+        known.report_unknown(&mut faults);
+        if faults.failed() {
+            return Loaded {
+                rules: None,
+                diagnostics: of(place.0.source, faults)
+                    .into_iter()
+                    .filter(Diagnostic::is_error)
+                    .collect(),
+            };
+        }
+        let base_of = |name: &str| {
+            checked.clauses.iter().find_map(|checked| {
+                let position = checked.clause.variables.iter().position(|known| known == name)?;
+                checked.bases[position]
+            })
+        };
+        let variables = variables(body);
+        let column = |(name, place): &(&str, Place)| {
+            let named = |text: &str| Name {
+                text: text.to_owned(),
+                place: *place,
+            };
+            ColumnDecl {
+                name: named(name),
+                ty: named(base_of(name).unwrap_or(BaseType::Symbol).name()),
+            }
+        };
+        let decl = declared(variables.iter().map(column).collect());
+        clause.heads[0].terms = variables
+            .iter()
+            .map(|&(name, place)| Term {
+                kind: TermKind::Variable(name.to_owned()),
+                place,
+            })
+            .collect();
+        let mut items = self.declarations(true);
+        items.push(Item::Decl(decl));
+        items.push(Item::Clause(clause));
+        let mut faults = Faults::default();
+        let rules = check(&items, true, self.inputs, symbols, &mut faults);
+        Loaded {
+            rules: if faults.failed() { None } else { rules },
+            diagnostics: of(place.0.source, faults),
+        }
+    }
+}
+
+/// The faults that have their place in one text.
+fn of(source: SourceId, faults: Faults) -> Vec<Diagnostic> {
+    let here = |fault: &Diagnostic| (fault.primary.as_ref()).is_none_or(|label| label.span.source == source);
+    faults.finish().into_iter().filter(here).collect()
+}
+
+/// The variables that a question asks for, and where each stands first.
+fn variables(body: &[Literal]) -> Vec<(&str, Place)> {
+    fn of_term<'t>(term: &'t Term, each: &mut impl FnMut(&'t str, Place)) {
+        match &term.kind {
+            TermKind::Variable(name) => each(name, term.place),
+            TermKind::Functor(_, arguments) => arguments.iter().for_each(|argument| of_term(argument, each)),
+            TermKind::Cast(inner, _) => of_term(inner, each),
+            _ => {}
+        }
+    }
+    fn of_literal<'t>(literal: &'t Literal, each: &mut impl FnMut(&'t str, Place)) {
+        match literal {
+            Literal::Atom { atom, .. } => atom.terms.iter().for_each(|term| of_term(term, each)),
+            Literal::Compare { left, right, .. } => [left, right].into_iter().for_each(|term| of_term(term, each)),
+            Literal::Any(alternatives) => alternatives.iter().flatten().for_each(|one| of_literal(one, each)),
+        }
+    }
+    let mut seen = HashSet::new();
+    let mut found = Vec::new();
+    for one in body {
+        of_literal(one, &mut |name, place| {
+            if !name.starts_with('_') && seen.insert(name) {
+                found.push((name, place));
+            }
+        });
+    }
+    found
+}
+
+/// The clause with its variables named by the order in which they occur, and without its comment.
+fn canonical(clause: &Clause) -> Clause {
+    let mut order: Vec<&str> = Vec::new();
+    let mut seen = HashSet::new();
+    let mut note = |name| {
+        if seen.insert(name) {
+            order.push(name);
+        }
+    };
+    (clause.heads.iter().flat_map(|head| &head.terms)).for_each(|term| names_of(term, true, &mut note));
+    clause
+        .body
+        .iter()
+        .for_each(|literal| names_in(literal, true, &mut note));
+    let names = (order.iter().enumerate())
+        .map(|(at, name)| ((*name).to_owned(), TermKind::Variable(format!("+{at}"))))
+        .collect();
+    let head = |head: &Atom| Atom {
+        terms: head.terms.iter().map(|term| renamed_term(term, &names)).collect(),
+        ..head.clone()
+    };
+    Clause {
+        heads: clause.heads.iter().map(head).collect(),
+        body: clause.body.iter().map(|literal| renamed(literal, &names)).collect(),
+        doc: String::new(),
+        place: clause.place,
+    }
+}
+
+/// A value of one table of symbols as one of another.
+fn moved(value: Value, base: BaseType, from: &Symbols, to: &Symbols) -> Value {
+    match base {
+        BaseType::Symbol => Value(to.intern(from.text(Symbol(value.0)).unwrap_or_default()).0),
+        _ => value,
+    }
+}
+
+/// Whether a text that somebody is typing may end here: every parenthesis is closed, and the last clause has its full stop. A
+/// directive ends with its line.
+pub fn is_complete(text: &str) -> bool {
+    let mut sources = Sources::new();
+    let id = sources.add("", text);
+    let mut faults = Faults::default();
+    let lexed = lexer::lex(id, text, &mut faults);
+    let mut depth = 0_usize;
+    for token in &lexed.tokens {
+        match token.kind {
+            Kind::LParen | Kind::LBrace | Kind::LBracket => depth += 1,
+            Kind::RParen | Kind::RBrace | Kind::RBracket => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+    }
+    // The last token is the end.
+    let Some(last) = lexed.tokens.iter().rev().nth(1) else {
+        // A doc comment waits for what it belongs to.
+        return lexed.docs.is_empty() && !has_open_comment(text, &lexed);
+    };
+    if depth > 0 || has_open_comment(text, &lexed) {
+        return false;
+    }
+    match last.kind {
+        Kind::Dot => true,
+        Kind::Comma | Kind::Colon | Kind::Pipe | Kind::Subtype | Kind::Equal | Kind::If | Kind::Semicolon => false,
+        _ => {
+            let (_, starts) = parser::parse_tokens(id, text, &lexed, &mut faults);
+            starts
+                .last()
+                .is_some_and(|&start| lexed.tokens[start].kind == Kind::Dot)
+        }
+    }
+}
+
+/// The lexer stops at a `/*` without its `*/`, and keeps no comment there.
+fn has_open_comment(text: &str, lexed: &lexer::Lexed) -> bool {
+    let read = (lexed.comments.iter().map(|comment| comment.end))
+        .chain(lexed.tokens.iter().rev().nth(1).map(|token| token.end))
+        .max()
+        .unwrap_or(0);
+    text[read as usize..].contains("/*")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_complete;
+
+    #[test]
+    fn a_text_is_complete_at_the_full_stop_and_at_the_end_of_a_directive() {
+        let whole = [
+            "",
+            "A(1).",
+            "A(x) :-\n B(x).",
+            ".decl A(x: number)",
+            ".input A",
+            ".decl A(x: number)\nA(1).",
+            "?- A(x), x > 1.",
+            "// said\n",
+            "/// said\nA(1).",
+            "A(\"a.\").",
+            "/* a */",
+        ];
+        let open = [
+            "A(1)",
+            "A(x) :-",
+            "A(x) :- B(x),\n",
+            ".decl A(x: number,",
+            ".decl A(",
+            ".input A,",
+            ".type t =",
+            "A(1). B(",
+            "?- A(x), x > 1.5",
+            "/// said\n",
+            "/* a",
+            "A(1). /* b",
+            "A(1). // a /* b */\nB",
+        ];
+        for text in whole {
+            assert!(is_complete(text), "{text}");
+        }
+        for text in open {
+            assert!(!is_complete(text), "{text}");
+        }
+    }
+}

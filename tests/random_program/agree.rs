@@ -1,0 +1,198 @@
+//! A session against the specification: any program, any script of changes.
+
+use super::Batch;
+use logicity::engine::{Options, Program, Session, Strategy, StratumWork, naive};
+use logicity::lang::{ClauseId, Literal, RelId, Rules, Value};
+use proptest::prelude::*;
+use std::collections::BTreeSet;
+
+/// Everything a session holds.
+pub fn database(session: &Session) -> naive::Database {
+    let relations = session.program().rules().relations.len();
+    (0..relations as u32)
+        .map(|rel| session.rows(RelId(rel)).map(<[Value]>::to_vec).collect())
+        .collect()
+}
+
+/// Runs the script in every strategy, with and without the optimiser; after every batch each session is what `naive` derives from
+/// scratch, and its delta is exactly the difference.
+pub fn agrees(rules: &Rules, script: &[Batch]) -> Result<(), TestCaseError> {
+    // Texts that the rules make are interned here, so that they have one word in all sessions.
+    let states = states(rules, script);
+    for optimize in [false, true] {
+        let options = Options {
+            optimize,
+            ..Options::default()
+        };
+        agrees_with(rules, script, &states, options)?;
+    }
+    Ok(())
+}
+
+/// What holds after every batch.
+fn states(rules: &Rules, script: &[Batch]) -> Vec<naive::Database> {
+    let mut facts: BTreeSet<(RelId, Vec<Value>)> = BTreeSet::new();
+    let state = |batch: &Batch| {
+        for (present, rel, row) in batch {
+            if *present {
+                facts.insert((*rel, row.clone()));
+            } else {
+                facts.remove(&(*rel, row.clone()));
+            }
+        }
+        naive::evaluate(rules, &rules.symbols, facts.iter().cloned())
+    };
+    script.iter().map(state).collect()
+}
+
+fn agrees_with(
+    rules: &Rules,
+    script: &[Batch],
+    states: &[naive::Database],
+    options: Options,
+) -> Result<(), TestCaseError> {
+    let program = Program::with(rules.clone(), options).expect("the program is safe and small");
+    let mut sessions = [Strategy::Auto, Strategy::Maintain, Strategy::Recompute].map(|strategy| {
+        let mut session = program.session();
+        session.set_strategy(strategy);
+        (strategy, session)
+    });
+    let nothing = vec![BTreeSet::new(); rules.relations.len()];
+    let mut before = &nothing;
+    for (batch, after) in script.iter().zip(states) {
+        for (strategy, session) in &mut sessions {
+            for (present, rel, row) in batch {
+                set(session, *rel, row, *present);
+            }
+            check_commit(session, before, after)?;
+            let first = std::ptr::eq(before, &nothing);
+            check_work(session, *strategy, options.optimize, first, before, after)?;
+        }
+        before = after;
+    }
+
+    // The same change there and back again: nothing happens. There, then back: what happened is undone.
+    let Some(batch) = script.last() else {
+        return Ok(());
+    };
+    for (_, session) in &mut sessions {
+        let known: Vec<bool> = batch.iter().map(|(_, rel, row)| session.contains(*rel, row)).collect();
+        for (_, rel, row) in batch {
+            set(session, *rel, row, true);
+        }
+        for ((_, rel, row), known) in batch.iter().zip(&known) {
+            set(session, *rel, row, *known);
+        }
+        prop_assert!(session.commit().unwrap().is_empty());
+        prop_assert_eq!(session.work().evaluated().count(), 0);
+
+        for ((_, rel, row), known) in batch.iter().zip(&known) {
+            set(session, *rel, row, !*known);
+        }
+        let there = session.commit().unwrap();
+        for ((_, rel, row), known) in batch.iter().zip(&known) {
+            set(session, *rel, row, *known);
+        }
+        let back = session.commit().unwrap();
+        prop_assert_eq!(there.changes().len(), back.changes().len());
+        for (there, back) in there.changes().iter().zip(back.changes()) {
+            prop_assert_eq!(
+                (there.relation, &there.added, &there.removed),
+                (back.relation, &back.removed, &back.added)
+            );
+        }
+        prop_assert_eq!(&database(session), before);
+    }
+    Ok(())
+}
+
+fn set(session: &mut Session, rel: RelId, row: &[Value], present: bool) {
+    let noted = if present {
+        session.insert(rel, row)
+    } else {
+        session.retract(rel, row)
+    };
+    noted.expect("a row that fits");
+}
+
+/// Commits; the session holds `after`, and its delta is the difference to `before`.
+fn check_commit(session: &mut Session, before: &naive::Database, after: &naive::Database) -> Result<(), TestCaseError> {
+    let delta = session.commit().unwrap();
+    prop_assert_eq!(&database(session), after);
+    for (rel, (before, after)) in before.iter().zip(after).enumerate() {
+        let rows = session.rows(RelId(rel as u32));
+        prop_assert!(rows.is_sorted());
+        let change = delta.of(RelId(rel as u32));
+        prop_assert_eq!(change.is_some(), before != after);
+        if let Some(change) = change {
+            prop_assert!(change.added.iter().eq(after.difference(before)));
+            prop_assert!(change.removed.iter().eq(before.difference(after)));
+        }
+    }
+    let program = session.program().clone();
+    for (clause, position) in program.rules().clauses.iter().zip(0..) {
+        let fired = session.fired(ClauseId(position));
+        prop_assert!(fired.iter().eq(&naive::consequences(clause, session.symbols(), after)));
+    }
+    Ok(())
+}
+
+/// Only strata whose inputs changed were touched, in the way asked for, and in those maintained only clauses that read what
+/// changed or that might derive again what was lost.
+fn check_work(
+    session: &Session,
+    strategy: Strategy,
+    optimize: bool,
+    first: bool,
+    before: &naive::Database,
+    after: &naive::Database,
+) -> Result<(), TestCaseError> {
+    let rules = session.program().rules();
+    prop_assert_eq!(session.work().strata.len(), rules.strata.len());
+    for (stratum, work) in rules.strata.iter().zip(&session.work().strata) {
+        let changed = |clause: ClauseId| input_changed(rules, clause, &stratum.relations, before, after);
+        let any = stratum.clauses.iter().any(|clause| changed(*clause));
+        let (evaluated, due) = (*work != StratumWork::Skipped, first || any);
+        // The optimiser may find that a clause does not depend on what changed.
+        prop_assert!(evaluated == due || (optimize && due));
+        match work {
+            StratumWork::Skipped => {}
+            StratumWork::Maintained(work) => {
+                prop_assert!(!first && strategy != Strategy::Recompute && work.given_up == 0);
+                for rule in &work.rules {
+                    prop_assert!(stratum.clauses.contains(&rule.clause) && rule.given > 0);
+                }
+                // As long as nothing may be lost, a clause that reads nothing that changed does not run.
+                if !stratum.recursive && work.rules.iter().any(|rule| !changed(rule.clause)) {
+                    prop_assert!(work.rules.iter().any(|rule| changed(rule.clause) && rule.derived > 0));
+                }
+            }
+            StratumWork::Recomputed(_) => {
+                let aggregates = stratum.clauses.iter().any(|clause| {
+                    let mut body = rules.clauses[clause.index()].body.iter();
+                    body.any(|literal| matches!(literal, Literal::Aggregate { .. }))
+                });
+                prop_assert!(first || strategy != Strategy::Maintain || aggregates);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Whether the clause reads a relation outside of its stratum that is not what it was.
+fn input_changed(
+    rules: &Rules,
+    clause: ClauseId,
+    own: &[RelId],
+    before: &naive::Database,
+    after: &naive::Database,
+) -> bool {
+    rules.clauses[clause.index()]
+        .body
+        .iter()
+        .filter_map(Literal::atom)
+        .any(|atom| {
+            let own = own.contains(&atom.relation) && rules.relations[atom.relation.index()].derived;
+            !own && before[atom.relation.index()] != after[atom.relation.index()]
+        })
+}

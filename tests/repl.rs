@@ -1,0 +1,462 @@
+//! The prompt as a user meets it: through a pipe, where all is text, and at a terminal.
+
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+fn logicity(arguments: &[&str], folder: &Path, input: &str) -> Output {
+    let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .args(arguments)
+        .current_dir(folder)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    process.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
+    process.wait_with_output().unwrap()
+}
+
+/// What the prompt prints on standard output and on standard error, and the exit code.
+fn typed(input: &str) -> (String, String, i32) {
+    let folder = tempfile::tempdir().unwrap();
+    typed_in(folder.path(), &[], input)
+}
+
+fn typed_in(folder: &Path, arguments: &[&str], input: &str) -> (String, String, i32) {
+    let output = logicity(&[&["repl"], arguments].concat(), folder, input);
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    let code = output.status.code().expect("ended by itself");
+    (text(output.stdout), text(output.stderr), code)
+}
+
+/// All that is typed is good; what is printed.
+fn good(input: &str) -> String {
+    let (out, err, code) = typed(input);
+    assert_eq!((err.as_str(), code), ("", 0), "{out}");
+    out
+}
+
+const GRAPH: &str = "
+.decl Edge(x: number, y: number)
+/// Whoever comes from x gets to y.
+.decl Path(x: number, y: number)
+Path(x, y) :- Edge(x, y).
+Path(x, z) :- Path(x, y),
+    Edge(y, z).
+";
+
+#[test]
+fn facts_are_followed_and_questions_answered() {
+    let out = good(&format!(
+        "{GRAPH}Edge(1, 2). Edge(2, 3).\nEdge(3, 10).\n?- Path(x, 10), x != 3.\n"
+    ));
+    assert_eq!(out, "Edge +2, Path +3\nEdge +1, Path +3\nx\n-\n1\n2\n2 rows\n");
+}
+
+#[test]
+fn a_question_is_any_body() {
+    let ask = |question: &str| good(&format!("{GRAPH}Edge(1, 2). Edge(2, 3).\n?- {question}\n"));
+    let answer = |question: &str| ask(question).split_once('\n').unwrap().1.to_owned();
+    assert_eq!(answer("Path(1, _)."), "true\n");
+    assert_eq!(answer("Path(3, _)."), "false\n");
+    assert_eq!(answer("Path(x, _), !Path(_, x)."), "x\n-\n1\n1 row\n");
+    assert_eq!(
+        answer("Edge(_x, y), z = y * 100."),
+        "y    z\n-  ---\n2  200\n3  300\n2 rows\n"
+    );
+    assert_eq!(answer("n = count : { Path(_, _) }."), "n\n-\n3\n1 row\n");
+    assert_eq!(answer("Edge(x, 2); Edge(2, x)."), "x\n-\n1\n3\n2 rows\n");
+    assert_eq!(
+        answer("Edge(x, y),\n  s = cat(\"to \", to_string(y)),\n  x > 1."),
+        "x  y  s\n-  -  ----\n2  3  to 3\n1 row\n"
+    );
+    assert_eq!(answer("Path(x, y), x > y."), "0 rows\n");
+}
+
+#[test]
+fn every_question_agrees_with_the_same_clause_in_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let facts = "Edge(1, 2). Edge(2, 3). Edge(3, 1). Edge(3, 4). Edge(5, 5).";
+    let bodies = [
+        ("x, y", "Path(x, y), !Edge(x, y)"),
+        ("x, n", "Edge(x, _), n = sum y : { Path(x, y), y > 1 }"),
+        ("x", "Path(x, x); Edge(x, 4), x = 3"),
+        ("x, y", "Edge(x, y), m = max z : { Edge(z, _) }, y = m"),
+        ("y", "Path(1, y), y % 2 = 0"),
+    ];
+    for (variables, body) in bodies {
+        let columns: Vec<String> = variables.split(", ").map(|name| format!("{name}: number")).collect();
+        let file = format!(
+            "{GRAPH}{facts}\n.decl Answer({})\n.output Answer\nAnswer({variables}) :- {body}.",
+            columns.join(", ")
+        );
+        fs::write(folder.path().join("all.dl"), file).unwrap();
+        let expected = logicity(&["query", "all.dl", "-D", "-"], folder.path(), "");
+        let expected = String::from_utf8(expected.stdout).unwrap();
+        let expected: Vec<Vec<&str>> = (expected.lines().skip(4))
+            .take_while(|line| !line.starts_with('='))
+            .map(|line| line.split('\t').collect())
+            .collect();
+        assert!(!expected.is_empty(), "{body}");
+        let out = good(&format!("{GRAPH}{facts}\n?- {body}.\n"));
+        let lines: Vec<&str> = out.lines().skip_while(|line| !line.starts_with('-')).skip(1).collect();
+        let positions: Vec<usize> = {
+            let titles = out
+                .lines()
+                .find(|line| line.split_whitespace().all(|word| body.contains(word)));
+            let titles: Vec<&str> = titles.unwrap().split_whitespace().collect();
+            let wanted = variables.split(", ");
+            wanted
+                .map(|name| titles.iter().position(|title| *title == name).unwrap())
+                .collect()
+        };
+        let mut found: Vec<Vec<&str>> = (lines[..lines.len() - 1].iter())
+            .map(|line| {
+                let cells: Vec<&str> = line.split_whitespace().collect();
+                positions.iter().map(|&position| cells[position]).collect()
+            })
+            .collect();
+        found.sort();
+        found.dedup();
+        let mut expected = expected;
+        expected.sort();
+        assert_eq!(found, expected, "{body}\n{out}");
+    }
+}
+
+#[test]
+fn facts_and_clauses_are_retracted() {
+    let out = good(&format!(
+        "{GRAPH}Edge(1, 2). Edge(2, 3).\nretract Edge(2, 3).\nEdge(2, 3).\nretract Path(a, c) :- Path(a, b), Edge(b, c).\n\
+         retract Edge(1, 2)\n"
+    ));
+    let lines: Vec<&str> = out.lines().collect();
+    let expected = [
+        "Edge +2, Path +3",
+        "Edge -1, Path -2",
+        "Edge +1, Path +2",
+        "Path -1",
+        "Edge -1, Path -1",
+    ];
+    assert_eq!(lines, expected);
+}
+
+#[test]
+fn a_fact_of_a_file_is_retracted_until_the_file_is_read_again() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("g.dl"), format!("{GRAPH}Edge(1, 2). Edge(2, 0x3).")).unwrap();
+    let (out, err, code) = typed_in(
+        folder.path(),
+        &["g.dl"],
+        "retract Edge(2, 3).\nEdge(7, 8).\nPath(9, 9).\n.reload\n?- Path(x, y), x >= 7.\n?- Edge(2, x).\n",
+    );
+    assert_eq!((err.as_str(), code), ("", 0));
+    let expected = "Edge -1, Path -2\nEdge +1, Path +1\nPath +1\nEdge +1, Path +2\nx  y\n-  -\n7  8\n9  9\n2 rows\nx\n-\n3\n1 row\n";
+    assert_eq!(out, expected);
+}
+
+#[test]
+fn facts_stay_when_their_predicate_gets_rules_or_loses_them() {
+    let out = good(
+        ".decl A(x: symbol, y: float, z: unsigned, n: number)\n.decl B(x: symbol)\n\
+         A(\"say \\\"hi\\\"\\n\", -2.5, 7, -3). A(\"b\", to_float(\"inf\"), 0, 1).\n\
+         A(x, 1, 1, 1) :- B(x).\nB(\"new\").\n?- A(x, y, z, n).\nretract A(x, 1, 1, 1) :- B(x).\n?- A(x, _, _, _).\n",
+    );
+    assert!(
+        out.contains("say \"hi\"\\n") && out.contains("inf") && out.contains("-2.5"),
+        "{out}"
+    );
+    assert!(out.starts_with("A +2\n") && out.ends_with("2 rows\n"), "{out}");
+    assert!(
+        out.contains("A +1") && out.contains("A -1") && out.contains("3 rows"),
+        "{out}"
+    );
+}
+
+#[test]
+fn why_and_why_not_are_told() {
+    let asked =
+        format!("{GRAPH}Edge(1, 2). Edge(2, 3).\nexplain Path(1, 3)\nwhy-not Path(3, _).\n.explain Edge(1, 2)\n");
+    let out = good(&asked);
+    for words in [
+        "Path(1, 3)  by",
+        "├─ Path(1, 2)",
+        "Not(Path(3, _)): no clause of Path holds",
+        "Edge(1, 2)",
+    ] {
+        assert!(out.contains(words), "`{words}` is missing in\n{out}");
+    }
+}
+
+#[test]
+fn faults_point_into_what_was_typed_and_change_nothing() {
+    let faults = [
+        ("Pth(1, 2).", "error[unknown-predicate]", "<input 6>:1:1"),
+        ("?- Path(x, y), z > 1.", "error[unbound-variable]", "<input 6>:1:16"),
+        ("?- Path(x, y),\n   Path(y).", "error[arity-mismatch]", "<input 6>:2:4"),
+        ("Edge(1, \"a\").", "error[type-mismatch]", "<input 6>:1:9"),
+        (
+            "explain Path(a, 1)",
+            "error[invalid-fact]: `a` is a variable",
+            "<input 6>:1:14",
+        ),
+        ("why-not Pth(2, 1).", "error[unknown-predicate]", "<input 6>:1:9"),
+        (
+            "retract Edge(8, 9).",
+            "error[invalid-fact]: this fact does not hold",
+            "<input 6>:1:1",
+        ),
+        (
+            "retract Path(1, 2).",
+            "error[invalid-fact]: `Path` is derived",
+            "<input 6>:1:1",
+        ),
+        (
+            "retract Path(x, y) :- Edge(y, x).",
+            "error[invalid-fact]: there is no such clause",
+            "<input 6>:1:9",
+        ),
+        (".show Nobody", "error[unknown-predicate]", "<input 6>:1:7"),
+        (".hlep", "error[syntax]: no command `.hlep`", "<input 6>:1:1"),
+        (".dcl A(x: number)", "error[syntax]: unknown directive", "<input 6>:1:1"),
+        (
+            "Path(x, y) :- Edge(x, y), !Path(y, x).",
+            "error[cyclic-negation]",
+            "<input 6>:1:28",
+        ),
+        (".include \"nowhere.dl\"", "error[missing-include]", "<input 6>:1:10"),
+        ("Edge(1, 2", "error[syntax]", "<input 6>:1:"),
+    ];
+    for (input, message, place) in faults {
+        // An input that is not complete is only at the end.
+        let (before, after) = match input {
+            "Edge(1, 2" => ("?- Path(x, y).\n", ""),
+            _ => ("", "?- Path(x, y).\n"),
+        };
+        let place = if before.is_empty() {
+            place.to_owned()
+        } else {
+            place.replace('6', "7")
+        };
+        let (out, err, code) = typed(&format!("{GRAPH}Edge(4, 5).\n{before}{input}\n{after}"));
+        assert_eq!(code, 1, "{input}\n{out}{err}");
+        assert!(err.contains(message) && err.contains(&place), "{input}\n{err}");
+        let first_line = input.lines().next().unwrap();
+        assert!(
+            err.contains(first_line) || input.contains('\n'),
+            "the line is shown as typed: {err}"
+        );
+        assert_eq!(out, "Edge +1, Path +1\nx  y\n-  -\n4  5\n1 row\n", "{input}");
+    }
+}
+
+#[test]
+fn a_faulty_file_can_be_mended() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("g.dl"), ".decl A(x: number)\nA(x) :- B(x).").unwrap();
+    let (out, err, code) = typed_in(folder.path(), &["g.dl"], ".relations\n");
+    assert!(
+        err.contains("error[unknown-predicate]") && err.contains("g.dl:2:9"),
+        "{err}"
+    );
+    assert_eq!((out.lines().count(), code), (2, 1), "{out}");
+    let (_, err, code) = typed_in(folder.path(), &["missing.dl"], "");
+    assert!(err.contains("missing.dl") && code == 2, "{err}");
+}
+
+#[test]
+fn facts_come_from_a_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("g.dl"), format!("{GRAPH}.input Edge")).unwrap();
+    fs::write(folder.path().join("Edge.facts"), "1\t2\n2\t3\n").unwrap();
+    let (out, err, code) = typed_in(folder.path(), &["g.dl", "-F", "."], ".facts .\n?- Path(x, 3).\n");
+    assert_eq!((err.as_str(), code), ("", 0));
+    assert_eq!(out, "Edge +2, Path +3\nno fact changed\nx\n-\n1\n2\n2 rows\n");
+}
+
+#[test]
+fn a_recursion_without_an_end_is_stopped_and_changes_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = ".decl N(x: number)\nN(1).\nN(x * 3 + 1) :- N(x).\n?- N(x).\n";
+    let (out, err, code) = typed_in(folder.path(), &["--max-rows", "1000"], input);
+    assert!(err.contains("error[limit-exceeded]"), "{err}");
+    assert_eq!((out.as_str(), code), ("N +1\nx\n-\n1\n1 row\n", 1));
+}
+
+#[test]
+fn what_is_there_is_shown() {
+    let out = good(&format!(
+        "{GRAPH}Edge(1, 2).\n.relations\n.show Path\n.plan\n.plan ?- Path(1, x).\n.profile\n.help\n"
+    ));
+    for words in [
+        "   1  Path(x: number, y: number)  derived",
+        "/// Whoever comes from x gets to y.",
+        "Path(x, z) :- Path(x, y), Edge(y, z).    <input 4>:1:1",
+        "for the new rows of Path",
+        "scan   Path(1, x) by x",
+        "looked at",
+        "why-not FACT",
+    ] {
+        assert!(out.contains(words), "`{words}` is missing in\n{out}");
+    }
+}
+
+#[test]
+fn query_explains_a_fact() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(
+        folder.path().join("g.dl"),
+        format!("{GRAPH}Edge(1, 2). Edge(2, 3).\n.output Path"),
+    )
+    .unwrap();
+    let query = |arguments: &[&str]| {
+        let output = logicity(&[&["query", "g.dl"], arguments].concat(), folder.path(), "");
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+        (text(output.stdout), text(output.stderr), output.status.code().unwrap())
+    };
+    let (out, _, code) = query(&["--explain", "Path(1, 3)"]);
+    assert!(
+        code == 0 && out.starts_with("Path(1, 3)  by") && out.contains("Edge(2, 3)"),
+        "{out}"
+    );
+    let (out, _, code) = query(&["--explain", "Path(3, _)"]);
+    assert!(
+        code == 0 && out.starts_with("Path(3, _) does not hold, and this is why\n"),
+        "{out}"
+    );
+    let (out, _, code) = query(&["--why-not", "Path(3, 1)."]);
+    assert!(
+        code == 0 && out.starts_with("Not(Path(3, 1)): no clause of Path holds"),
+        "{out}"
+    );
+    let (out, _, code) = query(&["--why-not", "Path(1, 2)", "--json"]);
+    let told: serde_json::Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((code, told["holds"].as_bool()), (0, Some(true)));
+    assert_eq!(told["nodes"][0]["holds"], "Path(1, 2)");
+    let (_, err, code) = query(&["--explain", "Path(1, two)"]);
+    assert!(
+        code == 1 && err.contains("<--explain>:1:9") && err.contains("error[invalid-fact]"),
+        "{err}"
+    );
+    let (_, err, code) = query(&["--json"]);
+    assert!(code == 2 && err.contains("--explain"), "{err}");
+    assert_eq!(
+        fs::read_dir(folder.path()).unwrap().count(),
+        1,
+        "no results are written"
+    );
+}
+
+/// A terminal that is typed into, and what it shows.
+#[cfg(unix)]
+mod terminal {
+    use super::*;
+    use std::fs::File;
+    use std::io::Read;
+    use std::sync::mpsc::{Receiver, channel};
+    use std::time::Duration;
+
+    struct Terminal {
+        keys: File,
+        shown: Receiver<Vec<u8>>,
+        process: std::process::Child,
+        seen: String,
+    }
+
+    impl Terminal {
+        fn open(state: &Path) -> Terminal {
+            let pair = nix::pty::openpty(None, None).unwrap();
+            let side = || Stdio::from(pair.slave.try_clone().unwrap());
+            let process = Command::new(env!("CARGO_BIN_EXE_logicity"))
+                .arg("repl")
+                .env("XDG_STATE_HOME", state)
+                .env("TERM", "xterm")
+                .stdin(side())
+                .stdout(side())
+                .stderr(side())
+                .spawn()
+                .unwrap();
+            let keys = File::from(pair.master);
+            let mut screen = keys.try_clone().unwrap();
+            let (sender, shown) = channel();
+            std::thread::spawn(move || {
+                let mut bytes = [0; 4096];
+                while let Ok(count) = screen.read(&mut bytes) {
+                    if count == 0 || sender.send(bytes[..count].to_vec()).is_err() {
+                        break;
+                    }
+                }
+            });
+            Terminal {
+                keys,
+                shown,
+                process,
+                seen: String::new(),
+            }
+        }
+
+        fn press(&mut self, keys: &str) {
+            self.keys.write_all(keys.as_bytes()).unwrap();
+        }
+
+        /// Waits until the screen has shown this, and forgets what came before.
+        fn sees(&mut self, words: &str) -> String {
+            loop {
+                if let Some(at) = self.seen.find(words) {
+                    return self.seen.drain(..at + words.len()).collect();
+                }
+                match self.shown.recv_timeout(Duration::from_secs(60)) {
+                    Ok(bytes) => self.seen += &String::from_utf8_lossy(&bytes),
+                    Err(error) => panic!("`{words}` is not shown ({error}): {:?}", self.seen),
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_terminal_has_completion_history_colours_and_a_way_out() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut terminal = Terminal::open(folder.path());
+        terminal.sees("> ");
+        terminal.press(".decl Reachable(x: number)\r");
+        terminal.sees("> ");
+        terminal.press("Reach\t(7).\r");
+        terminal.sees("Reachable +1");
+        terminal.sees("> ");
+        // An unfinished input goes on in the next line, and Ctrl-C drops it.
+        terminal.press("Reachable(8\r");
+        terminal.press("\u{3}");
+        // The end of bracketed paste: the line editor has let go of what was typed.
+        terminal.sees("\u{1b}[?2004l");
+        terminal.sees("> ");
+        terminal.press("Reachable(\"a\").\r");
+        let shown = terminal.sees("type-mismatch");
+        assert!(shown.contains("\u{1b}["), "without colour: {shown:?}");
+        terminal.sees("<input 3>");
+        terminal.sees("> ");
+        terminal.press("?- Reachable(x).\r");
+        terminal.sees("1 row");
+        terminal.sees("> ");
+        terminal.press("\u{4}");
+        assert!(
+            terminal.process.wait().unwrap().success(),
+            "a fault at a terminal is told and done with"
+        );
+        let history = fs::read_to_string(folder.path().join("logicity/history")).unwrap();
+        assert!(
+            history.contains("Reachable(7).") && !history.contains("Reachable(8"),
+            "{history}"
+        );
+
+        let mut terminal = Terminal::open(folder.path());
+        terminal.sees("> ");
+        // The key for the input before.
+        terminal.press("\u{1b}[A\r");
+        terminal.sees("unknown-predicate");
+        terminal.sees("> ");
+        terminal.press(".quit\r");
+        assert!(terminal.process.wait().unwrap().success());
+    }
+}
