@@ -329,6 +329,8 @@ fn names_are_completed_and_renamed_in_all_open_texts() {
     let items = editor.at("textDocument/completion", "main.dl", (1, 2), json!({}));
     assert!(labels(&items).contains(&"printsize".to_owned()));
 
+    // A program of its own, whose predicate only has the same name.
+    editor.open("other.dl", ".decl Old(x: symbol)\nOld(\"a\").\n");
     let renamed = editor.at("textDocument/rename", "main.dl", (2, 12), json!({ "newName": "Given" }));
     let edit = |range: Value| json!({ "range": range, "newText": "Given" });
     let mut changes = serde_json::Map::new();
@@ -344,6 +346,8 @@ fn names_are_completed_and_renamed_in_all_open_texts() {
         ("not", "not a name"),
         ("A b", "not a name"),
         ("Main", "declared already"),
+        ("place", "declared already"),
+        ("symbol", "declared already"),
     ] {
         let refused = editor.at("textDocument/rename", "main.dl", (2, 12), json!({ "newName": new }));
         assert!(refused["message"].as_str().unwrap().contains(words), "{refused}");

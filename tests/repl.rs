@@ -286,6 +286,19 @@ fn a_recursion_without_an_end_is_stopped_and_changes_nothing() {
 }
 
 #[test]
+fn facts_typed_and_in_a_file_are_retracted_together_or_not_at_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = ".decl N(x: number)\n.decl Off(x: number)\n.decl Pair(x: number, y: number)\n\
+                 Off(1).\nPair(x, y) :- N(x), N(y), !Off(1).\n";
+    fs::write(folder.path().join("pairs.dl"), rules).unwrap();
+    let facts: String = (1..=40).map(|n| format!("N({n}). ")).collect();
+    let input = format!("{facts}\nretract N(1). Off(1).\n?- N(1), Off(1).\n");
+    let (out, err, code) = typed_in(folder.path(), &["--max-rows", "1000", "pairs.dl"], &input);
+    assert!(err.contains("limit-exceeded"), "{err}");
+    assert_eq!((out.lines().last(), code), (Some("true"), 1), "{out}");
+}
+
+#[test]
 fn what_is_there_is_shown() {
     let out = good(&format!(
         "{GRAPH}Edge(1, 2).\n.relations\n.show Path\n.plan\n.plan ?- Path(1, x).\n.profile\n.help\n"

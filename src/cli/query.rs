@@ -116,33 +116,40 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let asked = (question, sources.add(format!("<{name}>"), fact));
         return why::tell(&mut out, asked, &texts, &session, sources, arguments.json);
     }
-    for (id, relation) in relations(&program) {
+    write_results(&mut out, &session, &arguments.output)?;
+    out.flush()?;
+    Ok(())
+}
+
+/// Writes every output relation to its file in a folder, or to `out` if that is where it goes or the folder is `-`; and the sizes that are
+/// asked for.
+fn write_results(out: &mut dyn Write, session: &Session, folder: &Path) -> Result<(), Failure> {
+    let to_terminal = folder == Path::new("-");
+    for (id, relation) in relations(session.program()) {
         for directive in &relation.directives {
             match directive.kind {
                 MarkKind::Input => {}
                 MarkKind::Output => {
-                    let to_terminal = arguments.output == Path::new("-");
                     let mut format = directive.format.clone();
                     // As Souffle has it.
                     format.headers |= to_terminal;
                     let header = facts::header(relation, &format);
-                    let rows = |out: &mut dyn Write| facts::write_rows(&session, id, &format, out);
+                    let rows = |out: &mut dyn Write| facts::write_rows(session, id, &format, out);
                     let path = match &directive.place {
                         _ if to_terminal => None,
                         RowPlace::Terminal => None,
-                        RowPlace::Usual => Some(arguments.output.join(format!("{}.csv", relation.name))),
-                        RowPlace::File(name) => Some(arguments.output.join(name)),
+                        RowPlace::Usual => Some(folder.join(format!("{}.csv", relation.name))),
+                        RowPlace::File(name) => Some(folder.join(name)),
                     };
                     match path {
                         Some(path) => write_relation(&path, &header, rows)?,
-                        None => print_relation(&mut out, &relation.name, &header, rows)?,
+                        None => print_relation(out, &relation.name, &header, rows)?,
                     }
                 }
                 MarkKind::PrintSize => writeln!(out, "{}\t{}", relation.name, session.len(id))?,
             }
         }
     }
-    out.flush()?;
     Ok(())
 }
 

@@ -18,6 +18,9 @@ pub enum Question {
 }
 
 /// An explanation of whatever is the case: why some fact of that form holds, and which, or why none does.
+///
+/// # Errors
+/// `limit-exceeded` if the search for an explanation takes too many steps.
 pub fn explain(
     explainer: &mut Explainer<'_>,
     session: &Session,
@@ -38,6 +41,9 @@ pub fn explain(
 
 /// Reads the fact that a text of `sources` names, and tells why it holds or does not: a tree of lines, or one line of JSON with
 /// `fact`, `holds` and `nodes`.
+///
+/// # Errors
+/// All that is wrong with the fact, those of [`explain`], and `out` that cannot be written to.
 pub fn tell(
     out: &mut impl Write,
     asked: (Question, SourceId),

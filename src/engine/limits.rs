@@ -74,7 +74,8 @@ impl EvalError {
         match unjoined(clause) {
             Some(span) => fault
                 .also(span, "shares no variable with the atoms before it")
-                .help("it makes the join large: each of its rows is combined with all rows of the others"),
+                .note("that makes the join large: each of its rows is combined with all rows of the others")
+                .help("add an atom that relates it to the others"),
             None => fault,
         }
     }

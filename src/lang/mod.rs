@@ -4,7 +4,7 @@
 //! file; [`Texts`] is for those who change a program and ask it questions. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names; [`format`](fn@format) lays a
 //! text out and keeps its comments.
 //!
-//! The stages, each in its own file: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
+//! The stages, each in its own file or folder: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
 //! list of items), `inline` (predicates that stand for their bodies), `names` (types and predicates), `clause` (alternatives and
 //! several heads), `witness` (who has the least), `body` (one clause: names, expressions, types, safety), `aggregate` and `range` (hidden
 //! predicates for these), `scope` (guards), `promise` (what is promised of facts), `strata` (order of evaluation), `lint`

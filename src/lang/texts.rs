@@ -159,17 +159,10 @@ impl Texts {
         let answer = rules.relation(ANSWER);
         let clause = rules.clauses.iter().find(|clause| Some(clause.head.relation) == answer);
         match clause.map(|clause| clause.body.as_slice()) {
-            Some([rules::Literal::Positive(atom)]) => {
-                let columns = &rules.relations[atom.relation.index()].columns;
-                let value = |(term, column): (&rules::Term, &rules::Column)| match *term {
-                    rules::Term::Constant(value) => Some(moved(value, column.base, &rules.symbols, symbols)),
-                    rules::Term::Variable(_) | rules::Term::Wildcard => None,
-                };
-                Ok(FactPattern {
-                    relation: atom.relation,
-                    values: atom.terms.iter().zip(columns).map(value).collect(),
-                })
-            }
+            Some([rules::Literal::Positive(atom)]) => Ok(FactPattern {
+                relation: atom.relation,
+                values: constants(atom, &rules, symbols).collect(),
+            }),
             _ => {
                 let fault = Diagnostic::new(Code::InvalidFact, "a fact has constants only");
                 Err(vec![fault.at(place.0, "").help("write the value of the expression")])
@@ -204,12 +197,7 @@ impl Texts {
             return Err(of(id, faults));
         };
         let row = |clause: &rules::Clause| {
-            let columns = &rules.relations[clause.head.relation.index()].columns;
-            let value = |(term, column): (&rules::Term, &rules::Column)| match *term {
-                rules::Term::Constant(value) => Some(moved(value, column.base, &rules.symbols, symbols)),
-                rules::Term::Variable(_) | rules::Term::Wildcard => None,
-            };
-            let row: Option<Vec<Value>> = clause.head.terms.iter().zip(columns).map(value).collect();
+            let row: Option<Vec<Value>> = constants(&clause.head, &rules, symbols).collect();
             Some((clause.head.relation, row?))
         };
         Ok(rules.clauses.iter().map(row).collect())
@@ -335,6 +323,19 @@ impl Texts {
             diagnostics: of(place.0.source, faults),
         }
     }
+}
+
+/// The constants of an atom, their texts added to `symbols`; `None` for a column that holds anything else.
+fn constants<'r>(
+    atom: &'r rules::Atom,
+    rules: &'r rules::Rules,
+    symbols: &'r Symbols,
+) -> impl Iterator<Item = Option<Value>> + 'r {
+    let columns = &rules.relations[atom.relation.index()].columns;
+    atom.terms.iter().zip(columns).map(|(term, column)| match *term {
+        rules::Term::Constant(value) => Some(moved(value, column.base, &rules.symbols, symbols)),
+        rules::Term::Variable(_) | rules::Term::Wildcard => None,
+    })
 }
 
 /// The faults that have their place in one text.

@@ -309,11 +309,31 @@ impl Server {
         Ok(place.unwrap_or(Value::Null))
     }
 
-    /// All places of a name in the open texts and what they include, by URI; and whether it stands in built-in files as well.
-    fn places(&self, meaning: &Meaning, declared: bool) -> (BTreeMap<String, BTreeSet<Place>>, bool) {
+    /// The open texts in which a name means what it means in one of them: it is declared in the same place, or one of the two does
+    /// not say where.
+    fn sharing<'d>(&'d self, document: &'d Document, meaning: &'d Meaning) -> impl Iterator<Item = &'d Document> {
+        let declared = |one: &Document| {
+            let span = one.analysis.declaration(meaning)?;
+            Some(self.location(&one.analysis.sources, span))
+        };
+        let here = declared(document);
+        (self.documents.values()).filter(move |one| match (&here, declared(one)) {
+            (Some(here), Some(there)) => *here == there,
+            _ => true,
+        })
+    }
+
+    /// All places of a name in the open texts that share it and what they include, by URI; and whether it stands in built-in files as
+    /// well.
+    fn places(
+        &self,
+        document: &Document,
+        meaning: &Meaning,
+        declared: bool,
+    ) -> (BTreeMap<String, BTreeSet<Place>>, bool) {
         let mut places: BTreeMap<String, BTreeSet<Place>> = BTreeMap::new();
         let mut builtin = false;
-        for document in self.documents.values() {
+        for document in self.sharing(document, meaning) {
             let sources = &document.analysis.sources;
             let named = document
                 .analysis
@@ -334,13 +354,13 @@ impl Server {
     }
 
     fn references(&self, at: &TextDocumentPositionParams, declared: bool) -> Result<Value, Refusal> {
-        let (_, Some((_, meaning))) = self.named(at)? else {
+        let (document, Some((_, meaning))) = self.named(at)? else {
             return Ok(Value::Null);
         };
         if matches!(meaning, Meaning::Include(_)) {
             return Ok(Value::Null);
         }
-        let (places, _) = self.places(meaning, declared);
+        let (places, _) = self.places(document, meaning, declared);
         let places = places
             .iter()
             .flat_map(|(uri, ranges)| ranges.iter().map(move |range| (uri, range)));
@@ -360,18 +380,20 @@ impl Server {
     fn rename(&self, params: &RenameParams) -> Result<Value, Refusal> {
         let refuse = |message: String| Err((ErrorCode::RequestFailed, message));
         let (document, found) = self.named(&params.text_document_position)?;
-        let (meaning, new) = match found {
-            Some((_, meaning @ Meaning::Predicate(_))) => (meaning, Meaning::Predicate(params.new_name.clone())),
-            Some((_, meaning @ Meaning::Type(_))) => (meaning, Meaning::Type(params.new_name.clone())),
-            _ => return refuse("only predicates and types can be renamed".to_owned()),
+        let Some((_, meaning @ (Meaning::Predicate(_) | Meaning::Type(_)))) = found else {
+            return refuse("only predicates and types can be renamed".to_owned());
         };
         if !lang::is_name(&params.new_name) {
             return refuse(format!("`{}` is not a name", params.new_name));
         }
-        if document.analysis.declaration(&new).is_some() {
+        // Predicates and types share their names.
+        let new = [Meaning::Predicate, Meaning::Type].map(|kind| kind(params.new_name.clone()));
+        let is_taken = |one: &Document| new.iter().any(|new| one.analysis.declaration(new).is_some());
+        let is_base = lang::BaseType::ALL.iter().any(|base| base.name() == params.new_name);
+        if is_base || self.sharing(document, meaning).any(is_taken) {
             return refuse(format!("`{}` is declared already", params.new_name));
         }
-        let (places, builtin) = self.places(meaning, true);
+        let (places, builtin) = self.places(document, meaning, true);
         if builtin || document.analysis.declaration(meaning).is_none() {
             return refuse("the name is declared in a file that cannot be changed".to_owned());
         }

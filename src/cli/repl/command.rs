@@ -2,6 +2,7 @@
 
 use crate::cli::Failure;
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
+use crate::lang::DIRECTIVES;
 use std::path::PathBuf;
 
 pub const HELP: &str = "\
@@ -40,9 +41,6 @@ pub const DOTTED: &[&str] = &[
 
 /// The commands that are words, and may begin with a full stop as well.
 pub const WORDS: &[&str] = &["explain", "why-not", "retract"];
-
-/// The directives of the language, which are no commands.
-pub const DIRECTIVES: &[&str] = crate::lang::DIRECTIVES;
 
 #[derive(Debug)]
 pub enum Command {

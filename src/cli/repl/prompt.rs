@@ -3,6 +3,7 @@
 use super::command;
 use super::workbench::Workbench;
 use crate::cli::{Failure, query};
+use crate::lang::DIRECTIVES;
 use rustyline::completion::{Completer, FilenameCompleter, Pair};
 use rustyline::config::{BellStyle, Config};
 use rustyline::error::ReadlineError;
@@ -167,7 +168,7 @@ impl Words {
         let (lead, word) = before.split_at(start);
         let mut candidates: Vec<&str> = Vec::new();
         if lead.trim_start() == "." {
-            candidates.extend(command::DOTTED.iter().chain(command::DIRECTIVES));
+            candidates.extend(command::DOTTED.iter().chain(DIRECTIVES));
         } else {
             candidates.extend(self.relations.iter().map(String::as_str));
             if lead.trim().is_empty() {

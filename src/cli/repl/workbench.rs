@@ -196,14 +196,23 @@ impl<'s> Workbench<'s> {
                 return Err(fault.at(whole, "").into());
             }
         }
-        let retracted = (given.into_iter()).try_for_each(|(relation, row)| self.session.retract(relation, row));
+        let retracted = (given.iter()).try_for_each(|&(relation, row)| self.session.retract(relation, row));
         let mut outcome = self.commit(retracted.map_err(not_taken))?;
-        if !in_text.is_empty() {
-            let further = self.take_out(in_text)?;
-            outcome.changes.extend(further.changes);
-            outcome.notes = further.notes;
+        if in_text.is_empty() {
+            return Ok(outcome);
         }
-        Ok(outcome)
+        match self.take_out(in_text) {
+            Ok(further) => {
+                outcome.changes.extend(further.changes);
+                outcome.notes = further.notes;
+                Ok(outcome)
+            }
+            Err(failure) => {
+                let back = (given.iter()).try_for_each(|&(relation, row)| self.session.insert(relation, row));
+                self.commit(back.map_err(not_taken))?;
+                Err(failure)
+            }
+        }
     }
 
     fn take_out(&mut self, heads: HashSet<Span>) -> Result<Outcome, Failure> {
