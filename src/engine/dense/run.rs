@@ -349,10 +349,10 @@ impl<const W: usize> BitFacts<W> {
         }
         if let &[x, y] = row {
             for (position, list) in program.lists().iter().enumerate() {
-                let (at, member) = match list {
-                    &List(read, Axis::Second) if read == relation => (x, y),
-                    &List(read, Axis::First) if read == relation => (y, x),
-                    _ => continue,
+                let (at, member) = match *list {
+                    List(read, Axis::Second) if read == relation => (x, y),
+                    List(read, Axis::First) if read == relation => (y, x),
+                    List(..) => continue,
                 };
                 self.lists[position * self.count + at][member / 64] |= 1 << (member % 64);
             }
