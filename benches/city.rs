@@ -1,13 +1,15 @@
 //! The city: a tick of the simulation, and the inference of one scene.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use logicity::config::{Split, load_scenario};
+use logicity::config::{Speed, Split, load_scenario};
 use logicity::diag::Sources;
 use logicity::engine::Program;
+use logicity::engine::dense::{BitFacts, Counting, Dense, Frame, choose, has};
 use logicity::files::{read_or_builtin, read_text};
 use logicity::lang;
 use logicity::rng::Seed;
 use logicity::sim::{Inference, Simulation, World};
+use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -55,5 +57,54 @@ fn infer(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(city, tick, infer);
+/// The rules alone, on facts that are ready: the bit rows of the expert test city at 64 moments of a run. Throughput is in
+/// decisions.
+fn rules(criterion: &mut Criterion) {
+    const WIDTH: usize = 1;
+    let world = Arc::new(world("expert"));
+    let rules = world.program.rules();
+    let dense = Dense::new(rules, &choose(rules), Counting::Off);
+    let mut simulation = Simulation::new(Arc::clone(&world), Split::Test, Seed(1)).expect("agents placed");
+    let count = simulation.agents().len();
+    let mut frame: Frame<WIDTH> = Frame::new(&dense, count);
+    let moments: Vec<BitFacts<WIDTH>> = (0..64)
+        .map(|_| {
+            for _ in 0..7 {
+                simulation.tick(&[]).expect("within limits");
+            }
+            let mut facts = BitFacts::new(&dense, count);
+            for (predicate, rows) in world.vocabulary.predicates.iter().zip(&simulation.facts().rows) {
+                let Some(relation) = predicate.relation else { continue };
+                for row in rows {
+                    facts.insert(&dense, relation, &row.map(|entity| entity as usize)[..predicate.arity]);
+                }
+            }
+            facts.load(&mut frame);
+            frame.run(&dense, &facts);
+            for speed in Speed::ALL {
+                let relation = world.vocabulary.action(speed).expect("all are in use");
+                let set = frame.set(&dense, relation).expect("it is derived");
+                for agent in 0..count {
+                    let holds = simulation.session().contains(relation, &[simulation.value(agent)]);
+                    assert_eq!(has(set, agent), holds, "{} of {agent}", speed.name());
+                }
+            }
+            facts
+        })
+        .collect();
+    let mut group = criterion.benchmark_group("rules");
+    group.throughput(Throughput::Elements(count as u64));
+    group.bench_function("expert", |bencher| {
+        let mut moment = 0;
+        bencher.iter(|| {
+            moment = (moment + 1) % moments.len();
+            moments[moment].load(&mut frame);
+            frame.run(&dense, &moments[moment]);
+            black_box(&frame);
+        });
+    });
+    group.finish();
+}
+
+criterion_group!(city, tick, infer, rules);
 criterion_main!(city);

@@ -23,6 +23,7 @@
 //! This module refuses to know what a city, an agent or an ego is. It does no I/O and is deterministic.
 
 mod adapt;
+pub mod dense;
 pub mod diff;
 mod estimate;
 mod exec;

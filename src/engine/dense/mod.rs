@@ -1,0 +1,25 @@
+//! The dense executor: programs over one small universe of entities, evaluated on bit words.
+//!
+//! Reach for [`Dense`] where the same rules are asked again and again about some dozens of entities, all facts new each time, and
+//! every predicate relates at most two of them. A one-column predicate is a [`Set`]: a word with one bit for each entity. A
+//! two-column predicate is a list of sets, one for each entity. What is true of the head's first variable is decided for 64 entities at
+//! once; "there is" is a search that ends at the first witness; a negation is a mask.
+//!
+//! ```text
+//! Rules --choose--> Choice (which strata) --compile--> Dense (immutable, shareable)
+//!                                                        |
+//!      facts: Frame::set_input, Pairs --------------> Frame::run --> Frame::set, Frame::row
+//! ```
+//!
+//! `analyse` decides which strata can be evaluated so and tells why others cannot; `compile` writes them as a short list of
+//! operations on numbered sets, in which what several clauses ask is asked once; `run` executes that list. Facts about pairs are asked of
+//! a [`Pairs`], which may hold them ([`BitFacts`]) or compute them when asked. Answers are those of [`super::naive`] if every symbol
+//! in the facts is an entity.
+
+mod analyse;
+mod compile;
+mod run;
+
+pub use analyse::{Choice, Reason, choose};
+pub use compile::{Axis, Counting, Dense, Input, List};
+pub use run::{BitFacts, Frame, Pairs, Set, has, members};
