@@ -302,7 +302,8 @@ fn large_texts(c: &mut Criterion) {
         ),
     };
     let facts = |number| format!("Q(\"{number}\", \"{}\").\n", number / 2);
-    let cases: [(&str, usize, fn(usize) -> String); 4] = [
+    type Case = (&'static str, usize, fn(usize) -> String);
+    let cases: [Case; 4] = [
         ("one_head", 2_500, one_head),
         ("shared_body", 2_500, shared),
         ("negations", 2_500, negations),
