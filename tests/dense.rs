@@ -244,8 +244,8 @@ fn check<const W: usize>(
             match rules.relations[relation.index()].arity() {
                 1 => {
                     let set = frame.set(&dense, relation).expect("it is derived");
-                    for entity in 0..entities {
-                        let holds = expected.contains(&vec![value[entity]]);
+                    for (entity, value) in value.iter().enumerate() {
+                        let holds = expected.contains(&vec![*value]);
                         prop_assert_eq!(has(set, entity), holds, "{}({})", name, entity);
                     }
                 }

@@ -1142,3 +1142,25 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn the_clause_that_derives_without_end_is_named() {
+    let text = ".decl N(x: number) .decl Seed(x: number) .input Seed
+        N(0).
+        N(x) :- Seed(x).
+        N(x + 1) :- N(x).";
+    let mut session = program(text).session();
+    insert(&mut session, "Seed", &[&[7]]);
+    for rows in [10, 1_000] {
+        session.set_limits(Limits {
+            rows,
+            ..Limits::default()
+        });
+        let error = session.commit().unwrap_err();
+        let rules = session.program().rules();
+        assert!(matches!(error, EvalError::TooManyRows { limit, .. } if limit == rows));
+        let head = &rules.clauses[error.clause().index()].head;
+        assert!(matches!(head.terms[..], [lang::Term::Variable(_)]));
+        assert_eq!(error.clause(), ClauseId(2));
+    }
+}

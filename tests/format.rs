@@ -91,6 +91,12 @@ fn everything_in_its_place() {
 }
 
 #[test]
+fn a_full_stop_touches_what_stands_before() {
+    // The stop stands at the beginning of a line, in front of a name.
+    assert_eq!(check("A(x) :- x = y\n.b(2).\n"), "A(x) :- x = y.\nb(2).\n");
+}
+
+#[test]
 fn long_clauses_go_on_below() {
     let literals: Vec<String> = (0..12).map(|number| format!("Literal{number}(x, y)")).collect();
     let text = format!("Head(x) :- {}.", literals.join(","));

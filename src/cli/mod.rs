@@ -209,23 +209,26 @@ fn read(path: &Path) -> Result<String, Failure> {
 /// What an evaluation may take.
 #[derive(clap::Args)]
 struct LimitOptions {
-    /// Stop with an error if the rules derive more rows
-    #[arg(long, value_name = "COUNT", default_value_t = Limits::default().rows)]
-    max_rows: usize,
-    /// Stop with an error if more rows have to be looked at
-    #[arg(long, value_name = "COUNT", default_value_t = Limits::default().steps)]
-    max_steps: u64,
-    /// Stop with an error if rows, indexes and texts take more memory, in MiB; the process may need about three times as much
-    #[arg(long, value_name = "MIB", default_value_t = Limits::default().bytes >> 20)]
-    max_memory: u64,
+    /// Stop with an error if the rules derive more rows: a hundred millions unless given, at the prompt of `repl` a million
+    #[arg(long, value_name = "COUNT")]
+    max_rows: Option<usize>,
+    /// Stop with an error if more rows have to be looked at: a hundred thousand millions unless given
+    #[arg(long, value_name = "COUNT")]
+    max_steps: Option<u64>,
+    /// Stop with an error if rows, indexes and texts take more memory, in MiB: 4096 unless given; the process may need about three
+    /// times as much
+    #[arg(long, value_name = "MIB")]
+    max_memory: Option<u64>,
 }
 
 impl LimitOptions {
-    fn limits(&self) -> Limits {
+    /// With these limits for what is not given.
+    fn limits(&self, usual: Limits) -> Limits {
+        let bytes = self.max_memory.map(|mebibytes| mebibytes.saturating_mul(1 << 20));
         Limits {
-            rows: self.max_rows,
-            steps: self.max_steps,
-            bytes: self.max_memory.saturating_mul(1 << 20),
+            rows: self.max_rows.unwrap_or(usual.rows),
+            steps: self.max_steps.unwrap_or(usual.steps),
+            bytes: bytes.unwrap_or(usual.bytes),
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::why::{self, Question};
 use super::{Failure, LimitOptions, compile, load_texts, make_folder, report, too_much};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::engine::{Delta, Moment, Options, Program, RuleWork, Session, StratumWork, Threads, facts, promise};
+use crate::engine::{Delta, Limits, Moment, Options, Program, RuleWork, Session, StratumWork, Threads, facts, promise};
 use crate::files::{self, Output, ReadError};
 use crate::lang::{ClauseId, Inputs, MarkKind, RelId, RowPlace};
 use std::cell::{Cell, RefCell};
@@ -84,7 +84,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Ok(());
     }
     let mut session = program.session();
-    session.set_limits(arguments.limits.limits());
+    session.set_limits(arguments.limits.limits(Limits::default()));
     (session.set_threads(arguments.threads()))
         .map_err(|error| Failure::Usage(format!("cannot start {} threads: {error}", arguments.threads)))?;
     load_inputs(

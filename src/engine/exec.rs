@@ -205,6 +205,16 @@ impl<'a> Meter<'a> {
         result.map_err(|stop| (clause, stop))
     }
 
+    /// The clause of the stratum that has derived most, repetitions included.
+    pub(super) fn largest(&self, stratum: &StratumPlan) -> Option<ClauseId> {
+        let derived = |clause: &ClauseId| {
+            let position = self.rules.binary_search_by_key(clause, |rule| rule.clause);
+            position.map_or(0, |position| self.rules[position].derived)
+        };
+        let clauses = stratum.clauses.iter().copied();
+        clauses.max_by_key(|clause| (derived(clause), std::cmp::Reverse(*clause)))
+    }
+
     /// What was done, in so many rounds.
     pub(super) fn finish(self, rounds: usize) -> Work {
         Work {
@@ -490,8 +500,8 @@ impl<const W: usize> State<W> {
         }
         let rows: Vec<_> = outputs.iter_mut().map(|output| meter.take(output)).collect();
         let total: usize = rows.iter().map(Vec::len).sum();
-        match stratum.clauses.last() {
-            Some(&clause) if total > room.rows => Err((clause, Stop::Overflow)),
+        match meter.largest(stratum) {
+            Some(clause) if total > room.rows => Err((clause, Stop::Overflow)),
             _ => Ok((rows, 1)),
         }
     }
@@ -533,7 +543,7 @@ impl<const W: usize> State<W> {
             let held = recursion.hold();
             let known: usize = base.unwrap_or_default().iter().map(|table| table.rows.len()).sum();
             let total = known + held.iter().map(Held::len).sum::<usize>();
-            if let Some(&clause) = stratum.clauses.first() {
+            if let Some(clause) = meter.largest(stratum) {
                 if total > room.rows {
                     return Err((clause, Stop::Overflow));
                 }

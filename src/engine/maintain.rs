@@ -79,8 +79,8 @@ impl<const W: usize> State<W> {
             self.tables[relation.index()].rows.len() + net.added.len() - net.removed.len()
         };
         let total: usize = members.iter().zip(&nets).map(after).sum();
-        match stratum.clauses.last() {
-            Some(&clause) if total > room.rows => Err((clause, Stop::Overflow)),
+        match meter.largest(stratum) {
+            Some(clause) if total > room.rows => Err((clause, Stop::Overflow)),
             _ => Ok((nets, rounds.max(1))),
         }
     }

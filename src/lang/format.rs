@@ -272,9 +272,8 @@ impl Layout<'_> {
         use Kind::*;
         match (left.kind, right.kind) {
             (_, Comma | Semicolon | RParen | RBracket | Colon) => false,
-            // The dot of a directive or of a name touches what follows; a full stop what stands before.
+            // The dot of a directive touches what follows; a full stop what stands before.
             (Dot, Ident) => left.end != right.start,
-            (Ident, Dot) if self.touches_name(right) => left.end != right.start,
             (_, Dot) => false,
             (LParen | LBracket | Bang | Dollar | At | Hash, _) => false,
             (Ident, LParen) => self.word(left) == "not",
@@ -283,14 +282,6 @@ impl Layout<'_> {
             (Minus | Operator, _) => binary,
             _ => true,
         }
-    }
-
-    /// Whether a name follows a dot without a gap, as in names with dots.
-    fn touches_name(&self, dot: Token) -> bool {
-        self.text[dot.end as usize..]
-            .bytes()
-            .next()
-            .is_some_and(lexer::is_name_start)
     }
 
     /// The item over several lines.

@@ -99,6 +99,21 @@ pub(super) fn declare(items: &[Item], complete: bool, inputs: Inputs, faults: &m
     names
 }
 
+/// What base types are called in other languages.
+const FOREIGN_TYPES: &[(&str, BaseType)] = &[
+    ("int", BaseType::Number),
+    ("integer", BaseType::Number),
+    ("i32", BaseType::Number),
+    ("uint", BaseType::Unsigned),
+    ("u32", BaseType::Unsigned),
+    ("double", BaseType::Float),
+    ("real", BaseType::Float),
+    ("f32", BaseType::Float),
+    ("string", BaseType::Symbol),
+    ("str", BaseType::Symbol),
+    ("text", BaseType::Symbol),
+];
+
 /// Orders that are none of the clause before are refused, as Souffle does.
 fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Faults) {
     let positive = |literal: &ast::Literal| matches!(literal, ast::Literal::Atom { negated: false, .. });
@@ -677,7 +692,12 @@ impl Names {
                     }
                     fault.help(format!("did you mean `{near}`?"))
                 }
-                None => fault.help(format!("declare it: `.type {name} <: symbol`")),
+                None => fault.help(
+                    match FOREIGN_TYPES.iter().find(|(foreign, _)| *foreign == name.as_str()) {
+                        Some((_, base)) => format!("write `{}`", base.name()),
+                        None => format!("declare it: `.type {name} <: symbol`"),
+                    },
+                ),
             };
             faults.push(fault);
         }

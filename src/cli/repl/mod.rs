@@ -11,7 +11,7 @@ mod workbench;
 use super::why::{self, Question};
 use super::{Failure, LimitOptions, exit, query, report};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
-use crate::engine::{Session, facts};
+use crate::engine::{Limits, Session, facts};
 use crate::lang::{self, BaseType, ClauseId, MarkKind, RelId, Value, is_complete};
 use command::Command;
 use prompt::{Line, Lines};
@@ -22,6 +22,9 @@ use workbench::{Outcome, Workbench};
 
 /// On a terminal so many rows of a relation are shown.
 const SHOWN_MAX: usize = 200;
+
+/// More derived rows than this are probably a mistake, which shows soon then.
+const ROWS_MAX: usize = 1_000_000;
 
 #[derive(clap::Args)]
 #[command(
@@ -39,7 +42,13 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let mut bench = Workbench::new(sources, arguments.limits.limits())?;
+    let mut bench = Workbench::new(
+        sources,
+        arguments.limits.limits(Limits {
+            rows: ROWS_MAX,
+            ..Limits::default()
+        }),
+    )?;
     let mut lines = Lines::open();
     let mut repl = Repl {
         out: anstream::stdout(),
