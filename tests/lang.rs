@@ -1331,3 +1331,19 @@ fn includes_are_found_beside_the_including_file_and_read_once() {
         ["rules/sub/a.dl", "rules/sub/b.dl", "rules/sub/../c.dl"]
     );
 }
+
+#[test]
+fn signs_in_a_row_are_printed_as_deep_as_they_were_read() {
+    let text = format!(
+        ".decl A, B(x: number)\nB({}x) :- A(bnot -x), x = -(5).\n",
+        "- ".repeat(60)
+    );
+    let mut sources = Sources::new();
+    let id = sources.add("signs.dl", text);
+    let parsed = logicity::lang::parse(&sources, id);
+    assert!(parsed.diagnostics.is_empty());
+    let id = sources.add("again.dl", logicity::lang::print(&parsed.file));
+    let again = logicity::lang::parse(&sources, id);
+    assert!(again.diagnostics.is_empty());
+    assert_eq!(logicity::lang::print(&again.file), logicity::lang::print(&parsed.file));
+}

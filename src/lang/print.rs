@@ -190,6 +190,8 @@ fn write_functor(f: &mut fmt::Formatter<'_>, functor: Functor, arguments: &[Term
         {
             write!(f, "-({number})")
         }
+        // A sign before a sign needs no parentheses, which would nest deeper than what was read.
+        (Some(_), [operand]) if is_prefixed(operand) => write!(f, "{} {operand}", functor.name()),
         (Some(own), [operand]) => {
             let space = if functor == Functor::Negate { "" } else { " " };
             write!(
@@ -220,6 +222,11 @@ fn write_functor(f: &mut fmt::Formatter<'_>, functor: Functor, arguments: &[Term
             f.write_char(')')
         }
     }
+}
+
+/// Whether the term begins with an operator before its only operand.
+fn is_prefixed(term: &Term) -> bool {
+    matches!(&term.kind, TermKind::Functor(functor, arguments) if arguments.len() == 1 && functor.precedence().is_some())
 }
 
 /// An operand of something that binds so tightly; in parentheses if it binds less.
