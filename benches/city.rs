@@ -1,7 +1,7 @@
 //! The city: a tick of the simulation, and the inference of one scene.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use logicity::config::{Speed, Split, load_scenario};
+use logicity::config::{Definition, Speed, Split, load_scenario};
 use logicity::diag::Sources;
 use logicity::engine::Program;
 use logicity::engine::dense::{BitFacts, Counting, Dense, Frame, choose, has};
@@ -63,7 +63,16 @@ fn rules(criterion: &mut Criterion) {
     const WIDTH: usize = 1;
     let world = Arc::new(world("expert"));
     let rules = world.program.rules();
-    let dense = Dense::new(rules, &choose(rules), Counting::Off);
+    let steady = |relation| {
+        let predicate = world
+            .vocabulary
+            .predicates
+            .iter()
+            .find(|predicate| predicate.relation == Some(relation));
+        predicate
+            .is_some_and(|predicate| matches!(predicate.definition, Definition::Kind(_) | Definition::Concept { .. }))
+    };
+    let dense = Dense::new(rules, &choose(rules), Counting::Off, steady);
     let mut simulation = Simulation::new(Arc::clone(&world), Split::Test, Seed(1)).expect("agents placed");
     let count = simulation.agents().len();
     let mut frame: Frame<WIDTH> = Frame::new(&dense, count);
@@ -79,7 +88,7 @@ fn rules(criterion: &mut Criterion) {
                     facts.insert(&dense, relation, &row.map(|entity| entity as usize)[..predicate.arity]);
                 }
             }
-            facts.load(&mut frame);
+            facts.load(&dense, &mut frame);
             frame.run(&dense, &facts);
             for speed in Speed::ALL {
                 let relation = world.vocabulary.action(speed).expect("all are in use");
@@ -98,7 +107,7 @@ fn rules(criterion: &mut Criterion) {
         let mut moment = 0;
         bencher.iter(|| {
             moment = (moment + 1) % moments.len();
-            moments[moment].load(&mut frame);
+            moments[moment].load(&dense, &mut frame);
             frame.run(&dense, &moments[moment]);
             black_box(&frame);
         });

@@ -221,13 +221,14 @@ fn check<const W: usize>(
     let choice = choose(rules);
     prop_assert!(choice.all_dense(), "{:?}", choice);
     for counting in [Counting::Off, Counting::Each] {
-        let dense = Dense::new(rules, &choice, counting);
+        let steady = |relation: RelId| relation.0 % 2 == 0;
+        let dense = Dense::new(rules, &choice, counting, steady);
         let mut given: BitFacts<W> = BitFacts::new(&dense, entities);
         for (relation, row) in facts {
             given.insert(&dense, *relation, row);
         }
         let mut frame: Frame<W> = Frame::new(&dense, entities);
-        given.load(&mut frame);
+        given.load(&dense, &mut frame);
         // A second run starts from what the first left.
         for _ in 0..2 {
             frame.run(&dense, &given);
@@ -282,7 +283,7 @@ fn check_egos<const W: usize>(
     rules: &Rules,
 ) -> Result<(), TestCaseError> {
     let mut some = Frame::new(program, all.count());
-    given.load(&mut some);
+    given.load(program, &mut some);
     let egos: Set<W> = [0x5555_5555_5555_5555; W];
     some.set_egos(egos);
     some.run(program, given);

@@ -2,13 +2,14 @@
 
 use super::analyse::Choice;
 use crate::lang::{Atom, Clause, ClauseId, Comparison, Literal, RelId, Rules, Term};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A set of the frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Reg(u32);
 
 impl Reg {
+    #[inline]
     pub fn index(self) -> usize {
         self.0 as usize
     }
@@ -36,6 +37,7 @@ impl Range {
         }
     }
 
+    #[inline]
     fn cut<T>(self, list: &[T]) -> &[T] {
         &list[self.start as usize..self.end as usize]
     }
@@ -44,10 +46,26 @@ impl Range {
 /// One operation. `dst` is written, all else is read.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Op {
-    /// The members of all `ones` and of no `zeros`.
-    And { dst: Reg, ones: Range, zeros: Range },
-    /// Adds the members of `from`.
-    Or { dst: Reg, from: Reg },
+    /// The members of both.
+    And { dst: Reg, left: Reg, right: Reg },
+    /// The members of `left` that are not in `right`.
+    Without { dst: Reg, left: Reg, right: Reg },
+    /// The members of either.
+    Or { dst: Reg, left: Reg, right: Reg },
+    /// The members of `demand` to which all `lists` relate one and the same member of `among`.
+    Any {
+        dst: Reg,
+        demand: Reg,
+        among: Reg,
+        lists: Range,
+    },
+    /// Adds those members; who is in `dst` is not asked about.
+    AddAny {
+        dst: Reg,
+        demand: Reg,
+        among: Reg,
+        lists: Range,
+    },
     /// The members of `demand` for which each step has a value.
     Exists { dst: Reg, demand: Reg, steps: Range },
     /// Adds, to the row of each member of `demand`, the values of the first step for which the others have one.
@@ -61,9 +79,8 @@ pub(super) enum Op {
 /// Finds the values of one variable, those of the steps before and of the head's first variable being bound.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step {
-    /// What is true of it alone.
-    pub ones: Range,
-    pub zeros: Range,
+    /// Of whom all is true that is asked of it alone.
+    pub among: Reg,
     /// What relates it to bound variables.
     pub tests: Range,
 }
@@ -126,9 +143,14 @@ pub struct Dense {
     lists: Vec<List>,
     set_count: usize,
     row_lists: usize,
-    operands: Vec<Reg>,
+    /// Operands of [`Op::Any`]: positions in `lists`.
+    operands: Vec<usize>,
     steps: Vec<Step>,
     tests: Vec<Test>,
+    /// How many of `inputs` change often; the others follow.
+    pub(super) restless: usize,
+    /// What depends on steady inputs only.
+    pub(super) settling: Vec<Op>,
     pub(super) ops: Vec<Op>,
     /// The sets of derived predicates with one column.
     pub(super) heads: Vec<Reg>,
@@ -163,8 +185,9 @@ impl Dense {
     /// Variables that a search binds at a time, the head's included.
     pub(super) const VARIABLES_MAX: usize = 24;
 
-    /// Compiles the dense strata of a choice made by [`super::choose`] for these rules. What other strata derive is input.
-    pub fn new(rules: &Rules, choice: &Choice, counting: Counting) -> Dense {
+    /// Compiles the dense strata of a choice made by [`super::choose`] for these rules. What other strata derive is input. The
+    /// inputs that `steady` names seldom change: what follows from them alone is computed only when they do.
+    pub fn new(rules: &Rules, choice: &Choice, counting: Counting, steady: impl Fn(RelId) -> bool) -> Dense {
         let strata = || (rules.strata.iter().enumerate()).filter(|(position, _)| choice.is_dense(*position));
         let mut derived = vec![false; rules.relations.len()];
         for relation in strata().flat_map(|(_, stratum)| &stratum.relations) {
@@ -176,13 +199,17 @@ impl Dense {
             .collect();
 
         let mut compiler = Compiler::new(rules, counting, derived);
-        compiler.find_inputs(&bodies);
+        compiler.find_inputs(&bodies, steady);
         compiler.find_shared(&bodies);
-        for relation in strata().flat_map(|(_, stratum)| &stratum.relations) {
-            compiler.declare(*relation);
-        }
-        for (clause, body) in &bodies {
-            compiler.clause(*clause, body);
+        let mut bodies = bodies.iter().peekable();
+        for (_, stratum) in strata() {
+            for &relation in &stratum.relations {
+                compiler.declare(relation);
+            }
+            while let Some((clause, body)) = bodies.next_if(|(clause, _)| stratum.clauses.contains(clause)) {
+                compiler.clause(*clause, body);
+            }
+            compiler.complete();
         }
         compiler.out
     }
@@ -211,14 +238,17 @@ impl Dense {
         self.row_lists
     }
 
-    pub(super) fn operands(&self, range: Range) -> &[Reg] {
+    #[inline]
+    pub(super) fn operands(&self, range: Range) -> &[usize] {
         range.cut(&self.operands)
     }
 
+    #[inline]
     pub(super) fn steps(&self, range: Range) -> &[Step] {
         range.cut(&self.steps)
     }
 
+    #[inline]
     pub(super) fn tests(&self, range: Range) -> &[Test] {
         range.cut(&self.tests)
     }
@@ -466,6 +496,17 @@ impl Body {
     }
 }
 
+/// When a set changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Changes {
+    /// With steady inputs only.
+    Seldom,
+    /// From run to run.
+    Often,
+    /// Within a run: it is a predicate whose clauses are being evaluated.
+    Within,
+}
+
 struct Compiler<'a> {
     rules: &'a Rules,
     counting: Counting,
@@ -475,7 +516,10 @@ struct Compiler<'a> {
     guards: Vec<RelId>,
     out: Dense,
     known_properties: BTreeMap<Property, Reg>,
-    known_sets: BTreeMap<(Vec<Reg>, Vec<Reg>), Reg>,
+    /// Sets made of two others: whether of both, or of the first without the second.
+    known_sets: BTreeMap<(Reg, Reg, bool), Reg>,
+    /// By [`Reg`]: how seldom the set changes.
+    changes: Vec<Changes>,
     /// Searches that several clauses make, with what each clause asks of given predicates about the head's first variable.
     shared: BTreeMap<Search, Vec<Vec<(Property, bool)>>>,
     known_searches: BTreeMap<Search, Reg>,
@@ -505,6 +549,8 @@ impl<'a> Compiler<'a> {
                 operands: Vec::new(),
                 steps: Vec::new(),
                 tests: Vec::new(),
+                restless: 0,
+                settling: Vec::new(),
                 ops: Vec::new(),
                 heads: Vec::new(),
                 homes: vec![Home::Given; rules.relations.len()],
@@ -513,6 +559,7 @@ impl<'a> Compiler<'a> {
             },
             known_properties: BTreeMap::new(),
             known_sets: BTreeMap::new(),
+            changes: vec![Changes::Seldom; Dense::FIRST_INPUT],
             shared: BTreeMap::new(),
             known_searches: BTreeMap::new(),
         }
@@ -524,18 +571,14 @@ impl<'a> Compiler<'a> {
     }
 
     /// Numbers the sets that the caller provides, and finds out whether the program is local.
-    fn find_inputs(&mut self, bodies: &[(ClauseId, Body)]) {
+    fn find_inputs(&mut self, bodies: &[(ClauseId, Body)], steady: impl Fn(RelId) -> bool) {
+        let mut given = BTreeSet::new();
         for literal in bodies.iter().flat_map(|(_, body)| &body.literals) {
             let (relation, asked_of_head) = match *literal {
                 Lit::Is(Property::Related(relation, axis), var, _) => (relation, var == 0 && axis == Axis::First),
                 Lit::Is(property @ (Property::Holds(relation) | Property::Diagonal(relation)), var, _) => {
-                    if !self.derived[relation.index()] && !self.known_properties.contains_key(&property) {
-                        let set = self.set();
-                        self.known_properties.insert(property, set);
-                        self.out.inputs.push(match property {
-                            Property::Holds(relation) => Input::Unary(relation),
-                            _ => Input::Diagonal(relation),
-                        });
+                    if self.is_given(property) {
+                        given.insert((steady(relation), property));
                     }
                     (relation, var == 0)
                 }
@@ -543,6 +586,15 @@ impl<'a> Compiler<'a> {
                 Lit::Same(..) => continue,
             };
             self.out.local &= asked_of_head || !self.derived[relation.index()];
+        }
+        for (steady, property) in given {
+            let set = self.set(if steady { Changes::Seldom } else { Changes::Often });
+            self.known_properties.insert(property, set);
+            self.out.inputs.push(match property {
+                Property::Diagonal(relation) => Input::Diagonal(relation),
+                Property::Holds(relation) | Property::Related(relation, _) => Input::Unary(relation),
+            });
+            self.out.restless += usize::from(!steady);
         }
     }
 
@@ -559,7 +611,8 @@ impl<'a> Compiler<'a> {
         self.shared.retain(|_, users| users.len() > 1);
     }
 
-    fn set(&mut self) -> Reg {
+    fn set(&mut self, changes: Changes) -> Reg {
+        self.changes.push(changes);
         self.out.set_count += 1;
         Reg(u32::try_from(self.out.set_count - 1).expect("fewer than 2^32 sets"))
     }
@@ -572,7 +625,7 @@ impl<'a> Compiler<'a> {
     fn declare(&mut self, relation: RelId) {
         self.out.homes[relation.index()] = match self.rules.relations[relation.index()].arity() {
             1 => {
-                let set = self.set();
+                let set = self.set(Changes::Within);
                 self.out.heads.push(set);
                 Home::Set(set)
             }
@@ -580,9 +633,16 @@ impl<'a> Compiler<'a> {
         };
     }
 
+    /// The predicates so far have all their facts before the next clause.
+    fn complete(&mut self) {
+        for set in &self.out.heads {
+            self.changes[set.index()] = Changes::Often;
+        }
+    }
+
     fn clause(&mut self, id: ClauseId, body: &Body) {
         let head = self.rules.clauses[id.index()].head.relation;
-        let (mut ones, mut zeros) = self.split(&body.properties(0));
+        let (mut ones, zeros) = self.split(&body.properties(0));
         ones.push(Reg(1));
         let mut own = Vec::new();
         for group in body.conditions() {
@@ -595,23 +655,21 @@ impl<'a> Compiler<'a> {
         // One variable is found faster than several.
         own.sort_by_key(Vec::len);
 
-        let mut found = match self.out.homes[head.index()] {
-            Home::Set(set) if self.counting == Counting::Off => {
-                zeros.push(set);
-                self.and(ones, zeros)
-            }
-            _ => self.known_and(ones, zeros),
+        let mut found = self.combine(ones, zeros);
+        let last = match (self.out.homes[head.index()], self.counting) {
+            (Home::Set(dst), Counting::Off) => own.pop().map(|search| (dst, search)),
+            _ => None,
         };
         for search in own {
-            let dst = self.set();
-            let steps = self.search(&search);
-            let demand = found;
-            self.out.ops.push(Op::Exists { dst, demand, steps });
-            found = dst;
+            found = self.exists(found, &search);
+        }
+        if let Some((dst, search)) = last {
+            self.add_existing(dst, found, &search);
+            return;
         }
         match self.out.homes[head.index()] {
             Home::Set(dst) => {
-                self.out.ops.push(Op::Or { dst, from: found });
+                self.add(dst, found);
                 if self.counting == Counting::Each {
                     self.out.fired.insert(id, Fired::Set(found));
                 }
@@ -648,21 +706,81 @@ impl<'a> Compiler<'a> {
                     .map(|asked| {
                         let (mut ones, zeros) = self.split(asked);
                         ones.push(Reg(1));
-                        self.known_and(ones, zeros)
+                        self.combine(ones, zeros)
                     })
                     .collect();
-                let dst = self.and(vec![sets[0]], Vec::new());
-                for &from in &sets[1..] {
-                    self.out.ops.push(Op::Or { dst, from });
-                }
-                dst
+                let union = |left, &right: &Reg| {
+                    let dst = self.set(Changes::Often);
+                    self.out.ops.push(Op::Or { dst, left, right });
+                    dst
+                };
+                let (&first, rest) = sets.split_first().expect("a shared search has users");
+                rest.iter().fold(first, union)
             }
         };
-        let dst = self.set();
-        let steps = self.search(&search);
-        self.out.ops.push(Op::Exists { dst, demand, steps });
+        let dst = self.exists(demand, &search);
         self.known_searches.insert(search, dst);
         dst
+    }
+
+    /// The members of `demand` for which a search succeeds.
+    fn exists(&mut self, demand: Reg, search: &Search) -> Reg {
+        let steps = self.search(search);
+        let dst = self.set(Changes::Often);
+        let op = match self.lists(steps) {
+            Some((among, lists)) => Op::Any {
+                dst,
+                demand,
+                among,
+                lists,
+            },
+            None => Op::Exists { dst, demand, steps },
+        };
+        self.out.ops.push(op);
+        dst
+    }
+
+    /// Adds the members of `demand` for which a search succeeds to a set.
+    fn add_existing(&mut self, dst: Reg, demand: Reg, search: &Search) {
+        let steps = self.search(search);
+        if let Some((among, lists)) = self.lists(steps) {
+            self.out.ops.push(Op::AddAny {
+                dst,
+                demand,
+                among,
+                lists,
+            });
+            return;
+        }
+        let demand = self.both(demand, dst, false);
+        let from = self.set(Changes::Often);
+        self.out.ops.push(Op::Exists {
+            dst: from,
+            demand,
+            steps,
+        });
+        self.add(dst, from);
+    }
+
+    /// Adds the members of a set to another.
+    fn add(&mut self, dst: Reg, from: Reg) {
+        let (left, right) = (dst, from);
+        self.out.ops.push(Op::Or { dst, left, right });
+    }
+
+    /// Of a search with one step that asks given lists only: among whom it looks, and the lists.
+    fn lists(&mut self, steps: Range) -> Option<(Reg, Range)> {
+        let [Step { among, tests }] = *self.out.steps(steps) else {
+            return None;
+        };
+        let given = |test: &Test| match test.list {
+            Place::Given(list) if test.holds => Some(list),
+            _ => None,
+        };
+        let lists: Vec<usize> = self.out.tests(tests).iter().map(given).collect::<Option<_>>()?;
+        let range = Range::begin(&self.out.operands);
+        self.out.operands.extend(lists);
+        Some((among, range.end(&self.out.operands)))
     }
 
     /// The sets of properties that are to hold, and of those that are not.
@@ -689,7 +807,7 @@ impl<'a> Compiler<'a> {
                 let Home::Rows(rows) = self.out.homes[relation.index()] else {
                     unreachable!("given sets are numbered before")
                 };
-                let dst = self.set();
+                let dst = self.set(Changes::Often);
                 self.out.ops.push(Op::Diagonal { dst, rows });
                 dst
             }
@@ -698,51 +816,78 @@ impl<'a> Compiler<'a> {
                     Axis::First => Axis::Second,
                     Axis::Second => Axis::First,
                 };
-                let steps = self.search(&vec![Seek {
+                let search = vec![Seek {
                     properties: Vec::new(),
                     relations: vec![(Relates::By(relation, other), 0, true)],
-                }]);
-                let dst = self.set();
-                let demand = Reg(0);
-                self.out.ops.push(Op::Exists { dst, demand, steps });
-                dst
+                }];
+                self.exists(Reg(0), &search)
             }
         };
         self.known_properties.insert(property, set);
         set
     }
 
-    fn known_and(&mut self, mut ones: Vec<Reg>, mut zeros: Vec<Reg>) -> Reg {
-        for list in [&mut ones, &mut zeros] {
-            list.sort_unstable();
-            list.dedup();
+    /// The set of the members of all `ones` and of no `zeros`; all entities are in it if there are neither. What seldom changes is
+    /// put together apart from the rest: it need not be done again, and the rest is what clauses tend to have in common.
+    fn combine(&mut self, ones: Vec<Reg>, zeros: Vec<Reg>) -> Reg {
+        let (ones, zeros) = (
+            ones.into_iter().map(|set| (set, true)),
+            zeros.into_iter().map(|set| (set, false)),
+        );
+        let (mut steady, mut rest): (Vec<_>, Vec<_>) =
+            (ones.chain(zeros)).partition(|(set, _)| self.changes[set.index()] == Changes::Seldom);
+        match (steady.is_empty(), rest.is_empty()) {
+            (_, true) => self.fold(steady),
+            (true, false) => self.fold(rest),
+            (false, false) => {
+                // A set that is not to hold has to be taken away from something.
+                if rest.iter().all(|(_, holds)| !holds) && steady.len() == 1 {
+                    rest.append(&mut steady);
+                    return self.fold(rest);
+                }
+                let (left, right) = (self.fold(steady), self.fold(rest));
+                self.both(left, right, true)
+            }
         }
-        if let Some(&set) = self.known_sets.get(&(ones.clone(), zeros.clone())) {
+    }
+
+    fn fold(&mut self, mut sets: Vec<(Reg, bool)>) -> Reg {
+        sets.sort_unstable_by_key(|&(set, holds)| (!holds, set));
+        sets.dedup();
+        // It begins with a set that holds, if only with that of all.
+        let (first, rest) = match sets.as_slice() {
+            [(first, true), rest @ ..] => (*first, rest),
+            rest => (Reg(0), rest),
+        };
+        (rest.iter()).fold(first, |made, &(set, holds)| self.both(made, set, holds))
+    }
+
+    /// The members of `left` that are in `right`, or those that are not.
+    fn both(&mut self, left: Reg, right: Reg, holds: bool) -> Reg {
+        if let Some(&set) = self.known_sets.get(&(left, right, holds)) {
             return set;
         }
-        let set = self.and(ones.clone(), zeros.clone());
-        self.known_sets.insert((ones, zeros), set);
-        set
-    }
-
-    fn and(&mut self, ones: Vec<Reg>, zeros: Vec<Reg>) -> Reg {
-        let dst = self.set();
-        let (ones, zeros) = (self.operands(ones), self.operands(zeros));
-        self.out.ops.push(Op::And { dst, ones, zeros });
+        let changes = self.changes[left.index()].max(self.changes[right.index()]);
+        let dst = self.set(changes.min(Changes::Often));
+        let op = match holds {
+            true => Op::And { dst, left, right },
+            false => Op::Without { dst, left, right },
+        };
+        if changes != Changes::Within {
+            self.known_sets.insert((left, right, holds), dst);
+        }
+        match changes {
+            Changes::Seldom => self.out.settling.push(op),
+            _ => self.out.ops.push(op),
+        }
         dst
-    }
-
-    fn operands(&mut self, list: Vec<Reg>) -> Range {
-        let range = Range::begin(&self.out.operands);
-        self.out.operands.extend(list);
-        range.end(&self.out.operands)
     }
 
     fn search(&mut self, search: &Search) -> Range {
         let mut steps = Vec::with_capacity(search.len());
         for seek in search {
             let (ones, zeros) = self.split(&seek.properties);
-            let (ones, zeros) = (self.operands(ones), self.operands(zeros));
+            let among = self.combine(ones, zeros);
             let tests: Vec<Test> = (seek.relations.iter())
                 .map(|&(relates, to, holds)| Test {
                     list: self.place(relates),
@@ -753,7 +898,7 @@ impl<'a> Compiler<'a> {
             let range = Range::begin(&self.out.tests);
             self.out.tests.extend(tests);
             let tests = range.end(&self.out.tests);
-            steps.push(Step { ones, zeros, tests });
+            steps.push(Step { among, tests });
         }
         let range = Range::begin(&self.out.steps);
         self.out.steps.extend(steps);

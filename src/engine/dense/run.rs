@@ -27,16 +27,45 @@ fn first<const W: usize>(count: usize) -> Set<W> {
     })
 }
 
-fn and<const W: usize>(left: Set<W>, right: &Set<W>) -> Set<W> {
-    std::array::from_fn(|word| left[word] & right[word])
+#[inline(always)]
+fn and<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
+    let mut at = 0;
+    while at < W {
+        left[at] &= right[at];
+        at += 1;
+    }
+    left
 }
 
-fn without<const W: usize>(left: Set<W>, right: &Set<W>) -> Set<W> {
-    std::array::from_fn(|word| left[word] & !right[word])
+#[inline(always)]
+fn without<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
+    let mut at = 0;
+    while at < W {
+        left[at] &= !right[at];
+        at += 1;
+    }
+    left
 }
 
+#[inline(always)]
+fn or<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
+    let mut at = 0;
+    while at < W {
+        left[at] |= right[at];
+        at += 1;
+    }
+    left
+}
+
+#[inline(always)]
 fn is_empty<const W: usize>(set: &Set<W>) -> bool {
-    set.iter().all(|&word| word == 0)
+    let mut all = 0;
+    let mut at = 0;
+    while at < W {
+        all |= set[at];
+        at += 1;
+    }
+    all == 0
 }
 
 /// The entities of a set in ascending order.
@@ -60,6 +89,24 @@ pub fn members<const W: usize>(set: &Set<W>) -> impl Iterator<Item = usize> + us
 pub trait Pairs<const W: usize> {
     /// Those of `among` that stand in the relation of the list to entity `at`. `list` is a position in [`Dense::lists`].
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W>;
+
+    /// Those of `demand` to which one and the same member of `among` stands in the relations of all lists.
+    fn any(&self, lists: &[usize], demand: Set<W>, among: Set<W>) -> Set<W> {
+        let mut found = [0; W];
+        for at in members(&demand) {
+            let mut set = among;
+            for &list in lists {
+                set = self.narrow(list, at, set);
+                if is_empty(&set) {
+                    break;
+                }
+            }
+            if !is_empty(&set) {
+                found[at / 64] |= 1 << (at % 64);
+            }
+        }
+        found
+    }
 }
 
 /// The sets a [`Dense`] program reads and writes, for one universe.
@@ -67,6 +114,8 @@ pub trait Pairs<const W: usize> {
 pub struct Frame<const W: usize> {
     count: usize,
     sets: Vec<Set<W>>,
+    /// Whether a steady input has changed since what follows from it was computed.
+    unsettled: bool,
     /// Rows of derived predicates with two columns, `count` for each.
     rows: Vec<Set<W>>,
 }
@@ -80,6 +129,7 @@ impl<const W: usize> Frame<W> {
         let mut frame = Frame {
             count: 0,
             sets: Vec::new(),
+            unsettled: true,
             rows: Vec::new(),
         };
         frame.reset(program, count);
@@ -97,6 +147,7 @@ impl<const W: usize> Frame<W> {
         self.sets.resize(program.set_count(), [0; W]);
         self.rows.clear();
         self.rows.resize(program.row_lists() * count, [0; W]);
+        self.unsettled = true;
         self.sets[Dense::ALL] = first(count);
         self.sets[Dense::EGOS] = first(count);
     }
@@ -109,12 +160,16 @@ impl<const W: usize> Frame<W> {
     /// Decides only about these entities: heads whose first argument is another are left out. Only for programs that are
     /// [local](Dense::is_local); for others the answer would be wrong.
     pub fn set_egos(&mut self, egos: Set<W>) {
-        self.sets[Dense::EGOS] = and(egos, &self.sets[Dense::ALL]);
+        let egos = and(egos, &self.sets[Dense::ALL]);
+        self.unsettled |= self.sets[Dense::EGOS] != egos;
+        self.sets[Dense::EGOS] = egos;
     }
 
     /// Sets an input: the entities of which it holds. `input` is a position in [`Dense::inputs`].
-    pub fn set_input(&mut self, input: usize, set: Set<W>) {
-        self.sets[Dense::FIRST_INPUT + input] = set;
+    pub fn set_input(&mut self, program: &Dense, input: usize, set: Set<W>) {
+        let old = &mut self.sets[Dense::FIRST_INPUT + input];
+        self.unsettled |= input >= program.restless && *old != set;
+        *old = set;
     }
 
     /// Evaluates the program.
@@ -125,25 +180,58 @@ impl<const W: usize> Frame<W> {
         if !self.rows.is_empty() {
             self.rows.fill([0; W]);
         }
-        for op in &program.ops {
+        if self.unsettled {
+            self.execute(program, &program.settling, pairs);
+            self.unsettled = false;
+        }
+        self.execute(program, &program.ops, pairs);
+    }
+
+    #[inline]
+    fn execute(&mut self, program: &Dense, ops: &[Op], pairs: &impl Pairs<W>) {
+        // As a local the list stays in registers.
+        let mut sets = std::mem::take(&mut self.sets);
+        for op in ops {
             match *op {
-                Op::And { dst, ones, zeros } => self.sets[dst.index()] = self.both(program, ones, zeros),
-                Op::Or { dst, from } => {
-                    let from = self.sets[from.index()];
-                    let dst = &mut self.sets[dst.index()];
-                    (0..W).for_each(|word| dst[word] |= from[word]);
+                Op::And { dst, left, right } => sets[dst.index()] = and(sets[left.index()], &sets[right.index()]),
+                Op::Without { dst, left, right } => {
+                    sets[dst.index()] = without(sets[left.index()], &sets[right.index()]);
+                }
+                Op::Or { dst, left, right } => sets[dst.index()] = or(sets[left.index()], &sets[right.index()]),
+                Op::Any {
+                    dst,
+                    demand,
+                    among,
+                    lists,
+                } => {
+                    let (demand, among) = (sets[demand.index()], sets[among.index()]);
+                    sets[dst.index()] = match is_empty(&demand) || is_empty(&among) {
+                        true => [0; W],
+                        false => pairs.any(program.operands(lists), demand, among),
+                    };
+                }
+                Op::AddAny {
+                    dst,
+                    demand,
+                    among,
+                    lists,
+                } => {
+                    let known = sets[dst.index()];
+                    let (demand, among) = (without(sets[demand.index()], &known), sets[among.index()]);
+                    if !is_empty(&demand) && !is_empty(&among) {
+                        sets[dst.index()] = or(known, &pairs.any(program.operands(lists), demand, among));
+                    }
                 }
                 Op::Exists { dst, demand, steps } => {
-                    self.sets[dst.index()] = self.exists(program, self.sets[demand.index()], steps, pairs);
+                    sets[dst.index()] = self.exists(program, &sets, sets[demand.index()], steps, pairs);
                 }
                 Op::Rows { dst, demand, steps } => {
-                    self.fill_rows(program, dst, self.sets[demand.index()], steps, pairs)
+                    self.fill_rows(program, &sets, dst, sets[demand.index()], steps, pairs)
                 }
                 Op::OrRows { dst, from } => {
                     for at in 0..self.count {
-                        let from = self.rows[from * self.count + at];
-                        let dst = &mut self.rows[dst * self.count + at];
-                        (0..W).for_each(|word| dst[word] |= from[word]);
+                        let dst = dst * self.count + at;
+                        self.rows[dst] = or(self.rows[dst], &self.rows[from * self.count + at]);
                     }
                 }
                 Op::Diagonal { dst, rows } => {
@@ -153,10 +241,11 @@ impl<const W: usize> Frame<W> {
                             set[at / 64] |= 1 << (at % 64);
                         }
                     }
-                    self.sets[dst.index()] = set;
+                    sets[dst.index()] = set;
                 }
             }
         }
+        self.sets = sets;
     }
 
     /// Of which entities a predicate with one column holds; `None` if the program does not derive it.
@@ -188,45 +277,23 @@ impl<const W: usize> Frame<W> {
         Some(rows.iter().map(size).sum())
     }
 
-    /// The intersection of some sets and of the complements of others.
-    #[inline]
-    fn both(&self, program: &Dense, ones: Range, zeros: Range) -> Set<W> {
-        let mut set = self.sets[Dense::ALL];
-        for one in program.operands(ones) {
-            set = and(set, &self.sets[one.index()]);
-        }
-        for zero in program.operands(zeros) {
-            set = without(set, &self.sets[zero.index()]);
-        }
-        set
-    }
-
     /// Those of `demand` for which values of all steps exist.
     #[inline]
-    fn exists(&self, program: &Dense, demand: Set<W>, steps: Range, pairs: &impl Pairs<W>) -> Set<W> {
+    fn exists(&self, program: &Dense, sets: &[Set<W>], demand: Set<W>, steps: Range, pairs: &impl Pairs<W>) -> Set<W> {
         let mut found = [0; W];
         if is_empty(&demand) {
             return found;
         }
         let steps = program.steps(steps);
-        let candidates = self.both(program, steps[0].ones, steps[0].zeros);
-        if is_empty(&candidates) {
-            return found;
-        }
-        if let [step] = steps {
-            for ego in members(&demand) {
-                let set = self.narrow(program, step, candidates, &[ego], pairs);
-                if !is_empty(&set) {
-                    found[ego / 64] |= 1 << (ego % 64);
-                }
-            }
+        let among = sets[steps[0].among.index()];
+        if is_empty(&among) {
             return found;
         }
         for ego in members(&demand) {
             let mut bound = [0; Dense::VARIABLES_MAX + 1];
             bound[0] = ego;
-            let set = self.narrow(program, &steps[0], candidates, &bound, pairs);
-            if self.search(program, steps, 0, set, &mut bound, pairs) {
+            let set = self.narrow(program, &steps[0], among, &bound, pairs);
+            if self.search(program, sets, steps, 0, set, &mut bound, pairs) {
                 found[ego / 64] |= 1 << (ego % 64);
             }
         }
@@ -237,6 +304,7 @@ impl<const W: usize> Frame<W> {
     fn search(
         &self,
         program: &Dense,
+        sets: &[Set<W>],
         steps: &[Step],
         depth: usize,
         set: Set<W>,
@@ -249,37 +317,45 @@ impl<const W: usize> Frame<W> {
         if is_empty(&set) {
             return false;
         }
-        let candidates = self.both(program, next.ones, next.zeros);
-        if is_empty(&candidates) {
+        let among = sets[next.among.index()];
+        if is_empty(&among) {
             return false;
         }
         members(&set).any(|value| {
             bound[depth + 1] = value;
-            let set = self.narrow(program, next, candidates, bound, pairs);
-            self.search(program, steps, depth + 1, set, bound, pairs)
+            let set = self.narrow(program, next, among, bound, pairs);
+            self.search(program, sets, steps, depth + 1, set, bound, pairs)
         })
     }
 
     /// Adds to each row of `demand` the values of the first step for which values of the others exist.
-    fn fill_rows(&mut self, program: &Dense, dst: usize, demand: Set<W>, steps: Range, pairs: &impl Pairs<W>) {
+    fn fill_rows(
+        &mut self,
+        program: &Dense,
+        sets: &[Set<W>],
+        dst: usize,
+        demand: Set<W>,
+        steps: Range,
+        pairs: &impl Pairs<W>,
+    ) {
         let steps = program.steps(steps);
-        let candidates = self.both(program, steps[0].ones, steps[0].zeros);
-        if is_empty(&candidates) {
+        let among = sets[steps[0].among.index()];
+        if is_empty(&among) {
             return;
         }
         for ego in members(&demand) {
             let mut bound = [0; Dense::VARIABLES_MAX + 1];
             bound[0] = ego;
-            let mut set = self.narrow(program, &steps[0], candidates, &bound, pairs);
+            let mut set = self.narrow(program, &steps[0], among, &bound, pairs);
             if steps.len() > 1 {
                 for value in members(&set) {
-                    if !self.search(program, steps, 0, only(value), &mut bound, pairs) {
+                    if !self.search(program, sets, steps, 0, only(value), &mut bound, pairs) {
                         set = without(set, &only(value));
                     }
                 }
             }
-            let row = &mut self.rows[dst * self.count + ego];
-            (0..W).for_each(|word| row[word] |= set[word]);
+            let row = dst * self.count + ego;
+            self.rows[row] = or(self.rows[row], &set);
         }
     }
 
@@ -317,8 +393,8 @@ impl<const W: usize> Frame<W> {
 pub struct BitFacts<const W: usize> {
     count: usize,
     inputs: Vec<Set<W>>,
-    /// `count` for each list.
-    lists: Vec<Set<W>>,
+    /// For each list one block for each word of a set: the rows of the entities that have their bits in that word.
+    lists: Vec<[Set<W>; 64]>,
 }
 
 impl<const W: usize> BitFacts<W> {
@@ -327,7 +403,7 @@ impl<const W: usize> BitFacts<W> {
         BitFacts {
             count,
             inputs: vec![[0; W]; program.inputs().len()],
-            lists: vec![[0; W]; program.lists().len() * count],
+            lists: vec![[[0; W]; 64]; program.lists().len() * W],
         }
     }
 
@@ -354,7 +430,7 @@ impl<const W: usize> BitFacts<W> {
                     List(read, Axis::First) if read == relation => (y, x),
                     List(..) => continue,
                 };
-                self.lists[position * self.count + at][member / 64] |= 1 << (member % 64);
+                self.lists[position * W + at / 64][at % 64][member / 64] |= 1 << (member % 64);
             }
         }
     }
@@ -363,16 +439,73 @@ impl<const W: usize> BitFacts<W> {
     ///
     /// # Panics
     /// If the frame is for another number of entities.
-    pub fn load(&self, frame: &mut Frame<W>) {
+    pub fn load(&self, program: &Dense, frame: &mut Frame<W>) {
         assert_eq!(self.count, frame.count);
-        let from = Dense::FIRST_INPUT;
-        frame.sets[from..from + self.inputs.len()].copy_from_slice(&self.inputs);
+        let (restless, steady) = self.inputs.split_at(program.restless);
+        let (into, steady_into) = (frame.sets[Dense::FIRST_INPUT..]).split_at_mut(program.restless);
+        into.copy_from_slice(restless);
+        let steady_into = &mut steady_into[..steady.len()];
+        if steady_into != steady {
+            steady_into.copy_from_slice(steady);
+            frame.unsettled = true;
+        }
     }
 }
 
 impl<const W: usize> Pairs<W> for BitFacts<W> {
     #[inline]
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
-        and(among, &self.lists[list * self.count + at])
+        and(among, &self.lists[list * W + at / 64][at % 64])
     }
+
+    #[inline]
+    fn any(&self, lists: &[usize], demand: Set<W>, among: Set<W>) -> Set<W> {
+        let mut found = [0; W];
+        let mut word = 0;
+        while word < W {
+            if demand[word] != 0 {
+                let rows = |list: usize| &self.lists[list * W + word];
+                let many = (self.count - word * 64).min(64);
+                found[word] = match *lists {
+                    [] => demand[word],
+                    [only] => {
+                        let only = rows(only);
+                        of(demand[word], many, |at| !is_empty(&and(among, &only[at])))
+                    }
+                    [left, right] => {
+                        let (left, right) = (rows(left), rows(right));
+                        of(demand[word], many, |at| {
+                            !is_empty(&and(and(among, &left[at]), &right[at]))
+                        })
+                    }
+                    _ => of(demand[word], many, |at| {
+                        let set = lists.iter().fold(among, |set, &list| and(set, &rows(list)[at]));
+                        !is_empty(&set)
+                    }),
+                };
+            }
+            word += 1;
+        }
+        found
+    }
+}
+
+/// Those of `members`, which are among the first `count` of at most 64, for which it holds. If they are many all are asked, since a
+/// loop without branches is faster than looking for the next member.
+#[inline(always)]
+fn of(members: u64, count: usize, holds: impl Fn(usize) -> bool) -> u64 {
+    let mut found = 0;
+    if members.count_ones() as usize * 2 > count {
+        for bit in 0..count.min(64) {
+            found |= u64::from(holds(bit)) << bit;
+        }
+        return found & members;
+    }
+    let mut rest = members;
+    while rest != 0 {
+        let bit = rest.trailing_zeros() as usize;
+        found |= u64::from(holds(bit & 63)) << bit;
+        rest &= rest - 1;
+    }
+    found
 }
