@@ -1,14 +1,14 @@
 //! The city: a tick of the simulation, and the inference of one scene.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use logicity::config::{Definition, Speed, Split, load_scenario};
+use logicity::config::{Speed, Split, load_scenario};
 use logicity::diag::Sources;
 use logicity::engine::Program;
 use logicity::engine::dense::{BitFacts, Counting, Dense, Frame, choose, has};
 use logicity::files::{read_or_builtin, read_text};
 use logicity::lang;
 use logicity::rng::Seed;
-use logicity::sim::{Inference, Simulation, World};
+use logicity::sim::{Executor, Inference, Settings, Simulation, World};
 use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
@@ -28,11 +28,19 @@ fn world(mode: &str) -> World {
 fn tick(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("tick");
     for mode in ["easy", "expert"] {
-        let mut simulation = Simulation::new(Arc::new(world(mode)), Split::Test, Seed(1)).expect("agents placed");
-        group.throughput(Throughput::Elements(simulation.agents().len() as u64));
-        group.bench_function(mode, |bencher| {
-            bencher.iter(|| simulation.tick(&[]).expect("within limits"));
-        });
+        let world = Arc::new(world(mode));
+        for executor in [Executor::Dense, Executor::Relational] {
+            let settings = Settings {
+                executor,
+                ..Settings::default()
+            };
+            let mut simulation =
+                Simulation::new(Arc::clone(&world), Split::Test, Seed(1), settings).expect("agents placed");
+            group.throughput(Throughput::Elements(simulation.agents().len() as u64));
+            group.bench_function(format!("{mode}/{}", executor.name()), |bencher| {
+                bencher.iter(|| black_box(simulation.tick(&[]).expect("within limits")).tick);
+            });
+        }
     }
     group.finish();
 }
@@ -73,7 +81,8 @@ fn rules(criterion: &mut Criterion) {
             .is_some_and(|predicate| matches!(predicate.definition, Definition::Kind(_) | Definition::Concept { .. }))
     };
     let dense = Dense::new(rules, &choose(rules), Counting::Off, steady);
-    let mut simulation = Simulation::new(Arc::clone(&world), Split::Test, Seed(1)).expect("agents placed");
+    let mut simulation =
+        Simulation::new(Arc::clone(&world), Split::Test, Seed(1), Settings::default()).expect("agents placed");
     let count = simulation.agents().len();
     let mut frame: Frame<WIDTH> = Frame::new(&dense, count);
     let moments: Vec<BitFacts<WIDTH>> = (0..64)
@@ -82,9 +91,9 @@ fn rules(criterion: &mut Criterion) {
                 simulation.tick(&[]).expect("within limits");
             }
             let mut facts = BitFacts::new(&dense, count);
-            for (predicate, rows) in world.vocabulary.predicates.iter().zip(&simulation.facts().rows) {
+            for (index, predicate) in world.vocabulary.predicates.iter().enumerate() {
                 let Some(relation) = predicate.relation else { continue };
-                for row in rows {
+                for row in simulation.rows(index) {
                     facts.insert(&dense, relation, &row.map(|entity| entity as usize)[..predicate.arity]);
                 }
             }
@@ -93,8 +102,9 @@ fn rules(criterion: &mut Criterion) {
             for speed in Speed::ALL {
                 let relation = world.vocabulary.action(speed).expect("all are in use");
                 let set = frame.set(&dense, relation).expect("it is derived");
+                let moment = simulation.moment().expect("within limits");
                 for agent in 0..count {
-                    let holds = simulation.session().contains(relation, &[simulation.value(agent)]);
+                    let holds = moment.session().contains(relation, &[moment.value(agent)]);
                     assert_eq!(has(set, agent), holds, "{} of {agent}", speed.name());
                 }
             }

@@ -13,7 +13,7 @@ use logicity::engine::{Program, Session, naive};
 use logicity::files;
 use logicity::lang::{self, Atom, ClauseId, Literal, RelId, Rules, Term, Value};
 use logicity::rng::Seed;
-use logicity::sim::{Simulation, World};
+use logicity::sim::{Settings, Simulation, World};
 use proptest::prelude::*;
 use random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, recursive_genomes};
 use std::collections::{BTreeMap, BTreeSet};
@@ -668,7 +668,7 @@ fn city(config: &str) -> Simulation {
     let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
     let program = Program::new(loaded.rules.unwrap()).unwrap();
     let world = World::new(scenario, program).unwrap();
-    Simulation::new(Arc::new(world), Split::Test, Seed(0)).unwrap()
+    Simulation::new(Arc::new(world), Split::Test, Seed(0), Settings::default()).unwrap()
 }
 
 /// For every decision of the paper's expert city: the proof of each derived action can be replayed and its leaves alone suffice
@@ -678,16 +678,17 @@ fn every_decision_of_an_expert_run_is_explained() {
     let mut simulation = city("configs/expert.yaml");
     let (mut proofs, mut absences) = (0, 0);
     for _ in 0..300 {
-        let report = simulation.tick(&[]).unwrap();
-        let session = simulation.session();
+        let report = simulation.tick(&[]).unwrap().clone();
+        let moment = simulation.moment().unwrap();
+        let session = moment.session();
         let rules = session.program().rules();
         let model = database(session);
         let mut explainer = Explainer::new(session);
         for (position, agent) in report.agents.iter().enumerate() {
             let mut held = Vec::new();
             for action in Speed::ALL {
-                let relation = simulation.world().vocabulary.action(action).unwrap();
-                let row = [simulation.value(position)];
+                let relation = moment.world().vocabulary.action(action).unwrap();
+                let row = [moment.value(position)];
                 let explanation = match explainer.explain(relation, &row).unwrap() {
                     Some(proof) => {
                         held.push(action);

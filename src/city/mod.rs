@@ -18,4 +18,4 @@ pub use grid::{Cell, Heading};
 pub use map::{CityMap, Ground, Layout, STATIC_LAYERS};
 pub use motion::{Moved, Reason, Surroundings, advance, possible_cells, speed_cells};
 pub use roads::{Lane, NoRoute, Route, Router};
-pub use view::{View, field_of_view};
+pub use view::{View, field_of_view, view_reach};

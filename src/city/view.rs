@@ -18,19 +18,23 @@ impl View {
     }
 }
 
-/// The field of view of an agent. It reaches `half_width` cells to both sides of the way and ahead, and hardly behind: 1 cell
-/// for an agent that goes left or up, 2 cells for one that goes right or down (the published program's rectangles, half open
-/// after a shift by one). Without a heading it reaches `half_width` cells to all sides. It ends where the world ends.
-pub fn field_of_view(at: Cell, heading: Option<Heading>, half_width: u32, map: &CityMap) -> View {
+/// How many cells a field of view reaches [up, down, left, right] of an agent. It reaches `half_width` cells to both sides of the way
+/// and ahead, and hardly behind: 1 cell for an agent that goes left or up, 2 cells for one that goes right or down (the published
+/// program's rectangles, half open after a shift by one). Without a heading it reaches `half_width` cells to all sides.
+pub fn view_reach(heading: Option<Heading>, half_width: u32) -> [i32; 4] {
     let ahead = i32::try_from(half_width).unwrap_or(i32::MAX);
-    let (mut up, mut down, mut left, mut right) = (ahead, ahead, ahead, ahead);
     match heading {
-        None => {}
-        Some(Heading::Left) => right = ahead.min(1),
-        Some(Heading::Right) => left = ahead.min(2),
-        Some(Heading::Up) => down = ahead.min(1),
-        Some(Heading::Down) => up = ahead.min(2),
+        None => [ahead; 4],
+        Some(Heading::Left) => [ahead, ahead, ahead, ahead.min(1)],
+        Some(Heading::Right) => [ahead, ahead, ahead.min(2), ahead],
+        Some(Heading::Up) => [ahead, ahead.min(1), ahead, ahead],
+        Some(Heading::Down) => [ahead.min(2), ahead, ahead, ahead],
     }
+}
+
+/// The field of view of an agent, see [`view_reach`]. It ends where the world ends.
+pub fn field_of_view(at: Cell, heading: Option<Heading>, half_width: u32, map: &CityMap) -> View {
+    let [up, down, left, right] = view_reach(heading, half_width);
     View {
         first: Cell::new(at.row.saturating_sub(up).max(0), at.col.saturating_sub(left).max(0)),
         last: Cell::new(

@@ -119,19 +119,19 @@ fn tell(
     let session = replay.session();
     let rules = session.program().rules();
     let state = &tick.agents[position];
-    let derived: Vec<Speed> = replay.derived(position);
+    let derived = replay.derived(position);
     let vocabulary = &replay.world().vocabulary;
 
     // Which actions to speak of: the one asked for; else those derived, the one taken first; else, if none was derived, all.
     let taken = Speed::ALL.into_iter().find(|speed| speed.name() == state.action);
-    let by_rules = vocabulary.decide(&derived);
+    let by_rules = vocabulary.decide(derived);
     let mut actions = match arguments.why_not {
         Some(action) => vec![action],
         None if derived.is_empty() => match vocabulary.action(by_rules) {
             Some(relation) if session.contains(relation, &[replay.value(position)]) => vec![by_rules],
             _ => Speed::ALL.to_vec(),
         },
-        None => derived.clone(),
+        None => derived.iter().collect(),
     };
     actions.sort_by_key(|action| *action != by_rules);
 
@@ -187,7 +187,7 @@ fn tell(
     } else if derived.is_empty() && explanations.len() > 1 {
         writeln!(out, "no action was derived, so the default was taken")?;
     }
-    if let Some(action) = arguments.why_not.filter(|action| derived.contains(action)) {
+    if let Some(action) = arguments.why_not.filter(|action| derived.contains(*action)) {
         writeln!(out, "{} was derived, and this is why", action.name())?;
     }
     for (action, explanation) in &explanations {

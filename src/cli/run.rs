@@ -9,7 +9,9 @@ use crate::files::Output;
 use crate::lang::{Clause, ClauseId};
 use crate::render::{Animation, Painter, Sprite, write_png};
 use crate::rng::Seed;
-use crate::sim::{Simulation, Standstill, TickReport, TraceWriter, Wait, World, hash_sources, standstill, waits};
+use crate::sim::{
+    Executor, Settings, Simulation, Standstill, TraceWriter, Wait, World, hash_sources, standstill, waits,
+};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -50,6 +52,12 @@ pub struct Arguments {
     /// Look at every tick whether the facts are as the rules promise (`.disjoint`, `.implies`, ..); exit code 1 if they are not
     #[arg(long)]
     check_promises: bool,
+    /// What evaluates the rules; runs are the same with each
+    #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
+    executor: Executor,
+    /// Threads for a city of many agents; 0 is one for each core. Runs are the same with any number
+    #[arg(long, default_value_t = 1, allow_negative_numbers = true)]
+    threads: u16,
     /// Write the trace only
     #[arg(long)]
     no_pictures: bool,
@@ -80,6 +88,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         Arc::new(World::new(scenario, program)?),
         arguments.split,
         Seed(arguments.seed),
+        Settings {
+            executor: arguments.executor,
+            count_firings: true,
+            threads: match arguments.threads {
+                0 => std::thread::available_parallelism().map_or(1, usize::from),
+                threads => threads.into(),
+            },
+        },
     )?;
 
     let stop = stop_on_interrupt()?;
@@ -119,25 +135,22 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         firings: vec![0; simulation.clauses().len()],
         ..Tally::default()
     };
-    let mut last = None;
     while tally.ticks < ticks && !stop.load(Ordering::Relaxed) {
         let begin = Instant::now();
-        let tick = simulation.tick(&[]);
-        let tick = tick.map_err(|error| error.diagnostic(simulation.world().program.rules()))?;
+        let tick = simulation.tick(&[])?.tick;
         tally.deciding += begin.elapsed();
-        tally.add(&simulation, &tick);
+        tally.add(&mut simulation);
         if arguments.check_promises {
-            tally.add_broken(promise::broken(simulation.session()), tick.tick);
+            tally.add_broken(promise::broken(simulation.moment()?.session()), tick);
         }
-        trace.tick(&simulation, &tick).map_err(writing("trace.jsonl"))?;
+        trace.tick(&simulation).map_err(writing("trace.jsonl"))?;
         if let Some((painter, animation)) = &mut pictures
-            && tick.tick < MAX_FRAMES
+            && tick < MAX_FRAMES
         {
-            let frame = painter.frame(tick.tick, &sprites(&simulation, Some(&tick)));
+            let frame = painter.frame(tick, &sprites(&simulation));
             animation.push(&frame).map_err(writing("city.gif"))?;
         }
         bar.inc(1);
-        last = Some(tick);
     }
     bar.finish_and_clear();
 
@@ -148,13 +161,13 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         file.finish().map_err(writing("city.gif"))?;
         written.push(path("city.gif"));
         let mut file = Output::create(&path("last.png")).map_err(writing("last.png"))?;
-        let frame = painter.frame(simulation.now(), &sprites(&simulation, last.as_ref()));
+        let frame = painter.frame(simulation.now(), &sprites(&simulation));
         write_png(&frame, &mut file).map_err(writing("last.png"))?;
         file.finish().map_err(writing("last.png"))?;
         written.push(path("last.png"));
     }
     let mut out = anstream::stdout();
-    write!(out, "{}", summary(&simulation, &tally, sources, &written))?;
+    write!(out, "{}", summary(&mut simulation, &tally, sources, &written))?;
     if tally.ticks < ticks {
         writeln!(out, "interrupted: {} of {ticks} ticks were run", tally.ticks)?;
         return Err(Failure::Interrupted);
@@ -185,8 +198,9 @@ fn stop_on_interrupt() -> Result<Arc<AtomicBool>, Failure> {
     Ok(stop)
 }
 
-/// The agents as they are, and what they decided in `tick`, if that is given.
-fn sprites<'a>(simulation: &'a Simulation, tick: Option<&TickReport>) -> Vec<Sprite<'a>> {
+/// The agents as they are, and what they decided in the last tick, if there was one.
+fn sprites(simulation: &Simulation) -> Vec<Sprite<'_>> {
+    let decided = &simulation.report().agents;
     let agents = simulation.agents().iter().enumerate();
     agents
         .map(|(index, agent)| Sprite {
@@ -195,37 +209,42 @@ fn sprites<'a>(simulation: &'a Simulation, tick: Option<&TickReport>) -> Vec<Spr
             concepts: &agent.concepts,
             at: agent.cell,
             heading: agent.heading,
-            action: tick.map(|tick| tick.agents[index].action),
+            action: (simulation.now() > 0).then(|| decided[index].action),
         })
         .collect()
 }
 
 impl Tally {
-    fn add(&mut self, simulation: &Simulation, tick: &TickReport) {
+    /// Counts the last tick.
+    fn add(&mut self, simulation: &mut Simulation) {
         self.ticks += 1;
-        for (index, agent) in tick.agents.iter().enumerate() {
-            let kind = match simulation.agents()[index].kind {
+        for (index, (done, agent)) in (simulation.report().agents.iter().zip(simulation.agents())).enumerate() {
+            let kind = match agent.kind {
                 AgentKind::Car => 0,
                 AgentKind::Pedestrian => 1,
             };
-            self.actions[kind][agent.action as usize] += 1;
-            self.overlaps += u64::from(agent.derived.len() > 1);
-            if agent.moved.from != agent.moved.to {
+            self.actions[kind][done.action as usize] += 1;
+            self.overlaps += u64::from(done.derived.len() > 1);
+            if done.moved.from != done.moved.to {
                 self.last_move[index] = self.ticks;
-                self.goals += u64::from(simulation.agents()[index].at_goal());
+                self.goals += u64::from(agent.at_goal());
                 self.waited[index].clear();
             }
         }
+        for (sum, fired) in self.firings.iter_mut().zip(simulation.firings()) {
+            *sum += *fired as u64;
+        }
         if self.ticks.is_multiple_of(LOOK_TICKS) {
             let still = |agent: &usize| self.ticks - self.last_move[*agent] >= LOOK_TICKS;
-            let still: Vec<usize> = (0..tick.agents.len()).filter(still).collect();
+            let still: Vec<usize> = (0..self.last_move.len()).filter(still).collect();
+            if still.is_empty() {
+                return;
+            }
             // Waits that are too many to look at are told in the summary.
-            for wait in waits(simulation, &still).unwrap_or_default() {
+            let Ok(moment) = simulation.moment() else { return };
+            for wait in waits(&moment, &still).unwrap_or_default() {
                 self.waited[wait.agent].insert((wait.on, wait.clause));
             }
-        }
-        for (sum, fired) in self.firings.iter_mut().zip(&tick.firings) {
-            *sum += *fired as u64;
         }
     }
 
@@ -243,7 +262,7 @@ impl Tally {
     }
 }
 
-fn summary(simulation: &Simulation, tally: &Tally, sources: &Sources, written: &[PathBuf]) -> String {
+fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, written: &[PathBuf]) -> String {
     let world = simulation.world();
     let scenario = &world.scenario;
     let agents = simulation.agents();
@@ -324,27 +343,35 @@ fn summary(simulation: &Simulation, tally: &Tally, sources: &Sources, written: &
 }
 
 /// Which agents are stuck, and why: who waits for whom in the state of the last tick.
-fn stuck(simulation: &Simulation, tally: &Tally, sources: &Sources, text: &mut String) {
-    let agents = simulation.agents();
+fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &mut String) {
     let still = |agent: &usize| tally.ticks - tally.last_move[*agent] >= STUCK_TICKS;
-    let stuck: Vec<usize> = (0..agents.len()).filter(still).collect();
-    let name = |agent: usize| &*agents[agent].name;
-    let names: Vec<&str> = stuck.iter().map(|&agent| name(agent)).collect();
-    let names = if names.is_empty() {
+    let stuck: Vec<usize> = (0..tally.last_move.len()).filter(still).collect();
+    let names: Vec<_> = (simulation.agents().iter()).map(|agent| agent.name.clone()).collect();
+    let name = |agent: usize| &*names[agent];
+    let told: Vec<&str> = stuck.iter().map(|&agent| name(agent)).collect();
+    let told = if told.is_empty() {
         "none".to_owned()
     } else {
-        names.join(", ")
+        told.join(", ")
     };
-    let _ = writeln!(text, "\nstuck (no move in the last {STUCK_TICKS} ticks): {names}");
+    let _ = writeln!(text, "\nstuck (no move in the last {STUCK_TICKS} ticks): {told}");
+    if stuck.is_empty() {
+        return;
+    }
 
-    let waits = match waits(simulation, &stuck) {
-        Ok(waits) => waits,
+    let found = (simulation.moment().map_err(|fault| fault.message)).and_then(|moment| {
+        Ok((
+            waits(&moment, &stuck).map_err(|error| error.to_string())?,
+            moment.session(),
+        ))
+    });
+    let (waits, session) = match found {
+        Ok(found) => found,
         Err(error) => {
             let _ = writeln!(text, "  why is not known: {error}");
             return;
         }
     };
-    let session = simulation.session();
     let teller = Teller::new(session.program().rules(), session.symbols(), sources);
     // `Car_3 (S2) -> Car_7 (S1) -> ..`: who waits, by which clause, and for whom.
     let chain = |way: &[Wait]| {

@@ -209,6 +209,13 @@ pub struct PredicateConfig {
     pub definition: Definition,
 }
 
+impl Definition {
+    /// Whether it depends on what an agent is, and not on where anybody is.
+    pub fn is_steady(&self) -> bool {
+        matches!(self, Definition::Kind(_) | Definition::Concept { .. })
+    }
+}
+
 /// A speed a decision asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub enum Speed {

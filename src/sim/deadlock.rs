@@ -4,7 +4,7 @@
 //! counts, not one proof: an agent moves again only when all of them are gone. So if agents that do not move wait for each other in a
 //! circle, none of them will move before somebody else does something for them: a deadlock.
 
-use super::simulation::Simulation;
+use super::simulation::Moment;
 use crate::config::Speed;
 use crate::engine::provenance::{ExplainError, Explainer};
 use crate::lang::{BaseType, Clause, ClauseId, Literal, Rules, Term};
@@ -32,26 +32,26 @@ pub struct Standstill {
     pub behind: Vec<Vec<Wait>>,
 }
 
-/// For whom each of `agents` waits in the state of the last tick, sorted.
+/// For whom each of `agents` waits in a state, sorted.
 ///
 /// # Errors
 /// If the ways to derive `Stop` are too many to look at.
-pub fn waits(simulation: &Simulation, agents: &[usize]) -> Result<Vec<Wait>, ExplainError> {
-    let Some(stop) = simulation.world().vocabulary.action(Speed::Stop) else {
+pub fn waits(moment: &Moment<'_>, agents: &[usize]) -> Result<Vec<Wait>, ExplainError> {
+    let Some(stop) = moment.world().vocabulary.action(Speed::Stop) else {
         return Ok(Vec::new());
     };
-    let session = simulation.session();
+    let session = moment.session();
     let rules = session.program().rules();
     let mut explainer = Explainer::new(session);
     let mut waits = BTreeSet::new();
     for &agent in agents {
-        for (clause, binding) in explainer.derivations(stop, &[simulation.value(agent)])? {
+        for (clause, binding) in explainer.derivations(stop, &[moment.value(agent)])? {
             let named = symbols(rules, &rules.clauses[clause.index()]);
             let values = binding
                 .iter()
                 .enumerate()
                 .filter(|(variable, _)| named.contains(variable));
-            for on in values.filter_map(|(_, value)| simulation.agent((*value)?)) {
+            for on in values.filter_map(|(_, value)| moment.agent((*value)?)) {
                 if on != agent {
                     waits.insert(Wait { agent, on, clause });
                 }

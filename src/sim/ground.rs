@@ -32,7 +32,7 @@ pub struct Facts {
 /// Decides whether a predicate that holds only with a probability holds now, for the pair (first, second) of entities.
 pub trait Chance {
     /// `predicate` is its position in the vocabulary; `probability` is in 0..=1.
-    fn happens(&mut self, predicate: usize, first: usize, second: usize, probability: f64) -> bool;
+    fn happens(&self, predicate: usize, first: usize, second: usize, probability: f64) -> bool;
 }
 
 /// The facts that are true of `entities` on `map`. `view` is the half-width of the field of view in cells. The predicates for
@@ -42,7 +42,7 @@ pub fn ground(
     map: &CityMap,
     view: u32,
     entities: &[Entity<'_>],
-    chance: &mut impl Chance,
+    chance: &impl Chance,
     skip: impl Fn(usize) -> bool,
 ) -> Facts {
     let mut facts = Facts {
@@ -83,7 +83,7 @@ fn number(index: usize) -> u32 {
     u32::try_from(index).expect("fewer than 2^32 entities")
 }
 
-fn unary(definition: &Definition, map: &CityMap, x: &Entity<'_>) -> bool {
+pub(super) fn unary(definition: &Definition, map: &CityMap, x: &Entity<'_>) -> bool {
     match definition {
         Definition::Kind(kind) => x.kind == *kind,
         Definition::Concept { of, concept } => x.kind == *of && x.concepts.contains(concept),
@@ -94,7 +94,7 @@ fn unary(definition: &Definition, map: &CityMap, x: &Entity<'_>) -> bool {
 }
 
 /// The probability that a binary predicate holds of two different entities.
-fn binary(definition: &Definition, x: &Entity<'_>, y: &Entity<'_>) -> f64 {
+pub(super) fn binary(definition: &Definition, x: &Entity<'_>, y: &Entity<'_>) -> f64 {
     let holds = match definition {
         Definition::Distance {
             above,
@@ -141,7 +141,7 @@ fn binary(definition: &Definition, x: &Entity<'_>, y: &Entity<'_>) -> f64 {
 
 /// Where x lies, seen along y's heading (dr, dc): positive left, negative right, zero straight or no heading. With
 /// (rr, rc) = x - y it is dr * rc - dc * rr.
-fn side(x: &Entity<'_>, y: &Entity<'_>) -> i64 {
+pub(super) fn side(x: &Entity<'_>, y: &Entity<'_>) -> i64 {
     let Some(heading) = y.heading else { return 0 };
     let (dr, dc) = heading.delta();
     let (rr, rc) = x.at.offset_from(y.at);

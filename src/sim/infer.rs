@@ -2,7 +2,7 @@
 
 use super::ground::{Chance, Entity, Facts, ground};
 use super::scene::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
-use super::vocabulary::Vocabulary;
+use super::vocabulary::{Actions, Vocabulary};
 use crate::city::CityMap;
 use crate::config::{Definition, Scenario, Speed, load_map};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
@@ -46,7 +46,7 @@ pub struct EgoAnswer {
     /// The true atoms over them, by base predicate; `Sees` is left out.
     pub atoms: Vec<(String, Vec<Vec<String>>)>,
     /// The actions derived before the default.
-    pub derived: Vec<Speed>,
+    pub derived: Actions,
     /// The action.
     pub action: Speed,
 }
@@ -70,7 +70,7 @@ impl Answer {
                         (name.clone(), rows.collect())
                     })
                     .collect();
-                let derived: Vec<&str> = ego.derived.iter().map(|speed| speed.name()).collect();
+                let derived: Vec<&str> = ego.derived.iter().map(Speed::name).collect();
                 let answer = json!({
                     "sees": ego.sees,
                     "true": atoms,
@@ -159,7 +159,7 @@ impl Inference {
             &map,
             self.scenario.view,
             &entities,
-            &mut Draws {
+            &Draws {
                 seed: self.seed,
                 time: scene.tick,
             },
@@ -238,21 +238,12 @@ impl Inference {
                     id: names[ego].to_owned(),
                     sees: sees.iter().map(|&index| names[index].to_owned()).collect(),
                     atoms: atoms_over(&self.vocabulary, facts, &sees, names),
-                    action: self.vocabulary.decide(&derived),
-                    derived: before_default(&self.vocabulary, derived),
+                    action: self.vocabulary.decide(derived),
+                    derived: self.vocabulary.before_default(derived),
                 }
             })
             .collect();
         Ok(Answer { egos })
-    }
-}
-
-/// Without the default action, where it stands alone: then it is the default that made it.
-pub(super) fn before_default(vocabulary: &Vocabulary, derived: Vec<Speed>) -> Vec<Speed> {
-    if derived == [vocabulary.default_action()] {
-        Vec::new()
-    } else {
-        derived
     }
 }
 
@@ -313,13 +304,14 @@ fn atoms_over(
 }
 
 /// Draws from seeded streams: the same for the same seed, time, predicate and pair of entities.
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Draws {
     pub seed: Seed,
     pub time: u64,
 }
 
 impl Chance for Draws {
-    fn happens(&mut self, predicate: usize, first: usize, second: usize, probability: f64) -> bool {
+    fn happens(&self, predicate: usize, first: usize, second: usize, probability: f64) -> bool {
         // 16 bits of predicate and 24 bits for each entity: a scene has fewer of either.
         let index = (predicate as u64) << 48 | (first as u64) << 24 | second as u64;
         let mut stream = self.seed.stream(Purpose::Predicate, index, self.time);
@@ -388,8 +380,8 @@ impl GroundState {
         Ok(())
     }
 
-    /// The actions that hold for an entity, in the order of [`Speed::ALL`].
-    pub fn derived(&self, vocabulary: &Vocabulary, entity: usize) -> Vec<Speed> {
+    /// The actions that hold for an entity.
+    pub fn derived(&self, vocabulary: &Vocabulary, entity: usize) -> Actions {
         let holds = |speed: &Speed| {
             let relation = vocabulary.action(*speed);
             relation.is_some_and(|relation| self.session.contains(relation, &[self.entities[entity]]))
@@ -447,8 +439,8 @@ mod tests {
         assert!(state.set(&one_bus).is_err());
         state.set(&nothing).expect("it derives nothing");
         state.session.set_limits(rows(10));
-        assert_eq!(state.derived(&vocabulary, 0), []);
+        assert!(state.derived(&vocabulary, 0).is_empty());
         state.set(&one_bus).expect("within the limit");
-        assert_eq!(state.derived(&vocabulary, 0), [Speed::Stop]);
+        assert_eq!(state.derived(&vocabulary, 0), [Speed::Stop].into_iter().collect());
     }
 }

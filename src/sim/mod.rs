@@ -7,6 +7,7 @@
 mod conflict;
 mod coverage;
 mod deadlock;
+mod executor;
 mod ground;
 mod infer;
 mod replay;
@@ -14,16 +15,18 @@ mod scene;
 mod simulation;
 mod trace;
 mod vocabulary;
+mod window;
 mod world;
 
 pub use conflict::{ENTITIES_MAX, Example, Finding, Overlap, SCENES_MAX, conflicts};
 pub use coverage::{ClauseCoverage, Coverage};
 pub use deadlock::{Standstill, Wait, standstill, waits};
+pub use executor::CROWD_MAX;
 pub use ground::{Chance, Entity, Facts, ground};
 pub use infer::{Answer, EgoAnswer, Inference};
 pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};
 pub use scene::MAX_ENTITIES;
-pub use simulation::{AgentTick, Simulation, TickReport};
+pub use simulation::{AgentTick, Executor, Moment, Settings, Simulation, TickReport};
 pub use trace::{TRACE_VERSION, TraceWriter, hash_sources};
-pub use vocabulary::{Predicate, Vocabulary};
+pub use vocabulary::{Actions, Predicate, Vocabulary};
 pub use world::World;

@@ -3,9 +3,10 @@
 use super::ground::{Chance, Entity, ground};
 use super::infer::GroundState;
 use super::trace::TRACE_VERSION;
+use super::vocabulary::Actions;
 use super::world::World;
 use crate::city::{Cell, Heading};
-use crate::config::{AgentKind, Speed};
+use crate::config::AgentKind;
 use crate::diag::{Code, Diagnostic};
 use crate::engine::Session;
 use crate::lang::Value;
@@ -177,9 +178,7 @@ impl Replay {
         let vocabulary = &self.world.vocabulary;
         let given = |index: usize| tick.given.get(&vocabulary.predicates[index].name);
         let view = self.world.scenario.view;
-        let mut facts = ground(vocabulary, map, view, &entities, &mut Never, |index| {
-            given(index).is_some()
-        });
+        let mut facts = ground(vocabulary, map, view, &entities, &Never, |index| given(index).is_some());
         for (index, predicate) in vocabulary.predicates.iter().enumerate() {
             let Some(rows) = given(index) else { continue };
             for row in rows {
@@ -219,9 +218,9 @@ impl Replay {
     }
 
     /// The actions that hold for an agent, the default where it stands alone left out.
-    pub fn derived(&self, position: usize) -> Vec<Speed> {
+    pub fn derived(&self, position: usize) -> Actions {
         let vocabulary = &self.world.vocabulary;
-        super::infer::before_default(vocabulary, self.state.derived(vocabulary, position))
+        vocabulary.before_default(self.state.derived(vocabulary, position))
     }
 }
 
@@ -229,7 +228,7 @@ impl Replay {
 struct Never;
 
 impl Chance for Never {
-    fn happens(&mut self, _: usize, _: usize, _: usize, _: f64) -> bool {
+    fn happens(&self, _: usize, _: usize, _: usize, _: f64) -> bool {
         false
     }
 }

@@ -1,17 +1,68 @@
 //! The tick: all agents decide on the same state, then all move.
 
+use super::executor::{Crowd, Decisions};
 use super::ground::{Entity, Facts, ground};
-use super::infer::{Draws, GroundState, before_default};
+use super::infer::{Draws, GroundState};
 use super::scene::MAX_ENTITIES;
+use super::vocabulary::Actions;
 use super::world::World;
-use crate::city::{Agent, Cell, Heading, Moved, Places, Surroundings, advance, place_agents};
+use crate::city::{Agent, Cell, Heading, Moved, Places, Reason, Surroundings, advance, place_agents};
 use crate::config::{Speed, Split};
 use crate::diag::{Code, Diagnostic};
-use crate::engine::{EvalError, Session};
+use crate::engine::Session;
 use crate::lang::{ClauseId, Value};
 use crate::rng::Seed;
 use ndarray::Array3;
+use rayon::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::sync::Arc;
+
+/// What evaluates the rules.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Executor {
+    /// The dense one if it can take the rules and the number of agents, else the relational one.
+    #[default]
+    Auto,
+    /// Bit words.
+    Dense,
+    /// Sorted lists of rows, kept up to date by differences.
+    Relational,
+}
+
+impl Executor {
+    /// All three.
+    pub const ALL: [Executor; 3] = [Executor::Auto, Executor::Dense, Executor::Relational];
+
+    /// Its name on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Executor::Auto => "auto",
+            Executor::Dense => "dense",
+            Executor::Relational => "relational",
+        }
+    }
+}
+
+/// How a [`Simulation`] works. Ticks are the same whatever is chosen.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// What evaluates the rules.
+    pub executor: Executor,
+    /// Whether the firings of clauses are counted.
+    pub count_firings: bool,
+    /// Threads for a city of many agents, at least 1.
+    pub threads: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Settings {
+            executor: Executor::Auto,
+            count_firings: false,
+            threads: 1,
+        }
+    }
+}
 
 /// A city in motion. The same world, split and seed give the same ticks.
 pub struct Simulation {
@@ -19,87 +70,141 @@ pub struct Simulation {
     split: Split,
     places: Places,
     seed: Seed,
+    /// How many ticks have passed.
     tick: u64,
     agents: Vec<Agent>,
-    state: GroundState,
-    facts: Facts,
-    /// The clauses whose firings are counted: all with a body, hidden ones left out.
+    /// Decides densely; `None` if `state` decides.
+    crowd: Option<Crowd>,
+    decisions: Decisions,
+    /// The session with the facts on which a tick was decided, and the number of that tick. Made when it is needed first.
+    state: Option<GroundState>,
+    stated: Option<u64>,
+    report: TickReport,
+    /// The clauses whose firings can be counted: all with a body, hidden ones left out.
     clauses: Vec<ClauseId>,
+    threads: Option<ThreadPool>,
 }
 
 /// What happened in a tick.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct TickReport {
     /// Number of the tick, from 0.
     pub tick: u64,
     /// What each agent decided and did, in list order.
     pub agents: Vec<AgentTick>,
-    /// How many rows each counted clause derived, in the order of [`Simulation::clauses`].
-    pub firings: Vec<usize>,
 }
 
 /// The tick of one agent: the state it was judged on, what the rules decided, what it did.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AgentTick {
-    /// Where it was.
-    pub at: Cell,
-    /// Its heading.
+    /// Its heading before it moved; where it was is in `moved`.
     pub heading: Option<Heading>,
-    /// Where it was bound for.
-    pub goal: Cell,
     /// The actions derived before the default.
-    pub derived: Vec<Speed>,
+    pub derived: Actions,
     /// The action decided on: the rules' own, or the one given from outside.
     pub action: Speed,
-    /// The action clauses that fired for it: positions in [`Simulation::clauses`].
-    pub clauses: Vec<usize>,
     /// What it did.
     pub moved: Moved,
+}
+
+/// The state on which the last tick was decided, as facts of a session.
+#[derive(Clone, Copy)]
+pub struct Moment<'a> {
+    world: &'a World,
+    state: &'a GroundState,
+}
+
+impl<'a> Moment<'a> {
+    /// The facts and what the rules derive from them.
+    pub fn session(&self) -> &'a Session {
+        self.state.session()
+    }
+
+    /// What does not change.
+    pub fn world(&self) -> &'a World {
+        self.world
+    }
+
+    /// The value that stands for an agent, by its position in the list.
+    pub fn value(&self, agent: usize) -> Value {
+        self.state.value(agent)
+    }
+
+    /// The position in the list of the agent that a value stands for.
+    pub fn agent(&self, value: Value) -> Option<usize> {
+        self.state.entity(value)
+    }
 }
 
 impl Simulation {
     /// Places the agents of a split.
     ///
     /// # Errors
-    /// `unknown-split`, `no-start-cell`, `no-route`; `limit-exceeded` for more than [`MAX_ENTITIES`] agents, since facts about pairs of
-    /// them take memory in the square of their number.
-    pub fn new(world: Arc<World>, split: Split, seed: Seed) -> Result<Simulation, Diagnostic> {
+    /// `unknown-split`, `no-start-cell`, `no-route`; `limit-exceeded` if the relational executor is to decide for more than
+    /// [`MAX_ENTITIES`] agents, since its facts about pairs of them take memory in the square of their number, or the dense one is
+    /// to evaluate rules that it cannot.
+    pub fn new(world: Arc<World>, split: Split, seed: Seed, settings: Settings) -> Result<Simulation, Diagnostic> {
         let scenario = &world.scenario;
         let set = scenario.agent_set(split).ok_or_else(|| {
             let message = format!("the configuration `{}` has no split `{}`", scenario.name, split.name());
             let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
             Diagnostic::new(Code::UnknownSplit, message).help(format!("it has: {}", known.join(", ")))
         })?;
-        if set.agents.len() > MAX_ENTITIES {
-            let message = format!("{} agents, the limit is {MAX_ENTITIES}", set.agents.len());
-            let fault = Diagnostic::new(Code::LimitExceeded, message);
-            return Err(fault.at(set.span, "in this agent set"));
-        }
         let places = Places::new(&world.router, set.region.map(|region| region.value));
         let agents = place_agents(set, &world.router, &places, seed)?;
-        let state = GroundState::new(
-            &world.program,
-            &world.vocabulary,
-            agents.iter().map(|agent| &*agent.name),
-        );
         let rules = world.program.rules();
         let counted = |clause: &ClauseId| {
             let clause = &rules.clauses[clause.index()];
             !clause.body.is_empty() && !rules.relations[clause.head.relation.index()].hidden
         };
-        let clauses = (0..rules.clauses.len())
+        let clauses: Vec<ClauseId> = (0..rules.clauses.len())
             .map(|index| ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")))
             .filter(counted)
             .collect();
+        let to_count: &[ClauseId] = if settings.count_firings { &clauses } else { &[] };
+        let threads = settings.threads.max(1);
+        let crowd = match settings.executor {
+            Executor::Relational => None,
+            Executor::Auto | Executor::Dense => match Crowd::new(&world, &agents, to_count, threads) {
+                Ok(crowd) => Some(crowd),
+                Err(reason) if settings.executor == Executor::Dense => {
+                    let message = format!("the dense executor cannot evaluate these rules, because {reason}");
+                    let fault = Diagnostic::new(Code::LimitExceeded, message).at(scenario.rules.span, "these rules");
+                    return Err(fault.help("let the executor be chosen, or take the relational one"));
+                }
+                Err(_) => None,
+            },
+        };
+        if crowd.is_none() && agents.len() > MAX_ENTITIES {
+            let message = format!(
+                "{} agents, the limit of the relational executor is {MAX_ENTITIES}",
+                agents.len()
+            );
+            let fault = Diagnostic::new(Code::LimitExceeded, message).at(set.span, "in this agent set");
+            return Err(fault.help("`logicity check` tells which rules the dense executor cannot take, and why"));
+        }
+        let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build());
+        let pool = pool.transpose().map_err(|error| {
+            let message = format!("{threads} threads cannot be started: {error}");
+            Diagnostic::new(Code::LimitExceeded, message).help("take fewer")
+        })?;
+        let report = TickReport {
+            tick: 0,
+            agents: agents.iter().map(AgentTick::resting).collect(),
+        };
         Ok(Simulation {
             split,
             places,
             seed,
             tick: 0,
+            decisions: Decisions::new(agents.len(), to_count.len()),
             agents,
-            state,
-            facts: Facts::default(),
+            crowd,
+            state: None,
+            stated: None,
+            report,
             clauses,
+            threads: pool,
             world,
         })
     }
@@ -137,107 +242,226 @@ impl Simulation {
         self.tick
     }
 
-    /// The base facts on which the last tick was decided.
-    pub fn facts(&self) -> &Facts {
-        &self.facts
+    /// The last tick; before the first, agents that rest.
+    pub fn report(&self) -> &TickReport {
+        &self.report
     }
 
-    /// What the rules derived from those facts.
-    pub fn session(&self) -> &Session {
-        self.state.session()
+    /// What evaluates the rules: dense or relational.
+    pub fn executor(&self) -> Executor {
+        match self.crowd {
+            Some(_) => Executor::Dense,
+            None => Executor::Relational,
+        }
     }
 
-    /// The value that stands for an agent, by its position in the list, in the session.
-    pub fn value(&self, agent: usize) -> Value {
-        self.state.value(agent)
-    }
-
-    /// The position in the list of the agent that a value of the session stands for.
-    pub fn agent(&self, value: Value) -> Option<usize> {
-        self.state.entity(value)
-    }
-
-    /// The clauses whose firings are counted, in the order of the text.
+    /// The clauses whose firings can be counted, in the order of the text.
     pub fn clauses(&self) -> &[ClauseId] {
         &self.clauses
+    }
+
+    /// How many rows each clause derived in the last tick, in the order of [`Simulation::clauses`]; empty unless
+    /// [`Settings::count_firings`] is set.
+    pub fn firings(&self) -> &[usize] {
+        &self.decisions.firings
+    }
+
+    /// The action clauses that fired for an agent in the last tick: positions in [`Simulation::clauses`]. None unless
+    /// [`Settings::count_firings`] is set.
+    pub fn fired(&self, agent: usize) -> impl Iterator<Item = usize> {
+        self.decisions.fired(agent)
     }
 
     /// Lets every agent decide and move. `controls` replaces the decision of the agents it names (by position in the list).
     ///
     /// # Errors
-    /// Rules that derive more than the engine's limit. The city is then as before.
-    pub fn tick(&mut self, controls: &[(usize, Speed)]) -> Result<TickReport, EvalError> {
-        let world = &*self.world;
-        let entities: Vec<Entity<'_>> = self.agents.iter().map(entity).collect();
-        let mut draws = Draws {
+    /// `limit-exceeded` for rules that derive more than the relational executor allows, or too many agents in one place for the
+    /// dense one. The city is then as before.
+    pub fn tick(&mut self, controls: &[(usize, Speed)]) -> Result<&TickReport, Diagnostic> {
+        let draws = Draws {
             seed: self.seed,
             time: self.tick,
         };
+        let map = self.world.map();
+        match &mut self.crowd {
+            Some(crowd) => {
+                let decisions = &mut self.decisions;
+                match &self.threads {
+                    Some(pool) => pool.install(|| crowd.decide(map, draws, decisions)),
+                    None => crowd.decide(map, draws, decisions),
+                }?;
+            }
+            None => self.decide_by_facts(draws)?,
+        }
+        self.advance(controls);
+        if let Some(crowd) = &mut self.crowd {
+            let (map, agents) = (self.world.map(), &self.agents);
+            match &self.threads {
+                Some(pool) => pool.install(|| crowd.follow(map, agents)),
+                None => crowd.follow(map, agents),
+            }
+        }
+        self.report.tick = self.tick;
+        self.tick += 1;
+        Ok(&self.report)
+    }
+
+    /// Everybody does what was decided.
+    fn advance(&mut self, controls: &[(usize, Speed)]) {
+        let Simulation {
+            world,
+            places,
+            decisions,
+            agents,
+            report,
+            ..
+        } = self;
         let vocabulary = &world.vocabulary;
-        let unread = |index: usize| index != vocabulary.sees && vocabulary.predicates[index].relation.is_none();
-        let facts = ground(
-            vocabulary,
-            world.map(),
-            world.scenario.view,
-            &entities,
-            &mut draws,
-            unread,
-        );
-        self.state.set(&facts)?;
-        self.facts = facts;
-
-        let (firings, mut clauses) = self.count_firings();
-
         let surroundings = Surroundings {
             router: &world.router,
-            places: &self.places,
+            places,
             seed: self.seed,
             tick: self.tick,
         };
-        let mut agents = Vec::with_capacity(self.agents.len());
-        for (index, agent) in self.agents.iter_mut().enumerate() {
-            let derived = self.state.derived(vocabulary, index);
+        let step = |index: usize, agent: &mut Agent, done: &mut AgentTick| {
+            let derived = decisions.derived(index);
             let control = controls.iter().rev().find(|(controlled, _)| *controlled == index);
-            let action = control.map_or_else(|| vocabulary.decide(&derived), |(_, action)| *action);
-            agents.push(AgentTick {
-                at: agent.cell,
+            let action = control.map_or_else(|| vocabulary.decide(derived), |(_, action)| *action);
+            *done = AgentTick {
                 heading: agent.heading,
-                goal: agent.goal(),
-                derived: before_default(vocabulary, derived),
+                derived: vocabulary.before_default(derived),
                 action,
-                clauses: std::mem::take(&mut clauses[index]),
                 moved: advance(agent, index, action, &surroundings),
-            });
-        }
-        let report = TickReport {
-            tick: self.tick,
-            agents,
-            firings,
+            };
         };
-        self.tick += 1;
-        Ok(report)
-    }
-
-    /// How many rows each clause derives, and for each agent the clauses of actions that fired for it.
-    fn count_firings(&self) -> (Vec<usize>, Vec<Vec<usize>>) {
-        let rules = self.world.program.rules();
-        let mut fired_for = vec![Vec::new(); self.agents.len()];
-        let mut firings = Vec::with_capacity(self.clauses.len());
-        for (index, &clause) in self.clauses.iter().enumerate() {
-            let rows = self.state.session().fired(clause);
-            let head = rules.clauses[clause.index()].head.relation;
-            if Speed::ALL
-                .into_iter()
-                .any(|speed| self.world.vocabulary.action(speed) == Some(head))
-            {
-                for agent in rows.iter().filter_map(|row| self.state.entity(row[0])) {
-                    fired_for[agent].push(index);
+        match &self.threads {
+            Some(pool) => pool.install(|| {
+                (agents.par_iter_mut().with_min_len(1024))
+                    .zip(&mut report.agents)
+                    .enumerate()
+                    .for_each(|(index, (agent, done))| step(index, agent, done));
+            }),
+            None => {
+                for (index, (agent, done)) in agents.iter_mut().zip(&mut report.agents).enumerate() {
+                    step(index, agent, done);
                 }
             }
-            firings.push(rows.len());
         }
-        (firings, fired_for)
     }
+
+    /// Decides by the relational executor.
+    fn decide_by_facts(&mut self, draws: Draws) -> Result<(), Diagnostic> {
+        let entities: Vec<Entity<'_>> = self.agents.iter().map(entity).collect();
+        let facts = facts(&self.world, &entities, draws);
+        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
+        state
+            .set(&facts)
+            .map_err(|error| error.diagnostic(self.world.program.rules()))?;
+        self.stated = Some(draws.time);
+        self.decisions.clear();
+        for agent in 0..self.agents.len() {
+            for action in state.derived(&self.world.vocabulary, agent).iter() {
+                self.decisions.add(agent, action);
+            }
+        }
+        if !self.decisions.firings.is_empty() {
+            let rules = self.world.program.rules();
+            for (index, &clause) in self.clauses.iter().enumerate() {
+                let rows = state.session().fired(clause);
+                let head = rules.clauses[clause.index()].head.relation;
+                if (Speed::ALL.into_iter()).any(|speed| self.world.vocabulary.action(speed) == Some(head)) {
+                    for agent in rows.iter().filter_map(|row| state.entity(row[0])) {
+                        self.decisions.add_fired(agent, index);
+                    }
+                }
+                self.decisions.firings[index] = rows.len();
+            }
+        }
+        Ok(())
+    }
+
+    /// The state on which the last tick was decided, as facts of a session; before the first tick, the present one.
+    ///
+    /// # Errors
+    /// `limit-exceeded` for more than [`MAX_ENTITIES`] agents, or rules that derive too much.
+    pub fn moment(&mut self) -> Result<Moment<'_>, Diagnostic> {
+        let tick = self.report.tick;
+        if self.stated != Some(tick) {
+            if self.agents.len() > MAX_ENTITIES {
+                let message = format!(
+                    "facts about pairs of {} agents; the limit is {MAX_ENTITIES} agents",
+                    self.agents.len()
+                );
+                return Err(Diagnostic::new(Code::LimitExceeded, message));
+            }
+            let draws = Draws {
+                seed: self.seed,
+                time: tick,
+            };
+            let facts = facts(&self.world, &self.judged(), draws);
+            let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
+            state
+                .set(&facts)
+                .map_err(|error| error.diagnostic(self.world.program.rules()))?;
+            self.stated = (self.tick > 0).then_some(tick);
+        }
+        Ok(Moment {
+            world: &self.world,
+            state: self.state.as_ref().expect("it has just been made"),
+        })
+    }
+
+    /// The true rows of a predicate, by its position in the vocabulary, in the state on which the last tick was decided.
+    pub fn rows(&self, predicate: usize) -> Vec<[u32; 2]> {
+        let world = &self.world;
+        let draws = Draws {
+            seed: self.seed,
+            time: self.report.tick,
+        };
+        let others = |index: usize| index != predicate;
+        let view = world.scenario.view;
+        let mut facts = ground(&world.vocabulary, world.map(), view, &self.judged(), &draws, others);
+        std::mem::take(&mut facts.rows[predicate])
+    }
+
+    /// The agents as they were when the last tick was decided.
+    fn judged(&self) -> Vec<Entity<'_>> {
+        let before = |(agent, done): (_, &AgentTick)| Entity {
+            at: done.moved.from,
+            heading: done.heading,
+            ..entity(agent)
+        };
+        self.agents.iter().zip(&self.report.agents).map(before).collect()
+    }
+}
+
+impl AgentTick {
+    /// Of an agent before the first tick.
+    fn resting(agent: &Agent) -> AgentTick {
+        AgentTick {
+            heading: agent.heading,
+            derived: Actions::default(),
+            action: Speed::Stop,
+            moved: Moved {
+                from: agent.cell,
+                to: agent.cell,
+                reason: Reason::Resting,
+                replanned: false,
+            },
+        }
+    }
+}
+
+/// The base facts that the rules read.
+fn facts(world: &World, entities: &[Entity<'_>], draws: Draws) -> Facts {
+    let vocabulary = &world.vocabulary;
+    let unread = |index: usize| vocabulary.predicates[index].relation.is_none();
+    ground(vocabulary, world.map(), world.scenario.view, entities, &draws, unread)
+}
+
+fn ground_state(world: &World, agents: &[Agent]) -> GroundState {
+    let names = agents.iter().map(|agent| &*agent.name);
+    GroundState::new(&world.program, &world.vocabulary, names)
 }
 
 fn entity(agent: &Agent) -> Entity<'_> {

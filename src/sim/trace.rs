@@ -1,8 +1,8 @@
 //! The trace of a run: JSON lines, the first a header, then one a tick. README documents the format.
 
-use super::simulation::{Simulation, TickReport};
-use crate::city::Heading;
-use crate::config::Definition;
+use super::simulation::Simulation;
+use crate::city::{Heading, Moved};
+use crate::config::{Definition, Speed};
 use crate::diag::{SourceId, Sources};
 use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
@@ -84,22 +84,27 @@ impl<W: Write> TraceWriter<W> {
         Ok(TraceWriter { out, drawn })
     }
 
-    /// Writes a tick: the state it was decided on (`at`, `heading`, `goal`), the decision, and where it led.
+    /// Writes the last tick of a simulation: the state it was decided on (`at`, `heading`, `goal`), the decision, and where it led.
     ///
     /// # Errors
     /// Whatever the output reports.
-    pub fn tick(&mut self, simulation: &Simulation, report: &TickReport) -> io::Result<()> {
-        let agents: Vec<Value> = (report.agents.iter())
-            .map(|agent| {
-                let derived: Vec<&str> = agent.derived.iter().map(|speed| speed.name()).collect();
+    pub fn tick(&mut self, simulation: &Simulation) -> io::Result<()> {
+        let report = simulation.report();
+        let agents: Vec<Value> = (report.agents.iter().zip(simulation.agents()).enumerate())
+            .map(|(index, (tick, agent))| {
+                let Moved {
+                    from, to, replanned, ..
+                } = tick.moved;
+                // Who has set out for a new goal was at the old one.
+                let goal = if replanned { from } else { agent.goal() };
                 json!({
-                    "at": [agent.at.row, agent.at.col],
-                    "heading": agent.heading.map(Heading::name),
-                    "goal": [agent.goal.row, agent.goal.col],
-                    "derived": derived,
-                    "action": agent.action.name(),
-                    "clauses": agent.clauses,
-                    "next": [agent.moved.to.row, agent.moved.to.col],
+                    "at": [from.row, from.col],
+                    "heading": tick.heading.map(Heading::name),
+                    "goal": [goal.row, goal.col],
+                    "derived": tick.derived.iter().map(Speed::name).collect::<Vec<_>>(),
+                    "action": tick.action.name(),
+                    "clauses": simulation.fired(index).collect::<Vec<_>>(),
+                    "next": [to.row, to.col],
                 })
             })
             .collect();
@@ -107,8 +112,10 @@ impl<W: Write> TraceWriter<W> {
         let predicates = &simulation.world().vocabulary.predicates;
         let given: Map<String, Value> = (self.drawn.iter())
             .map(|&index| {
-                let rows = simulation.facts().rows[index].iter();
-                let rows = rows.map(|row| json!(row.map(|agent| &*names[agent as usize].name)));
+                let rows = simulation.rows(index);
+                let rows = rows
+                    .iter()
+                    .map(|row| json!(row.map(|agent| &*names[agent as usize].name)));
                 (predicates[index].name.clone(), rows.collect())
             })
             .collect();

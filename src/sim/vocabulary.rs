@@ -5,6 +5,55 @@ use crate::diag::{Code, Diagnostic, did_you_mean};
 use crate::engine::Program;
 use crate::lang::{BaseType, Literal, RelId, Relation};
 
+/// A set of actions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Actions(u8);
+
+impl Actions {
+    /// How many there are.
+    pub fn len(self) -> usize {
+        self.0.count_ones() as usize
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Whether the action is in it.
+    pub fn contains(self, action: Speed) -> bool {
+        self.0 >> action as u8 & 1 != 0
+    }
+
+    /// Adds an action.
+    pub fn insert(&mut self, action: Speed) {
+        self.0 |= 1 << action as u8;
+    }
+
+    /// The actions in the order of [`Speed::ALL`].
+    pub fn iter(self) -> impl Iterator<Item = Speed> {
+        Speed::ALL.into_iter().filter(move |&action| self.contains(action))
+    }
+
+    /// One bit for each action, in the order of [`Speed::ALL`] from the lowest.
+    pub(super) fn bits(self) -> u8 {
+        self.0
+    }
+
+    /// The converse of [`Actions::bits`].
+    pub(super) fn from_bits(bits: u8) -> Actions {
+        Actions(bits & 15)
+    }
+}
+
+impl FromIterator<Speed> for Actions {
+    fn from_iter<I: IntoIterator<Item = Speed>>(actions: I) -> Self {
+        let mut set = Actions::default();
+        actions.into_iter().for_each(|action| set.insert(action));
+        set
+    }
+}
+
 /// A base predicate.
 #[derive(Clone, Debug)]
 pub struct Predicate {
@@ -27,7 +76,9 @@ pub struct Vocabulary {
     pub sees: usize,
     /// The relation of each action, in the order of [`Speed::ALL`]; `None` if the rules do not mention it.
     actions: [Option<RelId>; 4],
-    config: ActionsConfig,
+    /// The action to take, by the bits of those that are derived.
+    decisions: [Speed; 16],
+    default: Speed,
 }
 
 impl Vocabulary {
@@ -111,7 +162,8 @@ impl Vocabulary {
                 predicates,
                 sees,
                 actions,
-                config: scenario.actions.clone(),
+                decisions: decisions(&scenario.actions),
+                default: scenario.actions.default,
             })
         } else {
             Err(faults)
@@ -124,17 +176,30 @@ impl Vocabulary {
     }
 
     /// The one action to take, given those that are derived: the first by the scenario's priority, else its default.
-    pub fn decide(&self, derived: &[Speed]) -> Speed {
-        let mut by_priority = self.config.priority.iter().copied();
-        by_priority
-            .find(|speed| derived.contains(speed))
-            .unwrap_or(self.config.default)
+    pub fn decide(&self, derived: Actions) -> Speed {
+        self.decisions[usize::from(derived.bits())]
     }
 
     /// The action taken if none is derived.
     pub fn default_action(&self) -> Speed {
-        self.config.default
+        self.default
     }
+
+    /// Without the default action, where it stands alone: then it is the default that made it.
+    pub fn before_default(&self, derived: Actions) -> Actions {
+        match derived == [self.default].into_iter().collect() {
+            true => Actions::default(),
+            false => derived,
+        }
+    }
+}
+
+fn decisions(config: &ActionsConfig) -> [Speed; 16] {
+    std::array::from_fn(|bits| {
+        let derived = Actions(u8::try_from(bits).expect("it is less than 16"));
+        let first = config.priority.iter().copied().find(|&speed| derived.contains(speed));
+        first.unwrap_or(config.default)
+    })
 }
 
 /// The number of agents a definition speaks of.

@@ -158,6 +158,7 @@ pub struct Dense {
     homes: Vec<Home>,
     fired: BTreeMap<ClauseId, Fired>,
     local: bool,
+    guards: Vec<RelId>,
 }
 
 /// Where a predicate's facts are.
@@ -228,6 +229,12 @@ impl Dense {
     /// on what is derived of others, and some entities can be decided about without the rest.
     pub fn is_local(&self) -> bool {
         self.local
+    }
+
+    /// Whether every clause looks only at what the predicate relates its head's first variable to. If the program is also
+    /// [local](Dense::is_local), entities that it relates to none of those that are decided about can be left out.
+    pub fn is_guarded_by(&self, relation: RelId) -> bool {
+        self.guards.contains(&relation)
     }
 
     pub(super) fn set_count(&self) -> usize {
@@ -401,6 +408,13 @@ impl Body {
             .collect()
     }
 
+    /// Whether the predicate relates the head's first variable to all others, and nothing is asked of all entities.
+    fn is_guarded_by(&self, guard: RelId) -> bool {
+        let asks_all = |literal: &Lit| matches!(literal, Lit::Is(Property::Related(..), ..));
+        let guarded = |var| self.literals.contains(&Lit::Pair(guard, 0, var, true));
+        (1..self.variables).all(guarded) && !self.literals.iter().any(asks_all)
+    }
+
     /// The groups that only have to exist.
     fn conditions(&self) -> Vec<Vec<Var>> {
         self.groups().split_off(usize::from(self.pair))
@@ -556,6 +570,7 @@ impl<'a> Compiler<'a> {
                 homes: vec![Home::Given; rules.relations.len()],
                 fired: BTreeMap::new(),
                 local: true,
+                guards: Vec::new(),
             },
             known_properties: BTreeMap::new(),
             known_sets: BTreeMap::new(),
@@ -587,6 +602,8 @@ impl<'a> Compiler<'a> {
             };
             self.out.local &= asked_of_head || !self.derived[relation.index()];
         }
+        let guards_all = |guard: &RelId| bodies.iter().all(|(_, body)| body.is_guarded_by(*guard));
+        self.out.guards = self.guards.iter().copied().filter(guards_all).collect();
         for (steady, property) in given {
             let set = self.set(if steady { Changes::Seldom } else { Changes::Often });
             self.known_properties.insert(property, set);

@@ -22,4 +22,4 @@ mod run;
 
 pub use analyse::{Choice, Reason, choose};
 pub use compile::{Axis, Counting, Dense, Input, List};
-pub use run::{BitFacts, Frame, Pairs, Set, has, members};
+pub use run::{BitFacts, Frame, Pairs, Set, and, first, has, is_empty, members, without};

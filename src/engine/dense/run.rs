@@ -19,7 +19,7 @@ pub fn has<const W: usize>(set: &Set<W>, entity: usize) -> bool {
 }
 
 /// The first `count` entities.
-fn first<const W: usize>(count: usize) -> Set<W> {
+pub fn first<const W: usize>(count: usize) -> Set<W> {
     std::array::from_fn(|word| match count.saturating_sub(word * 64) {
         0 => 0,
         1..64 => (1 << (count % 64)) - 1,
@@ -27,8 +27,9 @@ fn first<const W: usize>(count: usize) -> Set<W> {
     })
 }
 
+/// The members of both.
 #[inline(always)]
-fn and<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
+pub fn and<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
     let mut at = 0;
     while at < W {
         left[at] &= right[at];
@@ -37,8 +38,9 @@ fn and<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
     left
 }
 
+/// The members of `left` that are not in `right`.
 #[inline(always)]
-fn without<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
+pub fn without<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
     let mut at = 0;
     while at < W {
         left[at] &= !right[at];
@@ -57,8 +59,9 @@ fn or<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
     left
 }
 
+/// Whether the set has no members.
 #[inline(always)]
-fn is_empty<const W: usize>(set: &Set<W>) -> bool {
+pub fn is_empty<const W: usize>(set: &Set<W>) -> bool {
     let mut all = 0;
     let mut at = 0;
     while at < W {

@@ -1,0 +1,543 @@
+//! Deciding for all agents at once: densely, in one window or in many.
+
+use super::infer::Draws;
+use super::vocabulary::{Actions, Vocabulary};
+use super::window::{Body, Grounder, Window};
+use super::world::World;
+use crate::city::{Agent, Cell, CityMap};
+use crate::config::{AgentKind, Speed};
+use crate::diag::{Code, Diagnostic};
+use crate::engine::dense::{Choice, Counting, Dense, Set, choose, has, members};
+use crate::lang::{ClauseId, RelId};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+
+/// The most entities that are looked at together.
+pub const CROWD_MAX: usize = 64 * 64;
+
+/// Up to so many agents a city is one window: what moved is noted in it. More are looked at by tiles.
+const ONE_WINDOW: usize = 256;
+
+/// About as many entities are in the window of a tile.
+const TILE_ENTITIES: f64 = 40.0;
+
+/// What the agents decided in a tick, before the default.
+#[derive(Debug, Default)]
+pub(super) struct Decisions {
+    /// For each agent the bits of its [`Actions`].
+    derived: Vec<AtomicU8>,
+    /// For each counted clause how many rows it derived; empty if clauses are not counted.
+    pub firings: Vec<usize>,
+    /// For each agent `words` words: bit i if the counted clause i derived an action for it.
+    fired: Vec<AtomicU64>,
+    words: usize,
+}
+
+impl Decisions {
+    /// For so many agents and counted clauses.
+    pub fn new(agents: usize, clauses: usize) -> Self {
+        let words = clauses.div_ceil(64);
+        Decisions {
+            derived: (0..agents).map(|_| AtomicU8::new(0)).collect(),
+            firings: vec![0; clauses],
+            fired: (0..agents * words).map(|_| AtomicU64::new(0)).collect(),
+            words,
+        }
+    }
+
+    pub fn clear(&mut self) {
+        self.derived.iter_mut().for_each(|bits| *bits.get_mut() = 0);
+        self.firings.fill(0);
+        self.fired.iter_mut().for_each(|bits| *bits.get_mut() = 0);
+    }
+
+    #[inline]
+    pub fn derived(&self, agent: usize) -> Actions {
+        Actions::from_bits(self.derived[agent].load(Ordering::Relaxed))
+    }
+
+    pub fn add(&self, agent: usize, action: Speed) {
+        // One window decides for an agent, so no other thread writes here.
+        let bits = &self.derived[agent];
+        bits.store(
+            bits.load(Ordering::Relaxed) | [action].into_iter().collect::<Actions>().bits(),
+            Ordering::Relaxed,
+        );
+    }
+
+    pub fn add_fired(&self, agent: usize, clause: usize) {
+        let word = &self.fired[agent * self.words + clause / 64];
+        word.store(word.load(Ordering::Relaxed) | 1 << (clause % 64), Ordering::Relaxed);
+    }
+
+    /// The counted clauses that derived an action for the agent.
+    pub fn fired(&self, agent: usize) -> impl Iterator<Item = usize> {
+        let words = self.fired[agent * self.words..(agent + 1) * self.words]
+            .iter()
+            .enumerate();
+        words.flat_map(|(at, word)| {
+            let word = word.load(Ordering::Relaxed);
+            (0..64)
+                .filter(move |bit| word >> bit & 1 != 0)
+                .map(move |bit| at * 64 + bit)
+        })
+    }
+}
+
+/// What is read off a window after it is evaluated.
+#[derive(Clone, Debug)]
+struct Reading {
+    grounder: Grounder,
+    actions: Vec<(Speed, RelId)>,
+    /// The counted clauses, and whether they are clauses of actions.
+    clauses: Vec<(ClauseId, bool)>,
+}
+
+impl Reading {
+    /// Adds what a window decides for its `egos`, and how often its clauses fired to `firings`.
+    fn read<const W: usize>(&self, window: &Window<W>, egos: &Set<W>, out: &Decisions, firings: &mut [usize]) {
+        let dense = &self.grounder.dense;
+        for &(action, relation) in &self.actions {
+            if let Some(set) = window.frame.set(dense, relation) {
+                debug_assert!(members(set).all(|entity| has(egos, entity)));
+                for entity in members(set) {
+                    out.add(window.bodies[entity].agent as usize, action);
+                }
+            }
+        }
+        for (position, (firings, &(clause, of_action))) in firings.iter_mut().zip(&self.clauses).enumerate() {
+            *firings += window.frame.count_fired(dense, clause).unwrap_or(0);
+            if of_action && let Some(set) = window.frame.fired(dense, clause) {
+                for entity in members(set) {
+                    out.add_fired(window.bodies[entity].agent as usize, position);
+                }
+            }
+        }
+    }
+}
+
+/// A city that is decided about densely.
+pub(super) struct Crowd {
+    reading: Reading,
+    shape: Shape,
+}
+
+enum Shape {
+    One(Box<dyn OneWindow>),
+    Tiles(Box<Tiles>),
+}
+
+/// Why a city cannot be decided about densely.
+pub(super) fn obstacle(world: &World, choice: &Choice, agents: usize) -> Option<String> {
+    let rules = world.program.rules();
+    if let Some(reason) = choice.relational.iter().flatten().next() {
+        return Some(reason.show(rules));
+    }
+    let dense = compile(world, choice, Counting::Off);
+    let sees = world.vocabulary.predicates[world.vocabulary.sees].relation;
+    let in_tiles = dense.is_local() && sees.is_some_and(|sees| dense.is_guarded_by(sees));
+    (agents > CROWD_MAX && !in_tiles)
+        .then(|| format!("its rules look beyond the field of view, and there are more than {CROWD_MAX} agents"))
+}
+
+fn compile(world: &World, choice: &Choice, counting: Counting) -> Dense {
+    let steady = |relation| {
+        let mut predicates = world.vocabulary.predicates.iter();
+        predicates.any(|predicate| predicate.relation == Some(relation) && predicate.definition.is_steady())
+    };
+    Dense::new(world.program.rules(), choice, counting, steady)
+}
+
+impl Crowd {
+    /// `clauses` are those to be counted; none, and nothing is counted.
+    ///
+    /// # Errors
+    /// Why the rules cannot be evaluated densely, to go after "because".
+    pub fn new(world: &World, agents: &[Agent], clauses: &[ClauseId], threads: usize) -> Result<Crowd, String> {
+        let rules = world.program.rules();
+        let choice = choose(rules);
+        if let Some(obstacle) = obstacle(world, &choice, agents.len()) {
+            return Err(obstacle);
+        }
+        let counting = match clauses {
+            [] => Counting::Off,
+            _ => Counting::Each,
+        };
+        let dense = compile(world, &choice, counting);
+        let sees = world.vocabulary.predicates[world.vocabulary.sees].relation;
+        let in_tiles = dense.is_local() && sees.is_some_and(|sees| dense.is_guarded_by(sees));
+
+        let mut known: BTreeMap<(AgentKind, &[String]), u32> = BTreeMap::new();
+        let bodies: Vec<Body> = (agents.iter().zip(0..))
+            .map(|(agent, position)| {
+                let next = u32::try_from(known.len()).expect("fewer classes than agents");
+                Body {
+                    at: agent.cell,
+                    priority: agent.priority,
+                    agent: position,
+                    class: *known.entry((agent.kind, &agent.concepts)).or_insert(next),
+                    kind: agent.kind,
+                    heading: agent.heading,
+                }
+            })
+            .collect();
+        let mut classes: Vec<(AgentKind, &[String])> = vec![(AgentKind::Car, &[]); known.len()];
+        for (class, position) in known {
+            classes[position as usize] = class;
+        }
+        let vocabulary: &Vocabulary = &world.vocabulary;
+        let action = |speed: &Speed| Some((*speed, vocabulary.action(*speed)?));
+        let actions: Vec<(Speed, RelId)> = Speed::ALL.iter().filter_map(action).collect();
+        let of_action = |clause: &ClauseId| {
+            let head = rules.clauses[clause.index()].head.relation;
+            actions.iter().any(|(_, action)| *action == head)
+        };
+        let reading = Reading {
+            grounder: Grounder::new(dense, vocabulary, world.scenario.view, &classes),
+            clauses: clauses.iter().map(|clause| (*clause, of_action(clause))).collect(),
+            actions,
+        };
+        let shape = match bodies.len() {
+            0..=64 => Shape::One(Box::new(One::<1>::new(&reading.grounder, world.map(), bodies))),
+            65..=128 => Shape::One(Box::new(One::<2>::new(&reading.grounder, world.map(), bodies))),
+            129..=ONE_WINDOW => Shape::One(Box::new(One::<4>::new(&reading.grounder, world.map(), bodies))),
+            _ if in_tiles => Shape::Tiles(Box::new(Tiles::new(&reading.grounder, world.map(), bodies, threads))),
+            ..=1024 => Shape::One(Box::new(One::<16>::new(&reading.grounder, world.map(), bodies))),
+            _ => Shape::One(Box::new(One::<64>::new(&reading.grounder, world.map(), bodies))),
+        };
+        Ok(Crowd { reading, shape })
+    }
+
+    /// Decides for all agents; `out` is cleared before.
+    ///
+    /// # Errors
+    /// `limit-exceeded` for more than [`CROWD_MAX`] agents around one cell.
+    pub fn decide(&mut self, map: &CityMap, draws: Draws, out: &mut Decisions) -> Result<(), Diagnostic> {
+        out.clear();
+        match &mut self.shape {
+            Shape::One(one) => {
+                one.decide(&self.reading, draws, out);
+                Ok(())
+            }
+            Shape::Tiles(tiles) => tiles.decide(&self.reading, map, draws, out),
+        }
+    }
+
+    /// Takes note of where the agents are.
+    pub fn follow(&mut self, map: &CityMap, agents: &[Agent]) {
+        match &mut self.shape {
+            Shape::One(one) => one.follow(&self.reading.grounder, map, agents),
+            Shape::Tiles(tiles) => {
+                let follow = |(body, agent): (&mut Body, &Agent)| {
+                    body.at = agent.cell;
+                    body.heading = agent.heading;
+                };
+                (tiles.bodies.par_iter_mut().with_min_len(4096))
+                    .zip(agents)
+                    .for_each(follow);
+            }
+        }
+    }
+}
+
+/// A whole city in one window.
+trait OneWindow: Send {
+    fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions);
+    fn follow(&mut self, grounder: &Grounder, map: &CityMap, agents: &[Agent]);
+}
+
+struct One<const W: usize> {
+    window: Window<W>,
+    all: Set<W>,
+}
+
+impl<const W: usize> One<W> {
+    fn new(grounder: &Grounder, map: &CityMap, bodies: Vec<Body>) -> Self {
+        let mut window = Window::new(grounder);
+        let all = crate::engine::dense::first(bodies.len());
+        window.bodies = bodies;
+        window.fill(grounder, map, Cell::new(0, 0), [map.rows(), map.cols()]);
+        One { window, all }
+    }
+}
+
+impl<const W: usize> OneWindow for One<W> {
+    fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions) {
+        self.window.run(&reading.grounder, draws);
+        let mut firings = std::mem::take(&mut out.firings);
+        reading.read(&self.window, &self.all, out, &mut firings);
+        out.firings = firings;
+    }
+
+    fn follow(&mut self, grounder: &Grounder, map: &CityMap, agents: &[Agent]) {
+        for (entity, agent) in agents.iter().enumerate() {
+            self.window.shift(grounder, map, entity, agent.cell, agent.heading);
+        }
+    }
+}
+
+/// A city in tiles. For each tile the agents in it are decided about, in a window that has all they can see.
+struct Tiles {
+    /// In the order of the list of agents.
+    bodies: Vec<Body>,
+    /// The same by bins, row by row.
+    sorted: Vec<Body>,
+    /// Where each bin begins in `sorted`, and where the last one ends.
+    bins: Vec<u32>,
+    /// Bins along both axes.
+    size: [i32; 2],
+    /// Side of a tile in cells.
+    side: i32,
+    view: i32,
+    workers: Vec<Mutex<Worker>>,
+}
+
+/// Side of a bin in cells.
+const BIN: i32 = 32;
+
+/// What a thread needs.
+struct Worker {
+    narrow: Window<1>,
+    pair: Window<2>,
+    wide: Window<4>,
+    wider: Window<16>,
+    widest: Window<64>,
+    found: Vec<Body>,
+    firings: Vec<usize>,
+}
+
+/// A rectangle of cells.
+#[derive(Clone, Copy, Debug)]
+struct Area {
+    first: Cell,
+    rows: i32,
+    cols: i32,
+}
+
+impl Area {
+    fn contains(&self, cell: Cell) -> bool {
+        let (row, col) = (cell.row - self.first.row, cell.col - self.first.col);
+        (0..self.rows).contains(&row) && (0..self.cols).contains(&col)
+    }
+}
+
+impl Tiles {
+    fn new(grounder: &Grounder, map: &CityMap, bodies: Vec<Body>, threads: usize) -> Self {
+        let view = grounder.farthest_view();
+        let area = f64::from(map.rows()) * f64::from(map.cols());
+        #[allow(clippy::cast_precision_loss)]
+        let wanted = (TILE_ENTITIES * area / bodies.len() as f64).sqrt() - 2.0 * f64::from(view);
+        #[allow(clippy::cast_possible_truncation)] // it is at most the side of the map
+        let side = wanted.min(f64::from(map.rows().max(map.cols()))).max(f64::from(BIN)) as i32;
+        let size = [map.rows(), map.cols()].map(|cells| (cells + BIN - 1) / BIN);
+        let worker = || {
+            Mutex::new(Worker {
+                narrow: Window::new(grounder),
+                pair: Window::new(grounder),
+                wide: Window::new(grounder),
+                wider: Window::new(grounder),
+                widest: Window::new(grounder),
+                found: Vec::new(),
+                firings: Vec::new(),
+            })
+        };
+        Tiles {
+            sorted: bodies.clone(),
+            bins: vec![0; (size[0] * size[1]) as usize + 1],
+            bodies,
+            size,
+            side: (side + BIN - 1) / BIN * BIN,
+            view,
+            workers: (0..threads).map(|_| worker()).collect(),
+        }
+    }
+
+    fn bin(&self, cell: Cell) -> usize {
+        (cell.row / BIN * self.size[1] + cell.col / BIN) as usize
+    }
+
+    /// Sorts the bodies into bins, in the order of the list within each.
+    fn sort(&mut self) {
+        let mut bins = std::mem::take(&mut self.bins);
+        bins.fill(0);
+        for body in &self.bodies {
+            bins[self.bin(body.at)] += 1;
+        }
+        let mut end = 0;
+        for bin in &mut bins {
+            end += *bin;
+            *bin = end;
+        }
+        for at in (0..self.bodies.len()).rev() {
+            let body = self.bodies[at];
+            let place = &mut bins[self.bin(body.at)];
+            *place -= 1;
+            self.sorted[*place as usize] = body;
+        }
+        self.bins = bins;
+    }
+
+    fn decide(
+        &mut self,
+        reading: &Reading,
+        map: &CityMap,
+        draws: Draws,
+        out: &mut Decisions,
+    ) -> Result<(), Diagnostic> {
+        self.sort();
+        for worker in &mut self.workers {
+            let firings = &mut worker.get_mut().expect("no thread has panicked").firings;
+            firings.clear();
+            firings.resize(out.firings.len(), 0);
+        }
+        let lines = |cells: i32| (cells + self.side - 1) / self.side;
+        let row_of_tiles = |row: i32| {
+            let mut worker = self.workers[rayon::current_thread_index().unwrap_or(0)]
+                .lock()
+                .expect("no thread has panicked");
+            (0..lines(map.cols())).try_for_each(|col| {
+                let tile = Area {
+                    first: Cell::new(row * self.side, col * self.side),
+                    rows: self.side,
+                    cols: self.side,
+                };
+                self.decide_tile(tile, &mut worker, reading, map, draws, out)
+            })
+        };
+        let rows = 0..lines(map.rows());
+        match self.workers.len() {
+            1 => rows.into_iter().try_for_each(row_of_tiles),
+            _ => rows.into_par_iter().try_for_each(row_of_tiles),
+        }?;
+        for worker in &mut self.workers {
+            let firings = &worker.get_mut().expect("no thread has panicked").firings;
+            for (sum, fired) in out.firings.iter_mut().zip(firings) {
+                *sum += fired;
+            }
+        }
+        Ok(())
+    }
+
+    fn decide_tile(
+        &self,
+        tile: Area,
+        worker: &mut Worker,
+        reading: &Reading,
+        map: &CityMap,
+        draws: Draws,
+        out: &Decisions,
+    ) -> Result<(), Diagnostic> {
+        let found = &mut worker.found;
+        found.clear();
+        self.gather(tile, found);
+        if found.is_empty() {
+            return Ok(());
+        }
+        let window = Area {
+            first: Cell::new((tile.first.row - self.view).max(0), (tile.first.col - self.view).max(0)),
+            rows: (tile.first.row + tile.rows + self.view).min(map.rows()),
+            cols: (tile.first.col + tile.cols + self.view).min(map.cols()),
+        };
+        let window = Area {
+            rows: window.rows - window.first.row,
+            cols: window.cols - window.first.col,
+            ..window
+        };
+        let egos = found.len();
+        self.gather_around(window, tile, found);
+        let evaluate = Evaluate {
+            reading,
+            map,
+            draws,
+            out,
+            window,
+            egos,
+        };
+        match found.len() {
+            0..=64 => evaluate.run(&mut worker.narrow, found, &mut worker.firings),
+            65..=128 => evaluate.run(&mut worker.pair, found, &mut worker.firings),
+            129..=256 => evaluate.run(&mut worker.wide, found, &mut worker.firings),
+            _ if tile.rows > BIN => {
+                // Where the city is crowded tiles are smaller.
+                let half = (tile.rows / 2 + BIN - 1) / BIN * BIN;
+                for (row, col) in [(0, 0), (0, half), (half, 0), (half, half)] {
+                    let part = Area {
+                        first: Cell::new(tile.first.row + row, tile.first.col + col),
+                        rows: if row == 0 { half } else { tile.rows - half },
+                        cols: if col == 0 { half } else { tile.cols - half },
+                    };
+                    self.decide_tile(part, worker, reading, map, draws, out)?;
+                }
+            }
+            257..=1024 => evaluate.run(&mut worker.wider, found, &mut worker.firings),
+            1025..=CROWD_MAX => evaluate.run(&mut worker.widest, found, &mut worker.firings),
+            many => {
+                let Cell { row, col } = tile.first;
+                let message = format!("{many} agents around the cell [{row}, {col}], the limit is {CROWD_MAX}");
+                return Err(Diagnostic::new(Code::LimitExceeded, message)
+                    .help("take a larger map or fewer agents, or let the relational executor decide"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds the bodies in an area.
+    fn gather(&self, area: Area, found: &mut Vec<Body>) {
+        self.each_in(area, |body| {
+            if area.contains(body.at) {
+                found.push(*body);
+            }
+        });
+    }
+
+    /// Adds the bodies in `area` that are not in `hole`.
+    fn gather_around(&self, area: Area, hole: Area, found: &mut Vec<Body>) {
+        self.each_in(area, |body| {
+            if area.contains(body.at) && !hole.contains(body.at) {
+                found.push(*body);
+            }
+        });
+    }
+
+    /// All bodies in the bins that an area touches.
+    fn each_in(&self, area: Area, mut each: impl FnMut(&Body)) {
+        let last = |at: i32, cells: i32, bins: i32| ((at + cells - 1) / BIN).min(bins - 1);
+        let (rows, cols) = (
+            area.first.row / BIN..=last(area.first.row, area.rows, self.size[0]),
+            [area.first.col / BIN, last(area.first.col, area.cols, self.size[1])],
+        );
+        for row in rows {
+            let [start, end] = cols.map(|col| row * self.size[1] + col);
+            if start <= end {
+                let (start, end) = (self.bins[start as usize], self.bins[end as usize + 1]);
+                self.sorted[start as usize..end as usize].iter().for_each(&mut each);
+            }
+        }
+    }
+}
+
+/// Evaluates the window of a tile.
+struct Evaluate<'a> {
+    reading: &'a Reading,
+    map: &'a CityMap,
+    draws: Draws,
+    out: &'a Decisions,
+    window: Area,
+    /// The first so many entities are decided about.
+    egos: usize,
+}
+
+impl Evaluate<'_> {
+    fn run<const W: usize>(&self, window: &mut Window<W>, found: &mut Vec<Body>, firings: &mut [usize]) {
+        std::mem::swap(&mut window.bodies, found);
+        let Area { first, rows, cols } = self.window;
+        window.fill(&self.reading.grounder, self.map, first, [rows, cols]);
+        let egos = crate::engine::dense::first(self.egos);
+        window.frame.set_egos(egos);
+        window.run(&self.reading.grounder, self.draws);
+        self.reading.read(window, &egos, self.out, firings);
+        std::mem::swap(&mut window.bodies, found);
+    }
+}

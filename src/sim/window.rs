@@ -1,0 +1,507 @@
+//! Some entities of a city and what relates them, as bits for the dense executor. Facts about pairs are computed where a rule asks
+//! for them, from whole numbers; [`super::ground`] has the definitions, and tests compare the two.
+
+use super::ground::{Chance, Entity, binary, side};
+use super::infer::Draws;
+use super::vocabulary::Vocabulary;
+use crate::city::{Cell, CityMap, Heading, view_reach};
+use crate::config::{AgentKind, Definition};
+use crate::engine::dense::{Axis, Dense, Frame, Input, List, Pairs, Set, and, first, is_empty, members, without};
+
+/// What the predicates can see of an agent.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Body {
+    pub at: Cell,
+    pub priority: i32,
+    /// Position in the list of agents.
+    pub agent: u32,
+    /// Position in [`Grounder::classes`].
+    pub class: u32,
+    pub kind: AgentKind,
+    pub heading: Option<Heading>,
+}
+
+/// How many cells something reaches: up, down, left, right.
+type Reach = [i32; 4];
+
+/// Farther apart are no two cells of a map.
+const FARTHEST: i32 = 1 << 24;
+
+/// The greatest squared distance that is looked at: no two cells of a map are so far apart.
+const SQUARE_MAX: i64 = 1 << 50;
+
+/// How a predicate with one column, or its diagonal, is computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Unary {
+    /// By what the agent is: its class knows.
+    Class,
+    AtIntersection,
+    InIntersection,
+    /// The diagonal of the field of view: everybody sees himself.
+    Always,
+    /// The diagonal of another predicate.
+    Never,
+}
+
+/// How facts about pairs are computed.
+#[derive(Clone, Debug)]
+enum Relation {
+    Sees,
+    /// Squared distances from `least` to `most`; no farther than `reach` in rows or columns.
+    Distance {
+        least: i64,
+        most: i64,
+        reach: i32,
+    },
+    HigherPriority,
+    /// Of the first, seen along the second's heading: left if 1, right if -1.
+    Side(i64),
+    Colliding(Box<Colliding>),
+    /// Of nobody.
+    Never,
+}
+
+#[derive(Clone, Debug)]
+struct Colliding {
+    /// By kind and heading of the first: where the second can be.
+    cones: [[Reach; 4]; 2],
+    /// Position in the vocabulary.
+    predicate: usize,
+    definition: Definition,
+}
+
+/// A list that a dense program asks for.
+#[derive(Clone, Debug)]
+struct Asked {
+    relation: Relation,
+    axis: Axis,
+}
+
+/// How everything that a dense program asks for is computed.
+#[derive(Clone, Debug)]
+pub(super) struct Grounder {
+    pub dense: Dense,
+    inputs: Vec<Unary>,
+    lists: Vec<Asked>,
+    /// By class: the inputs that hold of its members.
+    classes: Vec<Vec<usize>>,
+    /// How far an agent without a heading sees, and one with each.
+    views: [Reach; 5],
+}
+
+impl Grounder {
+    /// `dense` must ask only for predicates of the vocabulary. `classes` has the kind and the concepts of each class of agents.
+    pub fn new(dense: Dense, vocabulary: &Vocabulary, view: u32, classes: &[(AgentKind, &[String])]) -> Self {
+        // What is not a predicate of the vocabulary is one that no clause derives: binding has refused all others.
+        let find = |relation| {
+            let mut predicates = vocabulary.predicates.iter();
+            let position = predicates.position(|predicate| predicate.relation == Some(relation))?;
+            Some((position, &vocabulary.predicates[position].definition))
+        };
+        let inputs = (dense.inputs().iter())
+            .map(|&input| match input {
+                Input::Unary(relation) => match find(relation) {
+                    Some((_, Definition::AtIntersection)) => Unary::AtIntersection,
+                    Some((_, Definition::InIntersection)) => Unary::InIntersection,
+                    Some(_) => Unary::Class,
+                    None => Unary::Never,
+                },
+                Input::Diagonal(relation) => match find(relation) {
+                    Some((_, Definition::Sees)) => Unary::Always,
+                    _ => Unary::Never,
+                },
+            })
+            .collect();
+        let lists = (dense.lists().iter())
+            .map(|&List(relation, axis)| Asked {
+                relation: find(relation).map_or(Relation::Never, |(predicate, definition)| {
+                    Relation::new(predicate, definition)
+                }),
+                axis,
+            })
+            .collect();
+        let holds_of = |&(kind, concepts): &(AgentKind, &[String])| {
+            let holds = |&position: &usize| match dense.inputs()[position] {
+                Input::Unary(relation) => match find(relation) {
+                    Some((_, Definition::Kind(of))) => *of == kind,
+                    Some((_, Definition::Concept { of, concept })) => *of == kind && concepts.contains(concept),
+                    _ => false,
+                },
+                Input::Diagonal(_) => false,
+            };
+            (0..dense.inputs().len()).filter(holds).collect()
+        };
+        let reach = |heading| view_reach(heading, view).map(|cells| cells.min(FARTHEST));
+        Grounder {
+            inputs,
+            lists,
+            classes: classes.iter().map(holds_of).collect(),
+            views: [
+                reach(None),
+                reach(Some(Heading::Left)),
+                reach(Some(Heading::Right)),
+                reach(Some(Heading::Up)),
+                reach(Some(Heading::Down)),
+            ],
+            dense,
+        }
+    }
+
+    /// How far anybody sees.
+    pub fn farthest_view(&self) -> i32 {
+        self.views.iter().flatten().copied().max().unwrap_or(0)
+    }
+}
+
+impl Relation {
+    /// Of the predicate at this position of the vocabulary.
+    fn new(predicate: usize, definition: &Definition) -> Relation {
+        match *definition {
+            Definition::Sees => Relation::Sees,
+            Definition::Distance {
+                above,
+                at_least,
+                below,
+                at_most,
+            } => {
+                // Both bounds are monotone in the distance, and the distance in its square.
+                let near = |d: f64| below.is_none_or(|bound| d < bound) && at_most.is_none_or(|bound| d <= bound);
+                let far = |d: f64| above.is_none_or(|bound| d > bound) && at_least.is_none_or(|bound| d >= bound);
+                let least = first_square(far);
+                let most = first_square(|d| !near(d)) - 1;
+                let reach = most.max(0).isqrt().min(i64::from(FARTHEST));
+                Relation::Distance {
+                    least,
+                    most,
+                    reach: i32::try_from(reach).expect("it is at most the farthest"),
+                }
+            }
+            Definition::HigherPriority => Relation::HigherPriority,
+            Definition::LeftOf => Relation::Side(1),
+            Definition::RightOf => Relation::Side(-1),
+            Definition::Colliding { .. } => {
+                let cone = |kind| Heading::ALL.map(|heading| cone(definition, kind, heading));
+                Relation::Colliding(Box::new(Colliding {
+                    cones: AgentKind::ALL.map(cone),
+                    predicate,
+                    definition: definition.clone(),
+                }))
+            }
+            Definition::Kind(_)
+            | Definition::Concept { .. }
+            | Definition::AtIntersection
+            | Definition::InIntersection => unreachable!("a unary definition"),
+        }
+    }
+}
+
+/// The least square of a distance for which something holds that holds from there on; [`SQUARE_MAX`] if it never does.
+#[allow(clippy::cast_precision_loss)] // exact: squares are below 2^53
+fn first_square(holds: impl Fn(f64) -> bool) -> i64 {
+    let (mut low, mut high) = (0, SQUARE_MAX);
+    while low < high {
+        let middle = low + (high - low) / 2;
+        match holds((middle as f64).sqrt()) {
+            true => high = middle,
+            false => low = middle + 1,
+        }
+    }
+    low
+}
+
+/// Where what an agent of this kind and heading may collide with can be.
+fn cone(definition: &Definition, kind: AgentKind, heading: Heading) -> Reach {
+    /// Farther than this it is not looked for single cells.
+    const LOOK: i32 = 32;
+    let Definition::Colliding {
+        car_range,
+        pedestrian_range,
+        ..
+    } = *definition
+    else {
+        unreachable!("the definition of another predicate")
+    };
+    let range = match kind {
+        AgentKind::Car => car_range,
+        AgentKind::Pedestrian => pedestrian_range,
+    };
+    #[allow(clippy::cast_possible_truncation)] // a number beyond the limits becomes the limit
+    let range = (range.max(0.0).floor() as i32).min(FARTHEST);
+    if range > LOOK {
+        return [range; 4];
+    }
+    let agent = |at| Entity {
+        kind,
+        concepts: &[],
+        priority: 0,
+        at,
+        heading: Some(heading),
+    };
+    let here = agent(Cell::new(0, 0));
+    let mut reach = [0; 4];
+    for row in -range..=range {
+        for col in -range..=range {
+            if binary(definition, &here, &agent(Cell::new(row, col))) > 0.0 {
+                for (reach, cells) in reach.iter_mut().zip([-row, row, -col, col]) {
+                    *reach = cells.max(*reach);
+                }
+            }
+        }
+    }
+    reach
+}
+
+/// Up to `64 * W` entities and where they are.
+#[derive(Clone, Debug)]
+pub(super) struct Window<const W: usize> {
+    pub bodies: Vec<Body>,
+    pub frame: Frame<W>,
+    /// By input of the program.
+    inputs: Vec<Set<W>>,
+    place: Place<W>,
+}
+
+/// Who is where, by rows and columns.
+#[derive(Clone, Debug)]
+struct Place<const W: usize> {
+    /// The first cell of the area.
+    first: Cell,
+    /// Item i: the entities in the first i rows.
+    rows: Vec<Set<W>>,
+    cols: Vec<Set<W>>,
+}
+
+impl<const W: usize> Place<W> {
+    /// Those at most so far from a cell.
+    #[inline]
+    fn around(&self, at: Cell, [up, down, left, right]: Reach) -> Set<W> {
+        let (row, col) = (at.row - self.first.row, at.col - self.first.col);
+        let rows = between(&self.rows, row - up, row + down);
+        and(rows, &between(&self.cols, col - left, col + right))
+    }
+
+    fn mark(&mut self, entity: usize, at: Cell) {
+        let flip = |lists: &mut [Set<W>], line: i32| lists[line as usize + 1][entity / 64] ^= 1 << (entity % 64);
+        flip(&mut self.rows, at.row - self.first.row);
+        flip(&mut self.cols, at.col - self.first.col);
+    }
+
+    /// Turns the entities of single lines into those of all lines so far.
+    fn sum(&mut self) {
+        for lists in [&mut self.rows, &mut self.cols] {
+            let mut sum = [0; W];
+            for set in lists {
+                for (sum, word) in sum.iter_mut().zip(set) {
+                    *sum |= *word;
+                    *word = *sum;
+                }
+            }
+        }
+    }
+
+    fn shift(&mut self, entity: usize, from: Cell, to: Cell) {
+        let first = self.first;
+        let flip = |lists: &mut [Set<W>], from: i32, to: i32| {
+            for set in &mut lists[from.min(to) as usize + 1..=from.max(to) as usize] {
+                set[entity / 64] ^= 1 << (entity % 64);
+            }
+        };
+        flip(&mut self.rows, from.row - first.row, to.row - first.row);
+        flip(&mut self.cols, from.col - first.col, to.col - first.col);
+    }
+}
+
+/// The entities in the lines from `low` to `high`, as far as there are such lines. One of them is in between.
+#[inline]
+fn between<const W: usize>(lists: &[Set<W>], low: i32, high: i32) -> Set<W> {
+    let last = lists.len() - 1;
+    let high = ((high + 1) as usize).min(last);
+    without(lists[high], &lists[(low.max(0) as usize).min(last)])
+}
+
+impl<const W: usize> Window<W> {
+    pub fn new(grounder: &Grounder) -> Self {
+        Window {
+            bodies: Vec::new(),
+            frame: Frame::new(&grounder.dense, 0),
+            inputs: Vec::new(),
+            place: Place {
+                first: Cell::new(0, 0),
+                rows: Vec::new(),
+                cols: Vec::new(),
+            },
+        }
+    }
+
+    /// Takes note of `bodies` afresh, all of them in the area of so many rows and columns from the cell `first` on.
+    ///
+    /// # Panics
+    /// If they are more than the window holds, or one is outside of the area.
+    pub fn fill(&mut self, grounder: &Grounder, map: &CityMap, first_cell: Cell, [rows, cols]: [i32; 2]) {
+        let count = self.bodies.len();
+        self.frame.reset(&grounder.dense, count);
+        let Place {
+            first: area_first,
+            rows: row_lists,
+            cols: col_lists,
+        } = &mut self.place;
+        *area_first = first_cell;
+        for (lists, lines) in [(row_lists, rows), (col_lists, cols)] {
+            lists.clear();
+            lists.resize(lines as usize + 1, [0; W]);
+        }
+        for (entity, body) in self.bodies.iter().enumerate() {
+            self.place.mark(entity, body.at);
+        }
+        self.place.sum();
+
+        self.inputs.clear();
+        self.inputs.resize(grounder.inputs.len(), [0; W]);
+        for (entity, body) in self.bodies.iter().enumerate() {
+            for &input in &grounder.classes[body.class as usize] {
+                self.inputs[input][entity / 64] |= 1 << (entity % 64);
+            }
+        }
+        for (input, how) in grounder.inputs.iter().enumerate() {
+            if *how == Unary::Always {
+                self.inputs[input] = first(count);
+            }
+        }
+        for entity in 0..count {
+            self.look(grounder, map, entity);
+        }
+    }
+
+    /// Sets what depends on the cell where an entity is.
+    fn look(&mut self, grounder: &Grounder, map: &CityMap, entity: usize) {
+        let body = &self.bodies[entity];
+        for (set, how) in self.inputs.iter_mut().zip(&grounder.inputs) {
+            let holds = match how {
+                Unary::AtIntersection => map.at_intersection(body.kind, body.at).is_some(),
+                Unary::InIntersection => map.in_intersection(body.at).is_some(),
+                Unary::Class | Unary::Always | Unary::Never => continue,
+            };
+            let word = &mut set[entity / 64];
+            *word = *word & !(1 << (entity % 64)) | u64::from(holds) << (entity % 64);
+        }
+    }
+
+    /// Takes note of a move.
+    pub fn shift(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Cell, heading: Option<Heading>) {
+        let body = &mut self.bodies[entity];
+        let from = body.at;
+        body.heading = heading;
+        if from != to {
+            body.at = to;
+            self.place.shift(entity, from, to);
+            self.look(grounder, map, entity);
+        }
+    }
+
+    /// Evaluates the rules.
+    pub fn run(&mut self, grounder: &Grounder, draws: Draws) {
+        for (input, set) in self.inputs.iter().enumerate() {
+            self.frame.set_input(&grounder.dense, input, *set);
+        }
+        let scene = Scene {
+            grounder,
+            bodies: &self.bodies,
+            place: &self.place,
+            draws,
+        };
+        self.frame.run(&grounder.dense, &scene);
+    }
+}
+
+/// Answers what the executor asks about pairs.
+struct Scene<'a, const W: usize> {
+    grounder: &'a Grounder,
+    bodies: &'a [Body],
+    place: &'a Place<W>,
+    draws: Draws,
+}
+
+impl<const W: usize> Pairs<W> for Scene<'_, W> {
+    #[inline]
+    fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
+        let asked = &self.grounder.lists[list];
+        let body = &self.bodies[at];
+        let near = |reach| and(among, &self.place.around(body.at, reach));
+        match (&asked.relation, asked.axis) {
+            (Relation::Sees, Axis::Second) => near(self.view(body)),
+            (Relation::Distance { least, most, reach }, _) => keep(near([*reach; 4]), |other| {
+                other != at && (*least..=*most).contains(&square(body.at, self.bodies[other].at))
+            }),
+            (Relation::Never, _) => [0; W],
+            (Relation::Colliding(colliding), Axis::Second) => {
+                let Some(heading) = body.heading else { return [0; W] };
+                keep(near(colliding.cones[body.kind as usize][heading as usize]), |other| {
+                    self.holds(&asked.relation, at, other)
+                })
+            }
+            (_, Axis::Second) => keep(among, |other| self.holds(&asked.relation, at, other)),
+            (_, Axis::First) => keep(among, |other| self.holds(&asked.relation, other, at)),
+        }
+    }
+}
+
+impl<const W: usize> Scene<'_, W> {
+    fn view(&self, body: &Body) -> Reach {
+        self.grounder.views[body.heading.map_or(0, |heading| heading as usize + 1)]
+    }
+
+    /// Whether a predicate holds of two entities.
+    fn holds(&self, relation: &Relation, first: usize, second: usize) -> bool {
+        let (x, y) = (&self.bodies[first], &self.bodies[second]);
+        match *relation {
+            Relation::Sees => {
+                let [up, down, left, right] = self.view(x);
+                let (rows, cols) = (y.at.row - x.at.row, y.at.col - x.at.col);
+                first == second || (-up..=down).contains(&rows) && (-left..=right).contains(&cols)
+            }
+            _ if first == second => false,
+            Relation::Distance { least, most, .. } => (least..=most).contains(&square(x.at, y.at)),
+            Relation::HigherPriority => x.priority < y.priority,
+            Relation::Side(wanted) => side(&x.entity(), &y.entity()).signum() == wanted,
+            Relation::Never => false,
+            Relation::Colliding(ref colliding) => {
+                let probability = binary(&colliding.definition, &x.entity(), &y.entity());
+                probability >= 1.0
+                    || probability > 0.0
+                        && (self.draws).happens(colliding.predicate, x.agent as usize, y.agent as usize, probability)
+            }
+        }
+    }
+}
+
+impl Body {
+    fn entity(&self) -> Entity<'static> {
+        Entity {
+            kind: self.kind,
+            concepts: &[],
+            priority: self.priority,
+            at: self.at,
+            heading: self.heading,
+        }
+    }
+}
+
+/// The square of the distance of two cells on a map.
+fn square(from: Cell, to: Cell) -> i64 {
+    let (rows, cols) = to.offset_from(from);
+    rows * rows + cols * cols
+}
+
+/// Those of a set for which it holds.
+#[inline]
+fn keep<const W: usize>(set: Set<W>, holds: impl Fn(usize) -> bool) -> Set<W> {
+    let mut kept = set;
+    if !is_empty(&set) {
+        for member in members(&set) {
+            if !holds(member) {
+                kept[member / 64] &= !(1 << (member % 64));
+            }
+        }
+    }
+    kept
+}

@@ -1,0 +1,174 @@
+//! The executors against each other: whatever evaluates the rules, on however many threads, a city goes the same way.
+
+use logicity::config::{AgentConfig, Scenario, Split, load_scenario};
+use logicity::diag::Sources;
+use logicity::engine::Program;
+use logicity::rng::Seed;
+use logicity::sim::{Executor, Settings, Simulation, World};
+use logicity::{files, lang};
+use std::path::Path;
+use std::sync::Arc;
+
+const MODES: [&str; 9] = [
+    "easy",
+    "medium",
+    "hard",
+    "expert",
+    "transfer-easy",
+    "transfer-medium",
+    "transfer-hard",
+    "vap-easy",
+    "vap-hard",
+];
+
+/// A world of a built-in configuration, changed by `edit`; with its rules, or those of `text`.
+fn world(mode: &str, text: Option<&str>, edit: impl FnOnce(&mut Scenario)) -> Arc<World> {
+    let mut sources = Sources::new();
+    let mut scenario = load_scenario(&mut sources, Path::new(mode), &files::read_or_builtin).unwrap();
+    edit(&mut scenario);
+    let entry = match text {
+        Some(text) => sources.add("test.dl", text),
+        None => {
+            let rules = &scenario.rules.value;
+            sources.add(rules.display().to_string(), files::read_or_builtin(rules).unwrap())
+        }
+    };
+    let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
+    let program = Program::new(loaded.rules.expect("clean rules")).unwrap();
+    Arc::new(World::new(scenario, program).unwrap())
+}
+
+/// Every agent of the test split `times` times, anywhere on the map.
+fn multiply(scenario: &mut Scenario, times: usize) {
+    let set = &mut scenario
+        .splits
+        .iter_mut()
+        .find(|(split, _)| *split == Split::Test)
+        .unwrap()
+        .1;
+    set.region = None;
+    let copy = |agent: &AgentConfig, number: usize| AgentConfig {
+        name: format!("{}_{number}", agent.name),
+        ..agent.clone()
+    };
+    set.agents = (0..times)
+        .flat_map(|number| set.agents.iter().map(move |agent| copy(agent, number)))
+        .collect();
+}
+
+fn simulation(world: &Arc<World>, executor: Executor, threads: usize) -> Simulation {
+    let settings = Settings {
+        executor,
+        count_firings: true,
+        threads,
+    };
+    Simulation::new(Arc::clone(world), Split::Test, Seed(5), settings).unwrap()
+}
+
+/// Lets the simulations run and compares everything they tell.
+fn go_the_same_way(mut simulations: Vec<Simulation>, ticks: u64) {
+    let (first, others) = simulations.split_first_mut().unwrap();
+    for _ in 0..ticks {
+        let report = first.tick(&[]).unwrap().clone();
+        for other in &mut *others {
+            let seen = other.tick(&[]).unwrap();
+            for (agent, (one, two)) in report.agents.iter().zip(&seen.agents).enumerate() {
+                assert_eq!(one, two, "agent {agent} in tick {}", report.tick);
+            }
+            assert_eq!(report.tick, other.report().tick);
+            assert_eq!(first.firings(), other.firings(), "tick {}", report.tick);
+            for agent in 0..report.agents.len() {
+                let fired = |simulation: &Simulation| simulation.fired(agent).collect::<Vec<_>>();
+                assert_eq!(fired(first), fired(other), "agent {agent} in tick {}", report.tick);
+            }
+        }
+    }
+}
+
+#[test]
+fn executors_agree_in_every_mode() {
+    for mode in MODES {
+        let world = world(mode, None, |_| ());
+        let dense = simulation(&world, Executor::Dense, 1);
+        assert_eq!(dense.executor(), Executor::Dense);
+        go_the_same_way(vec![dense, simulation(&world, Executor::Relational, 1)], 300);
+    }
+}
+
+/// More agents than one window takes: tiles, on one thread and on three.
+#[test]
+fn a_crowd_goes_the_same_way_in_tiles() {
+    for (mode, times, ticks) in [("expert", 20, 30), ("vap-hard", 30, 12)] {
+        let world = world(mode, None, |scenario| multiply(scenario, times));
+        let simulations = vec![
+            simulation(&world, Executor::Relational, 1),
+            simulation(&world, Executor::Auto, 1),
+            simulation(&world, Executor::Dense, 3),
+        ];
+        assert!(simulations[0].agents().len() > 256);
+        assert_eq!(simulations[1].executor(), Executor::Dense);
+        go_the_same_way(simulations, ticks);
+    }
+}
+
+/// Everybody sees everybody: windows of several words, up to what is asked of about 300 entities in view.
+#[test]
+fn executors_agree_about_many_entities_in_view() {
+    for times in [4, 9, 17] {
+        let world = world("expert", None, |scenario| {
+            multiply(scenario, times);
+            scenario.view = 1000;
+        });
+        go_the_same_way(
+            vec![
+                simulation(&world, Executor::Relational, 1),
+                simulation(&world, Executor::Dense, 2),
+            ],
+            6,
+        );
+    }
+}
+
+/// Rules that ask for every predicate in both directions, and look beyond the field of view.
+#[test]
+fn executors_agree_about_rules_that_ask_for_everything() {
+    let text = r#"
+        .include "vocabulary.dl"
+        .decl Behind(x: agent, y: agent)
+        Behind(X, Y) :- LeftOf(Y, X), !Sees(Y, X), HigherPri(X, Y).
+        Behind(X, Y) :- CollidingClose(Y, X), !CollidingClose(X, Y).
+        Stop(X) :- IsClose(Y, X), RightOf(X, Y), !NextTo(X, _).
+        Stop(X) :- Behind(Y, X), Sees(X, Y), !CollidingClose(_, X).
+        Slow(X) :- !Stop(X), Sees(X, X), Behind(X, Y), HigherPri(Z, Y), NextTo(Z, X), IsInInter(Z).
+        Fast(X) :- !Stop(X), !Slow(X), HigherPri(X, Y), !LeftOf(Y, X), IsAtInter(Y), IsBus(X).
+    "#;
+    for times in [1, 5] {
+        let world = world("expert", Some(text), |scenario| multiply(scenario, times));
+        go_the_same_way(
+            vec![
+                simulation(&world, Executor::Relational, 1),
+                simulation(&world, Executor::Dense, 1),
+            ],
+            60,
+        );
+    }
+}
+
+#[test]
+fn rules_that_are_not_dense_are_told() {
+    let text = ".include \"vocabulary.dl\"\n.decl Linked(x: agent, y: agent)\nLinked(X, Y) :- NextTo(X, Y).\n\
+                Linked(X, Z) :- Linked(X, Y), NextTo(Y, Z).\nStop(X) :- Linked(X, Y), IsBus(Y).";
+    let world = world("expert", Some(text), |_| ());
+    assert_eq!(simulation(&world, Executor::Auto, 1).executor(), Executor::Relational);
+    let settings = Settings {
+        executor: Executor::Dense,
+        ..Settings::default()
+    };
+    let Err(fault) = Simulation::new(world, Split::Test, Seed(5), settings) else {
+        panic!("recursive rules are not dense")
+    };
+    assert_eq!(
+        fault.message,
+        "the dense executor cannot evaluate these rules, because it is recursive"
+    );
+}
