@@ -24,12 +24,18 @@ pub struct Agent {
     pub cell: Cell,
     /// The direction of its last move; none before its first move on a route.
     pub heading: Option<Heading>,
-    /// The way it takes. It changes only through [`Agent::set_out`].
-    route: Arc<Route>,
-    /// The position on the route: `route.cells()[position] == cell`.
-    position: usize,
     /// Whether it rests at its goal.
     pub rest: Rest,
+    /// The direction of the next step; of the last one at the goal.
+    ahead: Heading,
+    /// Steps to the end of the piece of the route that it is on; 0 at the goal only.
+    left: u32,
+    /// The piece of the route after that.
+    next: u32,
+    /// How many steps of the route it has gone.
+    position: u32,
+    /// The way it takes. It changes only through [`Agent::set_out`].
+    route: Route,
 }
 
 /// The stages of an agent's stay at its goal: under way, arrived, rested. In the tick after that it sets out for a new goal.
@@ -47,36 +53,51 @@ pub enum Rest {
 impl Agent {
     /// An agent at the start of a route.
     pub fn new(config: &AgentConfig, route: Route) -> Self {
-        Agent {
+        let mut agent = Agent {
             name: config.name.as_str().into(),
             kind: config.kind,
             concepts: config.concepts.iter().map(|concept| concept.value.clone()).collect(),
             priority: config.priority,
             cell: route.start(),
             heading: None,
-            route: Arc::new(route),
-            position: 0,
             rest: Rest::UnderWay,
-        }
+            ahead: Heading::Left,
+            left: 0,
+            next: 0,
+            position: 0,
+            route,
+        };
+        agent.next_piece();
+        agent
     }
 
     /// Starts a new route: the agent is put at its start, without a heading.
     pub fn set_out(&mut self, route: Route) {
         self.cell = route.start();
         self.heading = None;
-        self.route = Arc::new(route);
-        self.position = 0;
+        self.route = route;
+        (self.left, self.next, self.position) = (0, 0, 0);
         self.rest = Rest::UnderWay;
+        self.next_piece();
+    }
+
+    /// Goes on to the next piece of the route, if there is one.
+    fn next_piece(&mut self) {
+        if let Some(piece) = self.route.piece(self.next) {
+            self.ahead = piece.heading();
+            self.left = piece.steps();
+            self.next += 1;
+        }
     }
 
     /// The route.
-    pub fn route(&self) -> &Arc<Route> {
+    pub fn route(&self) -> &Route {
         &self.route
     }
 
-    /// How far it has come: the position on the route, from 0.
+    /// How far it has come: its position among the cells of the route, from 0.
     pub fn position(&self) -> usize {
-        self.position
+        self.position as usize
     }
 
     /// Where the route starts.
@@ -91,15 +112,27 @@ impl Agent {
 
     /// Whether it is at its goal.
     pub fn at_goal(&self) -> bool {
-        self.position + 1 == self.route.cells().len()
+        self.left == 0
     }
 
-    /// Moves along the route; stays at the goal if that is nearer.
+    /// Steps straight ahead on the route, up to the next corner, node of the road graph, or the goal.
+    pub(super) fn straight_ahead(&self) -> usize {
+        self.left as usize
+    }
+
+    /// Moves along the route, at most [`Agent::straight_ahead`] steps.
     pub(super) fn step(&mut self, cells: usize) {
-        self.position = (self.position + cells).min(self.route.cells().len() - 1);
-        let to = self.route.cells()[self.position];
-        self.heading = Heading::between(self.cell, to).or(self.heading);
-        self.cell = to;
+        let cells = u32::try_from(cells).unwrap_or(u32::MAX).min(self.left);
+        if cells == 0 {
+            return;
+        }
+        self.cell = self.cell.ahead(self.ahead, cells.cast_signed());
+        self.heading = Some(self.ahead);
+        self.position += cells;
+        self.left -= cells;
+        if self.left == 0 {
+            self.next_piece();
+        }
     }
 }
 

@@ -11,11 +11,13 @@ mod grid;
 mod map;
 mod motion;
 mod roads;
+mod route;
 mod view;
 
 pub use agent::{Agent, Places, Rest, place_agents};
 pub use grid::{Cell, Heading};
 pub use map::{CityMap, Ground, Layout, STATIC_LAYERS};
 pub use motion::{Moved, Reason, Surroundings, advance, possible_cells, speed_cells};
-pub use roads::{Lane, NoRoute, Route, Router};
+pub use roads::{Lane, NoRoute, Router};
+pub use route::Route;
 pub use view::{View, field_of_view};

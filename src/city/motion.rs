@@ -1,6 +1,6 @@
 //! From a decision to a move.
 
-use super::{Agent, Cell, Places, Rest, Route, Router};
+use super::{Agent, Cell, Places, Rest, Router};
 use crate::config::{AgentKind, Speed};
 use crate::rng::{Purpose, RngExt, Seed};
 
@@ -18,17 +18,14 @@ pub const fn speed_cells(kind: AgentKind, speed: Speed) -> Option<usize> {
     }
 }
 
-/// How many cells an agent can move from a position of its route: every number from 1 to the result. A move is straight, and
-/// jumps over no node of the road graph, so that cars always land on the lines where intersections begin and end. 0 at the goal.
-pub fn possible_cells(route: &Route, kind: AgentKind, position: usize) -> usize {
-    let reach = match kind {
+/// How many cells an agent can move: every number from 1 to the result. A move is straight, and jumps over no node of the road
+/// graph, so that cars always land on the lines where intersections begin and end. 0 at the goal.
+pub fn possible_cells(agent: &Agent) -> usize {
+    let reach = match agent.kind {
         AgentKind::Car => CAR_REACH,
         AgentKind::Pedestrian => 1,
     };
-    let straight = route.straight_ahead(position, reach);
-    (1..straight)
-        .find(|&cells| route.is_stop(position + cells))
-        .unwrap_or(straight)
+    agent.straight_ahead().min(reach)
 }
 
 /// Why an agent moved as it did.
@@ -129,7 +126,7 @@ fn choose(agent: &Agent, decided: Speed, draw: impl FnOnce(usize) -> usize) -> (
     if decided == Speed::Stop {
         return (0, Reason::Decided);
     }
-    let most = possible_cells(agent.route(), agent.kind, agent.position());
+    let most = possible_cells(agent);
     match speed_cells(agent.kind, decided) {
         Some(cells) if cells <= most => (cells, Reason::Decided),
         _ if most <= 1 => (most, Reason::OnlyMove),
@@ -163,11 +160,10 @@ mod tests {
     #[test]
     fn a_move_ends_before_a_turn_and_on_a_node() {
         let mut car = car();
-        let most = |car: &Agent| possible_cells(car.route(), car.kind, car.position());
         // Three cells from the kerb to the lane, five along it to its end at column 41, then on into the intersection.
         let mut seen = Vec::new();
         while car.cell.col < 45 {
-            seen.push((car.cell.row, car.cell.col, most(&car)));
+            seen.push((car.cell.row, car.cell.col, possible_cells(&car)));
             car.step(1);
         }
         let expected = [
@@ -206,7 +202,9 @@ mod tests {
         let router = Router::new(Arc::new(square([1, 1])), Routing::Weighted);
         let places = Places::new(&router, Some(0));
         let mut car = car();
-        car.step(usize::MAX >> 1);
+        while !car.at_goal() {
+            car.step(1);
+        }
         for tick in 0..5 {
             let surroundings = Surroundings {
                 router: &router,

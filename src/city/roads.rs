@@ -6,7 +6,8 @@
 //! by a U-turn. A car gets from its start to the end node of the lane on its own side, and reaches its goal from the start node
 //! of the goal's lane. So a goal a little ahead in the same lane takes a trip around, as in the published program.
 
-use super::{Cell, CityMap, Heading, Layout};
+use super::route::{Way, steps};
+use super::{Cell, CityMap, Heading, Layout, Route};
 use crate::config::{AgentKind, Routing};
 use pathfinding::directed::astar::astar;
 use pathfinding::directed::bfs::bfs_bidirectional;
@@ -15,56 +16,6 @@ use std::sync::Arc;
 
 /// What a turn or U-turn costs over its length, in cells.
 const TURN_COST: u32 = 30;
-
-/// A way from a start to a goal.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Route {
-    cells: Vec<Cell>,
-    stops: Vec<bool>,
-}
-
-impl Route {
-    /// The cells from the start to the goal, both included. Neighbours differ by one step.
-    pub fn cells(&self) -> &[Cell] {
-        &self.cells
-    }
-
-    /// The first cell.
-    pub fn start(&self) -> Cell {
-        self.cells[0]
-    }
-
-    /// The last cell.
-    pub fn goal(&self) -> Cell {
-        self.cells[self.cells.len() - 1]
-    }
-
-    /// Whether the cell at this position is a node of the road graph, which a car does not jump over. Positions run from 0;
-    /// beyond the goal there are no nodes.
-    pub fn is_stop(&self, position: usize) -> bool {
-        self.stops.get(position).copied().unwrap_or(false)
-    }
-
-    /// The nodes of the road graph that it passes, in order. None for the routes of pedestrians.
-    pub fn nodes(&self) -> impl Iterator<Item = Cell> + '_ {
-        (self.cells.iter().zip(&self.stops)).filter_map(|(&cell, &stop)| stop.then_some(cell))
-    }
-
-    /// The largest number of cells that lie straight ahead of a position, up to `limit`.
-    pub(super) fn straight_ahead(&self, position: usize, limit: usize) -> usize {
-        let Some(&[from, next]) = self.cells.get(position..).and_then(|rest| rest.first_chunk()) else {
-            return 0;
-        };
-        let Some(heading) = Heading::between(from, next) else {
-            return 0;
-        };
-        (1..=limit)
-            .zip(&self.cells[position + 1..])
-            .zip(1..)
-            .take_while(|&((_, &cell), cells)| cell == from.ahead(heading, cells))
-            .count()
-    }
-}
 
 /// Why there is no route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -181,21 +132,17 @@ impl Router {
 
     /// A given way as a route; repeated cells are left out. `None` if it is empty, leaves the map, or has neighbours that differ by
     /// more than a step.
-    pub fn follow(&self, kind: AgentKind, cells: &[Cell]) -> Option<Route> {
-        let mut cells = cells.to_vec();
-        cells.dedup();
-        let on_map = !cells.is_empty() && cells.iter().all(|&cell| self.map.contains(cell));
-        let unit_steps = |cells: &[Cell]| cells.windows(2).all(|pair| steps(pair[0], pair[1]) == 1);
-        (on_map && unit_steps(&cells)).then(|| self.route(kind, cells))
-    }
-
-    /// The route along cells.
-    fn route(&self, kind: AgentKind, cells: Vec<Cell>) -> Route {
-        let stops = match kind {
-            AgentKind::Car => cells.iter().map(|&cell| self.map.layout.is_lane_node(cell)).collect(),
-            AgentKind::Pedestrian => vec![false; cells.len()],
-        };
-        Route { cells, stops }
+    pub fn follow(&self, kind: AgentKind, cells: impl IntoIterator<Item = Cell>) -> Option<Route> {
+        let mut cells = cells.into_iter();
+        let start = cells.next().filter(|&cell| self.map.contains(cell))?;
+        let mut way = Way::new(&self.map, kind, start);
+        for cell in cells {
+            if !self.map.contains(cell) || steps(way.at(), cell) > 1 {
+                return None;
+            }
+            way.straight(cell);
+        }
+        Some(way.finish())
     }
 
     /// A shortest way on foot.
@@ -213,26 +160,26 @@ impl Router {
         // Each step changes one coordinate by one, so the sum of differences never overestimates.
         let (cells, _) =
             astar(&start, neighbours, |&cell| steps(cell, goal), |&cell| cell == goal).ok_or(NoRoute::Unconnected)?;
-        Ok(self.route(AgentKind::Pedestrian, cells))
+        self.follow(AgentKind::Pedestrian, cells).ok_or(NoRoute::Unconnected)
     }
 
     /// A way by car.
     fn drive(&self, start: Cell, goal: Cell) -> Result<Route, NoRoute> {
         let first = self.lane_beside(start).ok_or(NoRoute::Start)?;
         let last = self.lane_beside(goal).ok_or(NoRoute::Goal)?;
+        let mut way = Way::new(&self.map, AgentKind::Car, start);
         if start == goal {
-            return Ok(self.route(AgentKind::Car, vec![start]));
+            return Ok(way.finish());
         }
         let nodes = match self.routing {
             Routing::Weighted => self.lightest(first, last),
             Routing::Hops => self.fewest_hops(first, last),
         };
         let nodes = nodes.ok_or(NoRoute::Unconnected)?;
-        let mut way = Way { cells: vec![start] };
         for node in nodes {
             match node {
                 Node::Origin => {}
-                Node::End(lane) if way.cells.len() == 1 => {
+                Node::End(lane) if way.at() == start => {
                     let end = self.lanes[lane as usize].end;
                     way.bend(end, rows_first_out(start, end));
                 }
@@ -245,7 +192,7 @@ impl Router {
                 Node::Destination => way.bend(goal, !rows_first_out(goal, way.at())),
             }
         }
-        Ok(self.route(AgentKind::Car, way.cells))
+        Ok(way.finish())
     }
 
     /// The nodes of a route of least length and turns.
@@ -328,42 +275,10 @@ impl Router {
     }
 }
 
-/// Cells under construction.
-struct Way {
-    cells: Vec<Cell>,
-}
-
-impl Way {
-    /// The last cell so far.
-    fn at(&self) -> Cell {
-        self.cells[self.cells.len() - 1]
-    }
-
-    /// Goes to a cell by at most one bend.
-    fn bend(&mut self, to: Cell, rows_first: bool) {
-        let from = self.at();
-        let corner = if rows_first {
-            Cell::new(to.row, from.col)
-        } else {
-            Cell::new(from.row, to.col)
-        };
-        for end in [corner, to] {
-            while let Some(heading) = Heading::between(self.at(), end) {
-                self.cells.push(self.at().ahead(heading, 1));
-            }
-        }
-    }
-}
-
 /// Whether a car that leaves for a node goes along the column first: the shorter leg comes first, and equal ones start with it. A
 /// car that arrives does the same backwards.
 fn rows_first_out(place: Cell, node: Cell) -> bool {
     (node.row - place.row).abs() <= (node.col - place.col).abs()
-}
-
-/// Steps between two cells if nothing is in the way.
-fn steps(from: Cell, to: Cell) -> u32 {
-    from.row.abs_diff(to.row) + from.col.abs_diff(to.col)
 }
 
 /// All lanes: street by street, horizontal streets first, then block by block, the left-going or down-going lane first.
