@@ -26,6 +26,12 @@ fn square_5x5() -> CityMap {
     CityMap::generate(&config).expect("the map of the paper can be generated")
 }
 
+/// What a map says of each of its cells.
+fn layer<T>(map: &CityMap, of: impl Fn(Cell) -> T) -> Array2<T> {
+    let shape = (map.rows() as usize, map.cols() as usize);
+    Array2::from_shape_fn(shape, |(row, col)| of(Cell::new(row as i32, col as i32)))
+}
+
 #[test]
 fn the_map_is_the_recorded_one_in_every_layer() {
     let Some(folder) = recorded_cases::folder() else { return };
@@ -37,14 +43,14 @@ fn the_map_is_the_recorded_one_in_every_layer() {
     let mid_line: Array2<bool> = npz.by_name("midline").unwrap();
     let intersection: Array3<i16> = npz.by_name("intersection").unwrap();
 
-    assert_eq!(map.mid_line, mid_line);
+    assert_eq!(layer(&map, |cell| map.is_mid_line(cell)), mid_line);
     let ground = street.mapv(|code| match code {
         0.0 => Ground::Other,
         1.0 => Ground::Walking,
         -1.0 => Ground::Crossing,
         _ => Ground::Traffic,
     });
-    assert_eq!(map.ground, ground);
+    assert_eq!(layer(&map, |cell| map.ground_at(cell).unwrap()), ground);
     let building = building.mapv(|code| match code {
         3 => Some(Building::House),
         4 => Some(Building::GasStation),
@@ -53,12 +59,18 @@ fn the_map_is_the_recorded_one_in_every_layer() {
         7 => Some(Building::Store),
         _ => None,
     });
-    assert_eq!(map.building, building);
-    assert_eq!(map.block, block.mapv(|number| number as u32));
+    assert_eq!(layer(&map, |cell| map.building_at(cell)), building);
+    let block_of_building = |cell| {
+        map.building_at(cell)
+            .and_then(|_| map.layout.block_at(cell))
+            .unwrap_or(0)
+    };
+    assert_eq!(layer(&map, block_of_building), block.mapv(|number| number as u32));
     let recorded = |mask: usize| intersection.index_axis(Axis(0), mask).mapv(|number| number as u32);
-    assert_eq!(map.entrance, recorded(0));
-    assert_eq!(map.outline, recorded(1));
-    assert_eq!(map.inside, recorded(2));
+    let at = |kind| layer(&map, |cell| map.at_intersection(kind, cell).unwrap_or(0));
+    assert_eq!(at(AgentKind::Car), recorded(0));
+    assert_eq!(at(AgentKind::Pedestrian), recorded(1));
+    assert_eq!(layer(&map, |cell| map.in_intersection(cell).unwrap_or(0)), recorded(2));
 }
 
 /// Half-width of the field of view in the recorded runs.
@@ -123,9 +135,10 @@ fn planned_routes(folder: &Path) -> Vec<Planned> {
 
 #[test]
 fn start_cells_are_as_many_as_in_the_published_program() {
-    let map = square_5x5();
-    let count =
-        |kind| [Some(60), Some(100), Some(120), Some(140), None].map(|region| map.start_cells(kind, region).len());
+    let router = Router::new(Arc::new(square_5x5()), Routing::Weighted);
+    let count = |kind| {
+        [Some(60), Some(100), Some(120), Some(140), None].map(|region| Places::new(&router, region, None).count(kind))
+    };
     assert_eq!(count(AgentKind::Car), [90, 160, 220, 360, 980]);
     assert_eq!(count(AgentKind::Pedestrian), [44, 352, 616, 792, 2244]);
 }
@@ -133,7 +146,7 @@ fn start_cells_are_as_many_as_in_the_published_program() {
 #[test]
 fn the_road_graph_is_that_of_the_paper() {
     let router = Router::new(Arc::new(square_5x5()), Routing::Weighted);
-    let lanes = router.lanes();
+    let lanes: Vec<Lane> = router.lanes().collect();
     assert_eq!(lanes.len(), 120);
     assert!(lanes.iter().all(|lane| lane.length() == 26));
     let nodes: BTreeSet<Cell> = lanes.iter().flat_map(|lane| [lane.start, lane.end]).collect();
@@ -162,12 +175,12 @@ fn routes_are_the_recorded_ones() {
     let Some(folder) = recorded_cases::folder() else { return };
     let router = Router::new(Arc::new(square_5x5()), Routing::Hops);
     let weighted = Router::new(router.map().clone(), Routing::Weighted);
-    let places = Places::new(&router, Some(REGION));
+    let places = Places::new(&router, Some(REGION), None);
     let (mut cars, mut pedestrians) = (0, 0);
     for planned in planned_routes(&folder) {
         let (start, goal) = (planned.cells[0], planned.cells[planned.cells.len() - 1]);
         let route = router.plan(planned.kind, start, goal).unwrap();
-        assert!([start, goal].iter().all(|cell| places.of(planned.kind).contains(cell)));
+        assert!([start, goal].iter().all(|cell| places.contains(planned.kind, *cell)));
         match planned.kind {
             AgentKind::Car => {
                 cars += 1;
@@ -256,7 +269,7 @@ fn what_agents_see_is_recorded() {
 fn agents_move_as_recorded() {
     let Some(folder) = recorded_cases::folder() else { return };
     let router = Router::new(Arc::new(square_5x5()), Routing::Hops);
-    let places = Places::new(&router, Some(REGION));
+    let places = Places::new(&router, Some(REGION), None);
     let mut planned: BTreeMap<(&str, u64, u64, i64), Route> = BTreeMap::new();
     for route in planned_routes(&folder) {
         let key = (route.mode, route.seed, route.id, route.tick);

@@ -1,13 +1,11 @@
 //! Agents, and where they start and want to go.
 
-use super::{Cell, Heading, NoRoute, Route, Router};
+use super::{Cell, Heading, Places, Route, Router};
 use crate::config::{AgentConfig, AgentKind, AgentSet};
 use crate::diag::{Code, Diagnostic};
-use crate::rng::{Purpose, Rng, RngExt, Seed};
+use crate::rng::{Purpose, RngExt, Seed};
+use std::collections::HashMap;
 use std::sync::Arc;
-
-/// How often a goal that cannot be reached is drawn again.
-const GOAL_DRAWS: usize = 16;
 
 /// An agent on its way.
 #[derive(Clone, Debug)]
@@ -136,67 +134,6 @@ impl Agent {
     }
 }
 
-/// The cells where agents start and arrive in a region of the map, row by row; see [`super::CityMap::start_cells`].
-#[derive(Clone, Debug)]
-pub struct Places {
-    cars: Vec<Cell>,
-    pedestrians: Vec<Cell>,
-}
-
-impl Places {
-    /// The places within the first `region` rows and columns; `None` for the whole map.
-    pub fn new(router: &Router, region: Option<u32>) -> Self {
-        Places {
-            cars: router.map().start_cells(AgentKind::Car, region),
-            pedestrians: router.map().start_cells(AgentKind::Pedestrian, region),
-        }
-    }
-
-    /// The places for agents of a kind.
-    pub fn of(&self, kind: AgentKind) -> &[Cell] {
-        match kind {
-            AgentKind::Car => &self.cars,
-            AgentKind::Pedestrian => &self.pedestrians,
-        }
-    }
-
-    /// Draws a goal for an agent at `start` and plans the way: for a car any place but the start, for a pedestrian a place in
-    /// another block (so it keeps more than 3 cells away from the buildings of its own). Draws again, a bounded number of times, if there is no way.
-    ///
-    /// # Errors
-    /// If there is no such place, or none of those drawn can be reached.
-    pub fn draw_route(
-        &self,
-        router: &Router,
-        kind: AgentKind,
-        start: Cell,
-        stream: &mut impl Rng,
-    ) -> Result<Route, NoRoute> {
-        let layout = &router.map().layout;
-        let home = layout.block_at(start);
-        let is_goal = |cell: &&Cell| match kind {
-            AgentKind::Car => **cell != start,
-            AgentKind::Pedestrian => **cell != start && (home.is_none() || layout.block_at(**cell) != home),
-        };
-        let goals = || self.of(kind).iter().filter(is_goal);
-        let count = goals().count();
-        if count == 0 {
-            return Err(NoRoute::Goal);
-        }
-        let mut failure = NoRoute::Unconnected;
-        for _ in 0..GOAL_DRAWS {
-            let drawn = stream.random_range(0..count);
-            let goal = goals().nth(drawn).copied().ok_or(NoRoute::Goal)?;
-            match router.plan(kind, start, goal) {
-                Ok(route) => return Ok(route),
-                Err(NoRoute::Start) => return Err(NoRoute::Start),
-                Err(other) => failure = other,
-            }
-        }
-        Err(failure)
-    }
-}
-
 /// Places a set of agents on the map: different start cells, a goal and a route for each. (In runs of the published program two
 /// agents may start in one cell; that needs given routes, see [`Agent::new`].)
 ///
@@ -210,7 +147,7 @@ pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed
     );
     for (kind, plural) in [(AgentKind::Car, "cars"), (AgentKind::Pedestrian, "pedestrians")] {
         let wanted = set.agents.iter().filter(|agent| agent.kind == kind).count();
-        let there_are = places.of(kind).len();
+        let there_are = places.count(kind);
         if wanted > there_are {
             let beside = match kind {
                 AgentKind::Car => "cars start at the kerb across from a gas station, garage or store",
@@ -225,16 +162,13 @@ pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed
             .help(format!("take a larger region or map, or fewer {plural}")));
         }
     }
-    let mut free = places.clone();
+    let mut free = AgentKind::ALL.map(|kind| Free::new(places.count(kind)));
     let mut agents = Vec::with_capacity(set.agents.len());
     for (index, config) in set.agents.iter().enumerate() {
         let mut stream = seed.stream(Purpose::Placement, index as u64, 0);
-        let free = match config.kind {
-            AgentKind::Car => &mut free.cars,
-            AgentKind::Pedestrian => &mut free.pedestrians,
-        };
-        let drawn = stream.random_range(0..free.len());
-        let start = free.swap_remove(drawn);
+        let free = &mut free[config.kind as usize];
+        let drawn = free.take(stream.random_range(0..free.count));
+        let start = places.nth(config.kind, drawn).expect("a place that was free");
         let route = places
             .draw_route(router, config.kind, start, &mut stream)
             .map_err(|_| {
@@ -255,4 +189,47 @@ pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed
         agents.push(Agent::new(config, route));
     }
     Ok(agents)
+}
+
+/// A list of the numbers below a count, from which numbers are taken; the last one moves to where one was taken. What was not
+/// moved is not stored.
+struct Free {
+    count: usize,
+    moved: HashMap<usize, usize>,
+}
+
+impl Free {
+    fn new(count: usize) -> Self {
+        Free {
+            count,
+            moved: HashMap::new(),
+        }
+    }
+
+    /// Takes the number at a place in the list, which is less than the count.
+    fn take(&mut self, place: usize) -> usize {
+        self.count -= 1;
+        let last = self.moved.remove(&self.count).unwrap_or(self.count);
+        if place == self.count {
+            return last;
+        }
+        self.moved.insert(place, last).unwrap_or(place)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_taken_as_from_a_list() {
+        let mut list: Vec<usize> = (0..40).collect();
+        let mut free = Free::new(list.len());
+        let mut stream = Seed(1).stream(Purpose::Placement, 0, 0);
+        while !list.is_empty() {
+            assert_eq!(free.count, list.len());
+            let place = stream.random_range(0..list.len());
+            assert_eq!(free.take(place), list.swap_remove(place));
+        }
+    }
 }

@@ -200,7 +200,7 @@ mod tests {
     #[test]
     fn an_agent_without_another_goal_stays() {
         let router = Router::new(Arc::new(square([1, 1])), Routing::Weighted);
-        let places = Places::new(&router, Some(0));
+        let places = Places::new(&router, Some(0), None);
         let mut car = car();
         while !car.at_goal() {
             car.step(1);

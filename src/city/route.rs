@@ -116,7 +116,7 @@ impl<'m> Way<'m> {
     }
 
     fn is_node(&self, cell: Cell) -> bool {
-        self.kind == AgentKind::Car && self.map.layout.is_lane_node(cell)
+        self.kind == AgentKind::Car && self.map.is_lane_node(cell)
     }
 
     /// Goes to a cell in the same row or column. There must be no node of the road graph strictly between.

@@ -75,7 +75,7 @@ impl Simulation {
             let fault = Diagnostic::new(Code::LimitExceeded, message);
             return Err(fault.at(set.span, "in this agent set"));
         }
-        let places = Places::new(&world.router, set.region.map(|region| region.value));
+        let places = Places::new(&world.router, set.region.map(|region| region.value), None);
         let agents = place_agents(set, &world.router, &places, seed)?;
         let state = GroundState::new(
             &world.program,
