@@ -7,7 +7,7 @@ use logicity::city::{
     Agent, Cell, CityMap, Ground, Heading, Lane, Places, Reason, Rest, Route, Router, Surroundings, advance,
     field_of_view, possible_cells, speed_cells,
 };
-use logicity::config::{AgentConfig, AgentKind, Building, Routing, Speed, load_map};
+use logicity::config::{AgentConfig, AgentKind, AgentName, Building, Routing, Speed, load_map};
 use logicity::diag::Sources;
 use logicity::files::read_text;
 use logicity::rng::Seed;
@@ -290,9 +290,11 @@ fn agents_move_as_recorded() {
                 let place = format!("{mode}, seed {seed}, tick {tick}, {}", state["name"]);
                 let agent = agents.entry((seed, id)).or_insert_with(|| {
                     let config = AgentConfig {
-                        name: state["name"].as_str().unwrap().into(),
-                        kind: step.kind,
-                        concepts: Vec::new(),
+                        name: AgentName {
+                            kind: step.kind,
+                            number: 1,
+                        },
+                        concepts: Arc::default(),
                         priority: 0,
                     };
                     Agent::new(&config, planned[&(mode, seed, id, -1)].clone())
@@ -382,9 +384,11 @@ fn the_controlled_car_moves_as_recorded() {
                 cells.dedup();
                 assert!(route.cells().eq(cells));
                 let config = AgentConfig {
-                    name: "Car_1".into(),
-                    kind: AgentKind::Car,
-                    concepts: Vec::new(),
+                    name: AgentName {
+                        kind: AgentKind::Car,
+                        number: 1,
+                    },
+                    concepts: Arc::default(),
                     priority: 0,
                 };
                 ego = Some((Agent::new(&config, route), Speed::Stop));

@@ -6,15 +6,18 @@ use logicity::city::{
     Surroundings, advance, place_agents, possible_cells,
 };
 use logicity::config::{
-    AgentConfig, AgentKind, AgentSet, Building, Buildings, Located, MapConfig, Routing, Speed, Widths,
+    AgentGroup, AgentKind, AgentSet, Building, Buildings, Located, MapConfig, Routing, Speed, Split, Widths,
+    load_scenario,
 };
 use logicity::diag::{Code, Sources, Span};
+use logicity::files::read_text;
 use logicity::rng::Seed;
 use ndarray::Array2;
 use proptest::prelude::*;
 use proptest::sample::Index;
 use std::collections::{BTreeSet, VecDeque};
 use std::ops::{Range, RangeInclusive};
+use std::path::Path;
 use std::sync::Arc;
 
 const ALL_BUILDINGS: [Building; 5] = [
@@ -368,22 +371,18 @@ fn check_drive(router: &Router, route: &Route, start: Cell, goal: Cell) -> Resul
     Ok(())
 }
 
-fn agent(kind: AgentKind, number: usize) -> AgentConfig {
-    AgentConfig {
-        name: format!("{}_{number}", kind.name()),
-        kind,
-        concepts: Vec::new(),
-        priority: 1,
-    }
-}
-
 fn agent_set(cars: usize, pedestrians: usize, region: Option<u32>) -> AgentSet {
-    let numbered = |kind, count| (1..=count).map(move |number| agent(kind, number));
+    let group = |count: usize| AgentGroup {
+        count: u32::try_from(count).unwrap(),
+        concepts: Arc::default(),
+        priority: 1,
+    };
     AgentSet {
-        agents: numbered(AgentKind::Car, cars)
-            .chain(numbered(AgentKind::Pedestrian, pedestrians))
-            .collect(),
+        cars: vec![group(cars)],
+        pedestrians: vec![group(pedestrians)],
+        repeat: 1,
         region: region.map(located),
+        trip: None,
         span: located(()).span,
     }
 }
@@ -564,14 +563,15 @@ proptest! {
     fn agents_stay_on_their_way_under_any_decisions(
         map in maps(),
         seed in any::<u64>(),
+        trip in proptest::option::of(20..200_u32),
         decisions in proptest::collection::vec(proptest::sample::select(&Speed::ALL[..]), 60..90),
     ) {
         let router = Router::new(map.clone(), Routing::Weighted);
-        let places = Places::new(&router, None, None);
+        let places = Places::new(&router, None, trip);
         let set = agent_set(places.count(AgentKind::Car).min(3), places.count(AgentKind::Pedestrian).min(3), None);
         let agents = match place_agents(&set, &router, &places, Seed(seed)) {
             Ok(agents) => agents,
-            // One block: pedestrians have no other one to go to.
+            // Pedestrians go to another block: there is none, or the trip is too short.
             Err(diagnostic) => {
                 prop_assert_eq!(diagnostic.code, Code::NoRoute);
                 return Ok(());
@@ -642,4 +642,43 @@ fn too_many_agents_for_a_region_are_told() {
         Err(Code::NoRoute)
     );
     assert_eq!(place(&agent_set(0, 0, Some(5))).map(|agents| agents.len()), Ok(0));
+}
+
+#[test]
+fn agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
+    let mut sources = Sources::new();
+    let scenario = load_scenario(&mut sources, Path::new("metropolis"), &read_text).expect("built in");
+    let mut set = scenario.agent_set(Split::Test).expect("a test set").clone();
+    set.repeat = 500;
+    let map = CityMap::generate(&scenario.map).expect("a valid map");
+    assert_eq!((map.rows(), map.cols()), (28_301, 28_301));
+    let router = Router::new(Arc::new(map), scenario.routing);
+    let trip = set.trip.map(|trip| trip.value);
+    let places = Places::new(&router, None, trip);
+    let mut agents = place_agents(&set, &router, &places, Seed(1)).expect("there is room");
+    let starts: BTreeSet<Cell> = agents.iter().map(|agent| agent.cell).collect();
+    assert_eq!((agents.len(), starts.len()), (9_000, 9_000));
+    assert!(size_of::<Agent>() <= 128);
+    let keeps_to_trip = |agent: &Agent| {
+        let (from, to) = (agent.start(), agent.goal());
+        assert!(from.row.abs_diff(to.row).max(from.col.abs_diff(to.col)) <= trip.expect("it has one"));
+        assert!(places.contains(agent.kind, from) && places.contains(agent.kind, to));
+    };
+    agents.iter().for_each(keeps_to_trip);
+    let mut replanned = 0;
+    for tick in 0..200 {
+        let surroundings = Surroundings {
+            router: &router,
+            places: &places,
+            seed: Seed(1),
+            tick,
+        };
+        for (index, agent) in agents.iter_mut().enumerate() {
+            if advance(agent, index, Speed::Normal, &surroundings).replanned {
+                keeps_to_trip(agent);
+                replanned += 1;
+            }
+        }
+    }
+    assert!(replanned > 9_000);
 }

@@ -1,7 +1,7 @@
 //! Agents, and where they start and want to go.
 
 use super::{Cell, Heading, Places, Route, Router};
-use crate::config::{AgentConfig, AgentKind, AgentSet};
+use crate::config::{AgentConfig, AgentKind, AgentName, AgentSet};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
 use std::collections::HashMap;
@@ -10,11 +10,11 @@ use std::sync::Arc;
 /// An agent on its way.
 #[derive(Clone, Debug)]
 pub struct Agent {
-    /// Its name, for example `Car_1`.
-    pub name: Arc<str>,
     /// What it is.
     pub kind: AgentKind,
-    /// The concepts it carries.
+    /// Its number within the kind, from 1.
+    pub number: u32,
+    /// The concepts it carries, which agents that are alike share.
     pub concepts: Arc<[String]>,
     /// Right of way; a smaller number goes first.
     pub priority: i32,
@@ -52,9 +52,9 @@ impl Agent {
     /// An agent at the start of a route.
     pub fn new(config: &AgentConfig, route: Route) -> Self {
         let mut agent = Agent {
-            name: config.name.as_str().into(),
-            kind: config.kind,
-            concepts: config.concepts.iter().map(|concept| concept.value.clone()).collect(),
+            kind: config.name.kind,
+            number: config.name.number,
+            concepts: Arc::clone(&config.concepts),
             priority: config.priority,
             cell: route.start(),
             heading: None,
@@ -67,6 +67,14 @@ impl Agent {
         };
         agent.next_piece();
         agent
+    }
+
+    /// Its name, for example `Car_1`.
+    pub fn name(&self) -> AgentName {
+        AgentName {
+            kind: self.kind,
+            number: self.number,
+        }
     }
 
     /// Starts a new route: the agent is put at its start, without a heading.
@@ -140,55 +148,75 @@ impl Agent {
 /// # Errors
 /// `no-start-cell` if the region has fewer start cells than agents of a kind, `no-route` if no goal can be reached.
 pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed) -> Result<Vec<Agent>, Diagnostic> {
-    let span = set.region.map_or(set.span, |region| region.span);
-    let within = set.region.map_or_else(
-        || "on the whole map".to_string(),
-        |region| format!("in the first {0} rows and columns", region.value),
-    );
-    for (kind, plural) in [(AgentKind::Car, "cars"), (AgentKind::Pedestrian, "pedestrians")] {
-        let wanted = set.agents.iter().filter(|agent| agent.kind == kind).count();
-        let there_are = places.count(kind);
-        if wanted > there_are {
-            let beside = match kind {
-                AgentKind::Car => "cars start at the kerb across from a gas station, garage or store",
-                AgentKind::Pedestrian => "pedestrians start beside a house or office",
-            };
-            return Err(Diagnostic::new(
-                Code::NoStartCell,
-                format!("too few start cells for {plural}: {wanted} wanted, {there_are} {within}"),
-            )
-            .at(span, "too small for these agents")
-            .note(beside)
-            .help(format!("take a larger region or map, or fewer {plural}")));
-        }
+    for kind in AgentKind::ALL {
+        check_room(set, places, kind)?;
     }
     let mut free = AgentKind::ALL.map(|kind| Free::new(places.count(kind)));
-    let mut agents = Vec::with_capacity(set.agents.len());
-    for (index, config) in set.agents.iter().enumerate() {
+    let mut agents = Vec::with_capacity(set.len());
+    for (index, config) in set.agents().enumerate() {
         let mut stream = seed.stream(Purpose::Placement, index as u64, 0);
-        let free = &mut free[config.kind as usize];
+        let kind = config.name.kind;
+        let free = &mut free[kind as usize];
         let drawn = free.take(stream.random_range(0..free.count));
-        let start = places.nth(config.kind, drawn).expect("a place that was free");
-        let route = places
-            .draw_route(router, config.kind, start, &mut stream)
-            .map_err(|_| {
-                let (name, Cell { row, col }) = (&config.name, start);
-                let help = match config.kind {
-                    AgentKind::Car => "a car needs another kerb cell to go to: take a larger region or map",
-                    AgentKind::Pedestrian => {
-                        "a pedestrian goes to a house or office in another block: take a larger region or map"
-                    }
-                };
-                Diagnostic::new(
-                    Code::NoRoute,
-                    format!("{name} has nowhere to go from [{row}, {col}] {within}"),
-                )
-                .at(span, "no goal that can be reached")
-                .help(help)
-            })?;
-        agents.push(Agent::new(config, route));
+        let start = places.nth(kind, drawn).expect("a place that was free");
+        let route =
+            (places.draw_route(router, kind, start, &mut stream)).map_err(|_| nowhere(set, config.name, start))?;
+        agents.push(Agent::new(&config, route));
     }
     Ok(agents)
+}
+
+/// Where the agents of a set start.
+fn within(set: &AgentSet) -> String {
+    set.region.map_or_else(
+        || "on the whole map".to_string(),
+        |region| format!("in the first {} rows and columns", region.value),
+    )
+}
+
+/// `no-start-cell` if there are fewer places than agents of a kind.
+fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Diagnostic> {
+    let (wanted, there_are) = (set.count(kind), places.count(kind));
+    if wanted <= there_are {
+        return Ok(());
+    }
+    let (plural, beside) = match kind {
+        AgentKind::Car => (
+            "cars",
+            "cars start at the kerb across from a gas station, garage or store",
+        ),
+        AgentKind::Pedestrian => ("pedestrians", "pedestrians start beside a house or office"),
+    };
+    let message = format!(
+        "too few start cells for {plural}: {wanted} wanted, {there_are} {}",
+        within(set)
+    );
+    let span = set.region.map_or(set.span, |region| region.span);
+    Err(Diagnostic::new(Code::NoStartCell, message)
+        .at(span, "too small for these agents")
+        .note(beside)
+        .help(format!("take a larger region or map, or fewer {plural}")))
+}
+
+/// `no-route`: an agent that can go nowhere from its start.
+fn nowhere(set: &AgentSet, name: AgentName, Cell { row, col }: Cell) -> Diagnostic {
+    let goal = match name.kind {
+        AgentKind::Car => "a car needs another kerb cell to go to",
+        AgentKind::Pedestrian => "a pedestrian goes to a house or office in another block",
+    };
+    let (span, near, larger) = match (set.trip, set.region) {
+        (Some(trip), _) => (
+            trip.span,
+            format!(" by a trip of {} rows and columns", trip.value),
+            "trip, region or map",
+        ),
+        (None, Some(region)) => (region.span, String::new(), "region or map"),
+        (None, None) => (set.span, String::new(), "region or map"),
+    };
+    let message = format!("{name} has nowhere to go from [{row}, {col}]{near} {}", within(set));
+    Diagnostic::new(Code::NoRoute, message)
+        .at(span, "no goal that can be reached")
+        .help(format!("{goal}: take a larger {larger}"))
 }
 
 /// A list of the numbers below a count, from which numbers are taken; the last one moves to where one was taken. What was not

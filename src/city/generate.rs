@@ -229,8 +229,7 @@ pub(super) mod tests {
 
     #[test]
     fn buildings_fit_the_blocks_and_the_weights() {
-        let map =
-            |buildings| generate([1, 2], WIDTHS, buildings).map(|map| [0, 1].map(|col| map.block_buildings(0, col)));
+        let map = |buildings| generate([1, 2], WIDTHS, buildings).map(|map| map.buildings().to_vec());
         let row = |length| vec![Building::Office; length];
         assert!(map(Buildings::Fixed(vec![row(4), row(4)])).is_ok());
         assert_eq!(map(Buildings::Fixed(vec![row(4)])), Err(Code::InvalidMap));
@@ -248,28 +247,22 @@ pub(super) mod tests {
         }
         assert_eq!(
             map(random(&[(Building::Store, 0.0), (house, 2.0)])),
-            Ok([[house; 4]; 2])
+            Ok(vec![[house; 4]; 2])
         );
     }
 
     #[test]
     fn every_building_is_drawn_for_itself() {
         let map = square([20, 20]);
-        let blocks = |map: &CityMap, rows: i32| -> Vec<[Building; 4]> {
-            let block = |row| (0..20).map(move |col| (row, col));
-            (0..rows)
-                .flat_map(block)
-                .map(|(row, col)| map.block_buildings(row, col))
-                .collect()
-        };
-        let all = blocks(&map, 20);
+        let all = map.buildings();
         let houses = all
             .iter()
             .flatten()
             .filter(|&&building| building == Building::House)
             .count();
+        assert_eq!(all.len(), 400);
         assert!((700..900).contains(&houses), "{houses} of 1600 buildings are houses");
         // More rows of blocks do not change the rows above.
-        assert_eq!(blocks(&square([3, 20]), 3), all[..60]);
+        assert_eq!(square([3, 20]).buildings(), &all[..60]);
     }
 }

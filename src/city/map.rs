@@ -465,18 +465,13 @@ impl CityMap {
         let layout = &self.layout;
         let block = |at: i32| at.div_euclid(layout.period());
         let second = |at: i32| usize::from(at >= layout.building_span(block(at), 1).start);
-        let buildings = self.block_buildings(block(cell.row), block(cell.col));
-        Some(buildings[2 * second(cell.row) + second(cell.col)])
+        let number = block(cell.row) * layout.blocks()[1] + block(cell.col);
+        Some(self.buildings[number as usize][2 * second(cell.row) + second(cell.col)])
     }
 
-    /// The four buildings of a block on the map, row by row.
-    pub(super) fn block_buildings(&self, block_row: i32, block_col: i32) -> [Building; 4] {
-        self.buildings[(block_row * self.layout.blocks()[1] + block_col) as usize]
-    }
-
-    /// Whether a building of this type stands anywhere.
-    pub fn has_building(&self, building: Building) -> bool {
-        self.buildings.iter().any(|block| block.contains(&building))
+    /// The four buildings of each block, row by row, as the blocks are.
+    pub fn buildings(&self) -> &[[Building; 4]] {
+        &self.buildings
     }
 
     /// The layered semantic map of the paper, W x H x (B + N), of shape (rows, columns, 8 + number of agents). Each value is 0

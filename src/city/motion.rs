@@ -74,12 +74,6 @@ pub struct Surroundings<'a> {
 /// and follows the decision of that tick on the new route. If there is no new goal that it can reach, it stays and tries again in the next
 /// tick.
 pub fn advance(agent: &mut Agent, index: usize, decided: Speed, surroundings: &Surroundings<'_>) -> Moved {
-    let Surroundings {
-        router,
-        places,
-        seed,
-        tick,
-    } = *surroundings;
     let from = agent.cell;
     let resting = Moved {
         from,
@@ -99,18 +93,14 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Speed, surroundings: &S
                 return resting;
             }
             Rest::Rested => {
-                let mut stream = seed.stream(Purpose::Goal, index as u64, tick);
-                match places.draw_route(router, agent.kind, from, &mut stream) {
-                    Ok(route) => agent.set_out(route),
-                    Err(_) => return resting,
+                replanned = replan(agent, index, surroundings);
+                if !replanned {
+                    return resting;
                 }
-                replanned = true;
             }
         }
     }
-    let (cells, reason) = choose(agent, decided, |most| {
-        seed.stream(Purpose::Move, index as u64, tick).random_range(1..=most)
-    });
+    let (cells, reason) = choose(agent, decided, |most| draw_cells(most, index, surroundings));
     agent.step(cells);
     Moved {
         from,
@@ -118,6 +108,23 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Speed, surroundings: &S
         reason,
         replanned,
     }
+}
+
+// Apart, so that the many moves that draw nothing are short.
+
+/// Sets out for a new goal. Whether there is one that can be reached.
+#[inline(never)]
+fn replan(agent: &mut Agent, index: usize, surroundings: &Surroundings<'_>) -> bool {
+    let mut stream = (surroundings.seed).stream(Purpose::Goal, index as u64, surroundings.tick);
+    let route = (surroundings.places).draw_route(surroundings.router, agent.kind, agent.cell, &mut stream);
+    route.map(|route| agent.set_out(route)).is_ok()
+}
+
+/// Draws a number of cells from 1 to `most`.
+#[inline(never)]
+fn draw_cells(most: usize, index: usize, surroundings: &Surroundings<'_>) -> usize {
+    let mut stream = (surroundings.seed).stream(Purpose::Move, index as u64, surroundings.tick);
+    stream.random_range(1..=most)
 }
 
 /// How many cells to move: as decided if the route allows it, else the only possible move, else what `draw` draws from 1 to the
@@ -138,7 +145,7 @@ fn choose(agent: &Agent, decided: Speed, draw: impl FnOnce(usize) -> usize) -> (
 mod tests {
     use super::*;
     use crate::city::generate::tests::square;
-    use crate::config::{AgentConfig, Routing};
+    use crate::config::{AgentConfig, AgentName, Routing};
     use std::sync::Arc;
 
     /// A car that leaves the kerb, stops at the node where its lane ends, and turns right behind it.
@@ -149,9 +156,11 @@ mod tests {
             .plan(AgentKind::Car, Cell::new(56, 36), goal)
             .expect("a way around the block");
         let config = AgentConfig {
-            name: "Car_1".into(),
-            kind: AgentKind::Car,
-            concepts: Vec::new(),
+            name: AgentName {
+                kind: AgentKind::Car,
+                number: 1,
+            },
+            concepts: Arc::default(),
             priority: 1,
         };
         Agent::new(&config, route)

@@ -21,6 +21,8 @@ const GOAL_DRAWS: usize = 16;
 pub struct Places {
     map: Arc<CityMap>,
     patterns: [Pattern; 2],
+    /// Which of its four buildings agents start at, as a set of bits, for each kind and each block.
+    starts: [Box<[u8]>; 2],
     /// The places in the region, for each kind.
     all: [Numbering; 2],
     /// How many rows and columns away a goal may be.
@@ -28,7 +30,7 @@ pub struct Places {
 }
 
 /// Rows and columns of cells.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 struct Window {
     rows: Range<i32>,
     cols: Range<i32>,
@@ -39,12 +41,12 @@ struct Window {
 struct Pattern {
     /// Rows of cells in which the places of a block lie in the same columns, from the top.
     bands: Vec<Range<i32>>,
-    /// For each set of buildings, the columns in each band, from the left, and how many these are.
-    cols: Vec<Vec<(Vec<Range<i32>>, u32)>>,
+    /// For each set of buildings and each band, the columns from the left, and how many these are.
+    cols: Vec<(Vec<Range<i32>>, usize)>,
 }
 
 /// The places in a window, numbered row by row.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 struct Numbering {
     window: Window,
     bands: Vec<Band>,
@@ -74,70 +76,90 @@ fn overlap(a: &Range<i32>, b: &Range<i32>) -> Range<i32> {
     a.start.max(b.start)..a.end.min(b.end)
 }
 
-impl Pattern {
-    fn new(layout: &Layout, kind: AgentKind) -> Self {
+/// Where the buildings of a block are on an axis, from its first cell.
+struct BlockAxis {
+    buildings: [Range<i32>; 2],
+    side: i32,
+}
+
+impl BlockAxis {
+    fn new(layout: &Layout) -> Self {
         let first = layout.block_start(0);
-        let spans = [0, 1].map(|which| {
-            let span = layout.building_span(0, which);
-            span.start - first..span.end - first
-        });
-        let side = layout.block_side();
-        // Between these lines all cells are alike.
-        let mut lines = vec![-1, 0, side, side + 1];
-        for span in &spans {
+        let from_first = |span: Range<i32>| span.start - first..span.end - first;
+        BlockAxis {
+            buildings: [0, 1].map(|which| from_first(layout.building_span(0, which))),
+            side: layout.block_side(),
+        }
+    }
+
+    /// The block and its kerbs, cut where something begins or ends: within a part all coordinates are alike.
+    fn parts(&self) -> Vec<Range<i32>> {
+        let mut lines = vec![-1, 0, self.side, self.side + 1];
+        for span in &self.buildings {
             lines.extend([span.start - 1, span.start, span.end, span.end + 1]);
         }
         lines.sort_unstable();
         lines.dedup();
-        let parts: Vec<Range<i32>> = lines.windows(2).map(|pair| pair[0]..pair[1]).collect();
-        // The place of the building across from a kerb, or of the one that the coordinate is in.
-        let which = |at: i32| spans.iter().position(|span| span.contains(&at));
-        let is_place = |set: usize, row: i32, col: i32| {
-            let has = |row: usize, col: usize| set >> (2 * row + col) & 1 == 1;
-            let end = |at: i32| (at == -1).then_some(0).or((at == side).then_some(1));
-            match kind {
-                AgentKind::Car => {
-                    let across = |at: i32, along: i32| Some((end(at)?, which(along)?));
-                    across(row, col).is_some_and(|(row, col)| has(row, col))
-                        || across(col, row).is_some_and(|(col, row)| has(row, col))
-                }
-                AgentKind::Pedestrian => {
-                    let touches = |which: usize, at: i32| (spans[which].start - 1..=spans[which].end).contains(&at);
-                    let free = which(row).is_none() || which(col).is_none();
-                    free && [(0, 0), (0, 1), (1, 0), (1, 1)]
-                        .into_iter()
-                        .any(|(r, c)| has(r, c) && touches(r, row) && touches(c, col))
-                }
+        lines.windows(2).map(|pair| pair[0]..pair[1]).collect()
+    }
+
+    /// The building that a coordinate is in.
+    fn within(&self, at: i32) -> Option<usize> {
+        self.buildings.iter().position(|span| span.contains(&at))
+    }
+
+    /// The building on whose side of the block a kerb is.
+    fn kerb(&self, at: i32) -> Option<usize> {
+        [-1, self.side].into_iter().position(|kerb| kerb == at)
+    }
+
+    /// Whether a coordinate is in a building or next to it.
+    fn touches(&self, at: i32, which: usize) -> bool {
+        (self.buildings[which].start - 1..=self.buildings[which].end).contains(&at)
+    }
+
+    /// Whether agents of a kind start at a cell, if they do so at this set of buildings.
+    fn is_place(&self, kind: AgentKind, set: u8, row: i32, col: i32) -> bool {
+        let has = |row: usize, col: usize| set >> (2 * row + col) & 1 == 1;
+        match kind {
+            AgentKind::Car => {
+                let across = |at, along| Some((self.kerb(at)?, self.within(along)?));
+                across(row, col).is_some_and(|(row, col)| has(row, col))
+                    || across(col, row).is_some_and(|(col, row)| has(row, col))
             }
+            AgentKind::Pedestrian => {
+                let touches = |&(r, c): &(usize, usize)| has(r, c) && self.touches(row, r) && self.touches(col, c);
+                let is_free = self.within(row).is_none() || self.within(col).is_none();
+                is_free && [(0, 0), (0, 1), (1, 0), (1, 1)].iter().any(touches)
+            }
+        }
+    }
+}
+
+impl Pattern {
+    fn new(layout: &Layout, kind: AgentKind) -> Self {
+        let axis = BlockAxis::new(layout);
+        let parts = axis.parts();
+        let cols_of = |set: u8, rows: &Range<i32>| -> Vec<Range<i32>> {
+            let is_place = |cols: &&Range<i32>| axis.is_place(kind, set, rows.start, cols.start);
+            parts.iter().filter(is_place).cloned().collect()
         };
-        let cols_of = |set: usize, row: i32| -> Vec<Range<i32>> {
-            (parts.iter().filter(|cols| is_place(set, row, cols.start)))
-                .cloned()
-                .collect()
+        let has_places = |rows: &&Range<i32>| (0..16).any(|set| !cols_of(set, rows).is_empty());
+        let bands: Vec<Range<i32>> = parts.iter().filter(has_places).cloned().collect();
+        let counted = |cols: Vec<Range<i32>>| {
+            let count = cols.iter().map(|cols| cols.len()).sum();
+            (cols, count)
         };
-        let bands: Vec<Range<i32>> = (parts.iter())
-            .filter(|rows| (0..16).any(|set| !cols_of(set, rows.start).is_empty()))
-            .cloned()
-            .collect();
-        let cols = (0..16).map(|set| {
-            let counted = |cols: Vec<Range<i32>>| {
-                let count = cols.iter().map(|cols| cols.len()).sum::<usize>();
-                (
-                    cols,
-                    u32::try_from(count).expect("a block is less than 2^20 cells wide"),
-                )
-            };
-            bands.iter().map(|rows| counted(cols_of(set, rows.start))).collect()
-        });
+        let pairs = (0..16).flat_map(|set| bands.iter().map(move |rows| (set, rows)));
         Pattern {
-            cols: cols.collect(),
+            cols: pairs.map(|(set, rows)| counted(cols_of(set, rows))).collect(),
             bands,
         }
     }
 }
 
 /// Which of four buildings agents of a kind start at, as a set of bits.
-fn starts(kind: AgentKind, buildings: [Building; 4]) -> usize {
+fn starts(kind: AgentKind, buildings: [Building; 4]) -> u8 {
     let is_start = |building| match kind {
         AgentKind::Car => matches!(building, Building::GasStation | Building::Garage | Building::Store),
         AgentKind::Pedestrian => matches!(building, Building::House | Building::Office),
@@ -145,24 +167,34 @@ fn starts(kind: AgentKind, buildings: [Building; 4]) -> usize {
     (0..4).filter(|&at| is_start(buildings[at])).map(|at| 1 << at).sum()
 }
 
-/// The rows of blocks, or columns, whose places can be within these rows or columns of cells.
+/// The rows of blocks, or columns, whose places, kerbs before and behind included, can be within these rows or columns of cells.
 fn blocks_near(layout: &Layout, cells: &Range<i32>, blocks: i32) -> Range<i32> {
-    let block = |at: i32| at.div_euclid(layout.period());
-    (block(cells.start) - 1).max(0)..(block(cells.end) + 1).min(blocks)
+    // The kerb behind a block is the first cell of the next street, the kerb before it the last cell of its own.
+    let period = layout.period();
+    let first = (cells.start - 1).div_euclid(period);
+    let end = (cells.end - layout.block_start(0)).div_euclid(period) + 1;
+    first.max(0)..end.min(blocks)
 }
 
-/// What one call looks at: the places of one kind in a window.
+/// The places of one kind.
 #[derive(Clone, Copy)]
-struct View<'p> {
+struct OfKind<'p> {
     kind: AgentKind,
     map: &'p CityMap,
+    starts: &'p [u8],
     pattern: &'p Pattern,
+}
+
+/// The places of one kind in a window.
+#[derive(Clone, Copy)]
+struct View<'p> {
+    of: OfKind<'p>,
     numbering: &'p Numbering,
 }
 
 impl Numbering {
-    fn new(map: &CityMap, kind: AgentKind, pattern: &Pattern, window: Window) -> Self {
-        let layout = &map.layout;
+    fn new(of: OfKind<'_>, window: Window) -> Self {
+        let layout = &of.map.layout;
         let near = blocks_near(layout, &window.cols, layout.blocks()[1]);
         let mut numbering = Numbering {
             bands: Vec::new(),
@@ -171,15 +203,13 @@ impl Numbering {
         };
         for block_row in blocks_near(layout, &numbering.window.rows, layout.blocks()[0]) {
             let first = layout.block_start(block_row);
-            for (band, rows) in pattern.bands.iter().enumerate() {
+            for (band, rows) in of.pattern.bands.iter().enumerate() {
                 let rows = overlap(&(first + rows.start..first + rows.end), &numbering.window.rows);
                 if rows.is_empty() {
                     continue;
                 }
                 let view = View {
-                    kind,
-                    map,
-                    pattern,
+                    of,
                     numbering: &numbering,
                 };
                 let in_row = near
@@ -203,33 +233,34 @@ impl Numbering {
 
 impl View<'_> {
     /// The columns in each row of a band of a block, whether they are in the window or not, from the block's first; and how many.
-    fn cols(&self, block_row: i32, block_col: i32, band: usize) -> &(Vec<Range<i32>>, u32) {
-        let set = starts(self.kind, self.map.block_buildings(block_row, block_col));
-        &self.pattern.cols[set][band]
+    fn cols(&self, block_row: i32, block_col: i32, band: usize) -> &(Vec<Range<i32>>, usize) {
+        let block = block_row * self.of.map.layout.blocks()[1] + block_col;
+        let set = usize::from(self.of.starts[block as usize]);
+        &self.of.pattern.cols[set * self.of.pattern.bands.len() + band]
     }
 
     /// The columns of those that are in the window.
     fn runs(&self, block_row: i32, block_col: i32, band: usize) -> impl Iterator<Item = Range<i32>> {
-        let first = self.map.layout.block_start(block_col);
+        let first = self.of.map.layout.block_start(block_col);
         (self.cols(block_row, block_col, band).0.iter())
             .map(move |cols| overlap(&(first + cols.start..first + cols.end), &self.numbering.window.cols))
     }
 
     /// How many places in each row of a band of a block are in the window.
     fn in_block(&self, block_row: i32, block_col: i32, band: usize) -> usize {
-        let first = self.map.layout.block_start(block_col) - 1;
+        let first = self.of.map.layout.block_start(block_col) - 1;
         let window = &self.numbering.window.cols;
-        if window.start <= first && first + self.map.layout.block_side() + 2 <= window.end {
-            return self.cols(block_row, block_col, band).1 as usize;
+        if window.start <= first && first + self.of.map.layout.block_side() + 2 <= window.end {
+            return self.cols(block_row, block_col, band).1;
         }
         self.runs(block_row, block_col, band).map(|cols| cols.len()).sum()
     }
 
     fn blocks_across(&self) -> Range<i32> {
         blocks_near(
-            &self.map.layout,
+            &self.of.map.layout,
             &self.numbering.window.cols,
-            self.map.layout.blocks()[1],
+            self.of.map.layout.blocks()[1],
         )
     }
 
@@ -266,7 +297,7 @@ impl View<'_> {
         let mut number = band.before + (cell.row - band.rows.start) as usize * band.in_row;
         for block_col in self.blocks_across() {
             // Its places begin with the kerb before it.
-            if cell.col > self.map.layout.block_start(block_col) + self.map.layout.block_side() {
+            if cell.col > self.of.map.layout.block_start(block_col) + self.of.map.layout.block_side() {
                 number += self.in_block(band.block_row, block_col, band.band);
                 continue;
             }
@@ -283,7 +314,7 @@ impl View<'_> {
 
     /// Draws goals for an agent at `start` among the places that count for it; `None` if there is none.
     fn goals(&self, start: Cell) -> Option<Goals<'_>> {
-        let goals = match self.kind {
+        let goals = match self.of.kind {
             AgentKind::Car => {
                 let own = self.number(start);
                 Goals {
@@ -293,7 +324,7 @@ impl View<'_> {
                 }
             }
             AgentKind::Pedestrian => {
-                let layout = &self.map.layout;
+                let layout = &self.of.map.layout;
                 let Some([block_row, block_col]) = layout.block_place(start) else {
                     let without = Without::Place(None);
                     return (self.numbering.count > 0).then_some(Goals {
@@ -382,26 +413,36 @@ impl Places {
             rows: 0..map.rows().min(limit),
             cols: 0..map.cols().min(limit),
         };
-        let patterns = AgentKind::ALL.map(|kind| Pattern::new(&map.layout, kind));
-        let all = AgentKind::ALL.map(|kind| Numbering::new(map, kind, &patterns[kind as usize], window.clone()));
-        Places {
-            map: Arc::clone(map),
-            patterns,
-            all,
+        let starts = AgentKind::ALL.map(|kind| map.buildings().iter().map(|&block| starts(kind, block)).collect());
+        let mut places = Places {
+            patterns: AgentKind::ALL.map(|kind| Pattern::new(&map.layout, kind)),
+            starts,
+            all: [Numbering::default(), Numbering::default()],
             trip: trip.map(cells),
+            map: Arc::clone(map),
+        };
+        places.all = AgentKind::ALL.map(|kind| Numbering::new(places.of(kind), window.clone()));
+        places
+    }
+
+    fn of(&self, kind: AgentKind) -> OfKind<'_> {
+        OfKind {
+            kind,
+            map: &self.map,
+            starts: &self.starts[kind as usize],
+            pattern: &self.patterns[kind as usize],
         }
     }
 
     fn all(&self, kind: AgentKind) -> View<'_> {
-        self.view(kind, &self.all[kind as usize])
+        self.view(kind, None)
     }
 
-    fn view<'p>(&'p self, kind: AgentKind, numbering: &'p Numbering) -> View<'p> {
+    /// The places in `near`, or in the whole region.
+    fn view<'p>(&'p self, kind: AgentKind, near: Option<&'p Numbering>) -> View<'p> {
         View {
-            kind,
-            map: &self.map,
-            pattern: &self.patterns[kind as usize],
-            numbering,
+            of: self.of(kind),
+            numbering: near.unwrap_or(&self.all[kind as usize]),
         }
     }
 
@@ -433,7 +474,7 @@ impl Places {
         stream: &mut impl Rng,
     ) -> Result<Route, NoRoute> {
         let near = self.near(kind, start);
-        let view = self.view(kind, near.as_ref().unwrap_or(&self.all[kind as usize]));
+        let view = self.view(kind, near.as_ref());
         let goals = view.goals(start).ok_or(NoRoute::Goal)?;
         let mut failure = NoRoute::Unconnected;
         for _ in 0..GOAL_DRAWS {
@@ -456,13 +497,13 @@ impl Places {
             rows: overlap(&around(start.row), &all.rows),
             cols: overlap(&around(start.col), &all.cols),
         };
-        Some(Numbering::new(&self.map, kind, &self.patterns[kind as usize], window))
+        Some(Numbering::new(self.of(kind), window))
     }
 
     /// The goals that [`Places::draw_route`] draws from, row by row.
     pub fn goals(&self, kind: AgentKind, start: Cell) -> Vec<Cell> {
         let near = self.near(kind, start);
-        let view = self.view(kind, near.as_ref().unwrap_or(&self.all[kind as usize]));
+        let view = self.view(kind, near.as_ref());
         let goals = view.goals(start);
         goals.map_or_else(Vec::new, |goals| {
             (0..goals.count).filter_map(|number| goals.nth(number)).collect()

@@ -28,13 +28,14 @@ pub(super) fn walk(layout: &Layout, goal: Cell, way: &mut Way<'_>) {
         return way.bend(goal, !from.row_is_inner);
     }
     let mut best: Option<(u32, [Cell; 6])> = None;
-    for (out, leave) in from.exits(layout) {
-        for (end, enter) in to.exits(layout) {
-            let between = between(layout, leave, enter);
-            let steps = steps(start, out) + steps(out, leave) + between.steps + steps(enter, end) + steps(end, goal);
+    let (exits, entries) = (from.exits(layout), to.exits(layout));
+    for out in &exits[..from.ways()] {
+        for back in &entries[..to.ways()] {
+            let between = between(layout, out, back);
+            let steps = out.steps + between.steps + back.steps;
             if best.is_none_or(|(least, _)| steps < least) {
                 let [first, second] = between.corners;
-                best = Some((steps, [out, leave, first, second, enter, end]));
+                best = Some((steps, [out.corner, out.cell, first, second, back.cell, back.corner]));
             }
         }
     }
@@ -64,36 +65,70 @@ impl Spot {
         }
     }
 
-    /// The ways to the bands: a corner, and the first cell that is in a band.
-    fn exits(&self, layout: &Layout) -> impl Iterator<Item = (Cell, Cell)> {
+    /// How many ways there are to the bands.
+    fn ways(&self) -> usize {
+        if self.block.is_some() { 4 } else { 1 }
+    }
+
+    /// The ways to the bands; all are the same if there is only one.
+    fn exits(&self, layout: &Layout) -> [Exit; 4] {
         let cell = self.cell;
-        let exits = match self.block {
-            None => [(cell, cell); 4],
-            Some([block_row, block_col]) => {
-                let (rows, cols) = (layout.built_span(block_row), layout.built_span(block_col));
-                let row = nearest_inner(layout, block_row, cell.row);
-                let col = nearest_inner(layout, block_col, cell.col);
-                let (along, down) = (Cell::new(row, cell.col), Cell::new(cell.row, col));
-                [
-                    (down, Cell::new(rows.start - 1, col)),
-                    (along, Cell::new(row, cols.start - 1)),
-                    (along, Cell::new(row, cols.end)),
-                    (down, Cell::new(rows.end, col)),
-                ]
-            }
+        let Some([block_row, block_col]) = self.block else {
+            return [Exit::new(layout, cell, cell, cell); 4];
         };
-        exits.into_iter().take(if self.block.is_some() { 4 } else { 1 })
+        let (rows, cols) = (layout.built_span(block_row), layout.built_span(block_col));
+        let row = nearest_inner(layout, block_row, cell.row);
+        let col = nearest_inner(layout, block_col, cell.col);
+        let (along, down) = (Cell::new(row, cell.col), Cell::new(cell.row, col));
+        [
+            (down, Cell::new(rows.start - 1, col)),
+            (along, Cell::new(row, cols.start - 1)),
+            (along, Cell::new(row, cols.end)),
+            (down, Cell::new(rows.end, col)),
+        ]
+        .map(|(corner, end)| Exit::new(layout, cell, corner, end))
+    }
+}
+
+/// A way to the bands.
+#[derive(Clone, Copy)]
+struct Exit {
+    corner: Cell,
+    /// Its end: the first cell that is in a band.
+    cell: Cell,
+    steps: u32,
+    /// The bands that this is in, of rows and of columns.
+    bands: [Option<Band>; 2],
+}
+
+/// A sidewalk along a street.
+#[derive(Clone, Copy, PartialEq, Eq)]
+struct Band {
+    street: i32,
+    /// On which side of the street it is.
+    after: bool,
+}
+
+impl Exit {
+    fn new(layout: &Layout, from: Cell, corner: Cell, cell: Cell) -> Self {
+        let band = |at: i32| {
+            let (zone, street) = layout.zone(at);
+            let after = zone.after_mid_line();
+            (!zone.in_street() && !zone.in_block()).then_some(Band { street, after })
+        };
+        Exit {
+            corner,
+            cell,
+            steps: steps(from, corner) + steps(corner, cell),
+            bands: [band(cell.row), band(cell.col)],
+        }
     }
 }
 
 /// A shortest way between two cells of bands.
-fn between(layout: &Layout, from: Cell, to: Cell) -> Corners {
-    // The band that a coordinate is in: a street, and on which side of it.
-    let band = |at: i32| {
-        let (zone, street) = layout.zone(at);
-        (!zone.in_street() && !zone.in_block()).then_some((street, zone.after_mid_line()))
-    };
-    let [from_row, from_col, to_row, to_col] = [from.row, from.col, to.row, to.col].map(band);
+fn between(layout: &Layout, from: &Exit, to: &Exit) -> Corners {
+    let ([from_row, from_col], [to_row, to_col]) = (from.bands, to.bands);
+    let (from, to) = (from.cell, to.cell);
     let bend = |corner| Corners {
         steps: steps(from, to),
         corners: [corner; 2],
@@ -105,9 +140,11 @@ fn between(layout: &Layout, from: Cell, to: Cell) -> Corners {
         return bend(Cell::new(to.row, from.col));
     }
     // Two bands side by side: the way needs one that crosses them, or the inner sidewalk of a block that lies between.
-    let same_blocks = |one, other| match (one, other) {
-        (Some((street, true)), Some((next, false))) | (Some((next, false)), Some((street, true))) => street + 1 == next,
-        _ => false,
+    let same_blocks = |one: Option<Band>, other: Option<Band>| {
+        one.zip(other).is_some_and(|(one, other)| {
+            let (first, second) = if one.after { (one, other) } else { (other, one) };
+            first.after && !second.after && first.street + 1 == second.street
+        })
     };
     let corners = if from_row.is_some() {
         let col = passage(layout, from.col, to.col, same_blocks(from_row, to_row));

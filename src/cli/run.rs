@@ -113,6 +113,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let bar = ProgressBar::new(ticks).with_style(
         ProgressStyle::with_template("{bar:30} tick {pos} of {len}, {per_sec}, {eta} left").expect("a valid template"),
     );
+    let names: Vec<String> = simulation
+        .agents()
+        .iter()
+        .map(|agent| agent.name().to_string())
+        .collect();
     let mut tally = Tally {
         last_move: vec![0; simulation.agents().len()],
         waited: vec![BTreeSet::new(); simulation.agents().len()],
@@ -133,7 +138,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         if let Some((painter, animation)) = &mut pictures
             && tick.tick < MAX_FRAMES
         {
-            let frame = painter.frame(tick.tick, &sprites(&simulation, Some(&tick)));
+            let frame = painter.frame(tick.tick, &sprites(&simulation, &names, Some(&tick)));
             animation.push(&frame).map_err(writing("city.gif"))?;
         }
         bar.inc(1);
@@ -148,7 +153,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         file.finish().map_err(writing("city.gif"))?;
         written.push(path("city.gif"));
         let mut file = Output::create(&path("last.png")).map_err(writing("last.png"))?;
-        let frame = painter.frame(simulation.now(), &sprites(&simulation, last.as_ref()));
+        let frame = painter.frame(simulation.now(), &sprites(&simulation, &names, last.as_ref()));
         write_png(&frame, &mut file).map_err(writing("last.png"))?;
         file.finish().map_err(writing("last.png"))?;
         written.push(path("last.png"));
@@ -185,12 +190,12 @@ fn stop_on_interrupt() -> Result<Arc<AtomicBool>, Failure> {
     Ok(stop)
 }
 
-/// The agents as they are, and what they decided in `tick`, if that is given.
-fn sprites<'a>(simulation: &'a Simulation, tick: Option<&TickReport>) -> Vec<Sprite<'a>> {
-    let agents = simulation.agents().iter().enumerate();
+/// The agents as they are, and what they decided in `tick`, if that is given. `names` are theirs.
+fn sprites<'a>(simulation: &'a Simulation, names: &'a [String], tick: Option<&TickReport>) -> Vec<Sprite<'a>> {
+    let agents = simulation.agents().iter().zip(names).enumerate();
     agents
-        .map(|(index, agent)| Sprite {
-            name: &agent.name,
+        .map(|(index, (agent, name))| Sprite {
+            name,
             kind: agent.kind,
             concepts: &agent.concepts,
             at: agent.cell,
@@ -328,8 +333,8 @@ fn stuck(simulation: &Simulation, tally: &Tally, sources: &Sources, text: &mut S
     let agents = simulation.agents();
     let still = |agent: &usize| tally.ticks - tally.last_move[*agent] >= STUCK_TICKS;
     let stuck: Vec<usize> = (0..agents.len()).filter(still).collect();
-    let name = |agent: usize| &*agents[agent].name;
-    let names: Vec<&str> = stuck.iter().map(|&agent| name(agent)).collect();
+    let name = |agent: usize| agents[agent].name().to_string();
+    let names: Vec<String> = stuck.iter().map(|&agent| name(agent)).collect();
     let names = if names.is_empty() {
         "none".to_owned()
     } else {
@@ -351,7 +356,7 @@ fn stuck(simulation: &Simulation, tally: &Tally, sources: &Sources, text: &mut S
         let links: String = (way.iter())
             .map(|wait| format!("{} ({}) -> ", name(wait.agent), teller.label(wait.clause)))
             .collect();
-        links + way.last().map_or("", |wait| name(wait.on))
+        links + &way.last().map_or_else(String::new, |wait| name(wait.on))
     };
     let Standstill {
         deadlocks,
@@ -363,7 +368,7 @@ fn stuck(simulation: &Simulation, tally: &Tally, sources: &Sources, text: &mut S
         let _ = writeln!(text, "  deadlock since tick {since}: {}", chain(circle));
     }
     for agent in starving {
-        let (mut names, mut labels): (Vec<&str>, Vec<String>) = Default::default();
+        let (mut names, mut labels): (Vec<String>, Vec<String>) = Default::default();
         for &(on, clause) in &tally.waited[agent] {
             let (one, label) = (name(on), teller.label(clause));
             if !names.contains(&one) {

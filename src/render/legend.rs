@@ -70,7 +70,7 @@ pub(super) fn draw_static(map: &CityMap, frame: &mut Frame, left: i32, top: i32)
     };
     let occurs: Vec<&BuildingStyle> = BUILDINGS
         .iter()
-        .filter(|style| map.has_building(style.building))
+        .filter(|style| map.buildings().iter().any(|block| block.contains(&style.building)))
         .collect();
     if !occurs.is_empty() {
         column.heading("BUILDINGS");

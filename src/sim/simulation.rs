@@ -70,18 +70,19 @@ impl Simulation {
             let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
             Diagnostic::new(Code::UnknownSplit, message).help(format!("it has: {}", known.join(", ")))
         })?;
-        if set.agents.len() > MAX_ENTITIES {
-            let message = format!("{} agents, the limit is {MAX_ENTITIES}", set.agents.len());
+        if set.len() > MAX_ENTITIES {
+            let message = format!("{} agents, the limit is {MAX_ENTITIES}", set.len());
             let fault = Diagnostic::new(Code::LimitExceeded, message);
             return Err(fault.at(set.span, "in this agent set"));
         }
-        let places = Places::new(&world.router, set.region.map(|region| region.value), None);
-        let agents = place_agents(set, &world.router, &places, seed)?;
-        let state = GroundState::new(
-            &world.program,
-            &world.vocabulary,
-            agents.iter().map(|agent| &*agent.name),
+        let places = Places::new(
+            &world.router,
+            set.region.map(|region| region.value),
+            set.trip.map(|trip| trip.value),
         );
+        let agents = place_agents(set, &world.router, &places, seed)?;
+        let names: Vec<String> = agents.iter().map(|agent| agent.name().to_string()).collect();
+        let state = GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str));
         let rules = world.program.rules();
         let counted = |clause: &ClauseId| {
             let clause = &rules.clauses[clause.index()];

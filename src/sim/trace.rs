@@ -39,7 +39,7 @@ impl<W: Write> TraceWriter<W> {
             .iter()
             .map(|agent| {
                 json!({
-                    "id": &*agent.name,
+                    "id": agent.name().to_string(),
                     "type": agent.kind.name(),
                     "concepts": &*agent.concepts,
                     "priority": agent.priority,
@@ -108,7 +108,7 @@ impl<W: Write> TraceWriter<W> {
         let given: Map<String, Value> = (self.drawn.iter())
             .map(|&index| {
                 let rows = simulation.facts().rows[index].iter();
-                let rows = rows.map(|row| json!(row.map(|agent| &*names[agent as usize].name)));
+                let rows = rows.map(|row| json!(row.map(|agent| names[agent as usize].name().to_string())));
                 (predicates[index].name.clone(), rows.collect())
             })
             .collect();
