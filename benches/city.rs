@@ -1,13 +1,14 @@
 //! The city: a tick of the simulation, and the inference of one scene.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use logicity::config::{Speed, Split, load_scenario};
+use logicity::city::{CityMap, Places, Router, Surroundings, advance, place_agents};
+use logicity::config::{AgentKind, Located, Speed, Split, load_scenario};
 use logicity::diag::Sources;
 use logicity::engine::Program;
 use logicity::engine::dense::{BitFacts, Counting, Dense, Frame, choose, has};
 use logicity::files::{read_or_builtin, read_text};
 use logicity::lang;
-use logicity::rng::Seed;
+use logicity::rng::{Purpose, Seed};
 use logicity::sim::{Executor, Inference, Settings, Simulation, World};
 use std::hint::black_box;
 use std::path::Path;
@@ -72,13 +73,8 @@ fn rules(criterion: &mut Criterion) {
     let world = Arc::new(world("expert"));
     let rules = world.program.rules();
     let steady = |relation| {
-        let predicate = world
-            .vocabulary
-            .predicates
-            .iter()
-            .find(|predicate| predicate.relation == Some(relation));
-        predicate
-            .is_some_and(|predicate| matches!(predicate.definition, Definition::Kind(_) | Definition::Concept { .. }))
+        let mut predicates = world.vocabulary.predicates.iter();
+        predicates.any(|predicate| predicate.relation == Some(relation) && predicate.definition.is_steady())
     };
     let dense = Dense::new(rules, &choose(rules), Counting::Off, steady);
     let mut simulation =
@@ -125,5 +121,78 @@ fn rules(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(city, tick, infer, rules);
+/// A map with its places, ready to plan on.
+fn planner(config: &str) -> (Router, Places) {
+    let scenario = load_scenario(&mut Sources::new(), Path::new(config), &read_text).expect("a built-in configuration");
+    let map = CityMap::generate(&scenario.map).expect("a built-in map");
+    let router = Router::new(Arc::new(map), scenario.routing);
+    let set = scenario.agent_set(Split::Test).expect("a test set");
+    let cells = |given: Option<Located<u32>>| given.map(|given| given.value);
+    let places = Places::new(&router, cells(set.region), cells(set.trip));
+    (router, places)
+}
+
+/// Drawing a goal and planning the way there, from one goal to the next, on the map of the paper and on one for a million
+/// agents; `far` is a goal anywhere on that map. Throughput is in routes.
+fn route(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("route");
+    group.throughput(Throughput::Elements(1));
+    for config in ["expert", "metropolis"] {
+        let (router, places) = planner(config);
+        for kind in AgentKind::ALL {
+            let mut at = places.nth(kind, places.count(kind) / 2).expect("a place");
+            let mut draw = 0;
+            group.bench_function(format!("{config}/{}", kind.name()), |bencher| {
+                bencher.iter(|| {
+                    draw += 1;
+                    let mut stream = Seed(1).stream(Purpose::Goal, 0, draw);
+                    let route = places.draw_route(&router, kind, at, &mut stream).expect("a way");
+                    at = route.goal();
+                    route
+                });
+            });
+        }
+    }
+    let (router, places) = planner("metropolis");
+    let count = places.count(AgentKind::Car);
+    let place = |number: usize| places.nth(AgentKind::Car, number % count).expect("a place");
+    let mut number = 0;
+    group.bench_function("metropolis/far", |bencher| {
+        bencher.iter(|| {
+            number += 7_654_321;
+            router
+                .plan(AgentKind::Car, place(number), place(3 * number))
+                .expect("a way")
+        });
+    });
+    group.finish();
+}
+
+/// Moves of the agents of the expert test city, each at its normal speed; replanning included. Throughput is in moves.
+fn moves(criterion: &mut Criterion) {
+    let (router, places) = planner("expert");
+    let scenario =
+        load_scenario(&mut Sources::new(), Path::new("expert"), &read_text).expect("a built-in configuration");
+    let set = scenario.agent_set(Split::Test).expect("a test set");
+    let mut agents = place_agents(set, &router, &places, Seed(1)).expect("agents placed");
+    let mut group = criterion.benchmark_group("advance");
+    group.throughput(Throughput::Elements(agents.len() as u64));
+    let mut surroundings = Surroundings {
+        router: &router,
+        places: &places,
+        seed: Seed(1),
+        tick: 0,
+    };
+    group.bench_function("expert", |bencher| {
+        bencher.iter(|| {
+            surroundings.tick += 1;
+            for (index, agent) in agents.iter_mut().enumerate() {
+                black_box(advance(agent, index, Speed::Normal, &surroundings));
+            }
+        });
+    });
+    group.finish();
+}
+
+criterion_group!(city, tick, infer, rules, route, moves);
 criterion_main!(city);

@@ -2,17 +2,22 @@
 //! decisions.
 
 use logicity::city::{
-    Agent, Cell, CityMap, Ground, Heading, Lane, NoRoute, Places, Reason, Route, Router, Surroundings, advance,
-    place_agents, possible_cells,
+    Agent, Cell, CityMap, Ground, Heading, Junction, Lane, Layout, NoRoute, Places, Reason, Route, Router,
+    Surroundings, advance, place_agents, possible_cells,
 };
 use logicity::config::{
-    AgentConfig, AgentKind, AgentSet, Building, Buildings, Located, MapConfig, Routing, Speed, Widths,
+    AgentGroup, AgentKind, AgentSet, Building, Buildings, Located, MapConfig, Routing, Speed, Split, Widths,
+    load_scenario,
 };
 use logicity::diag::{Code, Sources, Span};
+use logicity::files::read_text;
 use logicity::rng::Seed;
+use ndarray::Array2;
 use proptest::prelude::*;
 use proptest::sample::Index;
 use std::collections::{BTreeSet, VecDeque};
+use std::ops::{Range, RangeInclusive};
+use std::path::Path;
 use std::sync::Arc;
 
 const ALL_BUILDINGS: [Building; 5] = [
@@ -40,6 +45,11 @@ fn config(blocks: [u32; 2], widths: Widths, buildings: Buildings) -> MapConfig {
 
 /// Any map that can be generated, up to 4 x 4 blocks.
 fn maps() -> impl Strategy<Value = Arc<CityMap>> {
+    maps_of(1..=4)
+}
+
+/// Maps of so many rows and columns of blocks.
+fn maps_of(blocks: RangeInclusive<u32>) -> impl Strategy<Value = Arc<CityMap>> {
     let widths =
         (1..=7_u32, 1..=6_u32, 1..=10_u32, 0..=5_u32).prop_map(|(half, sidewalk, building, inner_sidewalk)| Widths {
             street: 2 * half + 1,
@@ -47,7 +57,7 @@ fn maps() -> impl Strategy<Value = Arc<CityMap>> {
             building,
             inner_sidewalk,
         });
-    ([1..=4_u32, 1..=4_u32], widths, any::<u64>()).prop_map(|(blocks, widths, seed)| {
+    ([blocks.clone(), blocks], widths, any::<u64>()).prop_map(|(blocks, widths, seed)| {
         let weights = ALL_BUILDINGS.map(|building| (building, 1.0)).to_vec();
         let config = config(blocks, widths, Buildings::Random { seed, weights });
         Arc::new(CityMap::generate(&config).expect("these sizes are valid"))
@@ -67,6 +77,156 @@ fn building_tables() -> impl Strategy<Value = Buildings> {
         (any::<u64>(), proptest::collection::vec((building, weight), 0..7))
             .prop_map(|(seed, weights)| Buildings::Random { seed, weights }),
     ]
+}
+
+/// All cells, row by row.
+fn cells(map: &CityMap) -> impl Iterator<Item = Cell> + use<> {
+    let (rows, cols) = (map.rows(), map.cols());
+    (0..rows).flat_map(move |row| (0..cols).map(move |col| Cell::new(row, col)))
+}
+
+/// All places for agents of a kind.
+fn list(places: &Places, kind: AgentKind) -> Vec<Cell> {
+    (0..places.count(kind))
+        .map(|number| places.nth(kind, number).unwrap())
+        .collect()
+}
+
+/// A map painted layer by layer, later strokes over earlier ones: the definition of what is where. Numbers count from 1.
+struct Painted {
+    ground: Array2<Ground>,
+    mid_line: Array2<bool>,
+    /// Of the block, where a building stands.
+    block: Array2<u32>,
+    /// Of the intersection whose entrance line, outline or inside this is.
+    entrance: Array2<u32>,
+    outline: Array2<u32>,
+    inside: Array2<u32>,
+}
+
+/// Sets a rectangle of a layer; what lies beyond the world is left out.
+fn fill<T: Clone>(layer: &mut Array2<T>, rows: Range<i32>, cols: Range<i32>, value: T) {
+    for row in rows {
+        for col in cols.clone() {
+            if let (Ok(row), Ok(col)) = (usize::try_from(row), usize::try_from(col))
+                && let Some(cell) = layer.get_mut((row, col))
+            {
+                *cell = value.clone();
+            }
+        }
+    }
+}
+
+impl Painted {
+    fn new(map: &CityMap) -> Painted {
+        let shape = (map.rows() as usize, map.cols() as usize);
+        let mut painted = Painted {
+            ground: Array2::from_elem(shape, Ground::Traffic),
+            mid_line: Array2::from_elem(shape, false),
+            block: Array2::zeros(shape),
+            entrance: Array2::zeros(shape),
+            outline: Array2::zeros(shape),
+            inside: Array2::zeros(shape),
+        };
+        painted.lay_blocks(&map.layout);
+        painted.lay_intersections(&map.layout);
+        painted
+    }
+
+    /// Walking streets, buildings and the mid lines along them. What stays untouched is traffic street.
+    fn lay_blocks(&mut self, layout: &Layout) {
+        let [block_rows, block_cols] = layout.blocks();
+        for block_row in 0..block_rows {
+            for block_col in 0..block_cols {
+                let (top, left) = (layout.block_start(block_row), layout.block_start(block_col));
+                let side = layout.block_side();
+                fill(&mut self.ground, top..top + side, left..left + side, Ground::Walking);
+                let number = (block_row * block_cols + block_col + 1).unsigned_abs();
+                for (row, col) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+                    let rows = layout.building_span(block_row, row);
+                    let cols = layout.building_span(block_col, col);
+                    fill(&mut self.ground, rows.clone(), cols.clone(), Ground::Other);
+                    fill(&mut self.block, rows, cols, number);
+                }
+            }
+        }
+        for street in 0..=block_rows {
+            let middle = layout.mid_line(street);
+            for block in 0..block_cols {
+                fill(&mut self.mid_line, middle..middle + 1, layout.built_span(block), true);
+            }
+        }
+        for street in 0..=block_cols {
+            let middle = layout.mid_line(street);
+            for block in 0..block_rows {
+                fill(&mut self.mid_line, layout.built_span(block), middle..middle + 1, true);
+            }
+        }
+    }
+
+    /// Crossings and the three masks of intersections, numbered row by row without the corners of the world.
+    fn lay_intersections(&mut self, layout: &Layout) {
+        let [block_rows, block_cols] = layout.blocks();
+        let mut number = 0;
+        for street_row in 0..=block_rows {
+            for street_col in 0..=block_cols {
+                let at_edge = [
+                    street_row == 0 || street_row == block_rows,
+                    street_col == 0 || street_col == block_cols,
+                ];
+                if at_edge == [true, true] {
+                    continue;
+                }
+                number += 1;
+                let (rows, cols) = (
+                    layout.intersection_span(street_row),
+                    layout.intersection_span(street_col),
+                );
+                fill(&mut self.inside, rows, cols, number);
+                for entering in Heading::ALL {
+                    self.lay_side(layout, entering, [street_row, street_col], number);
+                }
+            }
+        }
+    }
+
+    /// The side of an intersection that cars with this heading enter by, if a street leads up to it from that side.
+    fn lay_side(&mut self, layout: &Layout, entering: Heading, [street_row, street_col]: [i32; 2], number: u32) {
+        let [block_rows, block_cols] = layout.blocks();
+        let down = matches!(entering, Heading::Down | Heading::Up);
+        let (street, end, streets, ends) = if down {
+            (street_col, street_row, block_cols, block_rows)
+        } else {
+            (street_row, street_col, block_rows, block_cols)
+        };
+        let (across, along) = (layout.intersection_span(street), layout.intersection_span(end));
+        let forward = matches!(entering, Heading::Down | Heading::Right);
+        // A street that comes from beyond the world is none, and cars on a street along an edge have no line to wait at.
+        let beyond = if forward { end == 0 } else { end == ends };
+        if beyond || street == 0 || street == streets {
+            return;
+        }
+        let line = if forward { along.start } else { along.end - 1 };
+        let middle = layout.mid_line(street);
+        let half = match entering {
+            Heading::Down | Heading::Left => across.start..middle,
+            Heading::Up | Heading::Right => middle + 1..across.end,
+        };
+        let sidewalk = layout.sidewalk();
+        let crossing = if forward {
+            line..line + sidewalk
+        } else {
+            line + 1 - sidewalk..line + 1
+        };
+        let place = |across: Range<i32>, along: Range<i32>| if down { (along, across) } else { (across, along) };
+        let (rows, cols) = place(layout.street_span(street), crossing);
+        fill(&mut self.ground, rows, cols, Ground::Crossing);
+        let (rows, cols) = place(across, line..line + 1);
+        fill(&mut self.inside, rows.clone(), cols.clone(), 0);
+        fill(&mut self.outline, rows, cols, number);
+        let (rows, cols) = place(half, line..line + 1);
+        fill(&mut self.entrance, rows, cols, number);
+    }
 }
 
 /// A shortest way on foot: its number of cells.
@@ -103,7 +263,7 @@ fn cost(routing: Routing, from: Lane, to: Lane) -> u32 {
 
 /// The least cost from the end of one lane to the end of each lane, by relaxing every connector until nothing changes.
 fn least_costs(router: &Router, from: usize) -> Vec<Option<u32>> {
-    let lanes = router.lanes();
+    let lanes: Vec<Lane> = router.lanes().collect();
     let mut costs = vec![None; lanes.len()];
     costs[from] = Some(0);
     loop {
@@ -142,12 +302,9 @@ fn mid_line_is_left(map: &CityMap, cell: Cell, heading: Heading) -> Option<bool>
         Heading::Up => (Heading::Left, Heading::Right),
         Heading::Down => (Heading::Right, Heading::Left),
     };
-    let is_mid_line = |cell: Cell| {
-        let place = (usize::try_from(cell.row).ok(), usize::try_from(cell.col).ok());
-        matches!(place, (Some(row), Some(col)) if map.mid_line.get((row, col)) == Some(&true))
-    };
     // The mid line of this street, not the end of one that comes from the side.
-    let is_along = |cell: Cell| is_mid_line(cell) && [1, -1].iter().any(|&step| is_mid_line(cell.ahead(heading, step)));
+    let is_along =
+        |cell: Cell| map.is_mid_line(cell) && [1, -1].iter().any(|&step| map.is_mid_line(cell.ahead(heading, step)));
     let reaches = |side: Heading| {
         (1..)
             .map(|cells| cell.ahead(side, cells))
@@ -160,11 +317,24 @@ fn mid_line_is_left(map: &CityMap, cell: Cell, heading: Heading) -> Option<bool>
     }
 }
 
+/// How many cells an agent can move along the cells before it, by definition: straight on, and over no node of the road graph.
+fn plainly_possible(map: &CityMap, kind: AgentKind, cells: &[Cell]) -> usize {
+    let reach = if kind == AgentKind::Car { 3 } else { 1 };
+    let heading = |steps: usize| Heading::between(cells[steps - 1], cells[steps]);
+    let is_stop = |cell| kind == AgentKind::Car && map.is_lane_node(cell);
+    (1..cells.len().min(reach + 1))
+        .take_while(|&steps| heading(steps) == heading(1) && (1..steps).all(|passed| !is_stop(cells[passed])))
+        .last()
+        .unwrap_or(0)
+}
+
 /// Checks a car's route against the road graph and the map.
 fn check_drive(router: &Router, route: &Route, start: Cell, goal: Cell) -> Result<(), TestCaseError> {
-    let (map, lanes) = (router.map(), router.lanes());
+    let (map, lanes) = (router.map(), router.lanes().collect::<Vec<Lane>>());
     prop_assert_eq!((route.start(), route.goal()), (start, goal));
-    for pair in route.cells().windows(2) {
+    let cells: Vec<Cell> = route.cells().collect();
+    prop_assert_eq!(cells.len(), route.steps() + 1);
+    for pair in cells.windows(2) {
         prop_assert_eq!(distance(pair[0], pair[1]), 1);
         prop_assert!(map.is_drivable(pair[0]) && map.is_drivable(pair[1]), "{:?}", pair);
         let heading = Heading::between(pair[0], pair[1]).expect("neighbours");
@@ -201,22 +371,18 @@ fn check_drive(router: &Router, route: &Route, start: Cell, goal: Cell) -> Resul
     Ok(())
 }
 
-fn agent(kind: AgentKind, number: usize) -> AgentConfig {
-    AgentConfig {
-        name: format!("{}_{number}", kind.name()),
-        kind,
-        concepts: Vec::new(),
-        priority: 1,
-    }
-}
-
 fn agent_set(cars: usize, pedestrians: usize, region: Option<u32>) -> AgentSet {
-    let numbered = |kind, count| (1..=count).map(move |number| agent(kind, number));
+    let group = |count: usize| AgentGroup {
+        count: u32::try_from(count).unwrap(),
+        concepts: Arc::default(),
+        priority: 1,
+    };
     AgentSet {
-        agents: numbered(AgentKind::Car, cars)
-            .chain(numbered(AgentKind::Pedestrian, pedestrians))
-            .collect(),
+        cars: vec![group(cars)],
+        pedestrians: vec![group(pedestrians)],
+        repeat: 1,
         region: region.map(located),
+        trip: None,
         span: located(()).span,
     }
 }
@@ -232,7 +398,7 @@ proptest! {
     ) {
         let widths = Widths { street, sidewalk, building, inner_sidewalk };
         match CityMap::generate(&config(blocks, widths, buildings)) {
-            Ok(map) => prop_assert!(map.ground.len() <= 1 << 24),
+            Ok(map) => prop_assert!(map.rows().max(map.cols()) <= 1 << 20),
             Err(diagnostic) => {
                 prop_assert!(matches!(diagnostic.code, Code::InvalidMap | Code::LimitExceeded));
                 prop_assert!(diagnostic.primary.is_some() && !diagnostic.help.is_empty());
@@ -240,73 +406,87 @@ proptest! {
         }
     }
 
+    /// What the map says of a cell, against a map that was painted layer by layer.
     #[test]
-    fn layers_agree_with_each_other(map in maps()) {
-        let [block_rows, block_cols] = map.layout.blocks();
-        let mut numbers = BTreeSet::new();
-        for (place, &ground) in map.ground.indexed_iter() {
-            let cell = Cell::new(i32::try_from(place.0).unwrap(), i32::try_from(place.1).unwrap());
-            let (entrance, outline, inside) = (map.entrance[place], map.outline[place], map.inside[place]);
-            prop_assert!(entrance == 0 || entrance == outline);
-            prop_assert!(outline == 0 || inside == 0);
-            prop_assert!(ground != Ground::Crossing || outline + inside > 0);
-            prop_assert!(!map.mid_line[place] || ground == Ground::Traffic);
-            prop_assert_eq!(map.building[place].is_some(), map.block[place] > 0);
-            if map.building[place].is_some() {
-                prop_assert_eq!(ground, Ground::Other);
-                prop_assert_eq!(map.layout.block_at(cell), Some(map.block[place]));
-            }
+    fn the_map_is_the_painted_one(map in maps()) {
+        let painted = Painted::new(&map);
+        let nodes: BTreeSet<Cell> = Router::new(map.clone(), Routing::Weighted).lanes().flat_map(|lane| [lane.start, lane.end]).collect();
+        let semantic = map.semantic(&[Cell::new(0, 1), Cell::new(-1, 0)]);
+        prop_assert_eq!(semantic.dim(), (map.rows() as usize, map.cols() as usize, 10));
+        for cell in cells(&map) {
+            let place = (cell.row as usize, cell.col as usize);
+            let number = |layer: &Array2<u32>| Some(layer[place]).filter(|&number| number > 0);
+            prop_assert_eq!(map.ground_at(cell), Some(painted.ground[place]));
+            prop_assert_eq!(map.is_mid_line(cell), painted.mid_line[place]);
+            prop_assert_eq!(map.building_at(cell).is_some(), painted.block[place] > 0);
+            prop_assert!(map.building_at(cell).is_none() || map.layout.block_at(cell) == number(&painted.block));
             prop_assert_eq!(map.layout.block_at(cell).is_none(), map.is_drivable(cell));
-            numbers.insert(inside);
+            prop_assert_eq!(map.at_intersection(AgentKind::Car, cell), number(&painted.entrance));
+            prop_assert_eq!(map.at_intersection(AgentKind::Pedestrian, cell), number(&painted.outline));
+            prop_assert_eq!(map.in_intersection(cell), number(&painted.inside));
+            let junction = map.junction(cell);
+            prop_assert_eq!(junction.car_is_at(), number(&painted.entrance).is_some());
+            prop_assert_eq!(junction.pedestrian_is_at(), number(&painted.outline).is_some());
+            prop_assert_eq!(junction.is_inside(), number(&painted.inside).is_some());
+            prop_assert_eq!(map.is_lane_node(cell), nodes.contains(&cell));
+            let statics: f32 = (0..8).map(|layer| semantic[(place.0, place.1, layer)]).sum();
+            prop_assert_eq!(statics, 1.0);
+            prop_assert_eq!(semantic[(place.0, place.1, 8)] == 1.0, place == (0, 1));
+            prop_assert_eq!(semantic[(place.0, place.1, 9)], 0.0);
         }
-        // 0 is the rest of the world; the four corners are no intersections.
-        let intersections = (block_rows + 1) * (block_cols + 1) - 4;
-        prop_assert_eq!(numbers.len(), intersections.unsigned_abs() as usize + 1);
-        prop_assert_eq!(numbers.last().copied(), Some(intersections.unsigned_abs()));
-
-        let agents = [Cell::new(0, 1), Cell::new(-1, 0)];
-        let layers = map.semantic(&agents);
-        prop_assert_eq!(layers.dim(), (map.ground.nrows(), map.ground.ncols(), 10));
-        for (place, &ground) in map.ground.indexed_iter() {
-            let statics: f32 = (0..8).map(|layer| layers[(place.0, place.1, layer)]).sum();
-            let gap = ground == Ground::Other && map.building[place].is_none();
-            prop_assert_eq!(statics, if gap { 0.0 } else { 1.0 });
-            prop_assert_eq!(layers[(place.0, place.1, 8)] == 1.0, place == (0, 1));
-            prop_assert_eq!(layers[(place.0, place.1, 9)], 0.0);
+        for outside in [Cell::new(-1, 5), Cell::new(5, -1), Cell::new(map.rows(), 0), Cell::new(0, map.cols())] {
+            prop_assert_eq!(map.ground_at(outside), None);
+            prop_assert_eq!(map.junction(outside), Junction::default());
         }
     }
 
     /// Start cells against their definition, cell by cell.
     #[test]
-    fn start_cells_are_beside_the_right_buildings(map in maps(), region in 0..120_u32) {
-        let building = |cell: Cell| map.building.get((usize::try_from(cell.row).ok()?, usize::try_from(cell.col).ok()?)).copied().flatten();
+    fn start_cells_are_beside_the_right_buildings(map in maps(), region in 0..120_u32, trip in 0..100_u32, pick in any::<Index>()) {
+        let building = |cell: Cell| map.building_at(cell);
         let reach = map.layout.sidewalk() + 1;
-        for kind in [AgentKind::Car, AgentKind::Pedestrian] {
-            let mut expected = Vec::new();
-            for row in 0..map.rows().min(region.cast_signed()) {
-                for col in 0..map.cols().min(region.cast_signed()) {
-                    let cell = Cell::new(row, col);
-                    let is_start = match kind {
-                        AgentKind::Pedestrian => map.ground_at(cell) == Some(Ground::Walking) && (-1..=1).any(|dr| (-1..=1).any(|dc| {
-                            matches!(building(Cell::new(row + dr, col + dc)), Some(Building::House | Building::Office))
-                        })),
-                        AgentKind::Car => map.ground_at(cell) == Some(Ground::Traffic) && Heading::ALL.iter().any(|&heading| {
-                            let near = (1..=reach).find_map(|cells| building(cell.ahead(heading, cells)));
-                            matches!(near, Some(Building::GasStation | Building::Garage | Building::Store))
-                        }),
-                    };
-                    if is_start {
-                        expected.push(cell);
-                    }
-                }
+        let router = Router::new(map.clone(), Routing::Weighted);
+        let places = Places::new(&router, Some(region), None);
+        let trips = Places::new(&router, Some(region), Some(trip));
+        for kind in AgentKind::ALL {
+            let is_place = |&cell: &Cell| match kind {
+                AgentKind::Pedestrian => map.ground_at(cell) == Some(Ground::Walking) && (-1..=1).any(|dr| (-1..=1).any(|dc| {
+                    matches!(building(Cell::new(cell.row + dr, cell.col + dc)), Some(Building::House | Building::Office))
+                })),
+                AgentKind::Car => map.ground_at(cell) == Some(Ground::Traffic) && Heading::ALL.iter().any(|&heading| {
+                    let near = (1..=reach).find_map(|cells| building(cell.ahead(heading, cells)));
+                    matches!(near, Some(Building::GasStation | Building::Garage | Building::Store))
+                }),
+            };
+            let in_region = |cell: &Cell| cell.row.max(cell.col) < region.cast_signed();
+            let expected: Vec<Cell> = cells(&map).filter(in_region).filter(is_place).collect();
+            prop_assert_eq!(list(&places, kind), expected.clone());
+            prop_assert_eq!(places.nth(kind, expected.len()), None);
+            for cell in cells(&map).step_by(7) {
+                prop_assert_eq!(places.contains(kind, cell), expected.contains(&cell));
             }
-            prop_assert_eq!(map.start_cells(kind, Some(region)), expected);
+            // The goals of an agent that starts at a place, or where none is.
+            if expected.is_empty() {
+                continue;
+            }
+            let start = *pick.get(&expected);
+            for start in [start, start.ahead(Heading::Down, 1), Cell::new(0, 0)] {
+                let is_goal = |goal: &Cell| match kind {
+                    AgentKind::Car => *goal != start,
+                    AgentKind::Pedestrian => *goal != start && (map.layout.block_at(start).is_none() || map.layout.block_at(start) != map.layout.block_at(*goal)),
+                };
+                let goals: Vec<Cell> = expected.iter().copied().filter(is_goal).collect();
+                prop_assert_eq!(places.goals(kind, start), goals.clone());
+                let is_near = |goal: &Cell| start.row.abs_diff(goal.row).max(start.col.abs_diff(goal.col)) <= trip;
+                let near: Vec<Cell> = goals.into_iter().filter(is_near).collect();
+                prop_assert_eq!(trips.goals(kind, start), near);
+            }
         }
     }
 
     #[test]
     fn cars_get_everywhere_by_the_best_way_and_keep_right(map in maps(), picks in proptest::collection::vec(any::<[Index; 2]>(), 6)) {
-        let places = map.start_cells(AgentKind::Car, None);
+        let places = list(&Places::new(&Router::new(map.clone(), Routing::Weighted), None, None), AgentKind::Car);
         prop_assume!(!places.is_empty());
         for routing in [Routing::Weighted, Routing::Hops] {
             let router = Router::new(map.clone(), routing);
@@ -316,7 +496,7 @@ proptest! {
                 prop_assert!(route.is_ok());
                 let Ok(route) = route else { continue };
                 if start == goal {
-                    prop_assert_eq!(route.cells(), [start]);
+                    prop_assert!(route.cells().eq([start]));
                 } else {
                     check_drive(&router, &route, start, goal)?;
                 }
@@ -325,19 +505,39 @@ proptest! {
         }
     }
 
+    /// Where a map is too large to be searched as a whole.
+    #[test]
+    fn ways_over_large_maps_are_as_good(map in maps_of(7..=13), pick in any::<[Index; 2]>(), near in any::<Index>()) {
+        for routing in [Routing::Weighted, Routing::Hops] {
+            let router = Router::new(map.clone(), routing);
+            let places = Places::new(&router, None, None);
+            let trips = Places::new(&router, None, Some(3 * map.layout.period().unsigned_abs()));
+            prop_assume!(places.count(AgentKind::Car) > 0);
+            let [start, far] = pick.map(|pick| places.nth(AgentKind::Car, pick.index(places.count(AgentKind::Car))).unwrap());
+            let close = trips.goals(AgentKind::Car, start);
+            for goal in [Some(far), close.get(near.index(close.len().max(1))).copied()].into_iter().flatten().filter(|&goal| goal != start) {
+                let route = router.plan(AgentKind::Car, start, goal);
+                prop_assert!(route.is_ok());
+                check_drive(&router, &route.clone().unwrap(), start, goal)?;
+                prop_assert_eq!(router.plan(AgentKind::Car, start, goal), route);
+            }
+        }
+    }
+
     #[test]
     fn cars_start_only_beside_lanes(map in maps(), pick in any::<Index>()) {
         let router = Router::new(map.clone(), Routing::Weighted);
-        let start = router.lanes()[0].start;
+        let start = router.lanes().next().unwrap().start;
+        let (rows, cols) = (map.rows() as usize, map.cols() as usize);
         for index in 0..20 {
-            let place = (pick.index(map.ground.len()) + 31 * index) % map.ground.len();
-            let cell = Cell::new(i32::try_from(place).unwrap() / map.cols(), i32::try_from(place).unwrap() % map.cols());
-            let beside = router.lanes().iter().any(|lane| is_beside(&map, *lane, cell));
+            let place = (pick.index(rows * cols) + 31 * index) % (rows * cols);
+            let cell = Cell::new((place / cols) as i32, (place % cols) as i32);
+            let beside = router.lanes().any(|lane| is_beside(&map, lane, cell));
             match router.plan(AgentKind::Car, cell, start) {
                 Ok(route) => {
                     prop_assert!(beside, "{:?}", cell);
-                    prop_assert!(route.cells().iter().all(|&cell| map.is_drivable(cell)));
-                    prop_assert!(router.follow(AgentKind::Car, route.cells()) == Some(route));
+                    prop_assert!(route.cells().all(|cell| map.is_drivable(cell)));
+                    prop_assert!(router.follow(AgentKind::Car, route.cells()) == Some(route.clone()));
                 }
                 Err(reason) => prop_assert_eq!((reason, beside), (NoRoute::Start, false), "{:?}", cell),
             }
@@ -345,18 +545,17 @@ proptest! {
     }
 
     #[test]
-    fn pedestrians_take_a_shortest_way(map in maps(), picks in proptest::collection::vec(any::<[Index; 2]>(), 3)) {
+    fn pedestrians_take_a_shortest_way(map in maps(), picks in proptest::collection::vec(any::<[Index; 2]>(), 12)) {
         let router = Router::new(map.clone(), Routing::Weighted);
-        let places = map.start_cells(AgentKind::Pedestrian, None);
-        prop_assume!(!places.is_empty());
+        let places: Vec<Cell> = cells(&map).filter(|&cell| map.is_walkable(cell)).collect();
         for pick in picks {
             let [start, goal] = pick.map(|index| *index.get(&places));
             let route = router.plan(AgentKind::Pedestrian, start, goal);
-            prop_assert_eq!(route.as_ref().ok().map(|route| route.cells().len()), walk(&map, start, goal));
+            prop_assert_eq!(route.as_ref().ok().map(|route| route.cells().count()), walk(&map, start, goal));
             let Ok(route) = route else { continue };
             prop_assert_eq!((route.start(), route.goal()), (start, goal));
-            prop_assert!(route.cells().iter().all(|&cell| map.is_walkable(cell)));
-            prop_assert!(route.cells().windows(2).all(|pair| distance(pair[0], pair[1]) == 1));
+            prop_assert!(route.cells().all(|cell| map.is_walkable(cell)));
+            prop_assert!(route.cells().zip(route.cells().skip(1)).all(|(from, to)| distance(from, to) == 1));
         }
     }
 
@@ -364,14 +563,15 @@ proptest! {
     fn agents_stay_on_their_way_under_any_decisions(
         map in maps(),
         seed in any::<u64>(),
+        trip in proptest::option::of(20..200_u32),
         decisions in proptest::collection::vec(proptest::sample::select(&Speed::ALL[..]), 60..90),
     ) {
         let router = Router::new(map.clone(), Routing::Weighted);
-        let places = Places::new(&router, None);
-        let set = agent_set(places.of(AgentKind::Car).len().min(3), places.of(AgentKind::Pedestrian).len().min(3), None);
+        let places = Places::new(&router, None, trip);
+        let set = agent_set(places.count(AgentKind::Car).min(3), places.count(AgentKind::Pedestrian).min(3), None);
         let agents = match place_agents(&set, &router, &places, Seed(seed)) {
             Ok(agents) => agents,
-            // One block: pedestrians have no other one to go to.
+            // Pedestrians go to another block: there is none, or the trip is too short.
             Err(diagnostic) => {
                 prop_assert_eq!(diagnostic.code, Code::NoRoute);
                 return Ok(());
@@ -385,15 +585,16 @@ proptest! {
                 let surroundings = Surroundings { router: &router, places: &places, seed: Seed(seed), tick };
                 for (index, agent) in agents.iter_mut().enumerate() {
                     let (before, heading, position) = (agent.cell, agent.heading, agent.position());
-                    let most = possible_cells(agent.route(), agent.kind, position);
+                    let most = possible_cells(agent);
+                    let way: Vec<Cell> = agent.route().cells().collect();
+                    prop_assert_eq!(most, plainly_possible(&map, agent.kind, &way[position..]));
                     let moved = advance(agent, index, decided, &surroundings);
                     prop_assert_eq!((moved.from, moved.to), (before, agent.cell));
-                    prop_assert_eq!(agent.route().cells()[agent.position()], agent.cell);
+                    prop_assert_eq!(agent.route().cells().nth(agent.position()), Some(agent.cell));
+                    prop_assert_eq!(agent.at_goal(), agent.position() == agent.route().steps());
                     if !moved.replanned {
                         let cells = agent.position() - position;
                         prop_assert!(cells <= most);
-                        let jumped = (position + 1..agent.position()).any(|jumped| agent.route().is_stop(jumped));
-                        prop_assert!(!jumped);
                         prop_assert_eq!(cells == 0, decided == Speed::Stop || moved.reason == Reason::Resting);
                         prop_assert_eq!(agent.heading, Heading::between(moved.from, moved.to).or(heading));
                     }
@@ -423,7 +624,7 @@ fn too_many_agents_for_a_region_are_told() {
     let map = Arc::new(CityMap::generate(&config([1, 1], widths, buildings)).unwrap());
     let router = Router::new(map, Routing::Weighted);
     let place = |set: &AgentSet| {
-        let places = Places::new(&router, set.region.map(|region| region.value));
+        let places = Places::new(&router, set.region.map(|region| region.value), None);
         place_agents(set, &router, &places, Seed(1)).map_err(|diagnostic| diagnostic.code)
     };
     // Two stores with two kerbs of ten cells each.
@@ -441,4 +642,43 @@ fn too_many_agents_for_a_region_are_told() {
         Err(Code::NoRoute)
     );
     assert_eq!(place(&agent_set(0, 0, Some(5))).map(|agents| agents.len()), Ok(0));
+}
+
+#[test]
+fn agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
+    let mut sources = Sources::new();
+    let scenario = load_scenario(&mut sources, Path::new("metropolis"), &read_text).expect("built in");
+    let mut set = scenario.agent_set(Split::Test).expect("a test set").clone();
+    set.repeat = 500;
+    let map = CityMap::generate(&scenario.map).expect("a valid map");
+    assert_eq!((map.rows(), map.cols()), (28_301, 28_301));
+    let router = Router::new(Arc::new(map), scenario.routing);
+    let trip = set.trip.map(|trip| trip.value);
+    let places = Places::new(&router, None, trip);
+    let mut agents = place_agents(&set, &router, &places, Seed(1)).expect("there is room");
+    let starts: BTreeSet<Cell> = agents.iter().map(|agent| agent.cell).collect();
+    assert_eq!((agents.len(), starts.len()), (9_000, 9_000));
+    assert!(size_of::<Agent>() <= 128);
+    let keeps_to_trip = |agent: &Agent| {
+        let (from, to) = (agent.start(), agent.goal());
+        assert!(from.row.abs_diff(to.row).max(from.col.abs_diff(to.col)) <= trip.expect("it has one"));
+        assert!(places.contains(agent.kind, from) && places.contains(agent.kind, to));
+    };
+    agents.iter().for_each(keeps_to_trip);
+    let mut replanned = 0;
+    for tick in 0..200 {
+        let surroundings = Surroundings {
+            router: &router,
+            places: &places,
+            seed: Seed(1),
+            tick,
+        };
+        for (index, agent) in agents.iter_mut().enumerate() {
+            if advance(agent, index, Speed::Normal, &surroundings).replanned {
+                keeps_to_trip(agent);
+                replanned += 1;
+            }
+        }
+    }
+    assert!(replanned > 9_000);
 }

@@ -1,10 +1,13 @@
 //! Configurations: the files we ship, every message, the blocks of the reference, and hostile input.
 
-use logicity::config::{AgentKind, Buildings, Definition, Scenario, Speed, Split, load_map, load_scenario};
+use logicity::config::{
+    AgentConfig, AgentKind, Buildings, Definition, Scenario, Speed, Split, load_map, load_scenario,
+};
 use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity::files::{BUILTIN, ReadError, builtin, read_or_builtin, read_text};
 use proptest::prelude::*;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
@@ -75,18 +78,23 @@ fn every_mode_loads_with_the_agents_of_the_reference() {
         );
         assert_eq!(scenario.predicates.len(), predicates + 1, "{mode}");
         for (split, (cars, pedestrians)) in Split::ALL.into_iter().zip(counts) {
-            let agents = &scenario.agent_set(split).expect("all splits").agents;
-            let count = |kind| agents.iter().filter(|agent| agent.kind == kind).count();
+            let set = scenario.agent_set(split).expect("all splits");
+            let agents: Vec<AgentConfig> = set.agents().collect();
+            let count = |kind| agents.iter().filter(|agent| agent.name.kind == kind).count();
+            assert_eq!(
+                [count(AgentKind::Car), count(AgentKind::Pedestrian)],
+                AgentKind::ALL.map(|kind| set.count(kind))
+            );
             assert_eq!(
                 (count(AgentKind::Car), count(AgentKind::Pedestrian)),
                 (cars, pedestrians),
                 "{mode} {split:?}"
             );
-            assert_eq!(agents[0].name, "Car_1");
+            assert_eq!(agents[0].name.to_string(), "Car_1");
             assert!(
                 agents[1..=pedestrians]
                     .iter()
-                    .all(|agent| agent.kind == AgentKind::Pedestrian)
+                    .all(|agent| agent.name.kind == AgentKind::Pedestrian)
             );
         }
     }
@@ -144,11 +152,8 @@ fn sets_that_were_recorded_are_as_recorded() {
     let sets = |mode: &str| {
         let scenario = load(&Path::new(ROOT).join("configs").join(mode).with_extension("yaml"));
         let set = scenario.agent_set(Split::Test).expect("test").clone();
-        let agent = |agent: &logicity::config::AgentConfig| {
-            let concepts: Vec<_> = agent.concepts.iter().map(|concept| concept.value.as_str()).collect();
-            format!("{} {} {}", agent.name, agent.priority, concepts.join("+"))
-        };
-        set.agents.iter().map(agent).collect::<Vec<_>>().join("; ")
+        let agent = |agent: AgentConfig| format!("{} {} {}", agent.name, agent.priority, agent.concepts.join("+"));
+        set.agents().map(agent).collect::<Vec<_>>().join("; ")
     };
     assert_eq!(
         sets("easy"),
@@ -286,8 +291,8 @@ agents:
     assert_eq!(scenario.predicates[11].definition, close);
     // A list replaces the list of the base; what is not mentioned stays.
     let set = scenario.agent_set(Split::Test).expect("test");
-    assert_eq!(set.agents.len(), 1 + 8);
-    assert_eq!(set.agents[0].concepts[0].value, "taxi");
+    assert_eq!(set.len(), 1 + 8);
+    assert_eq!(set.agents().next().expect("a car").concepts[..], ["taxi"]);
     assert_eq!(scenario.rules.value, Path::new("<builtin>/rules/expert.dl"));
 }
 
@@ -337,6 +342,44 @@ fn the_hash_is_of_the_content_and_not_of_files_places_or_names() {
     );
     // The rules have a hash of their own.
     assert_eq!(load(Path::new("hard")).hash, load(Path::new("transfer-hard")).hash);
+}
+
+#[test]
+fn a_set_is_there_many_times() {
+    let set = "test: {cars: [{priority: 1, concepts: [bus]}, {count: 2, priority: 2}], pedestrians: [{priority: 7}]";
+    let scenario = |more: &str| {
+        let text = format!("base: configs/expert.yaml\nagents: {{train: ~, val: ~, {set}{more}}}}}\n");
+        good(&[("main.yaml", &text)])
+    };
+    let once = scenario("");
+    let twice = scenario(", repeat: 2, trip: 30");
+    let set = twice.agent_set(Split::Test).expect("test");
+    assert_eq!(
+        (set.repeat, set.trip.map(|trip| trip.value), set.len()),
+        (2, Some(30), 8)
+    );
+    let agents: Vec<AgentConfig> = set.agents().collect();
+    let listed: Vec<String> = agents
+        .iter()
+        .map(|agent| format!("{} {}", agent.name, agent.priority))
+        .collect();
+    let expected = "Car_1 1, Pedestrian_1 7, Pedestrian_2 7, Car_2 2, Car_3 2, Car_4 1, Car_5 2, Car_6 2";
+    assert_eq!(listed.join(", "), expected);
+    assert!(Arc::ptr_eq(&agents[0].concepts, &agents[5].concepts) && agents[5].concepts[..] == ["bus"]);
+    let set = once.agent_set(Split::Test).expect("test");
+    assert_eq!((set.repeat, set.trip.is_none(), set.len()), (1, true, 4));
+    let hashes = [", repeat: 2", ", trip: 30", ", repeat: 1, trip: ~"].map(|more| scenario(more).hash);
+    assert!(hashes[0] != once.hash && hashes[1] != once.hash && hashes[0] != hashes[1]);
+    assert_eq!(hashes[2], once.hash);
+}
+
+#[test]
+fn a_million_agents_are_a_few_lines() {
+    let scenario = load(Path::new("metropolis"));
+    let set = scenario.agent_set(Split::Test).expect("test");
+    assert_eq!(AgentKind::ALL.map(|kind| set.count(kind)), [555_560, 444_448]);
+    let last = set.agents().last().expect("a million");
+    assert_eq!((last.name.to_string().as_str(), last.priority), ("Car_555560", 10));
 }
 
 #[test]

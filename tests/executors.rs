@@ -1,6 +1,6 @@
 //! The executors against each other: whatever evaluates the rules, on however many threads, a city goes the same way.
 
-use logicity::config::{AgentConfig, Scenario, Split, load_scenario};
+use logicity::config::{Scenario, Split, load_scenario};
 use logicity::diag::Sources;
 use logicity::engine::Program;
 use logicity::rng::Seed;
@@ -39,21 +39,10 @@ fn world(mode: &str, text: Option<&str>, edit: impl FnOnce(&mut Scenario)) -> Ar
 }
 
 /// Every agent of the test split `times` times, anywhere on the map.
-fn multiply(scenario: &mut Scenario, times: usize) {
-    let set = &mut scenario
-        .splits
-        .iter_mut()
-        .find(|(split, _)| *split == Split::Test)
-        .unwrap()
-        .1;
-    set.region = None;
-    let copy = |agent: &AgentConfig, number: usize| AgentConfig {
-        name: format!("{}_{number}", agent.name),
-        ..agent.clone()
-    };
-    set.agents = (0..times)
-        .flat_map(|number| set.agents.iter().map(move |agent| copy(agent, number)))
-        .collect();
+fn multiply(scenario: &mut Scenario, times: u32) {
+    let mut splits = scenario.splits.iter_mut();
+    let (_, set) = splits.find(|(split, _)| *split == Split::Test).unwrap();
+    (set.region, set.repeat) = (None, times);
 }
 
 fn simulation(world: &Arc<World>, executor: Executor, threads: usize) -> Simulation {

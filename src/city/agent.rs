@@ -1,22 +1,20 @@
 //! Agents, and where they start and want to go.
 
-use super::{Cell, Heading, NoRoute, Route, Router};
-use crate::config::{AgentConfig, AgentKind, AgentSet};
+use super::{Cell, Heading, Places, Route, Router};
+use crate::config::{AgentConfig, AgentKind, AgentName, AgentSet};
 use crate::diag::{Code, Diagnostic};
-use crate::rng::{Purpose, Rng, RngExt, Seed};
+use crate::rng::{Purpose, RngExt, Seed};
+use std::collections::HashMap;
 use std::sync::Arc;
-
-/// How often a goal that cannot be reached is drawn again.
-const GOAL_DRAWS: usize = 16;
 
 /// An agent on its way.
 #[derive(Clone, Debug)]
 pub struct Agent {
-    /// Its name, for example `Car_1`.
-    pub name: Arc<str>,
     /// What it is.
     pub kind: AgentKind,
-    /// The concepts it carries.
+    /// Its number within the kind, from 1.
+    pub number: u32,
+    /// The concepts it carries, which agents that are alike share.
     pub concepts: Arc<[String]>,
     /// Right of way; a smaller number goes first.
     pub priority: i32,
@@ -24,12 +22,18 @@ pub struct Agent {
     pub cell: Cell,
     /// The direction of its last move; none before its first move on a route.
     pub heading: Option<Heading>,
-    /// The way it takes. It changes only through [`Agent::set_out`].
-    route: Arc<Route>,
-    /// The position on the route: `route.cells()[position] == cell`.
-    position: usize,
     /// Whether it rests at its goal.
     pub rest: Rest,
+    /// The direction of the next step; of the last one at the goal.
+    ahead: Heading,
+    /// Steps to the end of the piece of the route that it is on; 0 at the goal only.
+    left: u32,
+    /// The piece of the route after that.
+    next: u32,
+    /// How many steps of the route it has gone.
+    position: u32,
+    /// The way it takes. It changes only through [`Agent::set_out`].
+    route: Route,
 }
 
 /// The stages of an agent's stay at its goal: under way, arrived, rested. In the tick after that it sets out for a new goal.
@@ -47,16 +51,29 @@ pub enum Rest {
 impl Agent {
     /// An agent at the start of a route.
     pub fn new(config: &AgentConfig, route: Route) -> Self {
-        Agent {
-            name: config.name.as_str().into(),
-            kind: config.kind,
-            concepts: config.concepts.iter().map(|concept| concept.value.clone()).collect(),
+        let mut agent = Agent {
+            kind: config.name.kind,
+            number: config.name.number,
+            concepts: Arc::clone(&config.concepts),
             priority: config.priority,
             cell: route.start(),
             heading: None,
-            route: Arc::new(route),
-            position: 0,
             rest: Rest::UnderWay,
+            ahead: Heading::Left,
+            left: 0,
+            next: 0,
+            position: 0,
+            route,
+        };
+        agent.next_piece();
+        agent
+    }
+
+    /// Its name, for example `Car_1`.
+    pub fn name(&self) -> AgentName {
+        AgentName {
+            kind: self.kind,
+            number: self.number,
         }
     }
 
@@ -64,19 +81,29 @@ impl Agent {
     pub fn set_out(&mut self, route: Route) {
         self.cell = route.start();
         self.heading = None;
-        self.route = Arc::new(route);
-        self.position = 0;
+        self.route = route;
+        (self.left, self.next, self.position) = (0, 0, 0);
         self.rest = Rest::UnderWay;
+        self.next_piece();
+    }
+
+    /// Goes on to the next piece of the route, if there is one.
+    fn next_piece(&mut self) {
+        if let Some(piece) = self.route.piece(self.next) {
+            self.ahead = piece.heading();
+            self.left = piece.steps();
+            self.next += 1;
+        }
     }
 
     /// The route.
-    pub fn route(&self) -> &Arc<Route> {
+    pub fn route(&self) -> &Route {
         &self.route
     }
 
-    /// How far it has come: the position on the route, from 0.
+    /// How far it has come: its position among the cells of the route, from 0.
     pub fn position(&self) -> usize {
-        self.position
+        self.position as usize
     }
 
     /// Where the route starts.
@@ -91,76 +118,27 @@ impl Agent {
 
     /// Whether it is at its goal.
     pub fn at_goal(&self) -> bool {
-        self.position + 1 == self.route.cells().len()
+        self.left == 0
     }
 
-    /// Moves along the route; stays at the goal if that is nearer.
+    /// Steps straight ahead on the route, up to the next corner, node of the road graph, or the goal.
+    pub(super) fn straight_ahead(&self) -> usize {
+        self.left as usize
+    }
+
+    /// Moves along the route, at most [`Agent::straight_ahead`] steps.
     pub(super) fn step(&mut self, cells: usize) {
-        self.position = (self.position + cells).min(self.route.cells().len() - 1);
-        let to = self.route.cells()[self.position];
-        self.heading = Heading::between(self.cell, to).or(self.heading);
-        self.cell = to;
-    }
-}
-
-/// The cells where agents start and arrive in a region of the map, row by row; see [`super::CityMap::start_cells`].
-#[derive(Clone, Debug)]
-pub struct Places {
-    cars: Vec<Cell>,
-    pedestrians: Vec<Cell>,
-}
-
-impl Places {
-    /// The places within the first `region` rows and columns; `None` for the whole map.
-    pub fn new(router: &Router, region: Option<u32>) -> Self {
-        Places {
-            cars: router.map().start_cells(AgentKind::Car, region),
-            pedestrians: router.map().start_cells(AgentKind::Pedestrian, region),
+        let cells = u32::try_from(cells).unwrap_or(u32::MAX).min(self.left);
+        if cells == 0 {
+            return;
         }
-    }
-
-    /// The places for agents of a kind.
-    pub fn of(&self, kind: AgentKind) -> &[Cell] {
-        match kind {
-            AgentKind::Car => &self.cars,
-            AgentKind::Pedestrian => &self.pedestrians,
+        self.cell = self.cell.ahead(self.ahead, cells.cast_signed());
+        self.heading = Some(self.ahead);
+        self.position += cells;
+        self.left -= cells;
+        if self.left == 0 {
+            self.next_piece();
         }
-    }
-
-    /// Draws a goal for an agent at `start` and plans the way: for a car any place but the start, for a pedestrian a place in
-    /// another block (so it keeps more than 3 cells away from the buildings of its own). Draws again, a bounded number of times, if there is no way.
-    ///
-    /// # Errors
-    /// If there is no such place, or none of those drawn can be reached.
-    pub fn draw_route(
-        &self,
-        router: &Router,
-        kind: AgentKind,
-        start: Cell,
-        stream: &mut impl Rng,
-    ) -> Result<Route, NoRoute> {
-        let layout = &router.map().layout;
-        let home = layout.block_at(start);
-        let is_goal = |cell: &&Cell| match kind {
-            AgentKind::Car => **cell != start,
-            AgentKind::Pedestrian => **cell != start && (home.is_none() || layout.block_at(**cell) != home),
-        };
-        let goals = || self.of(kind).iter().filter(is_goal);
-        let count = goals().count();
-        if count == 0 {
-            return Err(NoRoute::Goal);
-        }
-        let mut failure = NoRoute::Unconnected;
-        for _ in 0..GOAL_DRAWS {
-            let drawn = stream.random_range(0..count);
-            let goal = goals().nth(drawn).copied().ok_or(NoRoute::Goal)?;
-            match router.plan(kind, start, goal) {
-                Ok(route) => return Ok(route),
-                Err(NoRoute::Start) => return Err(NoRoute::Start),
-                Err(other) => failure = other,
-            }
-        }
-        Err(failure)
     }
 }
 
@@ -170,56 +148,116 @@ impl Places {
 /// # Errors
 /// `no-start-cell` if the region has fewer start cells than agents of a kind, `no-route` if no goal can be reached.
 pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed) -> Result<Vec<Agent>, Diagnostic> {
-    let span = set.region.map_or(set.span, |region| region.span);
-    let within = set.region.map_or_else(
-        || "on the whole map".to_string(),
-        |region| format!("in the first {0} rows and columns", region.value),
-    );
-    for (kind, plural) in [(AgentKind::Car, "cars"), (AgentKind::Pedestrian, "pedestrians")] {
-        let wanted = set.agents.iter().filter(|agent| agent.kind == kind).count();
-        let there_are = places.of(kind).len();
-        if wanted > there_are {
-            let beside = match kind {
-                AgentKind::Car => "cars start at the kerb across from a gas station, garage or store",
-                AgentKind::Pedestrian => "pedestrians start beside a house or office",
-            };
-            return Err(Diagnostic::new(
-                Code::NoStartCell,
-                format!("too few start cells for {plural}: {wanted} wanted, {there_are} {within}"),
-            )
-            .at(span, "too small for these agents")
-            .note(beside)
-            .help(format!("take a larger region or map, or fewer {plural}")));
-        }
+    for kind in AgentKind::ALL {
+        check_room(set, places, kind)?;
     }
-    let mut free = places.clone();
-    let mut agents = Vec::with_capacity(set.agents.len());
-    for (index, config) in set.agents.iter().enumerate() {
+    let mut free = AgentKind::ALL.map(|kind| Free::new(places.count(kind)));
+    let mut agents = Vec::with_capacity(set.len());
+    for (index, config) in set.agents().enumerate() {
         let mut stream = seed.stream(Purpose::Placement, index as u64, 0);
-        let free = match config.kind {
-            AgentKind::Car => &mut free.cars,
-            AgentKind::Pedestrian => &mut free.pedestrians,
-        };
-        let drawn = stream.random_range(0..free.len());
-        let start = free.swap_remove(drawn);
-        let route = places
-            .draw_route(router, config.kind, start, &mut stream)
-            .map_err(|_| {
-                let (name, Cell { row, col }) = (&config.name, start);
-                let help = match config.kind {
-                    AgentKind::Car => "a car needs another kerb cell to go to: take a larger region or map",
-                    AgentKind::Pedestrian => {
-                        "a pedestrian goes to a house or office in another block: take a larger region or map"
-                    }
-                };
-                Diagnostic::new(
-                    Code::NoRoute,
-                    format!("{name} has nowhere to go from [{row}, {col}] {within}"),
-                )
-                .at(span, "no goal that can be reached")
-                .help(help)
-            })?;
-        agents.push(Agent::new(config, route));
+        let kind = config.name.kind;
+        let free = &mut free[kind as usize];
+        let drawn = free.take(stream.random_range(0..free.count));
+        let start = places.nth(kind, drawn).expect("a place that was free");
+        let route =
+            (places.draw_route(router, kind, start, &mut stream)).map_err(|_| nowhere(set, config.name, start))?;
+        agents.push(Agent::new(&config, route));
     }
     Ok(agents)
+}
+
+/// Where the agents of a set start.
+fn within(set: &AgentSet) -> String {
+    set.region.map_or_else(
+        || "on the whole map".to_string(),
+        |region| format!("in the first {} rows and columns", region.value),
+    )
+}
+
+/// `no-start-cell` if there are fewer places than agents of a kind.
+fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Diagnostic> {
+    let (wanted, there_are) = (set.count(kind), places.count(kind));
+    if wanted <= there_are {
+        return Ok(());
+    }
+    let (plural, beside) = match kind {
+        AgentKind::Car => (
+            "cars",
+            "cars start at the kerb across from a gas station, garage or store",
+        ),
+        AgentKind::Pedestrian => ("pedestrians", "pedestrians start beside a house or office"),
+    };
+    let message = format!(
+        "too few start cells for {plural}: {wanted} wanted, {there_are} {}",
+        within(set)
+    );
+    let span = set.region.map_or(set.span, |region| region.span);
+    Err(Diagnostic::new(Code::NoStartCell, message)
+        .at(span, "too small for these agents")
+        .note(beside)
+        .help(format!("take a larger region or map, or fewer {plural}")))
+}
+
+/// `no-route`: an agent that can go nowhere from its start.
+fn nowhere(set: &AgentSet, name: AgentName, Cell { row, col }: Cell) -> Diagnostic {
+    let goal = match name.kind {
+        AgentKind::Car => "a car needs another kerb cell to go to",
+        AgentKind::Pedestrian => "a pedestrian goes to a house or office in another block",
+    };
+    let (span, near, larger) = match (set.trip, set.region) {
+        (Some(trip), _) => (
+            trip.span,
+            format!(" by a trip of {} rows and columns", trip.value),
+            "trip, region or map",
+        ),
+        (None, Some(region)) => (region.span, String::new(), "region or map"),
+        (None, None) => (set.span, String::new(), "region or map"),
+    };
+    let message = format!("{name} has nowhere to go from [{row}, {col}]{near} {}", within(set));
+    Diagnostic::new(Code::NoRoute, message)
+        .at(span, "no goal that can be reached")
+        .help(format!("{goal}: take a larger {larger}"))
+}
+
+/// A list of the numbers below a count, from which numbers are taken; the last one moves to where one was taken. What was not
+/// moved is not stored.
+struct Free {
+    count: usize,
+    moved: HashMap<usize, usize>,
+}
+
+impl Free {
+    fn new(count: usize) -> Self {
+        Free {
+            count,
+            moved: HashMap::new(),
+        }
+    }
+
+    /// Takes the number at a place in the list, which is less than the count.
+    fn take(&mut self, place: usize) -> usize {
+        self.count -= 1;
+        let last = self.moved.remove(&self.count).unwrap_or(self.count);
+        if place == self.count {
+            return last;
+        }
+        self.moved.insert(place, last).unwrap_or(place)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_taken_as_from_a_list() {
+        let mut list: Vec<usize> = (0..40).collect();
+        let mut free = Free::new(list.len());
+        let mut stream = Seed(1).stream(Purpose::Placement, 0, 0);
+        while !list.is_empty() {
+            assert_eq!(free.count, list.len());
+            let place = stream.random_range(0..list.len());
+            assert_eq!(free.take(place), list.swap_remove(place));
+        }
+    }
 }

@@ -2,11 +2,12 @@
 
 use super::Cell;
 use crate::config::{AgentKind, Building, Widths};
-use ndarray::{Array2, Array3};
+use ndarray::Array3;
 use std::ops::Range;
 
 /// What the ground of a cell is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u8)]
 pub enum Ground {
     /// No street: a building or the gap between buildings.
     Other,
@@ -44,7 +45,7 @@ pub struct Layout {
 impl Layout {
     /// A layout whose size has been checked: all of its measures are small.
     pub(super) fn new(blocks: [u32; 2], widths: Widths) -> Self {
-        let cells = |count: u32| i32::try_from(count).expect("a checked layout is at most 2^24 cells long");
+        let cells = |count: u32| i32::try_from(count).expect("a checked layout is at most 2^20 cells long");
         Layout {
             blocks: blocks.map(cells),
             street: cells(widths.street),
@@ -57,6 +58,11 @@ impl Layout {
     /// Rows and columns of blocks.
     pub fn blocks(&self) -> [i32; 2] {
         self.blocks
+    }
+
+    /// Whether a street runs between blocks. Only such streets have crossings, and lines where cars wait.
+    pub fn has_inner_streets(&self) -> bool {
+        self.blocks.iter().any(|&blocks| blocks > 1)
     }
 
     /// Rows of cells.
@@ -121,6 +127,11 @@ impl Layout {
         start..start + self.building
     }
 
+    /// The cells of the sidewalk between the buildings of a block.
+    pub fn inner_span(&self, block: i32) -> Range<i32> {
+        self.building_span(block, 0).end..self.building_span(block, 1).start
+    }
+
     /// The cells of an intersection with this street: the street and the sidewalks along it. At the edges of the world the span
     /// reaches beyond it.
     pub fn intersection_span(&self, street: i32) -> Range<i32> {
@@ -128,54 +139,297 @@ impl Layout {
         span.start - self.sidewalk..span.end + self.sidewalk
     }
 
-    /// The number of the block, from 1, that a cell belongs to, sidewalks included; `None` on streets and off the map.
-    pub fn block_at(&self, cell: Cell) -> Option<u32> {
+    /// Row and column of the block that a cell belongs to, sidewalks included; `None` on streets and off the map.
+    pub fn block_place(&self, cell: Cell) -> Option<[i32; 2]> {
         let along = |at: i32, blocks: i32| {
             let block = at.div_euclid(self.period());
             ((0..blocks).contains(&block) && at >= self.block_start(block)).then_some(block)
         };
-        let (row, col) = (along(cell.row, self.blocks[0])?, along(cell.col, self.blocks[1])?);
+        Some([along(cell.row, self.blocks[0])?, along(cell.col, self.blocks[1])?])
+    }
+
+    /// The number of that block: from 1, row by row.
+    pub fn block_at(&self, cell: Cell) -> Option<u32> {
+        let [row, col] = self.block_place(cell)?;
         u32::try_from(row * self.blocks[1] + col + 1).ok()
     }
 }
 
-/// A generated map. All layers have the shape (rows, columns).
+/// What a coordinate is on its axis, in bits: its [`Zone`], and the two below.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Part(u8);
+
+/// The nearest street runs along an edge of the world.
+const AT_EDGE: u8 = 1 << 4;
+/// On a lane, seen across the street.
+const ON_LANE: u8 = 1 << 5;
+/// The bits on which it depends what is in a cell.
+const ZONE_AND_EDGE: u8 = AT_EDGE | 0xf;
+
+/// The zones of an axis. Before and after mean: towards 0 and away from it, seen from the mid line of the nearest street.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(super) enum Zone {
+    /// In a building of the block's first row or column of them.
+    FirstBuilding,
+    /// The sidewalk between buildings.
+    Inner,
+    SecondBuilding,
+    /// The outermost cell of an intersection: there lanes begin and end.
+    LineBefore,
+    /// The sidewalk along a street, without the line.
+    SidewalkBefore,
+    StreetBefore,
+    MidLine,
+    StreetAfter,
+    SidewalkAfter,
+    LineAfter,
+}
+
+impl Zone {
+    const ALL: [Zone; 10] = [
+        Zone::FirstBuilding,
+        Zone::Inner,
+        Zone::SecondBuilding,
+        Zone::LineBefore,
+        Zone::SidewalkBefore,
+        Zone::StreetBefore,
+        Zone::MidLine,
+        Zone::StreetAfter,
+        Zone::SidewalkAfter,
+        Zone::LineAfter,
+    ];
+
+    pub(super) const fn in_street(self) -> bool {
+        matches!(self, Zone::StreetBefore | Zone::MidLine | Zone::StreetAfter)
+    }
+
+    const fn in_building(self) -> bool {
+        matches!(self, Zone::FirstBuilding | Zone::SecondBuilding)
+    }
+
+    /// Between the sidewalks of a block.
+    pub(super) const fn in_block(self) -> bool {
+        self.in_building() || matches!(self, Zone::Inner)
+    }
+
+    const fn on_line(self) -> bool {
+        matches!(self, Zone::LineBefore | Zone::LineAfter)
+    }
+
+    const fn before_mid_line(self) -> bool {
+        matches!(self, Zone::LineBefore | Zone::SidewalkBefore | Zone::StreetBefore)
+    }
+
+    pub(super) const fn after_mid_line(self) -> bool {
+        matches!(self, Zone::LineAfter | Zone::SidewalkAfter | Zone::StreetAfter)
+    }
+}
+
+impl Layout {
+    /// The zone of a coordinate on the map, and the street nearest to it; in a block the block, which has the number of the street
+    /// before it.
+    pub(super) fn zone(&self, at: i32) -> (Zone, i32) {
+        let number = at.div_euclid(self.period());
+        let middle = self.mid_line(number);
+        let (street, built) = (self.street_span(number), self.built_span(number));
+        let zone = if at < middle {
+            Zone::StreetBefore
+        } else if at == middle {
+            Zone::MidLine
+        } else if at < street.end {
+            Zone::StreetAfter
+        } else if at < built.start - 1 {
+            Zone::SidewalkAfter
+        } else if at == built.start - 1 {
+            Zone::LineAfter
+        } else if at == built.end {
+            Zone::LineBefore
+        } else if at > built.end {
+            Zone::SidewalkBefore
+        } else if at < built.start + self.building {
+            Zone::FirstBuilding
+        } else if at < built.start + self.building + self.inner_sidewalk {
+            Zone::Inner
+        } else {
+            Zone::SecondBuilding
+        };
+        (zone, number + i32::from(at >= built.end))
+    }
+
+    /// What each coordinate of an axis with that many blocks is.
+    fn parts(&self, blocks: i32) -> Box<[Part]> {
+        let size = self.street_start(blocks) + self.street;
+        let part = |at| {
+            let (zone, street) = self.zone(at);
+            let at_edge = street == 0 || street == blocks;
+            let on_lane = zone.in_street() && (at - self.mid_line(street)).abs() == self.lane_offset();
+            Part(zone as u8 | u8::from(at_edge) * AT_EDGE | u8::from(on_lane) * ON_LANE)
+        };
+        (0..size).map(part).collect()
+    }
+}
+
+/// What is in a cell, as far as its two zones tell: a [`Ground`] in the lower two bits, and flags.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Square(u8);
+
+const CAR_AT: u8 = 1 << 2;
+const PEDESTRIAN_AT: u8 = 1 << 3;
+const INSIDE: u8 = 1 << 4;
+const MID_LINE: u8 = 1 << 5;
+const BUILDING: u8 = 1 << 6;
+
+impl Square {
+    /// What is where a row and a column of these zones meet; the flags say whether their streets run along an edge of the world.
+    fn of((row, row_at_edge): (Zone, bool), (col, col_at_edge): (Zone, bool)) -> Square {
+        // A walking street crosses every traffic street that does not run along an edge.
+        let crosses = |street: Zone, at_edge: bool, other: Zone| {
+            street.in_street() && !at_edge && !other.in_street() && !other.in_block()
+        };
+        let building = row.in_building() && col.in_building();
+        let ground = if crosses(row, row_at_edge, col) || crosses(col, col_at_edge, row) {
+            Ground::Crossing
+        } else if row.in_street() || col.in_street() {
+            Ground::Traffic
+        } else if building {
+            Ground::Other
+        } else {
+            Ground::Walking
+        };
+        let mid_line = |street: Zone, other: Zone| street == Zone::MidLine && other.in_block();
+        let mut flags = 0;
+        if mid_line(row, col) || mid_line(col, row) {
+            flags |= MID_LINE;
+        }
+        if building {
+            flags |= BUILDING;
+        }
+        // The corners of the world are no intersections.
+        if !row.in_block() && !col.in_block() && !(row_at_edge && col_at_edge) {
+            // A street along an edge is a through road: its cars have no line to wait at, the cars of the stem have.
+            let outline = row.on_line() && !col_at_edge || col.on_line() && !row_at_edge;
+            // Cars keep right: those that go down or left use the cells before the mid line.
+            let down = row == Zone::LineBefore && col.before_mid_line() && !col_at_edge;
+            let up = row == Zone::LineAfter && col.after_mid_line() && !col_at_edge;
+            let right = col == Zone::LineBefore && row.after_mid_line() && !row_at_edge;
+            let left = col == Zone::LineAfter && row.before_mid_line() && !row_at_edge;
+            flags |= if outline { PEDESTRIAN_AT } else { INSIDE };
+            if down || up || left || right {
+                flags |= CAR_AT;
+            }
+        }
+        Square(ground as u8 | flags)
+    }
+
+    /// The squares of all parts: the one of `row` and `col` is at `row << 5 | col`.
+    fn table() -> Box<[Square; 1 << 10]> {
+        let mut table = Box::new([Square(0); 1 << 10]);
+        for row in Zone::ALL {
+            for col in Zone::ALL {
+                for (row_at_edge, col_at_edge) in [(false, false), (false, true), (true, false), (true, true)] {
+                    let index = |zone: Zone, at_edge: bool| usize::from(zone as u8 | u8::from(at_edge) * AT_EDGE);
+                    table[index(row, row_at_edge) << 5 | index(col, col_at_edge)] =
+                        Square::of((row, row_at_edge), (col, col_at_edge));
+                }
+            }
+        }
+        table
+    }
+
+    fn ground(self) -> Ground {
+        [Ground::Other, Ground::Walking, Ground::Traffic, Ground::Crossing][usize::from(self.0 & 3)]
+    }
+}
+
+/// Where a cell lies with respect to intersections.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Junction(u8);
+
+impl Junction {
+    /// Whether cars are *At* an intersection here: on its entrance line.
+    pub const fn car_is_at(self) -> bool {
+        self.0 & CAR_AT != 0
+    }
+
+    /// Whether pedestrians are *At* an intersection here: on its outline, of which the entrance line is a part.
+    pub const fn pedestrian_is_at(self) -> bool {
+        self.0 & PEDESTRIAN_AT != 0
+    }
+
+    /// Whether agents are *In* an intersection here.
+    pub const fn is_inside(self) -> bool {
+        self.0 & INSIDE != 0
+    }
+
+    /// Whether agents of a kind are *At* an intersection here.
+    pub const fn is_at(self, kind: AgentKind) -> bool {
+        match kind {
+            AgentKind::Car => self.car_is_at(),
+            AgentKind::Pedestrian => self.pedestrian_is_at(),
+        }
+    }
+}
+
+/// A generated map. Nothing is stored for a cell: what is there follows from its row, its column, and the buildings of its block.
 #[derive(Clone, Debug)]
 pub struct CityMap {
     /// Name of the map.
     pub name: String,
     /// Where streets, blocks and intersections lie.
     pub layout: Layout,
-    /// The ground.
-    pub ground: Array2<Ground>,
-    /// Mid lines of the traffic streets.
-    pub mid_line: Array2<bool>,
-    /// What building stands here.
-    pub building: Array2<Option<Building>>,
-    /// Number of the block, from 1, where a building stands; else 0.
-    pub block: Array2<u32>,
-    /// Number of the intersection, from 1, whose entrance line this is (cars are *At* it here); else 0.
-    pub entrance: Array2<u32>,
-    /// Number of the intersection whose outline this is (pedestrians are *At* it here); else 0.
-    pub outline: Array2<u32>,
-    /// Number of the intersection that this is inside of; else 0.
-    pub inside: Array2<u32>,
+    rows: Box<[Part]>,
+    cols: Box<[Part]>,
+    squares: Box<[Square; 1 << 10]>,
+    /// The four buildings of each block, row by row, as the blocks are.
+    buildings: Vec<[Building; 4]>,
 }
 
 impl CityMap {
+    /// The map of a layout with these buildings: four for each block, row by row, as the blocks are.
+    pub(super) fn new(name: String, layout: Layout, buildings: Vec<[Building; 4]>) -> Self {
+        let [block_rows, block_cols] = layout.blocks();
+        CityMap {
+            name,
+            layout,
+            rows: layout.parts(block_rows),
+            cols: layout.parts(block_cols),
+            squares: Square::table(),
+            buildings,
+        }
+    }
+
     /// Rows of cells.
     pub fn rows(&self) -> i32 {
-        i32::try_from(self.ground.nrows()).expect("a map has at most 2^31 rows")
+        self.layout.rows()
     }
 
     /// Columns of cells.
     pub fn cols(&self) -> i32 {
-        i32::try_from(self.ground.ncols()).expect("a map has at most 2^31 columns")
+        self.layout.cols()
+    }
+
+    /// Whether the cell is on the map.
+    pub fn contains(&self, cell: Cell) -> bool {
+        (0..self.rows()).contains(&cell.row) && (0..self.cols()).contains(&cell.col)
+    }
+
+    /// What the row and the column of a cell are; `None` off the map.
+    fn parts(&self, cell: Cell) -> Option<(Part, Part)> {
+        let row = self.rows.get(usize::try_from(cell.row).ok()?)?;
+        let col = self.cols.get(usize::try_from(cell.col).ok()?)?;
+        Some((*row, *col))
+    }
+
+    fn square(&self, cell: Cell) -> Option<Square> {
+        let (row, col) = self.parts(cell)?;
+        let index = |part: Part| usize::from(part.0 & ZONE_AND_EDGE);
+        Some(self.squares[index(row) << 5 | index(col)])
     }
 
     /// The ground of a cell; `None` off the map.
     pub fn ground_at(&self, cell: Cell) -> Option<Ground> {
-        self.ground.get(index(cell)?).copied()
+        self.square(cell).map(Square::ground)
     }
 
     /// Whether cars may be on this cell.
@@ -188,43 +442,36 @@ impl CityMap {
         matches!(self.ground_at(cell), Some(Ground::Walking | Ground::Crossing))
     }
 
-    /// The cells where agents of a kind start and arrive, row by row; within the first `region` rows and columns, if given.
-    ///
-    /// Pedestrians: cells of the walking street that touch a house or an office, corners included. Cars: the kerb cells of a
-    /// traffic street straight across the sidewalk from a gas station, garage or store.
-    pub fn start_cells(&self, kind: AgentKind, region: Option<u32>) -> Vec<Cell> {
-        let limit = region.map_or(i32::MAX, |region| i32::try_from(region).unwrap_or(i32::MAX));
-        let [block_rows, block_cols] = self.layout.blocks();
-        let mut cells = Vec::new();
-        for (block_row, row) in (0..block_rows).flat_map(|block| [(block, 0), (block, 1)]) {
-            for (block_col, col) in (0..block_cols).flat_map(|block| [(block, 0), (block, 1)]) {
-                let rows = self.layout.building_span(block_row, row);
-                let cols = self.layout.building_span(block_col, col);
-                let building = self.building[(rows.start as usize, cols.start as usize)];
-                match (kind, building) {
-                    (AgentKind::Pedestrian, Some(Building::House | Building::Office)) => {
-                        let around = |span: Range<i32>| span.start - 1..span.end + 1;
-                        let ring =
-                            around(rows).flat_map(|row| around(cols.clone()).map(move |col| Cell::new(row, col)));
-                        cells.extend(ring.filter(|&cell| self.ground_at(cell) == Some(Ground::Walking)));
-                    }
-                    (AgentKind::Car, Some(Building::GasStation | Building::Garage | Building::Store)) => {
-                        let kerb = |span: &Range<i32>, which: i32| match which {
-                            0 => span.start - self.layout.sidewalk - 1,
-                            _ => span.end + self.layout.sidewalk,
-                        };
-                        let (kerb_row, kerb_col) = (kerb(&rows, row), kerb(&cols, col));
-                        cells.extend(cols.map(|col| Cell::new(kerb_row, col)));
-                        cells.extend(rows.map(|row| Cell::new(row, kerb_col)));
-                    }
-                    _ => {}
-                }
-            }
+    /// Whether the mid line of a traffic street runs here.
+    pub fn is_mid_line(&self, cell: Cell) -> bool {
+        self.square(cell).is_some_and(|square| square.0 & MID_LINE != 0)
+    }
+
+    /// Whether a lane starts or ends here: a node of the road graph.
+    pub fn is_lane_node(&self, cell: Cell) -> bool {
+        let is_line = |part: Part| {
+            let zone = part.0 & 0xf;
+            zone == Zone::LineBefore as u8 || zone == Zone::LineAfter as u8
+        };
+        let across = |across: Part, along: Part| across.0 & ON_LANE != 0 && is_line(along);
+        (self.parts(cell)).is_some_and(|(row, col)| across(row, col) || across(col, row))
+    }
+
+    /// The building that stands here, if any. Its block is [`Layout::block_at`].
+    pub fn building_at(&self, cell: Cell) -> Option<Building> {
+        if self.square(cell)?.0 & BUILDING == 0 {
+            return None;
         }
-        cells.retain(|cell| cell.row < limit && cell.col < limit);
-        cells.sort_unstable();
-        cells.dedup();
-        cells
+        let layout = &self.layout;
+        let block = |at: i32| at.div_euclid(layout.period());
+        let second = |at: i32| usize::from(at >= layout.building_span(block(at), 1).start);
+        let number = block(cell.row) * layout.blocks()[1] + block(cell.col);
+        Some(self.buildings[number as usize][2 * second(cell.row) + second(cell.col)])
+    }
+
+    /// The four buildings of each block, row by row, as the blocks are.
+    pub fn buildings(&self) -> &[[Building; 4]] {
+        &self.buildings
     }
 
     /// The layered semantic map of the paper, W x H x (B + N), of shape (rows, columns, 8 + number of agents). Each value is 0
@@ -232,24 +479,25 @@ impl CityMap {
     /// cell of agent i and 0 elsewhere (0 everywhere for an agent off the map).
     pub fn semantic(&self, agents: &[Cell]) -> Array3<f32> {
         let statics = STATIC_LAYERS.len();
-        let (rows, cols) = self.ground.dim();
-        let mut layers = Array3::zeros((rows, cols, statics + agents.len()));
-        for ((row, col), &ground) in self.ground.indexed_iter() {
-            let layer = match (ground, self.building[(row, col)]) {
-                (Ground::Walking, _) => 0,
-                (Ground::Traffic, _) => 1,
-                (Ground::Crossing, _) => 2,
-                (Ground::Other, Some(Building::House)) => 3,
-                (Ground::Other, Some(Building::Office)) => 4,
-                (Ground::Other, Some(Building::Garage)) => 5,
-                (Ground::Other, Some(Building::Store)) => 6,
-                (Ground::Other, Some(Building::GasStation)) => 7,
-                (Ground::Other, None) => continue,
+        let shape = (self.rows.len(), self.cols.len(), statics + agents.len());
+        let mut layers = Array3::zeros(shape);
+        let cells = (0..self.rows()).flat_map(|row| (0..self.cols()).map(move |col| Cell::new(row, col)));
+        for (cell, mut values) in cells.zip(layers.lanes_mut(ndarray::Axis(2))) {
+            let layer = match (self.ground_at(cell), self.building_at(cell)) {
+                (Some(Ground::Walking), _) => 0,
+                (Some(Ground::Traffic), _) => 1,
+                (Some(Ground::Crossing), _) => 2,
+                (_, Some(Building::House)) => 3,
+                (_, Some(Building::Office)) => 4,
+                (_, Some(Building::Garage)) => 5,
+                (_, Some(Building::Store)) => 6,
+                (_, Some(Building::GasStation)) => 7,
+                _ => continue,
             };
-            layers[(row, col, layer)] = 1.0;
+            values[layer] = 1.0;
         }
         for (agent, &cell) in agents.iter().enumerate() {
-            if let Some((row, col)) = index(cell)
+            if let (Ok(row), Ok(col)) = (usize::try_from(cell.row), usize::try_from(cell.col))
                 && let Some(value) = layers.get_mut((row, col, statics + agent))
             {
                 *value = 1.0;
@@ -258,31 +506,31 @@ impl CityMap {
         layers
     }
 
-    /// Whether the cell is on the map.
-    pub fn contains(&self, cell: Cell) -> bool {
-        (0..self.rows()).contains(&cell.row) && (0..self.cols()).contains(&cell.col)
+    /// Where a cell lies with respect to intersections; nowhere off the map. Two bytes and an entry of a small table are looked up.
+    pub fn junction(&self, cell: Cell) -> Junction {
+        Junction(
+            self.square(cell)
+                .map_or(0, |square| square.0 & (CAR_AT | PEDESTRIAN_AT | INSIDE)),
+        )
     }
 
     /// The intersection an agent of this kind is *At* on this cell, if any.
     pub fn at_intersection(&self, kind: AgentKind, cell: Cell) -> Option<u32> {
-        match kind {
-            AgentKind::Car => number(&self.entrance, cell),
-            AgentKind::Pedestrian => number(&self.outline, cell),
-        }
+        (self.junction(cell).is_at(kind)).then(|| self.intersection_near(cell))
     }
 
     /// The intersection that the cell is inside of, if any.
     pub fn in_intersection(&self, cell: Cell) -> Option<u32> {
-        number(&self.inside, cell)
+        (self.junction(cell).is_inside()).then(|| self.intersection_near(cell))
     }
-}
 
-/// The non-zero value of a layer at a cell on the map.
-fn number(layer: &Array2<u32>, cell: Cell) -> Option<u32> {
-    layer.get(index(cell)?).copied().filter(|&number| number != 0)
-}
-
-/// The place of a cell in a layer; `None` for negative coordinates.
-pub(super) fn index(cell: Cell) -> Option<(usize, usize)> {
-    Some((usize::try_from(cell.row).ok()?, usize::try_from(cell.col).ok()?))
+    /// The number of the nearest intersection: from 1, row by row, the corners of the world left out.
+    fn intersection_near(&self, cell: Cell) -> u32 {
+        let [row, col] = [cell.row, cell.col].map(|at| self.layout.zone(at).1);
+        let [block_rows, block_cols] = self.layout.blocks();
+        let place = row * (block_cols + 1) + col;
+        let corners = [0, block_cols, block_rows * (block_cols + 1)];
+        let before = corners.into_iter().filter(|&corner| corner < place).count();
+        place.unsigned_abs() + 1 - u32::try_from(before).expect("at most three corners")
+    }
 }

@@ -1,6 +1,6 @@
 //! From a decision to a move.
 
-use super::{Agent, Cell, Places, Rest, Route, Router};
+use super::{Agent, Cell, Places, Rest, Router};
 use crate::config::{AgentKind, Speed};
 use crate::rng::{Purpose, RngExt, Seed};
 
@@ -18,17 +18,14 @@ pub const fn speed_cells(kind: AgentKind, speed: Speed) -> Option<usize> {
     }
 }
 
-/// How many cells an agent can move from a position of its route: every number from 1 to the result. A move is straight, and
-/// jumps over no node of the road graph, so that cars always land on the lines where intersections begin and end. 0 at the goal.
-pub fn possible_cells(route: &Route, kind: AgentKind, position: usize) -> usize {
-    let reach = match kind {
+/// How many cells an agent can move: every number from 1 to the result. A move is straight, and jumps over no node of the road
+/// graph, so that cars always land on the lines where intersections begin and end. 0 at the goal.
+pub fn possible_cells(agent: &Agent) -> usize {
+    let reach = match agent.kind {
         AgentKind::Car => CAR_REACH,
         AgentKind::Pedestrian => 1,
     };
-    let straight = route.straight_ahead(position, reach);
-    (1..straight)
-        .find(|&cells| route.is_stop(position + cells))
-        .unwrap_or(straight)
+    agent.straight_ahead().min(reach)
 }
 
 /// Why an agent moved as it did.
@@ -77,12 +74,6 @@ pub struct Surroundings<'a> {
 /// and follows the decision of that tick on the new route. If there is no new goal that it can reach, it stays and tries again in the next
 /// tick.
 pub fn advance(agent: &mut Agent, index: usize, decided: Speed, surroundings: &Surroundings<'_>) -> Moved {
-    let Surroundings {
-        router,
-        places,
-        seed,
-        tick,
-    } = *surroundings;
     let from = agent.cell;
     let resting = Moved {
         from,
@@ -102,18 +93,14 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Speed, surroundings: &S
                 return resting;
             }
             Rest::Rested => {
-                let mut stream = seed.stream(Purpose::Goal, index as u64, tick);
-                match places.draw_route(router, agent.kind, from, &mut stream) {
-                    Ok(route) => agent.set_out(route),
-                    Err(_) => return resting,
+                replanned = replan(agent, index, surroundings);
+                if !replanned {
+                    return resting;
                 }
-                replanned = true;
             }
         }
     }
-    let (cells, reason) = choose(agent, decided, |most| {
-        seed.stream(Purpose::Move, index as u64, tick).random_range(1..=most)
-    });
+    let (cells, reason) = choose(agent, decided, |most| draw_cells(most, index, surroundings));
     agent.step(cells);
     Moved {
         from,
@@ -123,13 +110,30 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Speed, surroundings: &S
     }
 }
 
+// Apart, so that the many moves that draw nothing are short.
+
+/// Sets out for a new goal. Whether there is one that can be reached.
+#[inline(never)]
+fn replan(agent: &mut Agent, index: usize, surroundings: &Surroundings<'_>) -> bool {
+    let mut stream = (surroundings.seed).stream(Purpose::Goal, index as u64, surroundings.tick);
+    let route = (surroundings.places).draw_route(surroundings.router, agent.kind, agent.cell, &mut stream);
+    route.map(|route| agent.set_out(route)).is_ok()
+}
+
+/// Draws a number of cells from 1 to `most`.
+#[inline(never)]
+fn draw_cells(most: usize, index: usize, surroundings: &Surroundings<'_>) -> usize {
+    let mut stream = (surroundings.seed).stream(Purpose::Move, index as u64, surroundings.tick);
+    stream.random_range(1..=most)
+}
+
 /// How many cells to move: as decided if the route allows it, else the only possible move, else what `draw` draws from 1 to the
 /// number it is given.
 fn choose(agent: &Agent, decided: Speed, draw: impl FnOnce(usize) -> usize) -> (usize, Reason) {
     if decided == Speed::Stop {
         return (0, Reason::Decided);
     }
-    let most = possible_cells(agent.route(), agent.kind, agent.position());
+    let most = possible_cells(agent);
     match speed_cells(agent.kind, decided) {
         Some(cells) if cells <= most => (cells, Reason::Decided),
         _ if most <= 1 => (most, Reason::OnlyMove),
@@ -141,7 +145,7 @@ fn choose(agent: &Agent, decided: Speed, draw: impl FnOnce(usize) -> usize) -> (
 mod tests {
     use super::*;
     use crate::city::generate::tests::square;
-    use crate::config::{AgentConfig, Routing};
+    use crate::config::{AgentConfig, AgentName, Routing};
     use std::sync::Arc;
 
     /// A car that leaves the kerb, stops at the node where its lane ends, and turns right behind it.
@@ -152,9 +156,11 @@ mod tests {
             .plan(AgentKind::Car, Cell::new(56, 36), goal)
             .expect("a way around the block");
         let config = AgentConfig {
-            name: "Car_1".into(),
-            kind: AgentKind::Car,
-            concepts: Vec::new(),
+            name: AgentName {
+                kind: AgentKind::Car,
+                number: 1,
+            },
+            concepts: Arc::default(),
             priority: 1,
         };
         Agent::new(&config, route)
@@ -163,11 +169,10 @@ mod tests {
     #[test]
     fn a_move_ends_before_a_turn_and_on_a_node() {
         let mut car = car();
-        let most = |car: &Agent| possible_cells(car.route(), car.kind, car.position());
         // Three cells from the kerb to the lane, five along it to its end at column 41, then on into the intersection.
         let mut seen = Vec::new();
         while car.cell.col < 45 {
-            seen.push((car.cell.row, car.cell.col, most(&car)));
+            seen.push((car.cell.row, car.cell.col, possible_cells(&car)));
             car.step(1);
         }
         let expected = [
@@ -204,9 +209,11 @@ mod tests {
     #[test]
     fn an_agent_without_another_goal_stays() {
         let router = Router::new(Arc::new(square([1, 1])), Routing::Weighted);
-        let places = Places::new(&router, Some(0));
+        let places = Places::new(&router, Some(0), None);
         let mut car = car();
-        car.step(usize::MAX >> 1);
+        while !car.at_goal() {
+            car.step(1);
+        }
         for tick in 0..5 {
             let surroundings = Surroundings {
                 router: &router,

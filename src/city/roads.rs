@@ -1,70 +1,30 @@
-//! Roads and routes.
+//! The road graph and ways by car; the [`Router`].
 //!
-//! A [`Router`] is built once for a map and shared. Pedestrians walk a shortest way over walking streets and crossings. Cars
-//! drive on the road graph: each side of each street between two intersections is a lane with a start node and an end node, and
-//! at every intersection each lane that ends there is connected to each lane that starts there, be it straight on, by a turn or
+//! Cars drive on a graph of lanes: each side of each street between two intersections is a lane with a start node and an end node,
+//! and at every intersection each lane that ends there is connected to each lane that starts there, be it straight on, by a turn or
 //! by a U-turn. A car gets from its start to the end node of the lane on its own side, and reaches its goal from the start node
 //! of the goal's lane. So a goal a little ahead in the same lane takes a trip around, as in the published program.
+//!
+//! The graph is the same wherever one stands, so nothing of it is stored. Ways are looked for in a part of the map around start and goal:
+//! a best way never leaves their bounding box by more than a block. Parts of [`PART`] x [`PART`] blocks are all alike, and what
+//! was found for two lanes of one is remembered for all.
 
-use super::{Cell, CityMap, Heading, Layout};
+use super::map::Zone;
+use super::route::{Way, steps};
+use super::walk::walk;
+use super::{Cell, CityMap, Heading, Layout, Route};
 use crate::config::{AgentKind, Routing};
 use pathfinding::directed::astar::astar;
 use pathfinding::directed::bfs::bfs_bidirectional;
 use pathfinding::directed::dijkstra::dijkstra;
+use std::ops::Range;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// What a turn or U-turn costs over its length, in cells.
 const TURN_COST: u32 = 30;
-
-/// A way from a start to a goal.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Route {
-    cells: Vec<Cell>,
-    stops: Vec<bool>,
-}
-
-impl Route {
-    /// The cells from the start to the goal, both included. Neighbours differ by one step.
-    pub fn cells(&self) -> &[Cell] {
-        &self.cells
-    }
-
-    /// The first cell.
-    pub fn start(&self) -> Cell {
-        self.cells[0]
-    }
-
-    /// The last cell.
-    pub fn goal(&self) -> Cell {
-        self.cells[self.cells.len() - 1]
-    }
-
-    /// Whether the cell at this position is a node of the road graph, which a car does not jump over. Positions run from 0;
-    /// beyond the goal there are no nodes.
-    pub fn is_stop(&self, position: usize) -> bool {
-        self.stops.get(position).copied().unwrap_or(false)
-    }
-
-    /// The nodes of the road graph that it passes, in order. None for the routes of pedestrians.
-    pub fn nodes(&self) -> impl Iterator<Item = Cell> + '_ {
-        (self.cells.iter().zip(&self.stops)).filter_map(|(&cell, &stop)| stop.then_some(cell))
-    }
-
-    /// The largest number of cells that lie straight ahead of a position, up to `limit`.
-    pub(super) fn straight_ahead(&self, position: usize, limit: usize) -> usize {
-        let Some(&[from, next]) = self.cells.get(position..).and_then(|rest| rest.first_chunk()) else {
-            return 0;
-        };
-        let Some(heading) = Heading::between(from, next) else {
-            return 0;
-        };
-        (1..=limit)
-            .zip(&self.cells[position + 1..])
-            .zip(1..)
-            .take_while(|&((_, &cell), cells)| cell == from.ahead(heading, cells))
-            .count()
-    }
-}
+/// Rows and columns of blocks of the part of a map in which ways are remembered. A smaller map is a part as a whole.
+const PART: i32 = 8;
 
 /// Why there is no route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,6 +56,105 @@ impl Lane {
     }
 }
 
+/// A lane by its place on a grid of streets and blocks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct LanePlace {
+    heading: Heading,
+    /// The street it is a side of.
+    street: i32,
+    /// The block it runs along: a column of blocks for a lane that goes left or right, else a row.
+    block: i32,
+}
+
+impl LanePlace {
+    const fn is_horizontal(self) -> bool {
+        matches!(self.heading, Heading::Left | Heading::Right)
+    }
+
+    /// The streets that cross at its end, [across, down].
+    fn end(self) -> [i32; 2] {
+        match self.heading {
+            Heading::Left => [self.street, self.block],
+            Heading::Right => [self.street, self.block + 1],
+            Heading::Up => [self.block, self.street],
+            Heading::Down => [self.block + 1, self.street],
+        }
+    }
+
+    /// The lane that starts with a heading where two streets cross, if the map goes on there.
+    fn starting([across, down]: [i32; 2], heading: Heading) -> LanePlace {
+        let (street, block) = match heading {
+            Heading::Left => (across, down - 1),
+            Heading::Right => (across, down),
+            Heading::Up => (down, across - 1),
+            Heading::Down => (down, across),
+        };
+        LanePlace { heading, street, block }
+    }
+
+    /// The lane that ends with a heading where two streets cross, if the map goes on there.
+    fn ending([across, down]: [i32; 2], heading: Heading) -> LanePlace {
+        let (street, block) = match heading {
+            Heading::Left => (across, down),
+            Heading::Right => (across, down - 1),
+            Heading::Up => (down, across),
+            Heading::Down => (down, across - 1),
+        };
+        LanePlace { heading, street, block }
+    }
+
+    /// The streets that cross at its start, [across, down].
+    fn start(self) -> [i32; 2] {
+        let [across, down] = self.end();
+        let (rows, cols) = self.heading.delta();
+        [across - rows, down - cols]
+    }
+
+    /// The nearest and the farthest street at its ends, in rows and columns.
+    fn extent(self) -> [Range<i32>; 2] {
+        let ends = [self.start(), self.end()];
+        [0, 1].map(|axis| ends[0][axis].min(ends[1][axis])..ends[0][axis].max(ends[1][axis]))
+    }
+
+    fn moved(self, [rows, cols]: [i32; 2]) -> LanePlace {
+        let (across, along) = if self.is_horizontal() {
+            (rows, cols)
+        } else {
+            (cols, rows)
+        };
+        LanePlace {
+            street: self.street + across,
+            block: self.block + along,
+            ..self
+        }
+    }
+
+    /// The lane itself.
+    fn lane(self, layout: &Layout) -> Lane {
+        let (middle, offset) = (layout.mid_line(self.street), layout.lane_offset());
+        let (low, high) = layout.lane_ends(self.block);
+        // Cars keep right: those that go left or down use the lane before the mid line.
+        let (across, start, end) = match self.heading {
+            Heading::Left => (middle - offset, high, low),
+            Heading::Down => (middle - offset, low, high),
+            Heading::Right => (middle + offset, low, high),
+            Heading::Up => (middle + offset, high, low),
+        };
+        let cell = |along| {
+            if self.is_horizontal() {
+                Cell::new(across, along)
+            } else {
+                Cell::new(along, across)
+            }
+        };
+        Lane {
+            start: cell(start),
+            end: cell(end),
+            heading: self.heading,
+        }
+    }
+}
+
 /// A node of the road graph: the start or the end of a lane, by its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum Node {
@@ -107,145 +166,90 @@ enum Node {
     Destination,
 }
 
-/// Plans routes on one map.
-#[derive(Clone, Debug)]
-pub struct Router {
-    map: Arc<CityMap>,
-    routing: Routing,
-    lanes: Vec<Lane>,
-    /// For each lane, the lanes that start where it ends.
-    next: Vec<Vec<u32>>,
-    /// For each lane, the lanes that end where it starts.
-    previous: Vec<Vec<u32>>,
+/// The road graph of a map, or of a part of one: so many rows and columns of blocks, with the streets around them.
+///
+/// Lanes are numbered street by street, horizontal streets first, then block by block, the left-going or down-going lane first. That
+/// is the order in which searches meet them. It decides among ways of equal length, and with fewest hops it does so as the
+/// published program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Roads {
+    layout: Layout,
+    blocks: [i32; 2],
 }
 
-impl Router {
-    /// Builds the road graph of a map.
-    pub fn new(map: Arc<CityMap>, routing: Routing) -> Self {
-        let layout = map.layout;
-        let lanes = lay_lanes(&layout);
-        // The order of the lanes, horizontal ones first, is the order in which searches meet them. It decides among ways of equal
-        // length, and with fewest hops it does so as the published program.
-        let corners = (layout.blocks()[0] + 1) as usize * (layout.blocks()[1] + 1) as usize;
-        let corner = |node: Cell| {
-            let street = |at: i32| (at + layout.sidewalk()).div_euclid(layout.period());
-            (street(node.row) * (layout.blocks()[1] + 1) + street(node.col)) as usize
+impl Roads {
+    fn horizontal_lanes(&self) -> i32 {
+        2 * (self.blocks[0] + 1) * self.blocks[1]
+    }
+
+    /// How many lanes there are.
+    fn lanes(&self) -> u32 {
+        (self.horizontal_lanes() + 2 * (self.blocks[1] + 1) * self.blocks[0]).unsigned_abs()
+    }
+
+    /// The number of a lane; `None` if there is none.
+    fn number(&self, lane: LanePlace) -> Option<u32> {
+        let [streets, blocks] = if lane.is_horizontal() {
+            self.blocks
+        } else {
+            [self.blocks[1], self.blocks[0]]
         };
-        let (mut starting, mut ending) = (vec![Vec::new(); corners], vec![Vec::new(); corners]);
-        for (number, lane) in (0..).zip(&lanes) {
-            starting[corner(lane.start)].push(number);
-            ending[corner(lane.end)].push(number);
+        if !(0..=streets).contains(&lane.street) || !(0..blocks).contains(&lane.block) {
+            return None;
         }
-        Router {
-            next: lanes.iter().map(|lane| starting[corner(lane.end)].clone()).collect(),
-            previous: lanes.iter().map(|lane| ending[corner(lane.start)].clone()).collect(),
-            map,
-            routing,
-            lanes,
-        }
-    }
-
-    /// The map.
-    pub fn map(&self) -> &Arc<CityMap> {
-        &self.map
-    }
-
-    /// How cars choose their route.
-    pub fn routing(&self) -> Routing {
-        self.routing
-    }
-
-    /// The lanes.
-    pub fn lanes(&self) -> &[Lane] {
-        &self.lanes
-    }
-
-    /// The connections between lanes: a pair of lane numbers for each end node and start node that are connected.
-    pub fn connectors(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
-        (self.next.iter().enumerate()).flat_map(|(from, next)| next.iter().map(move |&to| (from, to as usize)))
-    }
-
-    /// Plans a route. The same question always gets the same answer. If an agent is already at its goal, the route is that cell.
-    ///
-    /// A car starts and arrives anywhere beside a lane: on a street between two intersections, their outlines included, on
-    /// either side of the mid line.
-    ///
-    /// # Errors
-    /// If the agent can't be at the start or at the goal, or cannot get from one to the other.
-    pub fn plan(&self, kind: AgentKind, start: Cell, goal: Cell) -> Result<Route, NoRoute> {
-        match kind {
-            AgentKind::Car => self.drive(start, goal),
-            AgentKind::Pedestrian => self.walk(start, goal),
-        }
-    }
-
-    /// A given way as a route; repeated cells are left out. `None` if it is empty, leaves the map, or has neighbours that differ by
-    /// more than a step.
-    pub fn follow(&self, kind: AgentKind, cells: &[Cell]) -> Option<Route> {
-        let mut cells = cells.to_vec();
-        cells.dedup();
-        let on_map = !cells.is_empty() && cells.iter().all(|&cell| self.map.contains(cell));
-        let unit_steps = |cells: &[Cell]| cells.windows(2).all(|pair| steps(pair[0], pair[1]) == 1);
-        (on_map && unit_steps(&cells)).then(|| self.route(kind, cells))
-    }
-
-    /// The route along cells.
-    fn route(&self, kind: AgentKind, cells: Vec<Cell>) -> Route {
-        let stops = match kind {
-            AgentKind::Car => cells.iter().map(|&cell| self.map.layout.is_lane_node(cell)).collect(),
-            AgentKind::Pedestrian => vec![false; cells.len()],
+        let first = if lane.is_horizontal() {
+            0
+        } else {
+            self.horizontal_lanes()
         };
-        Route { cells, stops }
+        let second = i32::from(matches!(lane.heading, Heading::Right | Heading::Up));
+        Some((first + 2 * (lane.street * blocks + lane.block) + second).unsigned_abs())
     }
 
-    /// A shortest way on foot.
-    fn walk(&self, start: Cell, goal: Cell) -> Result<Route, NoRoute> {
-        if !self.map.is_walkable(start) {
-            return Err(NoRoute::Start);
-        }
-        if !self.map.is_walkable(goal) {
-            return Err(NoRoute::Goal);
-        }
-        let neighbours = |&cell: &Cell| {
-            let around = Heading::ALL.map(|heading| cell.ahead(heading, 1));
-            (around.into_iter().filter(|&cell| self.map.is_walkable(cell))).map(|cell| (cell, 1))
+    fn place(&self, number: u32) -> LanePlace {
+        let number = number.cast_signed();
+        let horizontal = self.horizontal_lanes();
+        let (number, blocks, headings) = if number < horizontal {
+            (number, self.blocks[1], [Heading::Left, Heading::Right])
+        } else {
+            (number - horizontal, self.blocks[0], [Heading::Down, Heading::Up])
         };
-        // Each step changes one coordinate by one, so the sum of differences never overestimates.
-        let (cells, _) =
-            astar(&start, neighbours, |&cell| steps(cell, goal), |&cell| cell == goal).ok_or(NoRoute::Unconnected)?;
-        Ok(self.route(AgentKind::Pedestrian, cells))
+        LanePlace {
+            heading: headings[(number % 2) as usize],
+            street: number / 2 / blocks,
+            block: number / 2 % blocks,
+        }
     }
 
-    /// A way by car.
-    fn drive(&self, start: Cell, goal: Cell) -> Result<Route, NoRoute> {
-        let first = self.lane_beside(start).ok_or(NoRoute::Start)?;
-        let last = self.lane_beside(goal).ok_or(NoRoute::Goal)?;
-        if start == goal {
-            return Ok(self.route(AgentKind::Car, vec![start]));
-        }
-        let nodes = match self.routing {
+    fn lane(&self, number: u32) -> Lane {
+        self.place(number).lane(&self.layout)
+    }
+
+    /// The lanes that start where a lane ends, in ascending order.
+    fn next(&self, lane: u32) -> impl Iterator<Item = u32> {
+        let crossing = self.place(lane).end();
+        let headings = [Heading::Left, Heading::Right, Heading::Down, Heading::Up];
+        let mut next = headings.map(|heading| self.number(LanePlace::starting(crossing, heading)));
+        next.sort_unstable();
+        next.into_iter().flatten()
+    }
+
+    /// The lanes that end where a lane starts, in ascending order.
+    fn previous(&self, lane: u32) -> impl Iterator<Item = u32> {
+        let crossing = self.place(lane).start();
+        let headings = [Heading::Right, Heading::Left, Heading::Down, Heading::Up];
+        let mut previous = headings.map(|heading| self.number(LanePlace::ending(crossing, heading)));
+        previous.sort_unstable();
+        previous.into_iter().flatten()
+    }
+
+    /// The lanes of a best way after the first, up to the last. This is the definition; the search is slow.
+    fn search(&self, routing: Routing, first: u32, last: u32) -> Option<Vec<u32>> {
+        let nodes = match routing {
             Routing::Weighted => self.lightest(first, last),
             Routing::Hops => self.fewest_hops(first, last),
         };
-        let nodes = nodes.ok_or(NoRoute::Unconnected)?;
-        let mut way = Way { cells: vec![start] };
-        for node in nodes {
-            match node {
-                Node::Origin => {}
-                Node::End(lane) if way.cells.len() == 1 => {
-                    let end = self.lanes[lane as usize].end;
-                    way.bend(end, rows_first_out(start, end));
-                }
-                Node::End(lane) => way.bend(self.lanes[lane as usize].end, true),
-                Node::Start(lane) => {
-                    // Straight on to the line of the new lane, then along it.
-                    let lane = self.lanes[lane as usize];
-                    way.bend(lane.start, matches!(lane.heading, Heading::Left | Heading::Right));
-                }
-                Node::Destination => way.bend(goal, !rows_first_out(goal, way.at())),
-            }
-        }
-        Ok(self.route(AgentKind::Car, way.cells))
+        Some(entered(&nodes?))
     }
 
     /// The nodes of a route of least length and turns.
@@ -272,19 +276,16 @@ impl Router {
             Node::Origin => vec![Node::End(first)],
             Node::Start(lane) if lane == last => vec![Node::End(lane), Node::Destination],
             Node::Start(lane) => vec![Node::End(lane)],
-            Node::End(lane) => self.next[lane as usize].iter().map(|&lane| Node::Start(lane)).collect(),
+            Node::End(lane) => self.next(lane).map(Node::Start).collect(),
             Node::Destination => Vec::new(),
         }
     }
 
-    /// The converse of [`Router::after`].
+    /// The converse of [`Roads::after`].
     fn before(&self, node: Node, first: u32, last: u32) -> Vec<Node> {
         match node {
             Node::Origin => Vec::new(),
-            Node::Start(lane) => self.previous[lane as usize]
-                .iter()
-                .map(|&lane| Node::End(lane))
-                .collect(),
+            Node::Start(lane) => self.previous(lane).map(Node::End).collect(),
             Node::End(lane) if lane == first => vec![Node::Start(lane), Node::Origin],
             Node::End(lane) => vec![Node::Start(lane)],
             Node::Destination => vec![Node::Start(last)],
@@ -294,65 +295,281 @@ impl Router {
     /// The weight of an edge in cells. The first and the last edge are the same for all routes between two places.
     fn weight(&self, from: Node, to: Node) -> u32 {
         match (from, to) {
-            (Node::Start(lane), Node::End(_)) => self.lanes[lane as usize].length(),
+            (Node::Start(lane), Node::End(_)) => self.lane(lane).length(),
             (Node::End(from), Node::Start(to)) => {
-                let (from, to) = (self.lanes[from as usize], self.lanes[to as usize]);
+                let (from, to) = (self.lane(from), self.lane(to));
                 steps(from.end, to.start) + if from.heading == to.heading { 0 } else { TURN_COST }
             }
             _ => 0,
         }
     }
 
+    /// As good a way as [`Roads::search`] finds, by looking mostly at what leads to the goal; among equals it may choose another.
+    fn guided(&self, routing: Routing, first: u32, last: u32) -> Option<Vec<u32>> {
+        let target = self.lane(last);
+        let [across, down] = self.place(last).start();
+        // What is still to go from the end of a lane, at least. Turns and lengths each attain their least on some way.
+        let from_end = |lane: u32| {
+            let [row, col] = self.place(lane).end();
+            match routing {
+                Routing::Hops => 2 * (row.abs_diff(across) + col.abs_diff(down)) + 1,
+                Routing::Weighted => {
+                    let from = self.lane(lane);
+                    let turns = least_turns(from.heading, [across - row, down - col], target.heading);
+                    steps(from.end, target.start) + TURN_COST * turns
+                }
+            }
+        };
+        let weight = |from, to| match routing {
+            Routing::Hops => 1,
+            Routing::Weighted => self.weight(from, to),
+        };
+        let successors = |&node: &Node| {
+            let after = self.after(node, first, last).into_iter();
+            after.map(move |next| (next, weight(node, next))).collect::<Vec<_>>()
+        };
+        let to_go = |&node: &Node| match node {
+            Node::Start(lane) if lane != last => weight(node, Node::End(lane)) + from_end(lane),
+            Node::End(lane) => from_end(lane),
+            _ => 0,
+        };
+        let (nodes, _) = astar(&Node::Origin, successors, to_go, |&node| node == Node::Destination)?;
+        Some(entered(&nodes))
+    }
+}
+
+/// The lanes whose start a way passes.
+fn entered(nodes: &[Node]) -> Vec<u32> {
+    let lane = |node: &Node| match node {
+        Node::Start(lane) => Some(*lane),
+        _ => None,
+    };
+    nodes.iter().filter_map(lane).collect()
+}
+
+/// The least number of turns on a way that begins with one heading, covers a difference of rows and columns, and ends with another
+/// heading: the needed directions are taken in one order or the other.
+fn least_turns(first: Heading, [rows, cols]: [i32; 2], last: Heading) -> u32 {
+    let vertical = if rows < 0 { Heading::Up } else { Heading::Down };
+    let horizontal = if cols < 0 { Heading::Left } else { Heading::Right };
+    let turns = |way: &[Heading]| way.windows(2).map(|pair| u32::from(pair[0] != pair[1])).sum();
+    match (rows, cols) {
+        (0, 0) => turns(&[first, last]),
+        (_, 0) => turns(&[first, vertical, last]),
+        (0, _) => turns(&[first, horizontal, last]),
+        _ => turns(&[first, vertical, horizontal, last]).min(turns(&[first, horizontal, vertical, last])),
+    }
+}
+
+/// The headings of the lanes that a way enters, two bits each, over their number; 0 is none. It holds up to 29 of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Turns(u64);
+
+impl Turns {
+    /// Where the number stands.
+    const COUNT: u32 = 58;
+
+    fn new(headings: &[Heading]) -> Option<Turns> {
+        if 2 * headings.len() > Self::COUNT as usize {
+            return None;
+        }
+        let bits = (headings.iter().rev()).fold(0, |bits, &heading| bits << 2 | heading as u64);
+        Some(Turns((headings.len() as u64) << Self::COUNT | bits))
+    }
+
+    fn headings(self) -> impl Iterator<Item = Heading> {
+        (0..self.0 >> Self::COUNT).map(move |index| Heading::ALL[(self.0 >> (2 * index) & 3) as usize])
+    }
+}
+
+/// Plans routes on one map.
+#[derive(Debug)]
+pub struct Router {
+    map: Arc<CityMap>,
+    routing: Routing,
+    /// The roads of the whole map.
+    roads: Roads,
+    /// Those of a part of it.
+    part: Roads,
+    /// For each pair of lanes of a part, [`Turns`] from one to the other; 0 where nobody asked yet. What stands there is a function of the
+    /// pair, so threads may write it at the same time.
+    known: Box<[AtomicU64]>,
+}
+
+impl Router {
+    /// A router of a map. It takes half a megabyte at most, whatever the map.
+    pub fn new(map: Arc<CityMap>, routing: Routing) -> Self {
+        let layout = map.layout;
+        let roads = |blocks| Roads { layout, blocks };
+        let part = roads(layout.blocks().map(|blocks| blocks.min(PART)));
+        let lanes = part.lanes() as usize;
+        Router {
+            routing,
+            roads: roads(layout.blocks()),
+            part,
+            known: (0..lanes * lanes).map(|_| AtomicU64::new(0)).collect(),
+            map,
+        }
+    }
+
+    /// The map.
+    pub fn map(&self) -> &Arc<CityMap> {
+        &self.map
+    }
+
+    /// How cars choose their route.
+    pub fn routing(&self) -> Routing {
+        self.routing
+    }
+
+    /// The lanes: street by street, horizontal streets first, then block by block, the left-going or down-going lane first.
+    pub fn lanes(&self) -> impl ExactSizeIterator<Item = Lane> {
+        (0..self.roads.lanes()).map(|number| self.roads.lane(number))
+    }
+
+    /// The connections between lanes: a pair of lane numbers for each end node and start node that are connected.
+    pub fn connectors(&self) -> impl Iterator<Item = (usize, usize)> {
+        (0..self.roads.lanes()).flat_map(|from| self.roads.next(from).map(move |to| (from as usize, to as usize)))
+    }
+
+    /// Plans a route. The same question always gets the same answer. If an agent is already at its goal, the route is that cell.
+    ///
+    /// A car starts and arrives anywhere beside a lane: on a street between two intersections, their outlines included, on
+    /// either side of the mid line. A pedestrian takes a shortest way over walking streets and crossings.
+    ///
+    /// # Errors
+    /// If the agent can't be at the start or at the goal, or cannot get from one to the other.
+    pub fn plan(&self, kind: AgentKind, start: Cell, goal: Cell) -> Result<Route, NoRoute> {
+        let mut way = Way::new(&self.map, kind, start);
+        match kind {
+            AgentKind::Car => self.drive(&mut way, goal)?,
+            AgentKind::Pedestrian => {
+                if !self.map.is_walkable(start) {
+                    return Err(NoRoute::Start);
+                }
+                if !self.map.is_walkable(goal) {
+                    return Err(NoRoute::Goal);
+                }
+                walk(&self.map.layout, goal, &mut way);
+            }
+        }
+        Ok(way.finish())
+    }
+
+    /// A given way as a route; repeated cells are left out. `None` if it is empty, leaves the map, or has neighbours that differ by
+    /// more than a step.
+    pub fn follow(&self, kind: AgentKind, cells: impl IntoIterator<Item = Cell>) -> Option<Route> {
+        let mut cells = cells.into_iter();
+        let start = cells.next().filter(|&cell| self.map.contains(cell))?;
+        let mut way = Way::new(&self.map, kind, start);
+        for cell in cells {
+            if !self.map.contains(cell) || steps(way.at(), cell) > 1 {
+                return None;
+            }
+            way.straight(cell);
+        }
+        Some(way.finish())
+    }
+
+    /// A way by car.
+    fn drive(&self, way: &mut Way<'_>, goal: Cell) -> Result<(), NoRoute> {
+        let layout = &self.map.layout;
+        let start = way.at();
+        let first = self.lane_beside(start).ok_or(NoRoute::Start)?;
+        let last = self.lane_beside(goal).ok_or(NoRoute::Goal)?;
+        if start == goal {
+            return Ok(());
+        }
+        let end = first.lane(layout).end;
+        way.bend(end, rows_first_out(start, end));
+        let mut at = first;
+        let mut enter = |heading| {
+            if at != first {
+                way.straight(at.lane(layout).end);
+            }
+            at = LanePlace::starting(at.end(), heading);
+            // Straight on to the line of the new lane, then along it.
+            way.bend(at.lane(layout).start, at.is_horizontal());
+        };
+        match self.turns(first, last).ok_or(NoRoute::Unconnected)? {
+            Found::Known(turns) => turns.headings().for_each(&mut enter),
+            Found::Long(headings) => headings.into_iter().for_each(&mut enter),
+        }
+        way.bend(goal, !rows_first_out(goal, way.at()));
+        Ok(())
+    }
+
+    /// The headings of the lanes that a best way from a lane to another enters after the first.
+    fn turns(&self, first: LanePlace, last: LanePlace) -> Option<Found> {
+        let [one, other] = [first.extent(), last.extent()];
+        let box_of = |axis: usize| one[axis].start.min(other[axis].start)..one[axis].end.max(other[axis].end);
+        let around = [box_of(0), box_of(1)];
+        let part = self.part.blocks;
+        // With a block to each side, or all that there is.
+        let fits = |axis: usize| part[axis] == self.roads.blocks[axis] || around[axis].len() as i32 + 2 <= part[axis];
+        if !(fits(0) && fits(1)) {
+            let low = [0, 1].map(|axis| (around[axis].start - 1).max(0));
+            let high = [0, 1].map(|axis| (around[axis].end + 1).min(self.roads.blocks[axis]));
+            let blocks = [high[0] - low[0], high[1] - low[1]];
+            let roads = Roads { blocks, ..self.roads };
+            let [first, last] = [first, last].map(|lane| roads.number(lane.moved(low.map(|at| -at))));
+            let lanes = roads.guided(self.routing, first?, last?)?;
+            return Some(Found::Long(
+                lanes.into_iter().map(|lane| roads.place(lane).heading).collect(),
+            ));
+        }
+        let first_block = [0, 1].map(|axis| {
+            let middle = (around[axis].start + around[axis].end - part[axis]).div_euclid(2);
+            -middle.clamp(0, self.roads.blocks[axis] - part[axis])
+        });
+        let [first, last] = [first, last].map(|lane| self.part.number(lane.moved(first_block)));
+        let (first, last) = (first?, last?);
+        let known = &self.known[first as usize * self.part.lanes() as usize + last as usize];
+        let turns = known.load(Ordering::Relaxed);
+        if turns != 0 {
+            return Some(Found::Known(Turns(turns)));
+        }
+        let lanes = self.part.search(self.routing, first, last)?;
+        let headings: Vec<Heading> = lanes.into_iter().map(|lane| self.part.place(lane).heading).collect();
+        let Some(turns) = Turns::new(&headings) else {
+            return Some(Found::Long(headings));
+        };
+        known.store(turns.0, Ordering::Relaxed);
+        Some(Found::Known(turns))
+    }
+
     /// The lane on the side of the street where the cell is.
-    fn lane_beside(&self, cell: Cell) -> Option<u32> {
+    fn lane_beside(&self, cell: Cell) -> Option<LanePlace> {
         if !self.map.contains(cell) {
             return None;
         }
         let layout = &self.map.layout;
-        let [block_rows, block_cols] = layout.blocks();
-        // The place of the street's first lane in the list of lanes, see `lay_lanes`.
-        let (first, block, side) = match (layout.place(cell.row), layout.place(cell.col)) {
-            (Place::Street { number, side }, Place::Lane { block }) => (2 * number * block_cols, block, side),
-            (Place::Lane { block }, Place::Street { number, side }) => {
-                let horizontal = 2 * (block_rows + 1) * block_cols;
-                (horizontal + 2 * number * block_rows, block, side)
-            }
-            _ => return None,
+        let place = |street: (Zone, i32), block: (Zone, i32), before, after| {
+            let side = match street.0 {
+                Zone::StreetBefore => before,
+                Zone::StreetAfter => after,
+                _ => return None,
+            };
+            let block = match block.0 {
+                Zone::LineBefore => block.1 - 1,
+                zone if zone.in_block() || zone == Zone::LineAfter => block.1,
+                _ => return None,
+            };
+            Some(LanePlace {
+                heading: side,
+                street: street.1,
+                block,
+            })
         };
-        let number = match side {
-            -1 => first + 2 * block,
-            1 => first + 2 * block + 1,
-            _ => return None,
-        };
-        u32::try_from(number).ok()
+        let (row, col) = (layout.zone(cell.row), layout.zone(cell.col));
+        place(row, col, Heading::Left, Heading::Right).or_else(|| place(col, row, Heading::Down, Heading::Up))
     }
 }
 
-/// Cells under construction.
-struct Way {
-    cells: Vec<Cell>,
-}
-
-impl Way {
-    /// The last cell so far.
-    fn at(&self) -> Cell {
-        self.cells[self.cells.len() - 1]
-    }
-
-    /// Goes to a cell by at most one bend.
-    fn bend(&mut self, to: Cell, rows_first: bool) {
-        let from = self.at();
-        let corner = if rows_first {
-            Cell::new(to.row, from.col)
-        } else {
-            Cell::new(from.row, to.col)
-        };
-        for end in [corner, to] {
-            while let Some(heading) = Heading::between(self.at(), end) {
-                self.cells.push(self.at().ahead(heading, 1));
-            }
-        }
-    }
+/// The headings of the lanes that a way enters.
+enum Found {
+    Known(Turns),
+    Long(Vec<Heading>),
 }
 
 /// Whether a car that leaves for a node goes along the column first: the shorter leg comes first, and equal ones start with it. A
@@ -361,95 +578,10 @@ fn rows_first_out(place: Cell, node: Cell) -> bool {
     (node.row - place.row).abs() <= (node.col - place.col).abs()
 }
 
-/// Steps between two cells if nothing is in the way.
-fn steps(from: Cell, to: Cell) -> u32 {
-    from.row.abs_diff(to.row) + from.col.abs_diff(to.col)
-}
-
-/// All lanes: street by street, horizontal streets first, then block by block, the left-going or down-going lane first.
-fn lay_lanes(layout: &Layout) -> Vec<Lane> {
-    let [block_rows, block_cols] = layout.blocks();
-    let mut lanes = Vec::new();
-    for (streets, blocks, horizontal) in [(block_rows, block_cols, true), (block_cols, block_rows, false)] {
-        for street in 0..=streets {
-            let (middle, offset) = (layout.mid_line(street), layout.lane_offset());
-            for block in 0..blocks {
-                let (low, high) = layout.lane_ends(block);
-                let cell = |across, along| {
-                    if horizontal {
-                        Cell::new(across, along)
-                    } else {
-                        Cell::new(along, across)
-                    }
-                };
-                let (before, after) = (middle - offset, middle + offset);
-                let down = Lane {
-                    start: cell(before, if horizontal { high } else { low }),
-                    end: cell(before, if horizontal { low } else { high }),
-                    heading: if horizontal { Heading::Left } else { Heading::Down },
-                };
-                let up = Lane {
-                    start: cell(after, if horizontal { low } else { high }),
-                    end: cell(after, if horizontal { high } else { low }),
-                    heading: if horizontal { Heading::Right } else { Heading::Up },
-                };
-                lanes.extend([down, up]);
-            }
-        }
-    }
-    lanes
-}
-
-/// What a coordinate is on its axis.
-enum Place {
-    /// In a street, before (-1), on (0) or after (1) its mid line.
-    Street { number: i32, side: i32 },
-    /// Along a block, where lanes run beside it.
-    Lane { block: i32 },
-    /// In the part of a block that intersections reach into.
-    Corner,
-}
-
 impl Layout {
     /// First and last cell of the lanes along a block: the outlines of the two intersections.
     pub fn lane_ends(&self, block: i32) -> (i32, i32) {
         let built = self.built_span(block);
         (built.start - 1, built.end)
-    }
-
-    /// Whether a lane starts or ends here.
-    pub fn is_lane_node(&self, cell: Cell) -> bool {
-        self.is_node_across(cell.row, cell.col) || self.is_node_across(cell.col, cell.row)
-    }
-
-    /// Whether the first coordinate is on a lane and the second is where lanes begin and end.
-    fn is_node_across(&self, across: i32, along: i32) -> bool {
-        let on_lane = match self.place(across) {
-            Place::Street { number, .. } => (across - self.mid_line(number)).abs() == self.lane_offset(),
-            _ => false,
-        };
-        let at_end = match self.place(along) {
-            Place::Lane { block } => {
-                let (low, high) = self.lane_ends(block);
-                along == low || along == high
-            }
-            _ => false,
-        };
-        on_lane && at_end
-    }
-
-    /// What a coordinate is on its axis; meaningful on the map only.
-    fn place(&self, at: i32) -> Place {
-        let number = at.div_euclid(self.period());
-        if at < self.block_start(number) {
-            let side = (at - self.mid_line(number)).signum();
-            return Place::Street { number, side };
-        }
-        let (low, high) = self.lane_ends(number);
-        if (low..=high).contains(&at) {
-            Place::Lane { block: number }
-        } else {
-            Place::Corner
-        }
     }
 }

@@ -129,6 +129,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let bar = ProgressBar::new(ticks).with_style(
         ProgressStyle::with_template("{bar:30} tick {pos} of {len}, {per_sec}, {eta} left").expect("a valid template"),
     );
+    let names: Vec<String> = simulation
+        .agents()
+        .iter()
+        .map(|agent| agent.name().to_string())
+        .collect();
     let mut tally = Tally {
         last_move: vec![0; simulation.agents().len()],
         waited: vec![BTreeSet::new(); simulation.agents().len()],
@@ -147,7 +152,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         if let Some((painter, animation)) = &mut pictures
             && tick < MAX_FRAMES
         {
-            let frame = painter.frame(tick, &sprites(&simulation));
+            let frame = painter.frame(tick, &sprites(&simulation, &names));
             animation.push(&frame).map_err(writing("city.gif"))?;
         }
         bar.inc(1);
@@ -161,7 +166,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         file.finish().map_err(writing("city.gif"))?;
         written.push(path("city.gif"));
         let mut file = Output::create(&path("last.png")).map_err(writing("last.png"))?;
-        let frame = painter.frame(simulation.now(), &sprites(&simulation));
+        let frame = painter.frame(simulation.now(), &sprites(&simulation, &names));
         write_png(&frame, &mut file).map_err(writing("last.png"))?;
         file.finish().map_err(writing("last.png"))?;
         written.push(path("last.png"));
@@ -198,13 +203,13 @@ fn stop_on_interrupt() -> Result<Arc<AtomicBool>, Failure> {
     Ok(stop)
 }
 
-/// The agents as they are, and what they decided in the last tick, if there was one.
-fn sprites(simulation: &Simulation) -> Vec<Sprite<'_>> {
+/// The agents as they are, and what they decided in the last tick, if there was one. `names` are theirs.
+fn sprites<'a>(simulation: &'a Simulation, names: &'a [String]) -> Vec<Sprite<'a>> {
     let decided = &simulation.report().agents;
-    let agents = simulation.agents().iter().enumerate();
+    let agents = simulation.agents().iter().zip(names).enumerate();
     agents
-        .map(|(index, agent)| Sprite {
-            name: &agent.name,
+        .map(|(index, (agent, name))| Sprite {
+            name,
             kind: agent.kind,
             concepts: &agent.concepts,
             at: agent.cell,
@@ -346,7 +351,9 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
 fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &mut String) {
     let still = |agent: &usize| tally.ticks - tally.last_move[*agent] >= STUCK_TICKS;
     let stuck: Vec<usize> = (0..tally.last_move.len()).filter(still).collect();
-    let names: Vec<_> = (simulation.agents().iter()).map(|agent| agent.name.clone()).collect();
+    let names: Vec<String> = (simulation.agents().iter())
+        .map(|agent| agent.name().to_string())
+        .collect();
     let name = |agent: usize| &*names[agent];
     let told: Vec<&str> = stuck.iter().map(|&agent| name(agent)).collect();
     let told = if told.is_empty() {

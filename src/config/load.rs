@@ -14,8 +14,10 @@ use std::path::Path;
 
 /// The most base predicates of a scenario.
 const MAX_PREDICATES: usize = 1000;
-/// The most agents of a split, with the concepts they carry.
+/// The most agents of a split before they are repeated, with the concepts they carry.
 const MAX_AGENTS: u32 = 1_000_000;
+/// The most agents of a split.
+const MAX_REPEATED: u32 = 10_000_000;
 /// The most blocks in a row or column of a map.
 const MAX_BLOCKS: u32 = 1000;
 /// The widest part of a map in cells.
@@ -513,12 +515,7 @@ fn splits(
     let mut splits = Vec::new();
     for (split, region) in Split::ALL.into_iter().zip(regions) {
         if let Some(node) = fields.optional(split.name()) {
-            let agents = agents(node, split, concepts.as_ref(), faults);
-            let set = agents.map(|agents| AgentSet {
-                agents,
-                region: *region,
-                span: node.span,
-            });
+            let set = agents(node, split, *region, concepts.as_ref(), faults);
             splits.extend(set.map(|set| (split, set)));
         }
     }
@@ -593,25 +590,32 @@ impl<'p> Concepts<'p> {
 fn agents(
     node: &Node,
     split: Split,
+    region: Option<Located<u32>>,
     concepts: Option<&Concepts<'_>>,
     faults: &mut Vec<Diagnostic>,
-) -> Option<Vec<AgentConfig>> {
+) -> Option<AgentSet> {
     let before = faults.len();
     let mut fields = Fields::open(node, "the agents of a split", faults)?;
     let lists = [("cars", AgentKind::Car), ("pedestrians", AgentKind::Pedestrian)];
     let mut room = MAX_AGENTS;
     let [cars, pedestrians] = lists.map(|(key, kind)| {
-        let mut agents = Vec::new();
+        let mut groups = Vec::new();
         for item in fields
             .optional(key)
             .and_then(|node| list(node, key, faults))
             .unwrap_or_default()
         {
             if faults.len() <= MAX_FAULTS {
-                group(item, kind, &mut room, &mut agents, concepts, faults);
+                groups.extend(group(item, kind, &mut room, concepts, faults));
             }
         }
-        agents
+        groups
+    });
+    let repeat_node = fields.optional("repeat");
+    let repeat = repeat_node.map_or(Some(1), |node| integer(node, 1..=MAX_REPEATED, faults));
+    let trip = fields.optional("trip").map(|node| {
+        let value = integer(node, 1..=MAX_REGION, faults)?;
+        Some(Located { value, span: node.span })
     });
     fields.close(faults);
     if cars.is_empty() && pedestrians.is_empty() && faults.len() == before {
@@ -619,21 +623,33 @@ fn agents(
         let fault = Diagnostic::new(Code::InvalidValue, message).at(node.span, "");
         faults.push(fault.help("give it `cars` or `pedestrians`"));
     }
-    // The first car is the ego of a task and leads the list.
-    let mut cars = cars.into_iter();
-    Some(cars.next().into_iter().chain(pedestrians).chain(cars).collect())
+    let set = AgentSet {
+        cars,
+        pedestrians,
+        repeat: repeat?,
+        region,
+        trip: trip.map_or(Some(None), |trip| trip.map(Some))?,
+        span: node.span,
+    };
+    if let Some(node) = repeat_node
+        && set.len() > MAX_REPEATED as usize
+    {
+        let message = format!("{} agents in a split, the limit is {MAX_REPEATED}", set.len());
+        faults.push(Diagnostic::new(Code::LimitExceeded, message).at(node.span, "too often"));
+        return None;
+    }
+    Some(set)
 }
 
-/// Adds the agents of one entry of an agent list. `room` is what is left of [`MAX_AGENTS`]; a concept that an agent carries
+/// The agents of one entry of an agent list. `room` is what is left of [`MAX_AGENTS`]; a concept that an agent carries
 /// takes as much room as an agent.
 fn group(
     node: &Node,
     kind: AgentKind,
     room: &mut u32,
-    agents: &mut Vec<AgentConfig>,
     known: Option<&Concepts<'_>>,
     faults: &mut Vec<Diagnostic>,
-) -> Option<()> {
+) -> Option<AgentGroup> {
     let what = if kind == AgentKind::Car {
         "a car"
     } else {
@@ -662,14 +678,11 @@ fn group(
         return None;
     };
     *room = left;
-    let first = agents.len() + 1;
-    agents.extend((first..first + count as usize).map(|number| AgentConfig {
-        name: format!("{}_{number}", kind.name()),
-        kind,
-        concepts: concepts.clone(),
+    Some(AgentGroup {
+        count,
+        concepts: concepts.into_iter().map(|concept| concept.value).collect(),
         priority,
-    }));
-    Some(())
+    })
 }
 
 /// The concepts of one entry of an agent list.

@@ -3,8 +3,11 @@
 //! The serialised form holds the content without file names and places. It is what [`Scenario::hash`] is taken of.
 
 use crate::diag::Span;
+use serde::ser::SerializeStruct;
 use serde::{Serialize, Serializer};
+use std::fmt;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// A value and where it stands in its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -125,29 +128,137 @@ impl Split {
     }
 }
 
-/// One agent of an agent set.
-#[derive(Clone, Debug, Serialize)]
-pub struct AgentConfig {
-    /// `Car_1`, `Pedestrian_3`, ...: kind and number within the kind, from 1.
-    pub name: String,
+/// The name of an agent, as it is written: `Car_1`, `Pedestrian_3`, ...
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct AgentName {
     /// What it is.
     pub kind: AgentKind,
-    /// Its concepts, for example `ambulance`; each is defined by a predicate of the scenario.
-    pub concepts: Vec<Located<String>>,
+    /// Its number within the kind, from 1.
+    pub number: u32,
+}
+
+impl fmt::Display for AgentName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}_{}", self.kind.name(), self.number)
+    }
+}
+
+/// An entry of an agent set: agents that are alike.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AgentGroup {
+    /// How many, at least 1.
+    pub count: u32,
+    /// The concepts of each, for example `ambulance`; each is defined by a predicate of the scenario.
+    pub concepts: Arc<[String]>,
     /// Right of way; a smaller number goes first.
     pub priority: i32,
 }
 
-/// The agents of one split, in list order: first car, all pedestrians, the other cars.
-#[derive(Clone, Debug, Serialize)]
+/// One agent of an agent set.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AgentConfig {
+    /// Its name.
+    pub name: AgentName,
+    /// Its concepts, which all agents of its entry share.
+    pub concepts: Arc<[String]>,
+    /// Right of way; a smaller number goes first.
+    pub priority: i32,
+}
+
+/// The agents of one split.
+#[derive(Clone, Debug)]
 pub struct AgentSet {
-    /// The agents.
-    pub agents: Vec<AgentConfig>,
+    /// The entries of cars.
+    pub cars: Vec<AgentGroup>,
+    /// The entries of pedestrians.
+    pub pedestrians: Vec<AgentGroup>,
+    /// How many times all of them are there, at least 1.
+    pub repeat: u32,
     /// Starts and goals lie in rows and columns below this; `None` for the whole map.
     pub region: Option<Located<u32>>,
+    /// A goal lies at most so many rows and columns from where the agent is; `None` for anywhere.
+    pub trip: Option<Located<u32>>,
     /// Where the set is defined.
-    #[serde(skip)]
     pub span: Span,
+}
+
+impl AgentSet {
+    /// How many agents of a kind there are.
+    pub fn count(&self, kind: AgentKind) -> usize {
+        let once: usize = self.groups(kind).iter().map(|group| group.count as usize).sum();
+        once * self.repeat as usize
+    }
+
+    /// How many agents there are.
+    pub fn len(&self) -> usize {
+        AgentKind::ALL.iter().map(|&kind| self.count(kind)).sum()
+    }
+
+    /// Whether there is no agent.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    fn groups(&self, kind: AgentKind) -> &[AgentGroup] {
+        match kind {
+            AgentKind::Car => &self.cars,
+            AgentKind::Pedestrian => &self.pedestrians,
+        }
+    }
+
+    /// The agents in list order: first car, which is the ego of a task, all pedestrians, the other cars.
+    pub fn agents(&self) -> impl Iterator<Item = AgentConfig> + '_ {
+        self.listed(self.repeat)
+    }
+
+    fn listed(&self, repeat: u32) -> impl Iterator<Item = AgentConfig> + '_ {
+        let of = move |kind| {
+            let groups = (0..repeat).flat_map(move |_| self.groups(kind));
+            let alike = groups.flat_map(|group| std::iter::repeat_n(group, group.count as usize));
+            (1..).zip(alike).map(move |(number, group)| AgentConfig {
+                name: AgentName { kind, number },
+                concepts: Arc::clone(&group.concepts),
+                priority: group.priority,
+            })
+        };
+        let mut cars = of(AgentKind::Car);
+        (cars.next().into_iter()).chain(of(AgentKind::Pedestrian)).chain(cars)
+    }
+}
+
+/// Written as the list of agents that is repeated, so that it does not matter how entries count them.
+impl Serialize for AgentSet {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut set = serializer.serialize_struct("AgentSet", 4)?;
+        set.serialize_field("agents", &Listed(self))?;
+        set.serialize_field("region", &self.region)?;
+        if self.repeat > 1 {
+            set.serialize_field("repeat", &self.repeat)?;
+        }
+        if self.trip.is_some() {
+            set.serialize_field("trip", &self.trip)?;
+        }
+        set.end()
+    }
+}
+
+struct Listed<'a>(&'a AgentSet);
+
+impl Serialize for Listed<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.0.listed(1))
+    }
+}
+
+impl Serialize for AgentConfig {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut agent = serializer.serialize_struct("AgentConfig", 4)?;
+        agent.serialize_field("name", &format_args!("{}", self.name))?;
+        agent.serialize_field("kind", &self.name.kind)?;
+        agent.serialize_field("concepts", &self.concepts[..])?;
+        agent.serialize_field("priority", &self.priority)?;
+        agent.end()
+    }
 }
 
 /// How a base predicate is computed from the state of the city.

@@ -138,11 +138,10 @@ pub(super) fn draw(map: &CityMap, zoom: Zoom, frame: &mut Frame, left: i32, top:
     }
 }
 
-/// The value of a layer, or `None` off the map.
-fn at<T: Copy>(layer: &ndarray::Array2<T>, cell: Cell) -> Option<T> {
-    layer
-        .get((usize::try_from(cell.row).ok()?, usize::try_from(cell.col).ok()?))
-        .copied()
+/// The building of a cell and its block: equal for cells of one roof.
+fn roof(map: &CityMap, cell: Cell) -> Option<(Building, Option<u32>)> {
+    map.building_at(cell)
+        .map(|building| (building, map.layout.block_at(cell)))
 }
 
 /// The colour of one pixel of a cell, `down` and `right` of the cell's corner.
@@ -155,18 +154,16 @@ fn ink_at(map: &CityMap, zoom: Zoom, cell: Cell, down: i32, right: i32) -> Ink {
         Heading::Down => down == zoom.pixels - 1,
     });
     let fine = zoom.pixels > 2;
-    if let Some(building) = at(&map.building, cell).flatten() {
-        let style = BuildingStyle::of(building);
-        let same = |other: Cell| {
-            at(&map.building, other) == Some(Some(building)) && at(&map.block, other) == at(&map.block, cell)
-        };
+    if let Some(own) = roof(map, cell) {
+        let style = BuildingStyle::of(own.0);
+        let same = |other: Cell| roof(map, other) == Some(own);
         let edge = fine && touched.into_iter().any(|heading| !same(cell.ahead(heading, 1)));
         return if edge { style.edge } else { style.roof };
     }
-    match at(&map.ground, cell) {
+    match map.ground_at(cell) {
         None | Some(Ground::Other) => Ink::GRASS,
         Some(Ground::Walking) => {
-            let curb = |heading| at(&map.ground, cell.ahead(heading, 1)) == Some(Ground::Traffic);
+            let curb = |heading| map.ground_at(cell.ahead(heading, 1)) == Some(Ground::Traffic);
             if fine && touched.into_iter().any(curb) {
                 Ink::CURB
             } else if fine && (cell.row % 5 == 0 && down == 0 || cell.col % 5 == 0 && right == 0) {
@@ -187,8 +184,8 @@ fn ink_at(map: &CityMap, zoom: Zoom, cell: Cell, down: i32, right: i32) -> Ink {
 /// Asphalt with its dashed mid line and the stop lines in front of crossings.
 fn traffic(map: &CityMap, zoom: Zoom, cell: Cell, down: i32, right: i32) -> Ink {
     let size = zoom.pixels;
-    let mid = |heading| at(&map.mid_line, cell.ahead(heading, 1)) == Some(true);
-    if at(&map.mid_line, cell) == Some(true) {
+    let mid = |heading| map.is_mid_line(cell.ahead(heading, 1));
+    if map.is_mid_line(cell) {
         let along_row = mid(Heading::Left) || mid(Heading::Right);
         let (along, across) = if along_row { (cell.col, down) } else { (cell.row, right) };
         let painted = (size / 3..size - size / 3).contains(&across) && along % 5 < 3;
@@ -196,7 +193,7 @@ fn traffic(map: &CityMap, zoom: Zoom, cell: Cell, down: i32, right: i32) -> Ink 
     }
     let stops = |heading| {
         let ahead = cell.ahead(heading, 1);
-        at(&map.entrance, ahead).is_some_and(|number| number != 0) && at(&map.ground, ahead) == Some(Ground::Crossing)
+        map.junction(ahead).car_is_at() && map.ground_at(ahead) == Some(Ground::Crossing)
     };
     let far_half = |heading| match heading {
         Heading::Left => right >= size / 2,
@@ -205,7 +202,7 @@ fn traffic(map: &CityMap, zoom: Zoom, cell: Cell, down: i32, right: i32) -> Ink 
         Heading::Down => down < size / 2,
     };
     let line = size > 1
-        && at(&map.entrance, cell) == Some(0)
+        && !map.junction(cell).car_is_at()
         && Heading::ALL
             .into_iter()
             .any(|heading| far_half(heading) && stops(heading));
@@ -219,7 +216,7 @@ fn walks_along_row(map: &CityMap, cell: Cell) -> bool {
         let mut cells = 0;
         while ground == Some(Ground::Crossing) {
             cells += 1;
-            ground = at(&map.ground, cell.ahead(heading, cells));
+            ground = map.ground_at(cell.ahead(heading, cells));
         }
         ground
     };
@@ -228,14 +225,9 @@ fn walks_along_row(map: &CityMap, cell: Cell) -> bool {
 
 /// A letter on every building that has room for one.
 fn letters(map: &CityMap, zoom: Zoom, frame: &mut Frame, left: i32, top: i32) {
-    for ((row, col), building) in map.building.indexed_iter() {
-        let (Some(building), Ok(row), Ok(col)) = (*building, i32::try_from(row), i32::try_from(col)) else {
-            continue;
-        };
-        let corner = Cell::new(row, col);
-        let same = |other: Cell| {
-            at(&map.building, other) == Some(Some(building)) && at(&map.block, other) == at(&map.block, corner)
-        };
+    let cells = (0..map.rows()).flat_map(|row| (0..map.cols()).map(move |col| Cell::new(row, col)));
+    for (corner, own) in cells.filter_map(|cell| Some((cell, roof(map, cell)?))) {
+        let same = |other: Cell| roof(map, other) == Some(own);
         if same(corner.ahead(Heading::Left, 1)) || same(corner.ahead(Heading::Up, 1)) {
             continue;
         }
@@ -247,11 +239,11 @@ fn letters(map: &CityMap, zoom: Zoom, frame: &mut Frame, left: i32, top: i32) {
             cells * zoom.pixels
         };
         let (width, height) = (extent(Heading::Right), extent(Heading::Down));
-        let style = BuildingStyle::of(building);
+        let style = BuildingStyle::of(own.0);
         if let Some(font) = letter_font(width.min(height)) {
             let (x, y) = (
-                left + col * zoom.pixels + width / 2,
-                top + row * zoom.pixels + height / 2,
+                left + corner.col * zoom.pixels + width / 2,
+                top + corner.row * zoom.pixels + height / 2,
             );
             frame.text(style.letter, x, y, font, style.ink, Alignment::Center);
         }

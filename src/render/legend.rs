@@ -5,7 +5,7 @@ use super::canvas::Frame;
 use super::ground::{BUILDINGS, BuildingStyle, letter_font};
 use super::ink::Ink;
 use super::label::one_line;
-use crate::city::{CityMap, Ground};
+use crate::city::CityMap;
 use crate::config::{AgentKind, Speed};
 use embedded_graphics::mono_font::iso_8859_1::{FONT_6X13, FONT_7X13_BOLD, FONT_9X15_BOLD};
 use embedded_graphics::text::Alignment;
@@ -70,7 +70,7 @@ pub(super) fn draw_static(map: &CityMap, frame: &mut Frame, left: i32, top: i32)
     };
     let occurs: Vec<&BuildingStyle> = BUILDINGS
         .iter()
-        .filter(|style| map.building.iter().any(|cell| *cell == Some(style.building)))
+        .filter(|style| map.buildings().iter().any(|block| block.contains(&style.building)))
         .collect();
     if !occurs.is_empty() {
         column.heading("BUILDINGS");
@@ -88,7 +88,7 @@ pub(super) fn draw_static(map: &CityMap, frame: &mut Frame, left: i32, top: i32)
     column.row("Sidewalk", None, |frame, x, y| {
         tile(frame, x, y, Ink::CURB, Ink::SIDEWALK)
     });
-    if map.ground.iter().any(|ground| *ground == Ground::Crossing) {
+    if map.layout.has_inner_streets() {
         column.row("Crossing", None, |frame, x, y| {
             tile(frame, x, y, Ink::ASPHALT, Ink::ASPHALT);
             for stripe in 0..3 {
@@ -101,7 +101,7 @@ pub(super) fn draw_static(map: &CityMap, frame: &mut Frame, left: i32, top: i32)
         frame.fill(x - 9, y - 1, 7, 2, Ink::YELLOW_PAINT);
         frame.fill(x + 2, y - 1, 7, 2, Ink::YELLOW_PAINT);
     });
-    if map.entrance.iter().any(|number| *number != 0) {
+    if map.layout.has_inner_streets() {
         column.row("Stop line", None, |frame, x, y| {
             tile(frame, x, y, Ink::ASPHALT, Ink::ASPHALT);
             frame.fill(x + 4, y - 8, 2, 17, Ink::WHITE_PAINT);

@@ -150,7 +150,11 @@ impl Simulation {
             let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
             Diagnostic::new(Code::UnknownSplit, message).help(format!("it has: {}", known.join(", ")))
         })?;
-        let places = Places::new(&world.router, set.region.map(|region| region.value));
+        let places = Places::new(
+            &world.router,
+            set.region.map(|region| region.value),
+            set.trip.map(|trip| trip.value),
+        );
         let agents = place_agents(set, &world.router, &places, seed)?;
         let rules = world.program.rules();
         let counted = |clause: &ClauseId| {
@@ -460,8 +464,8 @@ fn facts(world: &World, entities: &[Entity<'_>], draws: Draws) -> Facts {
 }
 
 fn ground_state(world: &World, agents: &[Agent]) -> GroundState {
-    let names = agents.iter().map(|agent| &*agent.name);
-    GroundState::new(&world.program, &world.vocabulary, names)
+    let names: Vec<String> = agents.iter().map(|agent| agent.name().to_string()).collect();
+    GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str))
 }
 
 fn entity(agent: &Agent) -> Entity<'_> {

@@ -39,7 +39,7 @@ impl<W: Write> TraceWriter<W> {
             .iter()
             .map(|agent| {
                 json!({
-                    "id": &*agent.name,
+                    "id": agent.name().to_string(),
                     "type": agent.kind.name(),
                     "concepts": &*agent.concepts,
                     "priority": agent.priority,
@@ -113,9 +113,8 @@ impl<W: Write> TraceWriter<W> {
         let given: Map<String, Value> = (self.drawn.iter())
             .map(|&index| {
                 let rows = simulation.rows(index);
-                let rows = rows
-                    .iter()
-                    .map(|row| json!(row.map(|agent| &*names[agent as usize].name)));
+                let name = |agent: u32| names[agent as usize].name().to_string();
+                let rows = rows.iter().map(|row| json!(row.map(name)));
                 (predicates[index].name.clone(), rows.collect())
             })
             .collect();

@@ -375,10 +375,11 @@ impl<const W: usize> Window<W> {
     /// Sets what depends on the cell where an entity is.
     fn look(&mut self, grounder: &Grounder, map: &CityMap, entity: usize) {
         let body = &self.bodies[entity];
+        let junction = map.junction(body.at);
         for (set, how) in self.inputs.iter_mut().zip(&grounder.inputs) {
             let holds = match how {
-                Unary::AtIntersection => map.at_intersection(body.kind, body.at).is_some(),
-                Unary::InIntersection => map.in_intersection(body.at).is_some(),
+                Unary::AtIntersection => junction.is_at(body.kind),
+                Unary::InIntersection => junction.is_inside(),
                 Unary::Class | Unary::Always | Unary::Never => continue,
             };
             let word = &mut set[entity / 64];

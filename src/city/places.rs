@@ -1,0 +1,512 @@
+//! Where agents start and arrive, counted and drawn without listing them.
+//!
+//! Which cells of a block are places depends on its four buildings only, so there are sixteen patterns for each kind of agent. A
+//! pattern is cut into bands of equal rows; with the number of places in every band of every row of blocks, the place of a
+//! given number is found by its place among those.
+
+use super::{Cell, CityMap, Layout, NoRoute, Route, Router};
+use crate::config::{AgentKind, Building};
+use crate::rng::{Rng, RngExt};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// How often a goal that cannot be reached is drawn again.
+const GOAL_DRAWS: usize = 16;
+
+/// The cells where agents start and arrive in a region of the map, numbered from 0 row by row.
+///
+/// Pedestrians: cells of the walking street that touch a house or an office, corners included. Cars: the kerb cells of a traffic
+/// street straight across the sidewalk from a gas station, garage or store.
+#[derive(Clone, Debug)]
+pub struct Places {
+    map: Arc<CityMap>,
+    patterns: [Pattern; 2],
+    /// Which of its four buildings agents start at, as a set of bits, for each kind and each block.
+    starts: [Box<[u8]>; 2],
+    /// The places in the region, for each kind.
+    all: [Numbering; 2],
+    /// How many rows and columns away a goal may be.
+    trip: Option<i32>,
+}
+
+/// Rows and columns of cells.
+#[derive(Clone, Debug, Default)]
+struct Window {
+    rows: Range<i32>,
+    cols: Range<i32>,
+}
+
+/// The places of a block by its buildings, in cells from its first row and column; kerbs are one before and one behind the block.
+#[derive(Clone, Debug)]
+struct Pattern {
+    /// Rows of cells in which the places of a block lie in the same columns, from the top.
+    bands: Vec<Range<i32>>,
+    /// For each set of buildings and each band, the columns from the left, and how many these are.
+    cols: Vec<(Vec<Range<i32>>, usize)>,
+}
+
+/// The places in a window, numbered row by row.
+#[derive(Clone, Debug, Default)]
+struct Numbering {
+    window: Window,
+    bands: Vec<Band>,
+    count: usize,
+}
+
+/// Rows of the map that hold equally many places in the same columns.
+#[derive(Clone, Debug)]
+struct Band {
+    rows: Range<i32>,
+    block_row: i32,
+    /// Its place in [`Pattern::bands`].
+    band: usize,
+    /// Places in each of the rows.
+    in_row: usize,
+    /// Places in the rows above.
+    before: usize,
+}
+
+impl Band {
+    fn count(&self) -> usize {
+        self.rows.len() * self.in_row
+    }
+}
+
+fn overlap(a: &Range<i32>, b: &Range<i32>) -> Range<i32> {
+    a.start.max(b.start)..a.end.min(b.end)
+}
+
+/// Where the buildings of a block are on an axis, from its first cell.
+struct BlockAxis {
+    buildings: [Range<i32>; 2],
+    side: i32,
+}
+
+impl BlockAxis {
+    fn new(layout: &Layout) -> Self {
+        let first = layout.block_start(0);
+        let from_first = |span: Range<i32>| span.start - first..span.end - first;
+        BlockAxis {
+            buildings: [0, 1].map(|which| from_first(layout.building_span(0, which))),
+            side: layout.block_side(),
+        }
+    }
+
+    /// The block and its kerbs, cut where something begins or ends: within a part all coordinates are alike.
+    fn parts(&self) -> Vec<Range<i32>> {
+        let mut lines = vec![-1, 0, self.side, self.side + 1];
+        for span in &self.buildings {
+            lines.extend([span.start - 1, span.start, span.end, span.end + 1]);
+        }
+        lines.sort_unstable();
+        lines.dedup();
+        lines.windows(2).map(|pair| pair[0]..pair[1]).collect()
+    }
+
+    /// The building that a coordinate is in.
+    fn within(&self, at: i32) -> Option<usize> {
+        self.buildings.iter().position(|span| span.contains(&at))
+    }
+
+    /// The building on whose side of the block a kerb is.
+    fn kerb(&self, at: i32) -> Option<usize> {
+        [-1, self.side].into_iter().position(|kerb| kerb == at)
+    }
+
+    /// Whether a coordinate is in a building or next to it.
+    fn touches(&self, at: i32, which: usize) -> bool {
+        (self.buildings[which].start - 1..=self.buildings[which].end).contains(&at)
+    }
+
+    /// Whether agents of a kind start at a cell, if they do so at this set of buildings.
+    fn is_place(&self, kind: AgentKind, set: u8, row: i32, col: i32) -> bool {
+        let has = |row: usize, col: usize| set >> (2 * row + col) & 1 == 1;
+        match kind {
+            AgentKind::Car => {
+                let across = |at, along| Some((self.kerb(at)?, self.within(along)?));
+                across(row, col).is_some_and(|(row, col)| has(row, col))
+                    || across(col, row).is_some_and(|(col, row)| has(row, col))
+            }
+            AgentKind::Pedestrian => {
+                let touches = |&(r, c): &(usize, usize)| has(r, c) && self.touches(row, r) && self.touches(col, c);
+                let is_free = self.within(row).is_none() || self.within(col).is_none();
+                is_free && [(0, 0), (0, 1), (1, 0), (1, 1)].iter().any(touches)
+            }
+        }
+    }
+}
+
+impl Pattern {
+    fn new(layout: &Layout, kind: AgentKind) -> Self {
+        let axis = BlockAxis::new(layout);
+        let parts = axis.parts();
+        let cols_of = |set: u8, rows: &Range<i32>| -> Vec<Range<i32>> {
+            let is_place = |cols: &&Range<i32>| axis.is_place(kind, set, rows.start, cols.start);
+            parts.iter().filter(is_place).cloned().collect()
+        };
+        let has_places = |rows: &&Range<i32>| (0..16).any(|set| !cols_of(set, rows).is_empty());
+        let bands: Vec<Range<i32>> = parts.iter().filter(has_places).cloned().collect();
+        let counted = |cols: Vec<Range<i32>>| {
+            let count = cols.iter().map(|cols| cols.len()).sum();
+            (cols, count)
+        };
+        let pairs = (0..16).flat_map(|set| bands.iter().map(move |rows| (set, rows)));
+        Pattern {
+            cols: pairs.map(|(set, rows)| counted(cols_of(set, rows))).collect(),
+            bands,
+        }
+    }
+}
+
+/// Which of four buildings agents of a kind start at, as a set of bits.
+fn starts(kind: AgentKind, buildings: [Building; 4]) -> u8 {
+    let is_start = |building| match kind {
+        AgentKind::Car => matches!(building, Building::GasStation | Building::Garage | Building::Store),
+        AgentKind::Pedestrian => matches!(building, Building::House | Building::Office),
+    };
+    (0..4).filter(|&at| is_start(buildings[at])).map(|at| 1 << at).sum()
+}
+
+/// The rows of blocks, or columns, whose places, kerbs before and behind included, can be within these rows or columns of cells.
+fn blocks_near(layout: &Layout, cells: &Range<i32>, blocks: i32) -> Range<i32> {
+    // The kerb behind a block is the first cell of the next street, the kerb before it the last cell of its own.
+    let period = layout.period();
+    let first = (cells.start - 1).div_euclid(period);
+    let end = (cells.end - layout.block_start(0)).div_euclid(period) + 1;
+    first.max(0)..end.min(blocks)
+}
+
+/// The places of one kind.
+#[derive(Clone, Copy)]
+struct OfKind<'p> {
+    kind: AgentKind,
+    map: &'p CityMap,
+    starts: &'p [u8],
+    pattern: &'p Pattern,
+}
+
+/// The places of one kind in a window.
+#[derive(Clone, Copy)]
+struct View<'p> {
+    of: OfKind<'p>,
+    numbering: &'p Numbering,
+}
+
+impl Numbering {
+    fn new(of: OfKind<'_>, window: Window) -> Self {
+        let layout = &of.map.layout;
+        let near = blocks_near(layout, &window.cols, layout.blocks()[1]);
+        let mut numbering = Numbering {
+            bands: Vec::new(),
+            count: 0,
+            window,
+        };
+        for block_row in blocks_near(layout, &numbering.window.rows, layout.blocks()[0]) {
+            let first = layout.block_start(block_row);
+            for (band, rows) in of.pattern.bands.iter().enumerate() {
+                let rows = overlap(&(first + rows.start..first + rows.end), &numbering.window.rows);
+                if rows.is_empty() {
+                    continue;
+                }
+                let view = View {
+                    of,
+                    numbering: &numbering,
+                };
+                let in_row = near
+                    .clone()
+                    .map(|block_col| view.in_block(block_row, block_col, band))
+                    .sum();
+                let band = Band {
+                    rows,
+                    block_row,
+                    band,
+                    in_row,
+                    before: numbering.count,
+                };
+                numbering.count += band.count();
+                numbering.bands.push(band);
+            }
+        }
+        numbering
+    }
+}
+
+impl View<'_> {
+    /// The columns in each row of a band of a block, whether they are in the window or not, from the block's first; and how many.
+    fn cols(&self, block_row: i32, block_col: i32, band: usize) -> &(Vec<Range<i32>>, usize) {
+        let block = block_row * self.of.map.layout.blocks()[1] + block_col;
+        let set = usize::from(self.of.starts[block as usize]);
+        &self.of.pattern.cols[set * self.of.pattern.bands.len() + band]
+    }
+
+    /// The columns of those that are in the window.
+    fn runs(&self, block_row: i32, block_col: i32, band: usize) -> impl Iterator<Item = Range<i32>> {
+        let first = self.of.map.layout.block_start(block_col);
+        (self.cols(block_row, block_col, band).0.iter())
+            .map(move |cols| overlap(&(first + cols.start..first + cols.end), &self.numbering.window.cols))
+    }
+
+    /// How many places in each row of a band of a block are in the window.
+    fn in_block(&self, block_row: i32, block_col: i32, band: usize) -> usize {
+        let first = self.of.map.layout.block_start(block_col) - 1;
+        let window = &self.numbering.window.cols;
+        if window.start <= first && first + self.of.map.layout.block_side() + 2 <= window.end {
+            return self.cols(block_row, block_col, band).1;
+        }
+        self.runs(block_row, block_col, band).map(|cols| cols.len()).sum()
+    }
+
+    fn blocks_across(&self) -> Range<i32> {
+        blocks_near(
+            &self.of.map.layout,
+            &self.numbering.window.cols,
+            self.of.map.layout.blocks()[1],
+        )
+    }
+
+    /// The place of a number below the count.
+    fn nth(&self, number: usize) -> Option<Cell> {
+        let bands = &self.numbering.bands;
+        let band = bands[..bands.partition_point(|band| band.before <= number)]
+            .iter()
+            .rfind(|band| band.in_row > 0)?;
+        let inside = number - band.before;
+        self.in_band(band, inside / band.in_row, inside % band.in_row, None)
+    }
+
+    /// The place of a number in a row of a band, where the places of one block do not count.
+    fn in_band(&self, band: &Band, row: usize, mut number: usize, without: Option<i32>) -> Option<Cell> {
+        for block_col in self.blocks_across().filter(|&block_col| Some(block_col) != without) {
+            let count = self.in_block(band.block_row, block_col, band.band);
+            if number < count {
+                let col = (self.runs(band.block_row, block_col, band.band).flatten()).nth(number)?;
+                return Some(Cell::new(band.rows.start + i32::try_from(row).ok()?, col));
+            }
+            number -= count;
+        }
+        None
+    }
+
+    /// The number of a cell; `None` if it is no place in the window.
+    fn number(&self, cell: Cell) -> Option<usize> {
+        let bands = &self.numbering.bands;
+        let band = bands[..bands.partition_point(|band| band.rows.start <= cell.row)].last()?;
+        if !band.rows.contains(&cell.row) {
+            return None;
+        }
+        let mut number = band.before + (cell.row - band.rows.start) as usize * band.in_row;
+        for block_col in self.blocks_across() {
+            // Its places begin with the kerb before it.
+            if cell.col > self.of.map.layout.block_start(block_col) + self.of.map.layout.block_side() {
+                number += self.in_block(band.block_row, block_col, band.band);
+                continue;
+            }
+            for cols in self.runs(band.block_row, block_col, band.band) {
+                if cols.contains(&cell.col) {
+                    return Some(number + (cell.col - cols.start) as usize);
+                }
+                number += cols.len();
+            }
+            return None;
+        }
+        None
+    }
+
+    /// Draws goals for an agent at `start` among the places that count for it; `None` if there is none.
+    fn goals(&self, start: Cell) -> Option<Goals<'_>> {
+        let goals = match self.of.kind {
+            AgentKind::Car => {
+                let own = self.number(start);
+                Goals {
+                    view: *self,
+                    count: self.numbering.count - usize::from(own.is_some()),
+                    without: Without::Place(own),
+                }
+            }
+            AgentKind::Pedestrian => {
+                let layout = &self.of.map.layout;
+                let Some([block_row, block_col]) = layout.block_place(start) else {
+                    let without = Without::Place(None);
+                    return (self.numbering.count > 0).then_some(Goals {
+                        view: *self,
+                        count: self.numbering.count,
+                        without,
+                    });
+                };
+                let bands = &self.numbering.bands;
+                let first = bands.partition_point(|band| band.block_row < block_row);
+                let home = first..bands.partition_point(|band| band.block_row <= block_row);
+                let own: usize = (bands[home.clone()].iter())
+                    .map(|band| band.rows.len() * self.in_block(block_row, block_col, band.band))
+                    .sum();
+                Goals {
+                    view: *self,
+                    count: self.numbering.count - own,
+                    without: Without::Block {
+                        bands: home,
+                        block_col,
+                        own,
+                    },
+                }
+            }
+        };
+        (goals.count > 0).then_some(goals)
+    }
+}
+
+/// The places that an agent may go to, numbered in the same order.
+struct Goals<'p> {
+    view: View<'p>,
+    count: usize,
+    without: Without,
+}
+
+/// What an agent does not go to.
+enum Without {
+    /// The place where it is, if it is one.
+    Place(Option<usize>),
+    /// Its own block.
+    Block {
+        /// The bands of the block's row.
+        bands: Range<usize>,
+        block_col: i32,
+        /// Its places.
+        own: usize,
+    },
+}
+
+impl Goals<'_> {
+    fn nth(&self, number: usize) -> Option<Cell> {
+        match &self.without {
+            Without::Place(own) => self
+                .view
+                .nth(number + usize::from(own.is_some_and(|own| own <= number))),
+            Without::Block { bands, block_col, own } => {
+                let mut left = number;
+                for (place, band) in self.view.numbering.bands[bands.clone()].iter().enumerate() {
+                    if place == 0 {
+                        let Some(inside) = number.checked_sub(band.before) else {
+                            return self.view.nth(number);
+                        };
+                        left = inside;
+                    }
+                    let in_row = band.in_row - self.view.in_block(band.block_row, *block_col, band.band);
+                    if left < in_row * band.rows.len() {
+                        return self.view.in_band(band, left / in_row, left % in_row, Some(*block_col));
+                    }
+                    left -= in_row * band.rows.len();
+                }
+                self.view.nth(number + own)
+            }
+        }
+    }
+}
+
+impl Places {
+    /// The places within the first `region` rows and columns; `None` for the whole map. A goal is drawn from those that are at
+    /// most `trip` rows and columns away; `None` for all of them.
+    pub fn new(router: &Router, region: Option<u32>, trip: Option<u32>) -> Self {
+        let map = router.map();
+        let cells = |cells: u32| i32::try_from(cells).unwrap_or(i32::MAX);
+        let limit = region.map_or(i32::MAX, cells);
+        let window = Window {
+            rows: 0..map.rows().min(limit),
+            cols: 0..map.cols().min(limit),
+        };
+        let starts = AgentKind::ALL.map(|kind| map.buildings().iter().map(|&block| starts(kind, block)).collect());
+        let mut places = Places {
+            patterns: AgentKind::ALL.map(|kind| Pattern::new(&map.layout, kind)),
+            starts,
+            all: [Numbering::default(), Numbering::default()],
+            trip: trip.map(cells),
+            map: Arc::clone(map),
+        };
+        places.all = AgentKind::ALL.map(|kind| Numbering::new(places.of(kind), window.clone()));
+        places
+    }
+
+    fn of(&self, kind: AgentKind) -> OfKind<'_> {
+        OfKind {
+            kind,
+            map: &self.map,
+            starts: &self.starts[kind as usize],
+            pattern: &self.patterns[kind as usize],
+        }
+    }
+
+    fn all(&self, kind: AgentKind) -> View<'_> {
+        self.view(kind, None)
+    }
+
+    /// The places in `near`, or in the whole region.
+    fn view<'p>(&'p self, kind: AgentKind, near: Option<&'p Numbering>) -> View<'p> {
+        View {
+            of: self.of(kind),
+            numbering: near.unwrap_or(&self.all[kind as usize]),
+        }
+    }
+
+    /// How many places there are for agents of a kind.
+    pub fn count(&self, kind: AgentKind) -> usize {
+        self.all[kind as usize].count
+    }
+
+    /// The place of that number for agents of a kind; `None` if there are not so many.
+    pub fn nth(&self, kind: AgentKind, number: usize) -> Option<Cell> {
+        (number < self.count(kind)).then(|| self.all(kind).nth(number))?
+    }
+
+    /// Whether agents of a kind start and arrive here.
+    pub fn contains(&self, kind: AgentKind, cell: Cell) -> bool {
+        self.all(kind).number(cell).is_some()
+    }
+
+    /// Draws a goal for an agent at `start` and plans the way: for a car any place but the start, for a pedestrian a place in
+    /// another block (so it keeps more than 3 cells away from the buildings of its own). Draws again, a bounded number of times, if there is no way.
+    ///
+    /// # Errors
+    /// If there is no such place, or none of those drawn can be reached.
+    pub fn draw_route(
+        &self,
+        router: &Router,
+        kind: AgentKind,
+        start: Cell,
+        stream: &mut impl Rng,
+    ) -> Result<Route, NoRoute> {
+        let near = self.near(kind, start);
+        let view = self.view(kind, near.as_ref());
+        let goals = view.goals(start).ok_or(NoRoute::Goal)?;
+        let mut failure = NoRoute::Unconnected;
+        for _ in 0..GOAL_DRAWS {
+            let goal = goals.nth(stream.random_range(0..goals.count)).ok_or(NoRoute::Goal)?;
+            match router.plan(kind, start, goal) {
+                Ok(route) => return Ok(route),
+                Err(NoRoute::Start) => return Err(NoRoute::Start),
+                Err(other) => failure = other,
+            }
+        }
+        Err(failure)
+    }
+
+    /// The places within a trip, if trips are limited.
+    fn near(&self, kind: AgentKind, start: Cell) -> Option<Numbering> {
+        let trip = self.trip?;
+        let around = |at: i32| at.saturating_sub(trip)..at.saturating_add(trip).saturating_add(1);
+        let all = &self.all[kind as usize].window;
+        let window = Window {
+            rows: overlap(&around(start.row), &all.rows),
+            cols: overlap(&around(start.col), &all.cols),
+        };
+        Some(Numbering::new(self.of(kind), window))
+    }
+
+    /// The goals that [`Places::draw_route`] draws from, row by row.
+    pub fn goals(&self, kind: AgentKind, start: Cell) -> Vec<Cell> {
+        let near = self.near(kind, start);
+        let view = self.view(kind, near.as_ref());
+        let goals = view.goals(start);
+        goals.map_or_else(Vec::new, |goals| {
+            (0..goals.count).filter_map(|number| goals.nth(number)).collect()
+        })
+    }
+}
