@@ -49,7 +49,7 @@ fn tick(criterion: &mut Criterion) {
 /// One scene, from text to answer; throughput is in scenes.
 fn infer(criterion: &mut Criterion) {
     let World { scenario, program, .. } = world("expert");
-    let mut inference = Inference::new(scenario, program, Seed(0), read_text).expect("rules fit");
+    let mut inference = Inference::new(scenario, program, Seed(0), Executor::Auto, read_text).expect("rules fit");
     let mut sources = Sources::new();
     let scene = sources.add(
         "scene",
@@ -86,13 +86,9 @@ fn rules(criterion: &mut Criterion) {
             for _ in 0..7 {
                 simulation.tick(&[]).expect("within limits");
             }
-            let mut facts = BitFacts::new(&dense, count);
-            for (index, predicate) in world.vocabulary.predicates.iter().enumerate() {
-                let Some(relation) = predicate.relation else { continue };
-                for row in simulation.rows(index) {
-                    facts.insert(&dense, relation, &row.map(|entity| entity as usize)[..predicate.arity]);
-                }
-            }
+            let vocabulary = &world.vocabulary;
+            let facts = simulation.facts(|predicate| vocabulary.is_read(predicate));
+            let facts: BitFacts<WIDTH> = facts.to_bits(vocabulary, &dense, count);
             facts.load(&dense, &mut frame);
             frame.run(&dense, &facts);
             for speed in Speed::ALL {

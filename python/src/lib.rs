@@ -6,7 +6,7 @@ use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::engine::Program;
 use logicity::files::{ReadError, read_or_builtin, read_text};
 use logicity::rng::Seed;
-use logicity::sim::Inference;
+use logicity::sim::{Executor, Inference};
 use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
@@ -62,7 +62,7 @@ impl PyInference {
         let entry = sources.add(rules.display().to_string(), read(&rules)?);
         let (program, diagnostics) = Program::load(&mut sources, entry, &read_or_builtin);
         let program = program.ok_or_else(|| input_error(&diagnostics, &sources))?;
-        let inference = Inference::new(scenario, program, Seed(seed), read_text)
+        let inference = Inference::new(scenario, program, Seed(seed), Executor::Auto, read_text)
             .map_err(|faults| input_error(&faults, &sources))?;
         Ok(PyInference(inference))
     }

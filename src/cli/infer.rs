@@ -1,10 +1,10 @@
 //! `logicity infer`
 
-use super::{Failure, load_city, report};
+use super::{Failure, load_city, one_of, report};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
 use crate::files::{self, Output, ReadError};
 use crate::rng::Seed;
-use crate::sim::Inference;
+use crate::sim::{Executor, Inference};
 use serde_json::json;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
@@ -27,6 +27,9 @@ pub struct Arguments {
     /// Seed of the predicates that hold with a probability and are not given by the scene
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
+    /// What evaluates the rules; answers are the same with each
+    #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
+    executor: Executor,
     /// Refuse scenes whose facts are not as the rules promise (`.disjoint`, `.implies`, ..)
     #[arg(long)]
     check_promises: bool,
@@ -37,7 +40,13 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let (scenario, program, _) = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
-    let mut inference = Inference::new(scenario, program, Seed(arguments.seed), files::read_text)?;
+    let mut inference = Inference::new(
+        scenario,
+        program,
+        Seed(arguments.seed),
+        arguments.executor,
+        files::read_text,
+    )?;
     if arguments.check_promises {
         inference.check_promises();
     }

@@ -3,6 +3,7 @@
 //! Results go to standard output, everything else (progress, diagnostics) to standard error. Exit code 0: done; 1: faulty
 //! input; 2: wrong usage, or a file that cannot be read or written.
 
+mod bench;
 mod check;
 mod diff;
 mod explain;
@@ -55,6 +56,8 @@ enum Command {
     Explain(explain::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
+    /// Time the rules, a tick, an episode, or cities of up to a million agents
+    Bench(bench::Arguments),
     /// Serve an editor over standard input and output: diagnostics, hover, definitions, renaming and more
     Lsp(lsp::Arguments),
     /// Print a completion script for a shell
@@ -133,6 +136,7 @@ pub fn main() -> ExitCode {
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
         Command::Lsp(arguments) => lsp::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
+        Command::Bench(arguments) => bench::run(&arguments, &mut sources),
         Command::Completions { shell } => {
             clap_complete::generate(shell, &mut Arguments::command(), "logicity", &mut io::stdout());
             Ok(())
@@ -285,6 +289,14 @@ fn load_city(
         scenario.rules = Located { value: path, span };
     }
     Ok((scenario, program, entry))
+}
+
+/// How many threads are meant; 0 is one for each core.
+fn threads(given: u16) -> usize {
+    match given {
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        given => given.into(),
+    }
 }
 
 /// Reads a run configuration and all its parts.

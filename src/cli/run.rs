@@ -91,10 +91,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         Settings {
             executor: arguments.executor,
             count_firings: true,
-            threads: match arguments.threads {
-                0 => std::thread::available_parallelism().map_or(1, usize::from),
-                threads => threads.into(),
-            },
+            threads: super::threads(arguments.threads),
         },
     )?;
 

@@ -1,5 +1,6 @@
 //! Deciding for all agents at once: densely, in one window or in many.
 
+use super::ground::Facts;
 use super::infer::Draws;
 use super::vocabulary::{Actions, Vocabulary};
 use super::window::{Body, Grounder, Window};
@@ -7,7 +8,8 @@ use super::world::World;
 use crate::city::{Agent, Cell, CityMap};
 use crate::config::{AgentKind, Speed};
 use crate::diag::{Code, Diagnostic};
-use crate::engine::dense::{Choice, Counting, Dense, Set, choose, has, members};
+use crate::engine::Program;
+use crate::engine::dense::{BitFacts, Counting, Dense, Set, choose, has, members};
 use crate::lang::{ClauseId, RelId};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -22,6 +24,51 @@ const ONE_WINDOW: usize = 256;
 
 /// About as many entities are in the window of a tile.
 const TILE_ENTITIES: f64 = 40.0;
+
+/// What evaluates the rules.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Executor {
+    /// The dense one if it can take the rules and the number of agents, else the relational one.
+    #[default]
+    Auto,
+    /// Bit words.
+    Dense,
+    /// Sorted lists of rows, kept up to date by differences.
+    Relational,
+}
+
+impl Executor {
+    /// All three.
+    pub const ALL: [Executor; 3] = [Executor::Auto, Executor::Dense, Executor::Relational];
+
+    /// Its name on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Executor::Auto => "auto",
+            Executor::Dense => "dense",
+            Executor::Relational => "relational",
+        }
+    }
+
+    /// What the dense executor is made into, if it is to evaluate the rules and can. `make` tells why not, to go after "because".
+    ///
+    /// # Errors
+    /// If it has to, and cannot.
+    pub(super) fn choose<T>(self, make: impl FnOnce() -> Result<T, String>) -> Result<Option<T>, Diagnostic> {
+        if self == Executor::Relational {
+            return Ok(None);
+        }
+        match make() {
+            Ok(made) => Ok(Some(made)),
+            Err(_) if self == Executor::Auto => Ok(None),
+            Err(reason) => {
+                let message = format!("the dense executor cannot evaluate these rules, because {reason}");
+                let fault = Diagnostic::new(Code::LimitExceeded, message);
+                Err(fault.help("let the executor be chosen, or take the relational one"))
+            }
+        }
+    }
+}
 
 /// What the agents decided in a tick, before the default.
 #[derive(Debug, Default)]
@@ -129,25 +176,36 @@ enum Shape {
     Tiles(Box<Tiles>),
 }
 
-/// Why a city cannot be decided about densely.
-pub(super) fn obstacle(world: &World, choice: &Choice, agents: usize) -> Option<String> {
-    let rules = world.program.rules();
+/// Compiles the rules for the dense executor.
+///
+/// # Errors
+/// Why it cannot take them, to go after "because".
+pub(super) fn compile(program: &Program, vocabulary: &Vocabulary, counting: Counting) -> Result<Dense, String> {
+    let rules = program.rules();
+    let choice = choose(rules);
     if let Some(reason) = choice.relational.iter().flatten().next() {
-        return Some(reason.show(rules));
+        return Err(reason.show(rules));
     }
-    let dense = compile(world, choice, Counting::Off);
-    let sees = world.vocabulary.predicates[world.vocabulary.sees].relation;
-    let in_tiles = dense.is_local() && sees.is_some_and(|sees| dense.is_guarded_by(sees));
-    (agents > CROWD_MAX && !in_tiles)
-        .then(|| format!("its rules look beyond the field of view, and there are more than {CROWD_MAX} agents"))
-}
-
-fn compile(world: &World, choice: &Choice, counting: Counting) -> Dense {
     let steady = |relation| {
-        let mut predicates = world.vocabulary.predicates.iter();
+        let mut predicates = vocabulary.predicates.iter();
         predicates.any(|predicate| predicate.relation == Some(relation) && predicate.definition.is_steady())
     };
-    Dense::new(world.program.rules(), choice, counting, steady)
+    Ok(Dense::new(rules, &choice, counting, steady))
+}
+
+impl Facts {
+    /// The facts about `count` entities that a dense program for the vocabulary reads, as bits.
+    pub fn to_bits<const W: usize>(&self, vocabulary: &Vocabulary, dense: &Dense, count: usize) -> BitFacts<W> {
+        let mut bits = BitFacts::new(dense, count);
+        for (predicate, rows) in vocabulary.predicates.iter().zip(&self.rows) {
+            if let Some(relation) = predicate.relation {
+                for row in rows {
+                    bits.insert(dense, relation, &row.map(|entity| entity as usize)[..predicate.arity]);
+                }
+            }
+        }
+        bits
+    }
 }
 
 impl Crowd {
@@ -157,17 +215,18 @@ impl Crowd {
     /// Why the rules cannot be evaluated densely, to go after "because".
     pub fn new(world: &World, agents: &[Agent], clauses: &[ClauseId], threads: usize) -> Result<Crowd, String> {
         let rules = world.program.rules();
-        let choice = choose(rules);
-        if let Some(obstacle) = obstacle(world, &choice, agents.len()) {
-            return Err(obstacle);
-        }
         let counting = match clauses {
             [] => Counting::Off,
             _ => Counting::Each,
         };
-        let dense = compile(world, &choice, counting);
+        let dense = compile(&world.program, &world.vocabulary, counting)?;
         let sees = world.vocabulary.predicates[world.vocabulary.sees].relation;
         let in_tiles = dense.is_local() && sees.is_some_and(|sees| dense.is_guarded_by(sees));
+        if agents.len() > CROWD_MAX && !in_tiles {
+            return Err(format!(
+                "they look beyond the field of view, and there are more than {CROWD_MAX} agents"
+            ));
+        }
 
         let mut known: BTreeMap<(AgentKind, &[String]), u32> = BTreeMap::new();
         let bodies: Vec<Body> = (agents.iter().zip(0..))
@@ -225,6 +284,14 @@ impl Crowd {
         }
     }
 
+    /// Computes all facts that the rules can ask for; how many there are. `None` for a city that is looked at by tiles.
+    pub fn count_facts(&mut self, map: &CityMap, draws: Draws) -> Option<u64> {
+        match &mut self.shape {
+            Shape::One(one) => Some(one.count_facts(&self.reading.grounder, map, draws)),
+            Shape::Tiles(_) => None,
+        }
+    }
+
     /// Takes note of where the agents are.
     pub fn follow(&mut self, map: &CityMap, agents: &[Agent]) {
         match &mut self.shape {
@@ -246,6 +313,7 @@ impl Crowd {
 trait OneWindow: Send {
     fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions);
     fn follow(&mut self, grounder: &Grounder, map: &CityMap, agents: &[Agent]);
+    fn count_facts(&mut self, grounder: &Grounder, map: &CityMap, draws: Draws) -> u64;
 }
 
 struct One<const W: usize> {
@@ -275,6 +343,10 @@ impl<const W: usize> OneWindow for One<W> {
         for (entity, agent) in agents.iter().enumerate() {
             self.window.shift(grounder, map, entity, agent.cell, agent.heading);
         }
+    }
+
+    fn count_facts(&mut self, grounder: &Grounder, map: &CityMap, draws: Draws) -> u64 {
+        self.window.count_facts(grounder, map, draws)
     }
 }
 

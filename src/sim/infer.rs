@@ -1,11 +1,13 @@
 //! Inference: what the rules decide in one scene.
 
+use super::executor::{CROWD_MAX, Executor, compile};
 use super::ground::{Chance, Entity, Facts, ground};
 use super::scene::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
 use super::vocabulary::{Actions, Vocabulary};
 use crate::city::CityMap;
 use crate::config::{Definition, Scenario, Speed, load_map};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::engine::dense::{BitFacts, Counting, Dense, Frame, has};
 use crate::engine::{EvalError, Program, Session, promise};
 use crate::files::ReadError;
 use crate::lang::{RelId, Value};
@@ -27,6 +29,19 @@ pub struct Inference {
     maps: HashMap<String, Arc<CityMap>>,
     seed: Seed,
     check_promises: bool,
+    /// Decides; if there is none, a session does.
+    dense: Option<Dense>,
+}
+
+/// What is known of a scene.
+#[derive(Clone, Debug)]
+pub struct SceneFacts {
+    /// Names of the entities.
+    pub names: Vec<String>,
+    /// Positions of the entities to decide for.
+    pub egos: Vec<usize>,
+    /// The base facts.
+    pub facts: Facts,
 }
 
 /// What the rules decide for the egos of a scene.
@@ -85,19 +100,23 @@ impl Answer {
 }
 
 impl Inference {
-    /// Binds a scenario to a program. `read` reads map files that scenes ask for; built-in maps need no
+    /// Binds a scenario to a program, which `executor` evaluates. `read` reads map files that scenes ask for; built-in maps need no
     /// file.
     ///
     /// # Errors
-    /// As [`Vocabulary::bind`].
+    /// As [`Vocabulary::bind`]; `limit-exceeded` for rules that the dense executor is asked for and cannot evaluate.
     pub fn new(
         scenario: Scenario,
         program: Program,
         seed: Seed,
+        executor: Executor,
         read: impl Fn(&Path) -> Result<String, ReadError> + Send + Sync + 'static,
     ) -> Result<Self, Vec<Diagnostic>> {
+        let vocabulary = Vocabulary::bind(&scenario, &program)?;
+        let dense = executor.choose(|| compile(&program, &vocabulary, Counting::Off));
         Ok(Inference {
-            vocabulary: Vocabulary::bind(&scenario, &program)?,
+            dense: dense.map_err(|fault| vec![fault.at(scenario.rules.span, "these rules")])?,
+            vocabulary,
             scenario,
             program,
             read: Box::new(read),
@@ -105,6 +124,19 @@ impl Inference {
             seed,
             check_promises: false,
         })
+    }
+
+    /// The base predicates and actions.
+    pub fn vocabulary(&self) -> &Vocabulary {
+        &self.vocabulary
+    }
+
+    /// The rules for the dense executor.
+    ///
+    /// # Errors
+    /// Why it cannot evaluate them, to go after "because".
+    pub fn compile(&self) -> Result<Dense, String> {
+        compile(&self.program, &self.vocabulary, Counting::Off)
     }
 
     /// From here on scenes are refused in which the facts are not as the rules promise. Answers rely on no promise either way.
@@ -119,6 +151,17 @@ impl Inference {
     /// All faults of the scene: `invalid-scene`; `limit-exceeded` if it is too large or the rules derive too much from it;
     /// `broken-promise` after [`Inference::check_promises`].
     pub fn answer(&mut self, sources: &Sources, source: SourceId) -> Result<Answer, Vec<Diagnostic>> {
+        let scene = self.ground(sources, source)?;
+        // What the rules derive stands in no text; it follows from the scene as a whole.
+        let whole = Span::new(source, 0..sources.text(source).len());
+        (self.decide(&scene)).map_err(|fault| vec![fault.at(whole, "in this scene")])
+    }
+
+    /// The facts of the scene in `source`: those that it gives, and those that follow from where its agents are.
+    ///
+    /// # Errors
+    /// As [`Inference::answer`], but for what the rules derive.
+    pub fn ground(&mut self, sources: &Sources, source: SourceId) -> Result<SceneFacts, Vec<Diagnostic>> {
         let terms = Terms {
             predicates: (self.vocabulary.predicates.iter())
                 .map(|predicate| (predicate.name.as_str(), predicate.arity))
@@ -130,17 +173,14 @@ impl Inference {
                 })
                 .collect(),
         };
-        let answer = match parse_scene(sources, source, &terms)? {
-            Scene::Geometric(scene) => self.geometric(&scene)?,
-            Scene::Symbolic(scene) => self.symbolic(&scene),
-        };
-        // What the rules derive stands in no text; it follows from the scene as a whole.
-        answer.map_err(|fault| vec![fault.at(Span::new(source, 0..sources.text(source).len()), "in this scene")])
+        match parse_scene(sources, source, &terms)? {
+            Scene::Geometric(scene) => self.geometric(scene),
+            Scene::Symbolic(scene) => Ok(self.symbolic(scene)),
+        }
     }
 
-    /// The outer error is the scene's, the inner one what follows from it.
-    fn geometric(&mut self, scene: &GeometricScene) -> Result<Result<Answer, Diagnostic>, Vec<Diagnostic>> {
-        let map = self.map(scene).map_err(|fault| vec![fault])?;
+    fn geometric(&mut self, scene: GeometricScene) -> Result<SceneFacts, Vec<Diagnostic>> {
+        let map = self.map(&scene).map_err(|fault| vec![fault])?;
         scene.check_cells(&map)?;
         let entities: Vec<Entity<'_>> = scene
             .agents
@@ -170,8 +210,11 @@ impl Inference {
                 facts.rows[index] = rows;
             }
         }
-        let names: Vec<&str> = scene.agents.iter().map(|agent| agent.id.as_str()).collect();
-        Ok(self.decide(&names, &scene.egos, &facts))
+        Ok(SceneFacts {
+            names: scene.agents.into_iter().map(|agent| agent.id).collect(),
+            egos: scene.egos,
+            facts,
+        })
     }
 
     fn map(&mut self, scene: &GeometricScene) -> Result<Arc<CityMap>, Diagnostic> {
@@ -200,8 +243,7 @@ impl Inference {
         }
     }
 
-    fn symbolic(&self, scene: &SymbolicScene) -> Result<Answer, Diagnostic> {
-        let names: Vec<&str> = scene.entities.iter().map(String::as_str).collect();
+    fn symbolic(&self, scene: SymbolicScene) -> SceneFacts {
         let mut facts = Facts {
             rows: (0..self.vocabulary.predicates.len())
                 .map(|index| given(&self.vocabulary, &scene.facts, index).unwrap_or_default())
@@ -212,15 +254,44 @@ impl Inference {
             .iter()
             .any(|fact| fact.name == self.vocabulary.predicates[self.vocabulary.sees].name)
         {
-            let all = 0..u32::try_from(names.len()).expect("fewer than 2^32 entities");
+            let all = 0..u32::try_from(scene.entities.len()).expect("fewer than 2^32 entities");
             facts.rows[self.vocabulary.sees] = all.clone().flat_map(|x| all.clone().map(move |y| [x, y])).collect();
         }
-        self.decide(&names, &[scene.ego], &facts)
+        SceneFacts {
+            names: scene.entities,
+            egos: vec![scene.ego],
+            facts,
+        }
     }
 
-    fn decide(&self, names: &[&str], egos: &[usize], facts: &Facts) -> Result<Answer, Diagnostic> {
+    fn decide(&self, scene: &SceneFacts) -> Result<Answer, Diagnostic> {
+        let SceneFacts { names, egos, facts } = scene;
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let derived = self.derive(scene, &names)?;
+        let egos = egos.iter().zip(derived).map(|(&ego, derived)| {
+            let sees = entities_in_view(&facts.rows[self.vocabulary.sees], ego);
+            EgoAnswer {
+                id: names[ego].to_owned(),
+                sees: sees.iter().map(|&index| names[index].to_owned()).collect(),
+                atoms: atoms_over(&self.vocabulary, facts, &sees, &names),
+                action: self.vocabulary.decide(derived),
+                derived: self.vocabulary.before_default(derived),
+            }
+        });
+        Ok(Answer { egos: egos.collect() })
+    }
+
+    /// The actions that hold for each ego.
+    fn derive(&self, scene: &SceneFacts, names: &[&str]) -> Result<Vec<Actions>, Diagnostic> {
+        if let (Some(dense), false) = (&self.dense, self.check_promises) {
+            return Ok(match names.len() {
+                0..=64 => self.derive_dense::<1>(dense, scene),
+                65..=256 => self.derive_dense::<4>(dense, scene),
+                _ => self.derive_dense::<{ CROWD_MAX / 64 }>(dense, scene),
+            });
+        }
         let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
-        state.set(facts)?;
+        state.set(&scene.facts)?;
         if self.check_promises {
             // The rules are another text than the scene, so where it was promised is not pointed at.
             let mut broken = promise::broken(state.session()).into_iter();
@@ -229,21 +300,23 @@ impl Inference {
                 return Err(broken.fold(fault, |fault, other| fault.note(other.message)));
             }
         }
-        let egos = egos
-            .iter()
-            .map(|&ego| {
-                let sees = entities_in_view(&facts.rows[self.vocabulary.sees], ego);
-                let derived = state.derived(&self.vocabulary, ego);
-                EgoAnswer {
-                    id: names[ego].to_owned(),
-                    sees: sees.iter().map(|&index| names[index].to_owned()).collect(),
-                    atoms: atoms_over(&self.vocabulary, facts, &sees, names),
-                    action: self.vocabulary.decide(derived),
-                    derived: self.vocabulary.before_default(derived),
-                }
-            })
-            .collect();
-        Ok(Answer { egos })
+        Ok((scene.egos.iter())
+            .map(|&ego| state.derived(&self.vocabulary, ego))
+            .collect())
+    }
+
+    fn derive_dense<const W: usize>(&self, dense: &Dense, scene: &SceneFacts) -> Vec<Actions> {
+        let count = scene.names.len();
+        let bits: BitFacts<W> = scene.facts.to_bits(&self.vocabulary, dense, count);
+        let mut frame = Frame::new(dense, count);
+        bits.load(dense, &mut frame);
+        frame.run(dense, &bits);
+        let holds = |action: Speed, ego: usize| {
+            let relation = self.vocabulary.action(action);
+            relation.is_some_and(|relation| frame.set(dense, relation).is_some_and(|set| has(set, ego)))
+        };
+        let derived = |&ego: &usize| Speed::ALL.into_iter().filter(|&action| holds(action, ego)).collect();
+        scene.egos.iter().map(derived).collect()
     }
 }
 
@@ -320,7 +393,7 @@ impl Chance for Draws {
 }
 
 /// A session that is kept equal to grounded facts.
-pub(super) struct GroundState {
+pub struct GroundState {
     session: Session,
     entities: Vec<Value>,
     positions: HashMap<Value, usize>,

@@ -1,6 +1,6 @@
 //! The tick: all agents decide on the same state, then all move.
 
-use super::executor::{Crowd, Decisions};
+use super::executor::{Crowd, Decisions, Executor};
 use super::ground::{Entity, Facts, ground};
 use super::infer::{Draws, GroundState};
 use super::scene::MAX_ENTITIES;
@@ -16,32 +16,6 @@ use ndarray::Array3;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::sync::Arc;
-
-/// What evaluates the rules.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Executor {
-    /// The dense one if it can take the rules and the number of agents, else the relational one.
-    #[default]
-    Auto,
-    /// Bit words.
-    Dense,
-    /// Sorted lists of rows, kept up to date by differences.
-    Relational,
-}
-
-impl Executor {
-    /// All three.
-    pub const ALL: [Executor; 3] = [Executor::Auto, Executor::Dense, Executor::Relational];
-
-    /// Its name on the command line.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Executor::Auto => "auto",
-            Executor::Dense => "dense",
-            Executor::Relational => "relational",
-        }
-    }
-}
 
 /// How a [`Simulation`] works. Ticks are the same whatever is chosen.
 #[derive(Clone, Copy, Debug)]
@@ -107,6 +81,22 @@ pub struct AgentTick {
     pub moved: Moved,
 }
 
+/// A part of the work of a tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// Facts are computed and rules evaluated.
+    Decide,
+    /// Agents move and set out for new goals.
+    Move,
+    /// The executor takes note of where they are.
+    Note,
+}
+
+impl Phase {
+    /// All of them, in order.
+    pub const ALL: [Phase; 3] = [Phase::Decide, Phase::Move, Phase::Note];
+}
+
 /// The state on which the last tick was decided, as facts of a session.
 #[derive(Clone, Copy)]
 pub struct Moment<'a> {
@@ -167,18 +157,9 @@ impl Simulation {
             .collect();
         let to_count: &[ClauseId] = if settings.count_firings { &clauses } else { &[] };
         let threads = settings.threads.max(1);
-        let crowd = match settings.executor {
-            Executor::Relational => None,
-            Executor::Auto | Executor::Dense => match Crowd::new(&world, &agents, to_count, threads) {
-                Ok(crowd) => Some(crowd),
-                Err(reason) if settings.executor == Executor::Dense => {
-                    let message = format!("the dense executor cannot evaluate these rules, because {reason}");
-                    let fault = Diagnostic::new(Code::LimitExceeded, message).at(scenario.rules.span, "these rules");
-                    return Err(fault.help("let the executor be chosen, or take the relational one"));
-                }
-                Err(_) => None,
-            },
-        };
+        let crowd = (settings.executor)
+            .choose(|| Crowd::new(&world, &agents, to_count, threads))
+            .map_err(|fault| fault.at(scenario.rules.span, "these rules"))?;
         if crowd.is_none() && agents.len() > MAX_ENTITIES {
             let message = format!(
                 "{} agents, the limit of the relational executor is {MAX_ENTITIES}",
@@ -282,6 +263,18 @@ impl Simulation {
     /// `limit-exceeded` for rules that derive more than the relational executor allows, or too many agents in one place for the
     /// dense one. The city is then as before.
     pub fn tick(&mut self, controls: &[(usize, Speed)]) -> Result<&TickReport, Diagnostic> {
+        self.tick_watched(controls, |_| ())
+    }
+
+    /// The same; `ended` is told when a part of the work is done.
+    ///
+    /// # Errors
+    /// As [`Simulation::tick`].
+    pub fn tick_watched(
+        &mut self,
+        controls: &[(usize, Speed)],
+        mut ended: impl FnMut(Phase),
+    ) -> Result<&TickReport, Diagnostic> {
         let draws = Draws {
             seed: self.seed,
             time: self.tick,
@@ -297,7 +290,9 @@ impl Simulation {
             }
             None => self.decide_by_facts(draws)?,
         }
+        ended(Phase::Decide);
         self.advance(controls);
+        ended(Phase::Move);
         if let Some(crowd) = &mut self.crowd {
             let (map, agents) = (self.world.map(), &self.agents);
             match &self.threads {
@@ -305,6 +300,7 @@ impl Simulation {
                 None => crowd.follow(map, agents),
             }
         }
+        ended(Phase::Note);
         self.report.tick = self.tick;
         self.tick += 1;
         Ok(&self.report)
@@ -355,8 +351,11 @@ impl Simulation {
 
     /// Decides by the relational executor.
     fn decide_by_facts(&mut self, draws: Draws) -> Result<(), Diagnostic> {
+        let world = &*self.world;
         let entities: Vec<Entity<'_>> = self.agents.iter().map(entity).collect();
-        let facts = facts(&self.world, &entities, draws);
+        let (vocabulary, view) = (&world.vocabulary, world.scenario.view);
+        let unread = |index: usize| !vocabulary.is_read(index);
+        let facts = ground(vocabulary, world.map(), view, &entities, &draws, unread);
         let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
         state
             .set(&facts)
@@ -398,11 +397,7 @@ impl Simulation {
                 );
                 return Err(Diagnostic::new(Code::LimitExceeded, message));
             }
-            let draws = Draws {
-                seed: self.seed,
-                time: tick,
-            };
-            let facts = facts(&self.world, &self.judged(), draws);
+            let facts = self.facts(|index| self.world.vocabulary.is_read(index));
             let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
             state
                 .set(&facts)
@@ -415,17 +410,38 @@ impl Simulation {
         })
     }
 
-    /// The true rows of a predicate, by its position in the vocabulary, in the state on which the last tick was decided.
-    pub fn rows(&self, predicate: usize) -> Vec<[u32; 2]> {
+    /// The base facts on which the last tick was decided: of the predicates, by their positions in the vocabulary, for which
+    /// `wanted` holds.
+    pub fn facts(&self, wanted: impl Fn(usize) -> bool) -> Facts {
         let world = &self.world;
         let draws = Draws {
             seed: self.seed,
             time: self.report.tick,
         };
-        let others = |index: usize| index != predicate;
         let view = world.scenario.view;
-        let mut facts = ground(&world.vocabulary, world.map(), view, &self.judged(), &draws, others);
-        std::mem::take(&mut facts.rows[predicate])
+        ground(&world.vocabulary, world.map(), view, &self.judged(), &draws, |index| {
+            !wanted(index)
+        })
+    }
+
+    /// Evaluates the rules on other facts, by the relational executor and its differences.
+    ///
+    /// # Errors
+    /// `limit-exceeded` for rules that derive too much.
+    pub fn evaluate(&mut self, facts: &Facts) -> Result<(), Diagnostic> {
+        self.stated = None;
+        let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
+        (state.set(facts)).map_err(|error| error.diagnostic(self.world.program.rules()))
+    }
+
+    /// Computes all facts about the present state that the rules can ask for, as bits; how many there are. `None` unless the dense
+    /// executor looks at the whole city at once.
+    pub fn count_facts(&mut self) -> Option<u64> {
+        let draws = Draws {
+            seed: self.seed,
+            time: self.tick,
+        };
+        self.crowd.as_mut()?.count_facts(self.world.map(), draws)
     }
 
     /// The agents as they were when the last tick was decided.
@@ -454,13 +470,6 @@ impl AgentTick {
             },
         }
     }
-}
-
-/// The base facts that the rules read.
-fn facts(world: &World, entities: &[Entity<'_>], draws: Draws) -> Facts {
-    let vocabulary = &world.vocabulary;
-    let unread = |index: usize| vocabulary.predicates[index].relation.is_none();
-    ground(vocabulary, world.map(), world.scenario.view, entities, &draws, unread)
 }
 
 fn ground_state(world: &World, agents: &[Agent]) -> GroundState {

@@ -110,11 +110,11 @@ impl<W: Write> TraceWriter<W> {
             .collect();
         let names = simulation.agents();
         let predicates = &simulation.world().vocabulary.predicates;
+        let facts = simulation.facts(|index| self.drawn.contains(&index));
         let given: Map<String, Value> = (self.drawn.iter())
             .map(|&index| {
-                let rows = simulation.rows(index);
                 let name = |agent: u32| names[agent as usize].name().to_string();
-                let rows = rows.iter().map(|row| json!(row.map(name)));
+                let rows = facts.rows[index].iter().map(|row| json!(row.map(name)));
                 (predicates[index].name.clone(), rows.collect())
             })
             .collect();

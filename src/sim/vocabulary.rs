@@ -170,6 +170,11 @@ impl Vocabulary {
         }
     }
 
+    /// Whether the rules take the predicate at this position as input.
+    pub fn is_read(&self, predicate: usize) -> bool {
+        self.predicates[predicate].relation.is_some()
+    }
+
     /// The relation of an action, if the rules mention it.
     pub fn action(&self, speed: Speed) -> Option<RelId> {
         self.actions[speed as usize]

@@ -399,6 +399,25 @@ impl<const W: usize> Window<W> {
         }
     }
 
+    /// Takes note of the bodies afresh and computes all facts that the rules can ask for. How many there are.
+    pub fn count_facts(&mut self, grounder: &Grounder, map: &CityMap, draws: Draws) -> u64 {
+        let lines = |lists: &[Set<W>]| i32::try_from(lists.len() - 1).expect("an area has fewer than 2^31 lines");
+        let size = [lines(&self.place.rows), lines(&self.place.cols)];
+        self.fill(grounder, map, self.place.first, size);
+        let scene = Scene {
+            grounder,
+            bodies: &self.bodies,
+            place: &self.place,
+            draws,
+        };
+        let all = first(self.bodies.len());
+        let lists = (0..grounder.lists.len())
+            .flat_map(|list| (0..self.bodies.len()).map(move |at| (list, at)))
+            .map(|(list, at)| scene.narrow(list, at, all));
+        let ones = |set: Set<W>| set.iter().map(|word| u64::from(word.count_ones())).sum::<u64>();
+        self.inputs.iter().copied().chain(lists).map(ones).sum()
+    }
+
     /// Evaluates the rules.
     pub fn run(&mut self, grounder: &Grounder, draws: Draws) {
         for (input, set) in self.inputs.iter().enumerate() {

@@ -1,10 +1,12 @@
 //! What does not change during a run: the scenario, its map, roads and rules.
 
+use super::executor::compile;
 use super::vocabulary::Vocabulary;
 use crate::city::{CityMap, Router};
 use crate::config::Scenario;
 use crate::diag::Diagnostic;
 use crate::engine::Program;
+use crate::engine::dense::{Counting, Dense};
 use std::sync::Arc;
 
 /// A scenario made ready: immutable, shared by every simulation over it.
@@ -34,6 +36,14 @@ impl World {
             program,
             vocabulary,
         })
+    }
+
+    /// The rules for the dense executor.
+    ///
+    /// # Errors
+    /// Why it cannot evaluate them, to go after "because".
+    pub fn compile(&self, counting: Counting) -> Result<Dense, String> {
+        compile(&self.program, &self.vocabulary, counting)
     }
 
     /// The map.

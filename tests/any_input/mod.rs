@@ -13,7 +13,7 @@ use logicity::engine::{Limits, Options, Program, Session, diff, facts, optimize}
 use logicity::files::{BUILTIN_FOLDER, ReadError, normalise, read_or_builtin, read_text};
 use logicity::lang::{self, Atom, BaseType, Clause, Column, Literal, RelId, RowFormat, Rules, Value};
 use logicity::rng::Seed;
-use logicity::sim::{Finding, Inference, conflicts};
+use logicity::sim::{Executor, Finding, Inference, conflicts};
 use random_program::agree::agrees;
 use random_program::{Batch, Genome};
 use std::cell::RefCell;
@@ -202,7 +202,14 @@ fn inference() -> Inference {
     let scenario = load_scenario(&mut sources, Path::new("expert"), &read_text).expect("it is built in");
     let entry = sources.add("any.dl", ".include \"expert.dl\"");
     let (program, _) = Program::load(&mut sources, entry, &read_or_builtin);
-    Inference::new(scenario, program.expect("it is built in"), Seed(0), read_text).expect("they fit")
+    Inference::new(
+        scenario,
+        program.expect("it is built in"),
+        Seed(0),
+        Executor::Auto,
+        read_text,
+    )
+    .expect("they fit")
 }
 
 /// A text is taken as rows, which are printed so that they are read as the same, or refused. The first byte chooses the format.

@@ -1,0 +1,572 @@
+//! `logicity bench`: how fast rules are evaluated and cities go, on this machine.
+
+use super::{Failure, load_city, one_of};
+use crate::config::{AgentSet, Building, Buildings, MapConfig, Scenario, Speed, Split};
+use crate::diag::Sources;
+use crate::engine::Program;
+use crate::engine::dense::{BitFacts, Counting, Dense, Frame};
+use crate::files::{self, ReadError};
+use crate::rng::Seed;
+use crate::sim::{CROWD_MAX, Executor, Inference, Phase, Settings, Simulation, World};
+use serde_json::{Value, json};
+use std::hint::black_box;
+use std::io::Write;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// States on which the rules alone are timed.
+const MOMENTS: usize = 64;
+/// Ticks from one of them to the next.
+const BETWEEN: usize = 7;
+/// The sizes of cities that `scale` goes through.
+const SCALE: [u32; 4] = [1_000, 10_000, 100_000, 1_000_000];
+
+/// What is timed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum What {
+    Infer,
+    Ground,
+    Tick,
+    Env,
+    Scale,
+}
+
+impl What {
+    const ALL: [What; 5] = [What::Infer, What::Ground, What::Tick, What::Env, What::Scale];
+
+    const fn name(self) -> &'static str {
+        match self {
+            What::Infer => "infer",
+            What::Ground => "ground",
+            What::Tick => "tick",
+            What::Env => "env",
+            What::Scale => "scale",
+        }
+    }
+}
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// infer: the rules alone, facts ready as bits (dense) or as rows that change (relational). ground: all facts that the rules can
+    /// ask for. tick: a city. env: a city whose first agent is controlled, placed afresh every episode. scale: cities of 1000 agents
+    /// up to --agents
+    #[arg(value_parser = one_of(&What::ALL, What::name))]
+    what: What,
+    /// Configuration of the city
+    #[arg(long, default_value = "configs/expert.yaml")]
+    config: PathBuf,
+    /// Which agent set of the configuration
+    #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test")]
+    split: Split,
+    /// So many agents at least, the set of the configuration many times over, on a map that grows with them; goals lie as far away as
+    /// the region of the configuration is wide. For scale the largest city, 1000000 unless given
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000), allow_negative_numbers = true)]
+    agents: Option<u32>,
+    /// What evaluates the rules
+    #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
+    executor: Executor,
+    /// Threads for a city of many agents; 0 is one for each core
+    #[arg(long, default_value_t = 1, allow_negative_numbers = true)]
+    threads: u16,
+    /// How long each measurement takes, in seconds
+    #[arg(long, value_parser = seconds, default_value = "3", allow_negative_numbers = true)]
+    seconds: Duration,
+    /// Seed of the city
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    seed: u64,
+    /// For infer: evaluate these scenes, one JSON object a line as `logicity infer` takes them, instead of states of the city
+    #[arg(long, value_name = "FILE")]
+    scenes: Option<PathBuf>,
+    /// For tick: also tell where the time goes
+    #[arg(long)]
+    breakdown: bool,
+    /// One JSON object a line
+    #[arg(long)]
+    json: bool,
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    let seconds: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    match (0.01..=86_400.0).contains(&seconds) {
+        true => Ok(Duration::from_secs_f64(seconds)),
+        false => Err("not from 0.01 to 86400".to_owned()),
+    }
+}
+
+/// What a measurement took.
+#[derive(Clone, Copy, Debug)]
+struct Timed {
+    /// How often the work was done.
+    times: u64,
+    wall: Duration,
+    /// Of all threads; `None` where the system does not tell.
+    cpu: Option<Duration>,
+}
+
+impl Timed {
+    /// Does the work again and again for about so long. It is told how often to do it.
+    fn run(seconds: Duration, mut work: impl FnMut(u64) -> Result<(), Failure>) -> Result<Timed, Failure> {
+        // A look at the clock costs as much as a small piece of work.
+        let mut times = 1;
+        let warm_up = Instant::now();
+        loop {
+            let start = Instant::now();
+            work(times)?;
+            if start.elapsed() > seconds / 50 || warm_up.elapsed() > seconds / 5 {
+                break;
+            }
+            times *= 2;
+        }
+        let (start, cpu, mut done) = (Instant::now(), cpu_time(), 0);
+        while start.elapsed() < seconds {
+            work(times)?;
+            done += times;
+        }
+        Ok(Timed {
+            times: done,
+            wall: start.elapsed(),
+            cpu: cpu.zip(cpu_time()).map(|(before, after)| after.saturating_sub(before)),
+        })
+    }
+
+    #[allow(clippy::cast_precision_loss)]
+    fn per_second(&self) -> f64 {
+        self.times as f64 / self.wall.as_secs_f64().max(1e-9)
+    }
+
+    #[allow(clippy::cast_precision_loss)]
+    fn per_cpu_second(&self) -> Option<f64> {
+        let cpu = self.cpu?.as_secs_f64();
+        (cpu > 0.0).then(|| self.times as f64 / cpu)
+    }
+
+    /// Nanoseconds of CPU time, or of time where that is not known, for each of so many pieces of a piece of work.
+    fn nanoseconds(&self, pieces: usize) -> f64 {
+        let per_second = self.per_cpu_second().unwrap_or_else(|| self.per_second());
+        #[allow(clippy::cast_precision_loss)]
+        let pieces = pieces as f64;
+        1e9 / (per_second * pieces).max(1e-9)
+    }
+}
+
+/// CPU time of the process so far.
+#[cfg(unix)]
+fn cpu_time() -> Option<Duration> {
+    use nix::sys::time::TimeValLike;
+    let usage = nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_SELF).ok()?;
+    let micros = usage.user_time().num_microseconds() + usage.system_time().num_microseconds();
+    u64::try_from(micros).ok().map(Duration::from_micros)
+}
+
+/// The most memory the process has held, in bytes.
+#[cfg(unix)]
+fn peak_memory() -> Option<u64> {
+    let usage = nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_SELF).ok()?;
+    let unit = if cfg!(target_vendor = "apple") { 1 } else { 1024 };
+    u64::try_from(usage.max_rss()).ok().map(|size| size * unit)
+}
+
+#[cfg(not(unix))]
+fn cpu_time() -> Option<Duration> {
+    None
+}
+
+#[cfg(not(unix))]
+fn peak_memory() -> Option<u64> {
+    None
+}
+
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let misplaced = |option: &str, of: &str| Err(Failure::Usage(format!("{option} is for `bench {of}` only")));
+    if arguments.breakdown && arguments.what != What::Tick {
+        return misplaced("--breakdown", "tick");
+    }
+    if arguments.scenes.is_some() && arguments.what != What::Infer {
+        return misplaced("--scenes", "infer");
+    }
+    let (scenario, program, _) = load_city(sources, &arguments.config, None)?;
+    if arguments.what == What::Scale {
+        let most = arguments.agents.unwrap_or(SCALE[SCALE.len() - 1]);
+        let sizes = SCALE.into_iter().take_while(|&size| size < most);
+        for size in sizes.chain([most]) {
+            Bench::new(arguments, &scenario, &program, Some(size))?.tick(false)?;
+        }
+        return Ok(());
+    }
+    if let Some(scenes) = &arguments.scenes {
+        return infer_scenes(arguments, scenario, program, scenes);
+    }
+    let mut bench = Bench::new(arguments, &scenario, &program, arguments.agents)?;
+    match arguments.what {
+        What::Infer => bench.infer(),
+        What::Ground => bench.ground(),
+        What::Tick | What::Scale => bench.tick(arguments.breakdown),
+        What::Env => bench.env(),
+    }
+}
+
+/// A city to be timed.
+struct Bench<'a> {
+    arguments: &'a Arguments,
+    world: Arc<World>,
+    simulation: Simulation,
+    /// Memory held before the city was made, in bytes.
+    before: Option<u64>,
+}
+
+impl<'a> Bench<'a> {
+    fn new(
+        arguments: &'a Arguments,
+        scenario: &Scenario,
+        program: &Program,
+        agents: Option<u32>,
+    ) -> Result<Self, Failure> {
+        let before = peak_memory();
+        let mut scenario = scenario.clone();
+        if let Some(agents) = agents {
+            grow(&mut scenario, arguments.split, agents);
+        }
+        let world = Arc::new(World::new(scenario, program.clone())?);
+        let simulation = Self::place(arguments, &world, arguments.seed)?;
+        Ok(Bench {
+            arguments,
+            world,
+            simulation,
+            before,
+        })
+    }
+
+    fn place(arguments: &Arguments, world: &Arc<World>, seed: u64) -> Result<Simulation, Failure> {
+        let settings = Settings {
+            executor: arguments.executor,
+            count_firings: false,
+            threads: super::threads(arguments.threads),
+        };
+        Ok(Simulation::new(
+            Arc::clone(world),
+            arguments.split,
+            Seed(seed),
+            settings,
+        )?)
+    }
+
+    fn agents(&self) -> usize {
+        self.simulation.agents().len()
+    }
+
+    fn tick(&mut self, breakdown: bool) -> Result<(), Failure> {
+        let simulation = &mut self.simulation;
+        let mut parts = [Duration::ZERO; Phase::ALL.len()];
+        let timed = Timed::run(self.arguments.seconds, |times| {
+            if breakdown {
+                parts = [Duration::ZERO; Phase::ALL.len()];
+            }
+            for _ in 0..times {
+                if breakdown {
+                    let mut last = Instant::now();
+                    simulation.tick_watched(&[], |phase| {
+                        let now = Instant::now();
+                        parts[phase as usize] += now - last;
+                        last = now;
+                    })?;
+                } else {
+                    simulation.tick(&[])?;
+                }
+            }
+            Ok(())
+        })?;
+        let mut more = Vec::new();
+        if breakdown {
+            let sum: Duration = parts.iter().sum();
+            for (phase, part) in Phase::ALL.into_iter().zip(parts) {
+                let name = match phase {
+                    Phase::Decide => "share_decide",
+                    Phase::Move => "share_move",
+                    Phase::Note => "share_note",
+                };
+                more.push((name, part.as_secs_f64() / sum.as_secs_f64().max(1e-12)));
+            }
+        }
+        if let (Some(before), Some(after)) = (self.before, peak_memory()) {
+            #[allow(clippy::cast_precision_loss)]
+            let per_agent = after.saturating_sub(before) as f64 / self.agents() as f64;
+            more.push(("bytes_per_agent", per_agent));
+        }
+        self.tell("ticks", timed, &more)
+    }
+
+    fn env(&mut self) -> Result<(), Failure> {
+        let (mut seed, length) = (self.arguments.seed, u64::from(self.world.scenario.ticks));
+        let timed = Timed::run(self.arguments.seconds, |times| {
+            for _ in 0..times {
+                if self.simulation.now() == length {
+                    seed = seed.wrapping_add(1);
+                    self.simulation = Self::place(self.arguments, &self.world, seed)?;
+                }
+                self.simulation.tick(&[(0, Speed::Normal)])?;
+            }
+            Ok(())
+        })?;
+        self.tell("steps", timed, &[])
+    }
+
+    /// The rules for the dense executor.
+    fn dense(&self) -> Result<Dense, Failure> {
+        (self.world.compile(Counting::Off)).map_err(|reason| {
+            Failure::Usage(format!(
+                "the dense executor cannot evaluate these rules, because {reason}"
+            ))
+        })
+    }
+
+    fn infer(&mut self) -> Result<(), Failure> {
+        if self.simulation.executor() == Executor::Relational {
+            return self.infer_relational();
+        }
+        match self.agents() {
+            0..=64 => self.infer_dense::<1>(),
+            65..=256 => self.infer_dense::<4>(),
+            257..=CROWD_MAX => self.infer_dense::<{ CROWD_MAX / 64 }>(),
+            many => Err(Failure::Usage(format!(
+                "the facts about {many} agents are not kept as bits all at once; the limit is {CROWD_MAX}"
+            ))),
+        }
+    }
+
+    fn infer_dense<const W: usize>(&mut self) -> Result<(), Failure> {
+        let (dense, count) = (self.dense()?, self.agents());
+        let mut moments: Vec<BitFacts<W>> = Vec::new();
+        let vocabulary = &self.world.vocabulary;
+        for _ in 0..MOMENTS {
+            for _ in 0..BETWEEN {
+                self.simulation.tick(&[])?;
+            }
+            let facts = self.simulation.facts(|predicate| vocabulary.is_read(predicate));
+            moments.push(facts.to_bits(vocabulary, &dense, count));
+        }
+        let timed = evaluate(self.arguments.seconds, &dense, &moments, count)?;
+        self.tell("evaluations", timed, &[])
+    }
+
+    /// From one state to the next by differences, and to the first from the last.
+    fn infer_relational(&mut self) -> Result<(), Failure> {
+        let mut moments = Vec::new();
+        let vocabulary = &self.world.vocabulary;
+        for _ in 0..MOMENTS {
+            self.simulation.tick(&[])?;
+            moments.push(self.simulation.facts(|predicate| vocabulary.is_read(predicate)));
+        }
+        let simulation = &mut self.simulation;
+        let mut next = 0;
+        let timed = Timed::run(self.arguments.seconds, |times| {
+            for _ in 0..times {
+                simulation.evaluate(&moments[next])?;
+                next = (next + 1) % moments.len();
+            }
+            Ok(())
+        })?;
+        self.tell("evaluations", timed, &[])
+    }
+
+    fn ground(&mut self) -> Result<(), Failure> {
+        let simulation = &mut self.simulation;
+        let Some(facts) = simulation.count_facts() else {
+            return Err(Failure::Usage(
+                "facts are computed as bits only where the dense executor looks at a whole city at once".to_owned(),
+            ));
+        };
+        let timed = Timed::run(self.arguments.seconds, |times| {
+            (0..times).for_each(|_| {
+                black_box(simulation.count_facts());
+            });
+            Ok(())
+        })?;
+        #[allow(clippy::cast_precision_loss)]
+        self.tell("groundings", timed, &[("facts", facts as f64)])
+    }
+
+    /// Prints a result. `unit` is what was done again and again.
+    #[allow(clippy::cast_precision_loss)]
+    fn tell(&self, unit: &str, timed: Timed, more: &[(&str, f64)]) -> Result<(), Failure> {
+        let agents = self.agents();
+        let mut result = json!({
+            "what": self.arguments.what.name(),
+            "config": self.world.scenario.name,
+            "map": self.world.map().name,
+            "agents": agents,
+            "threads": super::threads(self.arguments.threads),
+            "executor": self.simulation.executor().name(),
+            "seconds": timed.wall.as_secs_f64(),
+        });
+        let mut set = |key: String, value: Value| {
+            result[key] = value;
+        };
+        set(unit.to_owned(), json!(timed.times));
+        set(format!("{unit}_per_s"), json!(timed.per_second()));
+        set("decisions_per_s".to_owned(), json!(timed.per_second() * agents as f64));
+        set(format!("{unit}_per_cpu_s"), json!(timed.per_cpu_second()));
+        set("ns_per_decision".to_owned(), json!(timed.nanoseconds(agents)));
+        let peak = peak_memory().map(|bytes| bytes as f64 / f64::from(1 << 20));
+        set("peak_rss_mb".to_owned(), json!(peak));
+        for &(key, value) in more {
+            set(key.to_owned(), json!(value));
+        }
+        print(&result, self.arguments.json)
+    }
+}
+
+/// Evaluates the rules on facts that are ready, one state after the other.
+fn evaluate<const W: usize>(
+    seconds: Duration,
+    dense: &Dense,
+    moments: &[BitFacts<W>],
+    count: usize,
+) -> Result<Timed, Failure> {
+    let mut frame = Frame::new(dense, count);
+    let mut next = 0;
+    Timed::run(seconds, |times| {
+        for _ in 0..times {
+            moments[next].load(dense, &mut frame);
+            frame.run(dense, &moments[next]);
+            black_box(&frame);
+            next += 1;
+            if next == moments.len() {
+                next = 0;
+            }
+        }
+        Ok(())
+    })
+}
+
+/// The rules alone on the scenes of a file.
+fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, path: &PathBuf) -> Result<(), Failure> {
+    let name = scenario.name.clone();
+    let mut inference = Inference::new(
+        scenario,
+        program,
+        Seed(arguments.seed),
+        Executor::Dense,
+        files::read_text,
+    )?;
+    let dense = inference.compile().map_err(Failure::Usage)?;
+    let text = files::read_text(path).map_err(|error| match error {
+        ReadError::NotFound => Failure::file("read", path, "there is no such file"),
+        other => Failure::file("read", path, other),
+    })?;
+    let mut moments: Vec<BitFacts<1>> = Vec::new();
+    let mut most = 0;
+    for (number, line) in (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty()) {
+        let mut sources = Sources::new();
+        let source = sources.add_from(&path.display().to_string(), line, number);
+        let scene = inference.ground(&sources, source).map_err(|faults| {
+            super::report(&faults, &sources);
+            Failure::Told
+        })?;
+        let count = scene.names.len();
+        if count > 64 {
+            let message = format!(
+                "line {number} of `{}` has {count} entities, the limit is 64",
+                path.display()
+            );
+            return Err(Failure::Usage(message));
+        }
+        most = most.max(count);
+        moments.push(scene.facts.to_bits(inference.vocabulary(), &dense, 64));
+    }
+    if moments.is_empty() {
+        return Err(Failure::Usage(format!("there is no scene in `{}`", path.display())));
+    }
+    let timed = evaluate(arguments.seconds, &dense, &moments, 64)?;
+    let result = json!({
+        "what": "infer",
+        "config": name,
+        "scenes": moments.len(),
+        "entities": most,
+        "seconds": timed.wall.as_secs_f64(),
+        "evaluations": timed.times,
+        "evaluations_per_s": timed.per_second(),
+        "evaluations_per_cpu_s": timed.per_cpu_second(),
+        "ns_per_evaluation": timed.nanoseconds(1),
+    });
+    print(&result, arguments.json)
+}
+
+/// Prints an object: in one line, or a line for each key.
+fn print(result: &Value, as_json: bool) -> Result<(), Failure> {
+    let mut out = anstream::stdout();
+    if as_json {
+        writeln!(out, "{result}")?;
+        return Ok(());
+    }
+    let object = result.as_object().expect("a result is an object");
+    let width = object.keys().map(String::len).max().unwrap_or(0);
+    for (key, value) in object {
+        let value = match value {
+            Value::String(text) => text.clone(),
+            Value::Number(number) => match number.as_f64() {
+                Some(value) if number.is_f64() && value < 100.0 => format!("{value:.2}"),
+                Some(value) if number.is_f64() => format!("{value:.0}"),
+                _ => number.to_string(),
+            },
+            Value::Null => "not known on this system".to_owned(),
+            other => other.to_string(),
+        };
+        writeln!(out, "{key:<width$}  {value}")?;
+    }
+    writeln!(out)?;
+    Ok(())
+}
+
+/// Makes the agent set of a split so many times as large that it has that many agents, and the map so large that they are as dense
+/// as before: in the region where they start and have their goals, if there is one, else on the whole map.
+fn grow(scenario: &mut Scenario, split: Split, agents: u32) {
+    let period = {
+        let widths = scenario.map.widths.value;
+        widths.street + 2 * widths.sidewalk + 2 * widths.building + widths.inner_sidewalk
+    };
+    let Some((_, set)) = scenario.splits.iter_mut().find(|(known, _)| *known == split) else {
+        // Placing the agents tells what is wrong.
+        return;
+    };
+    let side = set.region.map_or_else(
+        || f64::from(scenario.map.blocks.value[0].min(scenario.map.blocks.value[1]) * period),
+        |region| f64::from(region.value),
+    );
+    let once = set.len().max(1);
+    let repeat = (agents as usize).div_ceil(once);
+    #[allow(clippy::cast_precision_loss)]
+    let blocks = side * (repeat as f64).sqrt() / f64::from(period);
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most a million agents
+    let blocks = (blocks.ceil() as u32).clamp(2, 1000);
+    let AgentSet {
+        repeat: times,
+        region,
+        trip,
+        ..
+    } = set;
+    *times = times.saturating_mul(u32::try_from(repeat).expect("at most a million agents"));
+    if trip.is_none() {
+        *trip = *region;
+    }
+    *region = None;
+    let weights = [
+        (Building::House, 0.2),
+        (Building::Office, 0.2),
+        (Building::GasStation, 0.05),
+        (Building::Garage, 0.15),
+        (Building::Store, 0.4),
+    ];
+    let MapConfig {
+        name,
+        blocks: size,
+        buildings,
+        ..
+    } = &mut scenario.map;
+    *name = format!("{blocks}x{blocks}");
+    size.value = [blocks; 2];
+    buildings.value = Buildings::Random {
+        seed: 1,
+        weights: weights.to_vec(),
+    };
+}
