@@ -61,7 +61,7 @@ impl Spot {
         Spot {
             cell,
             row_is_inner: row.0 == Zone::Inner,
-            block: inside.then(|| [row.1, col.1]),
+            block: inside.then_some([row.1, col.1]),
         }
     }
 
