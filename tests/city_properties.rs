@@ -658,7 +658,10 @@ fn agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
     let mut agents = place_agents(&set, &router, &places, Seed(1)).expect("there is room");
     let starts: BTreeSet<Cell> = agents.iter().map(|agent| agent.cell).collect();
     assert_eq!((agents.len(), starts.len()), (9_000, 9_000));
-    assert!(size_of::<Agent>() <= 128);
+    let routes: usize = agents.iter().map(|agent| agent.route().heap_bytes()).sum();
+    let (own, route) = (size_of::<Agent>(), routes / agents.len());
+    println!("an agent takes {own} bytes, and {route} for its route on average");
+    assert!(own <= 128 && route <= 64);
     let keeps_to_trip = |agent: &Agent| {
         let (from, to) = (agent.start(), agent.goal());
         assert!(from.row.abs_diff(to.row).max(from.col.abs_diff(to.col)) <= trip.expect("it has one"));

@@ -264,7 +264,7 @@ impl Layout {
             let (zone, street) = self.zone(at);
             let at_edge = street == 0 || street == blocks;
             let on_lane = zone.in_street() && (at - self.mid_line(street)).abs() == self.lane_offset();
-            Part(zone as u8 | u8::from(at_edge) * AT_EDGE | u8::from(on_lane) * ON_LANE)
+            Part(zone as u8 | (u8::from(at_edge) * AT_EDGE) | (u8::from(on_lane) * ON_LANE))
         };
         (0..size).map(part).collect()
     }
@@ -306,7 +306,8 @@ impl Square {
             flags |= BUILDING;
         }
         // The corners of the world are no intersections.
-        if !row.in_block() && !col.in_block() && !(row_at_edge && col_at_edge) {
+        let at_corner = row_at_edge && col_at_edge;
+        if !row.in_block() && !col.in_block() && !at_corner {
             // A street along an edge is a through road: its cars have no line to wait at, the cars of the stem have.
             let outline = row.on_line() && !col_at_edge || col.on_line() && !row_at_edge;
             // Cars keep right: those that go down or left use the cells before the mid line.
@@ -328,7 +329,7 @@ impl Square {
         for row in Zone::ALL {
             for col in Zone::ALL {
                 for (row_at_edge, col_at_edge) in [(false, false), (false, true), (true, false), (true, true)] {
-                    let index = |zone: Zone, at_edge: bool| usize::from(zone as u8 | u8::from(at_edge) * AT_EDGE);
+                    let index = |zone: Zone, at_edge: bool| usize::from(zone as u8 | (u8::from(at_edge) * AT_EDGE));
                     table[index(row, row_at_edge) << 5 | index(col, col_at_edge)] =
                         Square::of((row, row_at_edge), (col, col_at_edge));
                 }

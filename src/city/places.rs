@@ -312,45 +312,32 @@ impl View<'_> {
         None
     }
 
-    /// Draws goals for an agent at `start` among the places that count for it; `None` if there is none.
+    /// The places that an agent at `start` may go to; `None` if there is none.
     fn goals(&self, start: Cell) -> Option<Goals<'_>> {
-        let goals = match self.of.kind {
-            AgentKind::Car => {
+        let home = match self.of.kind {
+            AgentKind::Car => None,
+            AgentKind::Pedestrian => self.of.map.layout.block_place(start),
+        };
+        let (without, own) = match home {
+            None => {
                 let own = self.number(start);
-                Goals {
-                    view: *self,
-                    count: self.numbering.count - usize::from(own.is_some()),
-                    without: Without::Place(own),
-                }
+                (Without::Place(own), usize::from(own.is_some()))
             }
-            AgentKind::Pedestrian => {
-                let layout = &self.of.map.layout;
-                let Some([block_row, block_col]) = layout.block_place(start) else {
-                    let without = Without::Place(None);
-                    return (self.numbering.count > 0).then_some(Goals {
-                        view: *self,
-                        count: self.numbering.count,
-                        without,
-                    });
-                };
+            Some([block_row, block_col]) => {
                 let bands = &self.numbering.bands;
                 let first = bands.partition_point(|band| band.block_row < block_row);
-                let home = first..bands.partition_point(|band| band.block_row <= block_row);
-                let own: usize = (bands[home.clone()].iter())
-                    .map(|band| band.rows.len() * self.in_block(block_row, block_col, band.band))
-                    .sum();
-                Goals {
-                    view: *self,
-                    count: self.numbering.count - own,
-                    without: Without::Block {
-                        bands: home,
-                        block_col,
-                        own,
-                    },
-                }
+                let bands = first..bands.partition_point(|band| band.block_row <= block_row);
+                let in_band = |band: &Band| band.rows.len() * self.in_block(block_row, block_col, band.band);
+                let own = self.numbering.bands[bands.clone()].iter().map(in_band).sum();
+                (Without::Block { bands, block_col, own }, own)
             }
         };
-        (goals.count > 0).then_some(goals)
+        let count = self.numbering.count - own;
+        (count > 0).then_some(Goals {
+            view: *self,
+            count,
+            without,
+        })
     }
 }
 

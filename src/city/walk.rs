@@ -61,7 +61,7 @@ impl Spot {
         Spot {
             cell,
             row_is_inner: row.0 == Zone::Inner,
-            block: inside.then(|| [row.1, col.1]),
+            block: inside.then_some([row.1, col.1]),
         }
     }
 
@@ -147,10 +147,13 @@ fn between(layout: &Layout, from: &Exit, to: &Exit) -> Corners {
         })
     };
     let corners = if from_row.is_some() {
-        let col = passage(layout, from.col, to.col, same_blocks(from_row, to_row));
+        // Going up one keeps right in the higher columns.
+        let keep_high = to.row < from.row;
+        let col = passage(layout, [from.col, to.col], keep_high, same_blocks(from_row, to_row));
         [Cell::new(from.row, col), Cell::new(to.row, col)]
     } else {
-        let row = passage(layout, from.row, to.row, same_blocks(from_col, to_col));
+        let keep_high = to.col > from.col;
+        let row = passage(layout, [from.row, to.row], keep_high, same_blocks(from_col, to_col));
         [Cell::new(row, from.col), Cell::new(row, to.col)]
     };
     let [first, second] = corners;
@@ -161,8 +164,9 @@ fn between(layout: &Layout, from: &Exit, to: &Exit) -> Corners {
 }
 
 /// Where to cross on the way from one coordinate to another, of which the first is in no band: at one between them if there is one,
-/// else where the detour is least. Inner sidewalks count if `through_blocks`.
-fn passage(layout: &Layout, from: i32, to: i32, through_blocks: bool) -> i32 {
+/// else where the detour is least. Inner sidewalks count if `through_blocks`. Of a band's equal cells the highest or lowest is taken, so
+/// that those who walk the other way are not in the way.
+fn passage(layout: &Layout, [from, to]: [i32; 2], keep_high: bool, through_blocks: bool) -> i32 {
     let (zone, number) = layout.zone(from);
     let gap = if zone.in_street() {
         layout.street_span(number)
@@ -170,6 +174,20 @@ fn passage(layout: &Layout, from: i32, to: i32, through_blocks: bool) -> i32 {
         layout.built_span(number)
     };
     let (before, after) = (gap.start - 1, gap.end);
+    if to <= before {
+        return if keep_high {
+            before
+        } else {
+            to.max(before + 1 - layout.sidewalk())
+        };
+    }
+    if to >= after {
+        return if keep_high {
+            to.min(after - 1 + layout.sidewalk())
+        } else {
+            after
+        };
+    }
     let (low, high) = (from.min(to), from.max(to));
     let detour = |at: i32| (low - at).max(at - high).max(0);
     let mut best = if detour(before) <= detour(after) { before } else { after };
