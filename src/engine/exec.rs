@@ -7,6 +7,7 @@
 use crate::engine::adapt::Basis;
 use crate::engine::estimate::{self, Shape};
 use crate::engine::join::{self, Effort, Output, Stop, View};
+use crate::engine::noted::Noted;
 use crate::engine::plan::{Aim, ClausePlans, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
 use crate::engine::row::{Batch, Row, difference, merge, normalise};
 use crate::engine::table::{Net, Table, project};
@@ -22,6 +23,14 @@ use std::sync::Arc;
 pub(super) trait Store: Send + Sync {
     /// Notes that a row is to be (or not to be) there from the next commit on.
     fn change(&mut self, relation: RelId, row: &[Value], present: bool);
+    /// Notes that rows are to be there, which are `arity` words each, at least one.
+    fn insert_all(&mut self, relation: RelId, words: &[Value], arity: usize);
+    /// Makes room for so many rows that are to be inserted.
+    fn reserve(&mut self, relation: RelId, rows: usize);
+    /// How many changes of a relation are noted.
+    fn noted(&self, relation: RelId) -> usize;
+    /// Forgets all changes noted of a relation but the first ones.
+    fn forget(&mut self, relation: RelId, len: usize);
     /// Forgets the changes noted since the last commit.
     fn rollback(&mut self);
     /// Makes the noted changes and brings what depends on them up to date. On failure everything is as before.
@@ -65,6 +74,13 @@ pub(super) struct Room {
     bytes: u64,
 }
 
+impl Room {
+    /// Fails if the members of a stratum together have more rows than there is room for.
+    pub(super) fn check_rows(&self, total: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<(), Failure> {
+        meter.fail_if(total > self.rows, stratum, Stop::Overflow)
+    }
+}
+
 /// An empty store for a program.
 pub(super) fn store(compiled: &Compiled) -> Box<dyn Store> {
     match compiled.plans.width {
@@ -82,8 +98,8 @@ pub(super) struct State<const W: usize> {
     pub(super) tables: Vec<Table<W>>,
     /// By [`RelId`]: the facts in the text, for relations that no clause with a body derives. They cannot be retracted.
     given: Vec<Vec<Row<W>>>,
-    /// By [`RelId`]: noted changes in the order they came; of several for one row the last counts.
-    noted: Vec<Vec<(Row<W>, bool)>>,
+    /// By [`RelId`]: changes for the next commit.
+    noted: Vec<Noted<W>>,
     /// How clauses are evaluated, for relations of about the sizes they have.
     pub(super) plans: Arc<Plans>,
     /// By position of the stratum: the sizes it was planned for.
@@ -205,14 +221,15 @@ impl<'a> Meter<'a> {
         result.map_err(|stop| (clause, stop))
     }
 
-    /// The clause of the stratum that has derived most, repetitions included.
-    pub(super) fn largest(&self, stratum: &StratumPlan) -> Option<ClauseId> {
+    /// Gives a stratum up if `failed`, at the clause that has derived most, repetitions included.
+    fn fail_if(&self, failed: bool, stratum: &StratumPlan, stop: Stop) -> Result<(), Failure> {
         let derived = |clause: &ClauseId| {
             let position = self.rules.binary_search_by_key(clause, |rule| rule.clause);
             position.map_or(0, |position| self.rules[position].derived)
         };
-        let clauses = stratum.clauses.iter().copied();
-        clauses.max_by_key(|clause| (derived(clause), std::cmp::Reverse(*clause)))
+        let clauses = stratum.clauses.iter().copied().filter(|_| failed);
+        let largest = clauses.max_by_key(|clause| (derived(clause), std::cmp::Reverse(*clause)));
+        largest.map_or(Ok(()), |clause| Err((clause, stop)))
     }
 
     /// What was done, in so many rounds.
@@ -236,19 +253,14 @@ impl<const W: usize> State<W> {
             }
         }
         given.iter_mut().for_each(normalise);
-        let indexes_of = compiled.plans.indexes_of.iter();
+        let indexes = || compiled.plans.indexes.counts();
         State {
-            tables: indexes_of
-                .map(|indexes| Table::new(Vec::new(), indexes.len()))
-                .collect(),
+            tables: indexes().map(|count| Table::new(Vec::new(), count)).collect(),
             rows: 0,
-            copies_max: compiled.plans.indexes_of.iter().map(Vec::len).max().unwrap_or(0) + 1,
+            copies_max: indexes().max().unwrap_or(0) + 1,
             costs: vec![Cost::default(); compiled.plans.strata.len()],
             // They are inserted like any other fact, once.
-            noted: given
-                .iter()
-                .map(|rows| rows.iter().map(|&row| (row, true)).collect())
-                .collect(),
+            noted: given.iter().cloned().map(Noted::of).collect(),
             plans: Arc::clone(&compiled.plans),
             bases: vec![Basis::default(); compiled.plans.strata.len()],
             given,
@@ -264,9 +276,8 @@ impl<const W: usize> State<W> {
             if noted.is_empty() {
                 continue;
             }
-            settle(noted);
             let table = &self.tables[relation.index()];
-            if let Some((net, rows)) = table.update(noted) {
+            if let Some((net, rows)) = noted.apply(table) {
                 let table = table.replaced(&specs(&commit.plans, relation), &net, rows);
                 self.put(commit, relation, net, table);
             }
@@ -351,7 +362,7 @@ impl<const W: usize> State<W> {
         });
         let sources = all.flat_map(|plan| &plan.steps).flat_map(Step::sources);
         let finished = sources.filter(|source| source.version == Version::Complete);
-        let mut missing: Vec<usize> = finished.map(|source| source.index.index()).collect();
+        let mut missing: Vec<IndexId> = finished.map(|source| source.index).collect();
         missing.sort_unstable();
         missing.dedup();
         let specs = missing.into_iter().map(|index| &plans.indexes[index]);
@@ -478,6 +489,7 @@ impl<const W: usize> State<W> {
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
         let plans = &commit.plans;
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
+        let mut views = Vec::new();
         for &clause in &stratum.clauses {
             let plan = &plans.clauses[clause.index()];
             let Some(member) = plans.member[plan.complete.head.index()] else {
@@ -485,7 +497,8 @@ impl<const W: usize> State<W> {
             };
             // A clause over the stratum itself derives nothing before there is something.
             if plan.deltas.is_empty() {
-                let views = self.complete_views(plans, &plan.complete);
+                views.clear();
+                views.extend(self.complete_views(plans, &plan.complete));
                 meter.run(
                     clause,
                     &plan.complete,
@@ -500,10 +513,8 @@ impl<const W: usize> State<W> {
         }
         let rows: Vec<_> = outputs.iter_mut().map(|output| meter.take(output)).collect();
         let total: usize = rows.iter().map(Vec::len).sum();
-        match meter.largest(stratum) {
-            Some(clause) if total > room.rows => Err((clause, Stop::Overflow)),
-            _ => Ok((rows, 1)),
-        }
+        room.check_rows(total, stratum, meter)?;
+        Ok((rows, 1))
     }
 
     /// What follows in a recursive stratum from the rows in `outputs`, themselves included, and the number of rounds that took.
@@ -521,12 +532,12 @@ impl<const W: usize> State<W> {
         let mut recursion = Recursion::new(commit.compiled, plans, stratum, base);
         let mut rounds = 0;
         loop {
-            for (member, (variable, output)) in recursion.variables.iter().zip(&mut outputs).enumerate() {
+            for (member, output) in outputs.iter_mut().enumerate() {
                 let mut elements = meter.take(output);
                 if let Some(base) = base {
                     elements = difference(&elements, &base[member].rows);
                 }
-                variable.insert(Relation { elements });
+                recursion.insert(member, elements, output);
             }
             if !recursion.iteration.changed() {
                 break;
@@ -542,16 +553,12 @@ impl<const W: usize> State<W> {
             recursion.keep(plans, |index| sources().any(|source| source.index == index));
             let held = recursion.hold();
             let known: usize = base.unwrap_or_default().iter().map(|table| table.rows.len()).sum();
-            let total = known + held.iter().map(Held::len).sum::<usize>();
-            if let Some(clause) = meter.largest(stratum) {
-                if total > room.rows {
-                    return Err((clause, Stop::Overflow));
-                }
-                let copies: usize = recursion.grown.iter().map(Grown::len).sum();
-                if ((total + copies) * size_of::<Row<W>>()) as u64 > room.bytes {
-                    return Err((clause, Stop::Memory));
-                }
-            }
+            let total = known + recursion.left_out.iter().sum::<usize>() + held.iter().map(Held::len).sum::<usize>();
+            room.check_rows(total, stratum, meter)?;
+            let copies: usize = recursion.grown.iter().map(Grown::len).sum();
+            let bytes = ((total + copies) * size_of::<Row<W>>()) as u64;
+            meter.fail_if(bytes > room.bytes, stratum, Stop::Memory)?;
+            let mut views: Vec<View<'_, W>> = Vec::new();
             for &(clause, over, plan) in &chosen {
                 let Some(head) = plans.member[plan.head.index()] else {
                     continue;
@@ -560,7 +567,8 @@ impl<const W: usize> State<W> {
                     Some(source) if source.version != Version::Complete => recursion.view(&held, plans, source),
                     _ => self.complete_view(plans, step),
                 };
-                let views: Vec<View<'_, W>> = plan.steps.iter().map(view).collect();
+                views.clear();
+                views.extend(plan.steps.iter().map(view));
                 let given = held[over].new.len();
                 meter.run(clause, plan, (&views, given), commit.symbols, &mut outputs[head])?;
             }
@@ -577,7 +585,7 @@ impl<const W: usize> State<W> {
     ) -> Vec<(ClauseId, usize, &'p Plan)> {
         let held = recursion.hold();
         let shape = |source: Source| {
-            let relation = plans.indexes[source.index.index()].relation;
+            let relation = plans.indexes[source.index].relation;
             match plans.member[relation.index()] {
                 Some(member) if source.version != Version::Complete => recursion.shape(&held, member, source.version),
                 _ => Shape::of(&self.tables[relation.index()].rows),
@@ -595,13 +603,13 @@ impl<const W: usize> State<W> {
         chosen
     }
 
-    fn complete_views(&self, plans: &Plans, plan: &Plan) -> Vec<View<'_, W>> {
-        plan.steps.iter().map(|step| self.complete_view(plans, step)).collect()
+    fn complete_views<'a>(&'a self, plans: &'a Plans, plan: &'a Plan) -> impl Iterator<Item = View<'a, W>> {
+        plan.steps.iter().map(|step| self.complete_view(plans, step))
     }
 
     fn complete_view(&self, plans: &Plans, step: &Step) -> View<'_, W> {
         let batch = |source: Source| {
-            let spec = &plans.indexes[source.index.index()];
+            let spec = &plans.indexes[source.index];
             self.tables[spec.relation.index()].batch(spec)
         };
         View::for_step(step, batch)
@@ -617,23 +625,38 @@ fn makes_texts(plans: &Plans, stratum: &StratumPlan) -> bool {
 
 /// A relation's indexes.
 pub(super) fn specs(plans: &Plans, relation: RelId) -> Vec<&IndexSpec> {
-    let indexes = plans.indexes_of[relation.index()].iter();
-    indexes.map(|index| &plans.indexes[index.index()]).collect()
+    plans.indexes.of(relation).collect()
 }
 
 impl<const W: usize> Store for State<W> {
     fn change(&mut self, relation: RelId, row: &[Value], present: bool) {
         let row = Row::new(row);
         if present || self.given[relation.index()].binary_search(&row).is_err() {
-            self.noted[relation.index()].push((row, present));
+            self.noted[relation.index()].push(row, present);
         }
+    }
+
+    fn insert_all(&mut self, relation: RelId, words: &[Value], arity: usize) {
+        self.noted[relation.index()].extend(words, arity);
+    }
+
+    fn reserve(&mut self, relation: RelId, rows: usize) {
+        self.noted[relation.index()].reserve(rows);
+    }
+
+    fn noted(&self, relation: RelId) -> usize {
+        self.noted[relation.index()].len()
+    }
+
+    fn forget(&mut self, relation: RelId, len: usize) {
+        self.noted[relation.index()].truncate(len);
     }
 
     fn rollback(&mut self) {
         for (noted, given) in self.noted.iter_mut().zip(&self.given) {
             noted.clear();
             if !self.committed {
-                noted.extend(given.iter().map(|&row| (row, true)));
+                *noted = Noted::of(given.clone());
             }
         }
     }
@@ -656,16 +679,22 @@ impl<const W: usize> Store for State<W> {
         self.plans = Arc::clone(&commit.plans);
         match result {
             Ok((log, costs)) => {
-                self.noted.iter_mut().for_each(Vec::clear);
+                self.noted.iter_mut().for_each(Noted::clear);
                 self.costs = costs;
                 self.committed = true;
                 Ok((commit.delta(), log))
             }
             Err(error) => {
-                for (table, changed) in self.tables.iter_mut().zip(commit.changed) {
-                    if let Some((_, old)) = changed {
-                        self.rows = self.rows + old.rows.len() - table.rows.len();
-                        *table = old;
+                for (position, changed) in commit.changed.into_iter().enumerate() {
+                    let Some((net, old)) = changed else { continue };
+                    drop(net);
+                    self.rows = self.rows + old.rows.len() - self.tables[position].rows.len();
+                    let base = commit.plans.member[position].is_none();
+                    let noted = &mut self.noted[position];
+                    let new = std::mem::replace(&mut self.tables[position], old);
+                    // What was noted and is not there has become the table's.
+                    if base && noted.is_empty() {
+                        noted.put_back(new.rows);
                     }
                 }
                 Err(error)
@@ -694,7 +723,7 @@ impl<const W: usize> Store for State<W> {
         let plan = &self.plans.clauses[clause.index()].complete;
         let mut out = Output::new(usize::MAX);
         if self.committed {
-            let views = self.complete_views(&self.plans, plan);
+            let views: Vec<View<'_, W>> = self.complete_views(&self.plans, plan).collect();
             // What a clause derives is in its head's relation, which is within the limit: it cannot overflow.
             let _ = join::run(plan, &views, symbols, &mut Effort::new(u64::MAX), &mut out);
         }
@@ -714,19 +743,6 @@ fn constants<const W: usize>(terms: &[Term]) -> Row<W> {
     row
 }
 
-/// Keeps of several changes of a row the last one, in the order of rows.
-fn settle<const W: usize>(noted: &mut Vec<(Row<W>, bool)>) {
-    noted.sort_by_key(|(row, _)| *row);
-    // `dedup_by` keeps the first of equal elements and is given the later one first.
-    noted.dedup_by(|later, kept| {
-        let same = later.0 == kept.0;
-        if same {
-            kept.1 = later.1;
-        }
-        same
-    });
-}
-
 /// A recursive stratum being evaluated.
 struct Recursion<'a, const W: usize> {
     iteration: Iteration,
@@ -734,6 +750,10 @@ struct Recursion<'a, const W: usize> {
     base: Option<&'a [&'a Table<W>]>,
     /// By member: the rows that came.
     variables: Vec<Variable<Row<W>>>,
+    /// By member: whether no plan looks at rows that came before this round.
+    forward: Vec<bool>,
+    /// By member: how many rows came that are not in its variable, since nobody looks at them and its output knows them.
+    left_out: Vec<usize>,
     /// The members' rows in other orders of columns.
     grown: Vec<Grown<W>>,
 }
@@ -775,14 +795,24 @@ impl<'b, const W: usize> Recursion<'b, W> {
         let mut iteration = Iteration::new();
         let name = |member: &RelId| &rules.relations[member.index()].name;
         let variables = members.iter().map(|member| iteration.variable(name(member))).collect();
+        let clauses = || stratum.clauses.iter().map(|clause| &plans.clauses[clause.index()]);
+        let mut forward = vec![base.is_none(); members.len()];
+        let detours = clauses().flat_map(|clause| &clause.detours).flatten();
+        let all = clauses()
+            .flat_map(|clause| &clause.deltas)
+            .map(|(_, plan)| plan)
+            .chain(detours);
+        for source in all.flat_map(|plan| &plan.steps).flat_map(Step::sources) {
+            let relation = plans.indexes[source.index].relation;
+            if let (Version::Old | Version::All, Some(member)) = (source.version, plans.member[relation.index()]) {
+                forward[member] = false;
+            }
+        }
         let mut grown: Vec<Grown<W>> = Vec::new();
-        let deltas = stratum
-            .clauses
-            .iter()
-            .flat_map(|clause| &plans.clauses[clause.index()].deltas);
+        let deltas = clauses().flat_map(|clause| &clause.deltas);
         for source in deltas.flat_map(|(_, plan)| &plan.steps).flat_map(Step::sources) {
-            let relation = plans.indexes[source.index.index()].relation;
-            let known = source.version == Version::Complete || plans.is_own(source.index);
+            let relation = plans.indexes[source.index].relation;
+            let known = source.version == Version::Complete || plans.indexes.is_own(source.index);
             let known = known || grown.iter().any(|grown| grown.id == source.index);
             if let (false, Some(member)) = (known, plans.member[relation.index()]) {
                 grown.push(Grown {
@@ -798,8 +828,36 @@ impl<'b, const W: usize> Recursion<'b, W> {
             iteration,
             base,
             variables,
+            left_out: vec![0; members.len()],
+            forward,
             grown,
         }
+    }
+
+    /// Has rows of a member, taken from its output, come in the next round.
+    fn insert(&mut self, member: usize, elements: Vec<Row<W>>, output: &mut Output<W>) {
+        let variable = &self.variables[member];
+        let mut stable = variable.stable.borrow_mut();
+        if self.forward[member] && output.is_whole() {
+            // Rows that are old are merged and copied again and again, and here for nobody.
+            output.remember();
+            let mut recent = variable.recent.borrow_mut();
+            self.left_out[member] += stable.iter().map(|rows| rows.len()).sum::<usize>() + recent.len();
+            stable.clear();
+            recent.elements = Vec::new();
+        } else if self.left_out[member] > 0 {
+            self.left_out[member] = 0;
+            stable.push(Relation {
+                elements: output.forgotten(),
+            });
+            variable.recent.borrow_mut().elements = Vec::new();
+        } else if self.forward[member] {
+            // What is inserted here may still repeat what came before; in the next round nothing does.
+            let recent = variable.recent.borrow();
+            output.learn(stable.iter().map(|rows| &rows[..]).chain([&recent[..]]));
+        }
+        drop(stable);
+        variable.insert(Relation { elements });
     }
 
     /// Brings the indexes that this round uses up to date. Once a round.
@@ -812,9 +870,11 @@ impl<'b, const W: usize> Recursion<'b, W> {
                 grown.stable = Vec::new();
                 continue;
             }
-            let columns = &plans.indexes[grown.id.index()].columns;
+            let columns = &plans.indexes[grown.id].columns;
             let variable = &self.variables[grown.member];
-            if !was {
+            if self.forward[grown.member] {
+                // Only the new ones are looked at.
+            } else if !was {
                 let stable = variable.stable.borrow();
                 grown.stable = stable.iter().map(|rows| project(rows, columns)).collect();
             } else if !batch.is_empty() {
@@ -839,7 +899,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
 
     /// The rows of a member that a step looks at.
     fn view<'a>(&'a self, held: &'a [Held<'a, W>], plans: &Plans, source: Source) -> View<'a, W> {
-        let spec = &plans.indexes[source.index.index()];
+        let spec = &plans.indexes[source.index];
         let (with_old, with_new) = (source.version != Version::New, source.version != Version::Old);
         let mut batches: Vec<Batch<'a, W>> = Vec::new();
         let Some(member) = plans.member[spec.relation.index()] else {
