@@ -11,9 +11,10 @@
 //! No derivations are counted, so nothing is kept between commits besides the relations, clauses may stop at the first reason for
 //! a head, and a stratum can be recomputed in one commit and maintained in the next.
 
-use crate::engine::exec::{Commit, Failure, Iteration, Meter, Relation, Room, State, Variable, specs};
+use crate::engine::exec::{Commit, Failure, Meter, Room, State, specs};
 use crate::engine::join::{Output, View};
 use crate::engine::plan::{ChangePlan, Plan, Source, Step, StratumPlan, Version};
+use crate::engine::recursion::{Iteration, Relation, Variable};
 use crate::engine::row::{Batch, Row, difference, merge};
 use crate::engine::table::{Net, Table};
 use crate::lang::RelId;

@@ -16,7 +16,7 @@
 //!
 //! Inside: `plan` says what a plan is, `planner` orders the literals of each clause and chooses indexes; `estimate` judges plans by
 //! the sizes of relations, and `adapt` has clauses planned again when those have changed; `show` prints them. `join` runs a plan;
-//! `seen` knows what was derived before; `exec` makes a commit and runs strata to their fixpoint; `maintain` brings a stratum up to
+//! `seen` knows what was derived before; `exec` makes a commit, `recursion` runs a recursive stratum to its fixpoint; `maintain` brings a stratum up to
 //! date from a change; `noted` holds the changes of the next commit, `table` a relation and its indexes; `workers` are the threads;
 //! `limits` says how much is too much; `row` has the sorted lists all this works on.
 //!
@@ -41,6 +41,7 @@ mod plan;
 mod planner;
 pub mod promise;
 pub mod provenance;
+mod recursion;
 mod row;
 mod seen;
 mod show;
