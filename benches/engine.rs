@@ -51,11 +51,10 @@ fn tree() -> Vec<(u32, u32)> {
 fn load(program: &Program, base: &str, rows: &[(u32, u32)]) -> Session {
     let mut session = program.session();
     let base = program.relation(base).expect("the program has it");
-    for &(a, b) in rows {
-        session
-            .insert(base, &[Value(a), Value(b)])
-            .expect("it is a base relation of two columns");
-    }
+    let rows = rows.iter().map(|&(a, b)| [Value(a), Value(b)]);
+    session
+        .insert_all(base, rows)
+        .expect("it is a base relation of two columns");
     session
 }
 

@@ -158,6 +158,49 @@ fn transitive_closure_and_its_complement() {
     assert!(delta.of(program.relation("Sink").unwrap()).is_none());
 }
 
+/// While words are dense, what a recursion derived is known as bits only; then there come words for which there are none.
+#[test]
+fn a_closure_that_leaves_the_dense_words_forgets_nothing() {
+    let program = program(
+        ".decl Edge(x: number, y: number)
+        .decl Path(x: number, y: number)
+        Path(x, y) :- Edge(x, y), x < 200, y < 200.
+        Path(x, z) :- Path(x, y), Edge(y, z).",
+    );
+    let (edge, path) = (program.relation("Edge").unwrap(), program.relation("Path").unwrap());
+    // Circles of 8 nodes with chords, one behind the other, and a long way out of the last to nodes with large numbers and back again.
+    let mut edges: Vec<(i32, i32)> = (199..260).map(|node| (node, node + 1)).collect();
+    for node in 0..200 {
+        edges.extend([
+            (node, node / 8 * 8 + (node + 1) % 8),
+            (node, node / 8 * 8 + (node + 3) % 8),
+        ]);
+        edges.extend((node % 8 == 7 && node < 199).then_some((node, node + 1)));
+    }
+    edges.extend((0..5).map(|far| (if far == 0 { 260 } else { far * 50_000_000 }, (far + 1) * 50_000_000)));
+    edges.push((250_000_000, 100));
+    let mut expected: BTreeSet<Vec<Value>> = BTreeSet::new();
+    for from in 0..200 {
+        let mut waiting = vec![from];
+        while let Some(at) = waiting.pop() {
+            let next = edges.iter().filter(|&&(start, _)| start == at).map(|&(_, end)| end);
+            waiting.extend(next.filter(|&end| expected.insert(numbers(&[from, end]))));
+        }
+    }
+    for threads in [1, 3] {
+        let mut session = program.session();
+        session.set_threads(eager(threads)).unwrap();
+        session
+            .insert_all(edge, edges.iter().map(|&(x, y)| numbers(&[x, y])))
+            .unwrap();
+        session.commit().unwrap();
+        assert!(session.rows(path).eq(&expected));
+        let work = session.work().strata.last().and_then(StratumWork::work).unwrap();
+        let derived: Vec<u64> = work.rules.iter().map(|rule| rule.given).collect();
+        assert_eq!(derived, [0, expected.len() as u64], "every row was new once");
+    }
+}
+
 #[test]
 fn points_to_in_rounds_of_many_new_rows() {
     let program = program(
@@ -752,6 +795,67 @@ fn a_failed_commit_changes_nothing() {
     insert(&mut session, "Node", &[&[4]]);
     session.rollback();
     assert!(session.commit().unwrap().is_empty());
+
+    // Rows of a relation that had none.
+    let mut session = program.session();
+    session.set_limits(rows(9));
+    insert(&mut session, "Node", &[&[4], &[2], &[1], &[4], &[3]]);
+    assert!(session.commit().is_err());
+    assert_eq!(database(&session), database(&program.session()));
+    assert!(session.commit().is_err(), "what was noted is kept");
+    retract(&mut session, "Node", &[&[2]]);
+    session.commit().unwrap();
+    assert_eq!(shown(&session, "Node"), "1, 3, 4");
+    assert_eq!(session.len(program.relation("Pair").unwrap()), 9);
+}
+
+#[test]
+fn rows_noted_together_are_as_if_noted_one_by_one() {
+    let program = program(
+        ".decl Base(x: number, y: number)
+        .decl Flag()
+        .decl Named(x: symbol)
+        .input Base, Flag, Named
+        .decl Copy(x: number, y: number)
+        Copy(y, x) :- Base(x, y), Flag().
+        Base(7, 7).",
+    );
+    let [base, flag, named] = ["Base", "Flag", "Named"].map(|name| program.relation(name).unwrap());
+    let rows = |from: i32, to: i32| (from..to).map(|n| numbers(&[n * 37 % 1_000, n % 91]));
+    let (mut together, mut alone) = (program.session(), program.session());
+    for (present, from, to) in [(true, 0, 3_000), (false, 500, 600), (true, 550, 4_000), (false, 0, 300)] {
+        match present {
+            true => together.insert_all(base, rows(from, to)).unwrap(),
+            false => rows(from, to).for_each(|row| together.retract(base, &row).unwrap()),
+        }
+        for row in rows(from, to) {
+            match present {
+                true => alone.insert(base, &row).unwrap(),
+                false => alone.retract(base, &row).unwrap(),
+            }
+        }
+        if from != 500 {
+            together.insert_all(flag, [[]]).unwrap();
+            alone.insert(flag, &[]).unwrap();
+            assert_eq!(together.commit(), alone.commit());
+            assert_eq!(database(&together), database(&alone));
+        }
+    }
+    // A row that cannot be inserted leaves those before it out.
+    let word = together.intern("word");
+    let arity = together.insert_all(base, rows(5_000, 9_000).chain([numbers(&[1])]));
+    assert!(matches!(arity, Err(RowError::Arity { found: 1, .. })));
+    let unknown = together.insert_all(named, [[word], [Value(word.0 + 1)]]);
+    assert!(matches!(unknown, Err(RowError::UnknownSymbol { .. })));
+    assert!(matches!(
+        together.insert_all(program.relation("Copy").unwrap(), rows(0, 1)),
+        Err(RowError::Derived { .. })
+    ));
+    assert_eq!(
+        together.insert_all(RelId(99), rows(0, 1)),
+        Err(RowError::UnknownRelation)
+    );
+    assert!(together.commit().unwrap().is_empty());
 }
 
 #[test]

@@ -9,7 +9,7 @@ const PURE: &[&str] = &["lang", "config", "engine", "city", "sim", "render"];
 
 /// Crates that only one room may use.
 const ONLY_IN: &[(&str, &str)] = &[
-    ("datafrog", "src/engine/exec.rs"),
+    ("datafrog", "src/engine/recursion.rs"),
     ("egg", "src/engine/optimize/saturate.rs"),
     ("serde_yaml", "src/config/yaml.rs"),
     ("rand_chacha", "src/rng.rs"),

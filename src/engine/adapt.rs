@@ -62,13 +62,13 @@ impl<const W: usize> State<W> {
             .changed
             .iter_mut()
             .map(|changed| changed.as_mut().map(|(_, table)| table));
-        let tables = self.tables.iter_mut().zip(before).zip(&commit.plans.indexes_of);
+        let tables = self.tables.iter_mut().zip(before).zip(commit.plans.indexes.counts());
         for ((table, before), indexes) in tables {
-            table.widen(indexes.len());
+            table.widen(indexes);
             if let Some(before) = before {
-                before.widen(indexes.len());
+                before.widen(indexes);
             }
-            self.copies_max = self.copies_max.max(indexes.len() + 1);
+            self.copies_max = self.copies_max.max(indexes + 1);
         }
     }
 }

@@ -5,7 +5,7 @@
 //! of several plans a round of a recursion uses is asked so often that only a [`Shape`] is taken: it takes words for evenly spread,
 //! so that of `n` rows whose column has words between `a` and `b`, a word finds `n / (b - a + 1)`.
 
-use crate::engine::plan::{IndexSpec, Plan, Source, Step};
+use crate::engine::plan::{Indexes, Plan, Source, Step};
 use crate::engine::row::{Row, gallop};
 use crate::lang::{Comparison, VarId};
 
@@ -69,7 +69,7 @@ impl<const W: usize> Shape<W> {
 pub(super) fn choose<'a, const W: usize>(
     first: &'a Plan,
     others: &'a [Plan],
-    indexes: &[IndexSpec],
+    indexes: &Indexes,
     shape: &dyn Fn(Source) -> Shape<W>,
 ) -> &'a Plan {
     let mut best = (first, f64::INFINITY);
@@ -86,8 +86,8 @@ pub(super) fn choose<'a, const W: usize>(
 }
 
 /// About how many rows a plan looks at.
-fn effort<const W: usize>(plan: &Plan, indexes: &[IndexSpec], shape: &dyn Fn(Source) -> Shape<W>) -> f64 {
-    let found = |source: Source, key: usize| shape(source).found(&indexes[source.index.index()].columns[..key]);
+fn effort<const W: usize>(plan: &Plan, indexes: &Indexes, shape: &dyn Fn(Source) -> Shape<W>) -> f64 {
+    let found = |source: Source, key: usize| shape(source).found(&indexes[source.index].columns[..key]);
     follow(&plan.steps, &found).1
 }
 

@@ -1,27 +1,30 @@
-//! The relational executor: keeps the rows of all relations and evaluates strata, semi-naively where they are recursive.
-//!
-//! The only user of datafrog, whose variables do the bookkeeping of a recursive stratum: derived rows wait in a variable, are
-//! *new* for one round, and belong to its *stable* batches afterwards. The joins are our own ([`super::join`]), since
-//! datafrog's want their number and the types of their rows at compile time.
+//! The relational executor: keeps the rows of all relations, makes commits and evaluates strata. Recursive ones are for
+//! [`super::recursion`].
 
 use crate::engine::adapt::Basis;
-use crate::engine::estimate::{self, Shape};
 use crate::engine::join::{self, Effort, Output, Stop, View};
-use crate::engine::plan::{Aim, ClausePlans, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
-use crate::engine::row::{Batch, Row, difference, merge, normalise};
-use crate::engine::table::{Net, Table, project};
+use crate::engine::noted::Noted;
+use crate::engine::plan::{Aim, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
+use crate::engine::row::{Row, normalise};
+use crate::engine::table::{Net, Table};
 use crate::engine::workers::Workers;
 use crate::engine::{Compiled, Delta, EvalError, Limits, Moment, Rows, RuleWork, Strategy, StratumWork, Work, WorkLog};
 use crate::lang::{ClauseId, RelId, Term, Value};
 use crate::symbol::Symbols;
-pub(super) use datafrog::{Iteration, Relation, Variable};
-use std::cell::Ref;
 use std::sync::Arc;
 
 /// What a session keeps between commits, whatever the width of its rows.
 pub(super) trait Store: Send + Sync {
     /// Notes that a row is to be (or not to be) there from the next commit on.
     fn change(&mut self, relation: RelId, row: &[Value], present: bool);
+    /// Notes that rows are to be there, which are `arity` words each, at least one.
+    fn insert_all(&mut self, relation: RelId, words: &[Value], arity: usize);
+    /// Makes room for so many rows that are to be inserted.
+    fn reserve(&mut self, relation: RelId, rows: usize);
+    /// How many changes of a relation are noted.
+    fn noted(&self, relation: RelId) -> usize;
+    /// Forgets all changes noted of a relation but the first ones.
+    fn forget(&mut self, relation: RelId, len: usize);
     /// Forgets the changes noted since the last commit.
     fn rollback(&mut self);
     /// Makes the noted changes and brings what depends on them up to date. On failure everything is as before.
@@ -65,6 +68,18 @@ pub(super) struct Room {
     bytes: u64,
 }
 
+impl Room {
+    /// Fails if the members of a stratum together have more rows than there is room for.
+    pub(super) fn check_rows(&self, total: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<(), Failure> {
+        meter.fail_if(total > self.rows, stratum, Stop::Overflow)
+    }
+
+    /// Fails if the rows of the members take more memory than there is room for.
+    pub(super) fn check_bytes(&self, bytes: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<(), Failure> {
+        meter.fail_if(bytes as u64 > self.bytes, stratum, Stop::Memory)
+    }
+}
+
 /// An empty store for a program.
 pub(super) fn store(compiled: &Compiled) -> Box<dyn Store> {
     match compiled.plans.width {
@@ -82,8 +97,8 @@ pub(super) struct State<const W: usize> {
     pub(super) tables: Vec<Table<W>>,
     /// By [`RelId`]: the facts in the text, for relations that no clause with a body derives. They cannot be retracted.
     given: Vec<Vec<Row<W>>>,
-    /// By [`RelId`]: noted changes in the order they came; of several for one row the last counts.
-    noted: Vec<Vec<(Row<W>, bool)>>,
+    /// By [`RelId`]: changes for the next commit.
+    noted: Vec<Noted<W>>,
     /// How clauses are evaluated, for relations of about the sizes they have.
     pub(super) plans: Arc<Plans>,
     /// By position of the stratum: the sizes it was planned for.
@@ -163,7 +178,7 @@ impl<'a> Meter<'a> {
     }
 
     /// The distinct rows of an output, in order; see [`Output::take`].
-    fn take<const W: usize>(&self, out: &mut Output<W>) -> Vec<Row<W>> {
+    pub(super) fn take<const W: usize>(&self, out: &mut Output<W>) -> Vec<Row<W>> {
         match self.workers {
             Some(workers) => out.take_by(|rows| workers.normalise(rows)),
             None => out.take(),
@@ -205,14 +220,15 @@ impl<'a> Meter<'a> {
         result.map_err(|stop| (clause, stop))
     }
 
-    /// The clause of the stratum that has derived most, repetitions included.
-    pub(super) fn largest(&self, stratum: &StratumPlan) -> Option<ClauseId> {
+    /// Gives a stratum up if `failed`, at the clause that has derived most, repetitions included.
+    fn fail_if(&self, failed: bool, stratum: &StratumPlan, stop: Stop) -> Result<(), Failure> {
         let derived = |clause: &ClauseId| {
             let position = self.rules.binary_search_by_key(clause, |rule| rule.clause);
             position.map_or(0, |position| self.rules[position].derived)
         };
-        let clauses = stratum.clauses.iter().copied();
-        clauses.max_by_key(|clause| (derived(clause), std::cmp::Reverse(*clause)))
+        let clauses = stratum.clauses.iter().copied().filter(|_| failed);
+        let largest = clauses.max_by_key(|clause| (derived(clause), std::cmp::Reverse(*clause)));
+        largest.map_or(Ok(()), |clause| Err((clause, stop)))
     }
 
     /// What was done, in so many rounds.
@@ -236,19 +252,14 @@ impl<const W: usize> State<W> {
             }
         }
         given.iter_mut().for_each(normalise);
-        let indexes_of = compiled.plans.indexes_of.iter();
+        let indexes = || compiled.plans.indexes.counts();
         State {
-            tables: indexes_of
-                .map(|indexes| Table::new(Vec::new(), indexes.len()))
-                .collect(),
+            tables: indexes().map(|count| Table::new(Vec::new(), count)).collect(),
             rows: 0,
-            copies_max: compiled.plans.indexes_of.iter().map(Vec::len).max().unwrap_or(0) + 1,
+            copies_max: indexes().max().unwrap_or(0) + 1,
             costs: vec![Cost::default(); compiled.plans.strata.len()],
             // They are inserted like any other fact, once.
-            noted: given
-                .iter()
-                .map(|rows| rows.iter().map(|&row| (row, true)).collect())
-                .collect(),
+            noted: given.iter().cloned().map(Noted::of).collect(),
             plans: Arc::clone(&compiled.plans),
             bases: vec![Basis::default(); compiled.plans.strata.len()],
             given,
@@ -264,9 +275,8 @@ impl<const W: usize> State<W> {
             if noted.is_empty() {
                 continue;
             }
-            settle(noted);
             let table = &self.tables[relation.index()];
-            if let Some((net, rows)) = table.update(noted) {
+            if let Some((net, rows)) = noted.apply(table) {
                 let table = table.replaced(&specs(&commit.plans, relation), &net, rows);
                 self.put(commit, relation, net, table);
             }
@@ -351,7 +361,7 @@ impl<const W: usize> State<W> {
         });
         let sources = all.flat_map(|plan| &plan.steps).flat_map(Step::sources);
         let finished = sources.filter(|source| source.version == Version::Complete);
-        let mut missing: Vec<usize> = finished.map(|source| source.index.index()).collect();
+        let mut missing: Vec<IndexId> = finished.map(|source| source.index).collect();
         missing.sort_unstable();
         missing.dedup();
         let specs = missing.into_iter().map(|index| &plans.indexes[index]);
@@ -478,6 +488,7 @@ impl<const W: usize> State<W> {
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
         let plans = &commit.plans;
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
+        let mut views = Vec::new();
         for &clause in &stratum.clauses {
             let plan = &plans.clauses[clause.index()];
             let Some(member) = plans.member[plan.complete.head.index()] else {
@@ -485,7 +496,8 @@ impl<const W: usize> State<W> {
             };
             // A clause over the stratum itself derives nothing before there is something.
             if plan.deltas.is_empty() {
-                let views = self.complete_views(plans, &plan.complete);
+                views.clear();
+                views.extend(self.complete_views(plans, &plan.complete));
                 meter.run(
                     clause,
                     &plan.complete,
@@ -500,108 +512,17 @@ impl<const W: usize> State<W> {
         }
         let rows: Vec<_> = outputs.iter_mut().map(|output| meter.take(output)).collect();
         let total: usize = rows.iter().map(Vec::len).sum();
-        match meter.largest(stratum) {
-            Some(clause) if total > room.rows => Err((clause, Stop::Overflow)),
-            _ => Ok((rows, 1)),
-        }
+        room.check_rows(total, stratum, meter)?;
+        Ok((rows, 1))
     }
 
-    /// What follows in a recursive stratum from the rows in `outputs`, themselves included, and the number of rounds that took.
-    /// `base` are the members' rows that hold already; they are not included.
-    pub(super) fn grow(
-        &self,
-        commit: &Commit<'_, W>,
-        stratum: &StratumPlan,
-        base: Option<&[&Table<W>]>,
-        mut outputs: Vec<Output<W>>,
-        room: Room,
-        meter: &mut Meter<'_>,
-    ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
-        let plans = &commit.plans;
-        let mut recursion = Recursion::new(commit.compiled, plans, stratum, base);
-        let mut rounds = 0;
-        loop {
-            for (member, (variable, output)) in recursion.variables.iter().zip(&mut outputs).enumerate() {
-                let mut elements = meter.take(output);
-                if let Some(base) = base {
-                    elements = difference(&elements, &base[member].rows);
-                }
-                variable.insert(Relation { elements });
-            }
-            if !recursion.iteration.changed() {
-                break;
-            }
-            rounds += 1;
-            let chosen = self.choose(plans, stratum, &recursion);
-            let sources = || {
-                chosen
-                    .iter()
-                    .flat_map(|(_, _, plan)| &plan.steps)
-                    .flat_map(Step::sources)
-            };
-            recursion.keep(plans, |index| sources().any(|source| source.index == index));
-            let held = recursion.hold();
-            let known: usize = base.unwrap_or_default().iter().map(|table| table.rows.len()).sum();
-            let total = known + held.iter().map(Held::len).sum::<usize>();
-            if let Some(clause) = meter.largest(stratum) {
-                if total > room.rows {
-                    return Err((clause, Stop::Overflow));
-                }
-                let copies: usize = recursion.grown.iter().map(Grown::len).sum();
-                if ((total + copies) * size_of::<Row<W>>()) as u64 > room.bytes {
-                    return Err((clause, Stop::Memory));
-                }
-            }
-            for &(clause, over, plan) in &chosen {
-                let Some(head) = plans.member[plan.head.index()] else {
-                    continue;
-                };
-                let view = |step: &Step| match step.source() {
-                    Some(source) if source.version != Version::Complete => recursion.view(&held, plans, source),
-                    _ => self.complete_view(plans, step),
-                };
-                let views: Vec<View<'_, W>> = plan.steps.iter().map(view).collect();
-                let given = held[over].new.len();
-                meter.run(clause, plan, (&views, given), commit.symbols, &mut outputs[head])?;
-            }
-        }
-        Ok((recursion.complete(&outputs), rounds))
+    fn complete_views<'a>(&'a self, plans: &'a Plans, plan: &'a Plan) -> impl Iterator<Item = View<'a, W>> {
+        plan.steps.iter().map(|step| self.complete_view(plans, step))
     }
 
-    /// The plans for a round of a recursive stratum, with the clause and the member whose new rows they are for.
-    fn choose<'p>(
-        &self,
-        plans: &'p Plans,
-        stratum: &StratumPlan,
-        recursion: &Recursion<'_, W>,
-    ) -> Vec<(ClauseId, usize, &'p Plan)> {
-        let held = recursion.hold();
-        let shape = |source: Source| {
-            let relation = plans.indexes[source.index.index()].relation;
-            match plans.member[relation.index()] {
-                Some(member) if source.version != Version::Complete => recursion.shape(&held, member, source.version),
-                _ => Shape::of(&self.tables[relation.index()].rows),
-            }
-        };
-        let mut chosen = Vec::new();
-        for &clause in &stratum.clauses {
-            let ClausePlans { deltas, detours, .. } = &plans.clauses[clause.index()];
-            for ((over, plan), detours) in deltas.iter().zip(detours) {
-                if let Some(over) = plans.member[over.index()].filter(|&over| !held[over].new.is_empty()) {
-                    chosen.push((clause, over, estimate::choose(plan, detours, &plans.indexes, &shape)));
-                }
-            }
-        }
-        chosen
-    }
-
-    fn complete_views(&self, plans: &Plans, plan: &Plan) -> Vec<View<'_, W>> {
-        plan.steps.iter().map(|step| self.complete_view(plans, step)).collect()
-    }
-
-    fn complete_view(&self, plans: &Plans, step: &Step) -> View<'_, W> {
+    pub(super) fn complete_view(&self, plans: &Plans, step: &Step) -> View<'_, W> {
         let batch = |source: Source| {
-            let spec = &plans.indexes[source.index.index()];
+            let spec = &plans.indexes[source.index];
             self.tables[spec.relation.index()].batch(spec)
         };
         View::for_step(step, batch)
@@ -617,23 +538,38 @@ fn makes_texts(plans: &Plans, stratum: &StratumPlan) -> bool {
 
 /// A relation's indexes.
 pub(super) fn specs(plans: &Plans, relation: RelId) -> Vec<&IndexSpec> {
-    let indexes = plans.indexes_of[relation.index()].iter();
-    indexes.map(|index| &plans.indexes[index.index()]).collect()
+    plans.indexes.of(relation).collect()
 }
 
 impl<const W: usize> Store for State<W> {
     fn change(&mut self, relation: RelId, row: &[Value], present: bool) {
         let row = Row::new(row);
         if present || self.given[relation.index()].binary_search(&row).is_err() {
-            self.noted[relation.index()].push((row, present));
+            self.noted[relation.index()].push(row, present);
         }
+    }
+
+    fn insert_all(&mut self, relation: RelId, words: &[Value], arity: usize) {
+        self.noted[relation.index()].extend(words, arity);
+    }
+
+    fn reserve(&mut self, relation: RelId, rows: usize) {
+        self.noted[relation.index()].reserve(rows);
+    }
+
+    fn noted(&self, relation: RelId) -> usize {
+        self.noted[relation.index()].len()
+    }
+
+    fn forget(&mut self, relation: RelId, len: usize) {
+        self.noted[relation.index()].truncate(len);
     }
 
     fn rollback(&mut self) {
         for (noted, given) in self.noted.iter_mut().zip(&self.given) {
             noted.clear();
             if !self.committed {
-                noted.extend(given.iter().map(|&row| (row, true)));
+                *noted = Noted::of(given.clone());
             }
         }
     }
@@ -656,16 +592,22 @@ impl<const W: usize> Store for State<W> {
         self.plans = Arc::clone(&commit.plans);
         match result {
             Ok((log, costs)) => {
-                self.noted.iter_mut().for_each(Vec::clear);
+                self.noted.iter_mut().for_each(Noted::clear);
                 self.costs = costs;
                 self.committed = true;
                 Ok((commit.delta(), log))
             }
             Err(error) => {
-                for (table, changed) in self.tables.iter_mut().zip(commit.changed) {
-                    if let Some((_, old)) = changed {
-                        self.rows = self.rows + old.rows.len() - table.rows.len();
-                        *table = old;
+                for (position, changed) in commit.changed.into_iter().enumerate() {
+                    let Some((net, old)) = changed else { continue };
+                    drop(net);
+                    self.rows = self.rows + old.rows.len() - self.tables[position].rows.len();
+                    let base = commit.plans.member[position].is_none();
+                    let noted = &mut self.noted[position];
+                    let new = std::mem::replace(&mut self.tables[position], old);
+                    // What was noted and is not there has become the table's.
+                    if base && noted.is_empty() {
+                        noted.put_back(new.rows);
                     }
                 }
                 Err(error)
@@ -694,7 +636,7 @@ impl<const W: usize> Store for State<W> {
         let plan = &self.plans.clauses[clause.index()].complete;
         let mut out = Output::new(usize::MAX);
         if self.committed {
-            let views = self.complete_views(&self.plans, plan);
+            let views: Vec<View<'_, W>> = self.complete_views(&self.plans, plan).collect();
             // What a clause derives is in its head's relation, which is within the limit: it cannot overflow.
             let _ = join::run(plan, &views, symbols, &mut Effort::new(u64::MAX), &mut out);
         }
@@ -712,177 +654,4 @@ fn constants<const W: usize>(terms: &[Term]) -> Row<W> {
         }
     }
     row
-}
-
-/// Keeps of several changes of a row the last one, in the order of rows.
-fn settle<const W: usize>(noted: &mut Vec<(Row<W>, bool)>) {
-    noted.sort_by_key(|(row, _)| *row);
-    // `dedup_by` keeps the first of equal elements and is given the later one first.
-    noted.dedup_by(|later, kept| {
-        let same = later.0 == kept.0;
-        if same {
-            kept.1 = later.1;
-        }
-        same
-    });
-}
-
-/// A recursive stratum being evaluated.
-struct Recursion<'a, const W: usize> {
-    iteration: Iteration,
-    /// By member: the rows that held before.
-    base: Option<&'a [&'a Table<W>]>,
-    /// By member: the rows that came.
-    variables: Vec<Variable<Row<W>>>,
-    /// The members' rows in other orders of columns.
-    grown: Vec<Grown<W>>,
-}
-
-/// An index over a relation that grows.
-struct Grown<const W: usize> {
-    id: IndexId,
-    /// Position among the members.
-    member: usize,
-    /// Whether it was used in this round: an index that is not is given up, and made again when it is wanted.
-    kept: bool,
-    /// Each at least twice as long as the next, so that a row is merged only a logarithmic number of times.
-    stable: Vec<Vec<Row<W>>>,
-    new: Vec<Row<W>>,
-}
-
-impl<const W: usize> Grown<W> {
-    fn len(&self) -> usize {
-        self.stable.iter().map(Vec::len).sum::<usize>() + self.new.len()
-    }
-}
-
-/// A variable's rows, borrowed for one round.
-struct Held<'a, const W: usize> {
-    stable: Ref<'a, Vec<Relation<Row<W>>>>,
-    new: Ref<'a, Relation<Row<W>>>,
-}
-
-impl<const W: usize> Held<'_, W> {
-    fn len(&self) -> usize {
-        self.stable.iter().map(|batch| batch.len()).sum::<usize>() + self.new.len()
-    }
-}
-
-impl<'b, const W: usize> Recursion<'b, W> {
-    fn new(compiled: &Compiled, plans: &Plans, stratum: &StratumPlan, base: Option<&'b [&'b Table<W>]>) -> Self {
-        let rules = &compiled.rules;
-        let members = &stratum.members;
-        let mut iteration = Iteration::new();
-        let name = |member: &RelId| &rules.relations[member.index()].name;
-        let variables = members.iter().map(|member| iteration.variable(name(member))).collect();
-        let mut grown: Vec<Grown<W>> = Vec::new();
-        let deltas = stratum
-            .clauses
-            .iter()
-            .flat_map(|clause| &plans.clauses[clause.index()].deltas);
-        for source in deltas.flat_map(|(_, plan)| &plan.steps).flat_map(Step::sources) {
-            let relation = plans.indexes[source.index.index()].relation;
-            let known = source.version == Version::Complete || plans.is_own(source.index);
-            let known = known || grown.iter().any(|grown| grown.id == source.index);
-            if let (false, Some(member)) = (known, plans.member[relation.index()]) {
-                grown.push(Grown {
-                    id: source.index,
-                    member,
-                    kept: false,
-                    stable: Vec::new(),
-                    new: Vec::new(),
-                });
-            }
-        }
-        Recursion {
-            iteration,
-            base,
-            variables,
-            grown,
-        }
-    }
-
-    /// Brings the indexes that this round uses up to date. Once a round.
-    fn keep(&mut self, plans: &Plans, used: impl Fn(IndexId) -> bool) {
-        for grown in &mut self.grown {
-            let (was, is) = (grown.kept, used(grown.id));
-            let mut batch = std::mem::take(&mut grown.new);
-            grown.kept = is;
-            if !is {
-                grown.stable = Vec::new();
-                continue;
-            }
-            let columns = &plans.indexes[grown.id.index()].columns;
-            let variable = &self.variables[grown.member];
-            if !was {
-                let stable = variable.stable.borrow();
-                grown.stable = stable.iter().map(|rows| project(rows, columns)).collect();
-            } else if !batch.is_empty() {
-                while let Some(last) = grown.stable.pop_if(|last| last.len() <= 2 * batch.len()) {
-                    batch = merge(&last, &batch);
-                }
-                grown.stable.push(batch);
-            }
-            grown.new = project(&variable.recent.borrow(), columns);
-        }
-    }
-
-    fn hold(&self) -> Vec<Held<'_, W>> {
-        self.variables
-            .iter()
-            .map(|variable| Held {
-                stable: variable.stable.borrow(),
-                new: variable.recent.borrow(),
-            })
-            .collect()
-    }
-
-    /// The rows of a member that a step looks at.
-    fn view<'a>(&'a self, held: &'a [Held<'a, W>], plans: &Plans, source: Source) -> View<'a, W> {
-        let spec = &plans.indexes[source.index.index()];
-        let (with_old, with_new) = (source.version != Version::New, source.version != Version::Old);
-        let mut batches: Vec<Batch<'a, W>> = Vec::new();
-        let Some(member) = plans.member[spec.relation.index()] else {
-            return View::NONE;
-        };
-        if let (true, Some(base)) = (with_old, self.base) {
-            batches.push(base[member].batch(spec));
-        }
-        if let Some(grown) = self.grown.iter().find(|grown| grown.id == source.index) {
-            batches.extend(grown.stable.iter().filter(|_| with_old).map(|rows| Batch::plain(rows)));
-            batches.extend(with_new.then(|| Batch::plain(&grown.new)));
-        } else {
-            let Held { stable, new } = &held[member];
-            batches.extend(stable.iter().filter(|_| with_old).map(|rows| Batch::plain(rows)));
-            batches.extend(with_new.then(|| Batch::plain(new)));
-        }
-        match batches.pop() {
-            Some(first) => View { first, rest: batches },
-            None => View::NONE,
-        }
-    }
-
-    /// How many rows of a member a step looks at, and how their words are spread.
-    fn shape(&self, held: &[Held<'_, W>], member: usize, version: Version) -> Shape<W> {
-        let (with_old, with_new) = (version != Version::New, version != Version::Old);
-        let base = self.base.filter(|_| with_old).map(|base| &base[member].rows[..]);
-        let Held { stable, new } = &held[member];
-        let stable = stable.iter().filter(|_| with_old).map(|rows| &rows[..]);
-        let lists = base.into_iter().chain(stable).chain(with_new.then_some(&new[..]));
-        lists.map(Shape::of).fold(Shape::default(), Shape::with)
-    }
-
-    /// The rows that came. Only when nothing is new. Where the outputs still know them all, they are read from there, so that
-    /// they are not in memory twice.
-    fn complete(self, outputs: &[Output<W>]) -> Vec<Vec<Row<W>>> {
-        drop(self.grown);
-        let rows = |(variable, output): (Variable<Row<W>>, &Output<W>)| {
-            if self.base.is_some() || !output.is_whole() {
-                return variable.complete().elements;
-            }
-            variable.stable.borrow_mut().clear();
-            output.all()
-        };
-        self.variables.into_iter().zip(outputs).map(rows).collect()
-    }
 }

@@ -112,12 +112,12 @@ pub fn load_as(
     }
     let mut faults = faults.finish();
     if faults.is_empty() {
-        for position in 0..count {
-            let row = &rows[position * relation.arity()..(position + 1) * relation.arity()];
-            if let Err(error) = session.insert(rel, row) {
-                faults.push(Diagnostic::new(Code::InvalidFact, error.to_string()));
-                break;
-            }
+        let noted = match relation.arity() {
+            0 => (0..count).try_for_each(|_| session.insert(rel, &[])),
+            arity => session.insert_all(rel, rows.chunks_exact(arity)),
+        };
+        if let Err(error) = noted {
+            faults.push(Diagnostic::new(Code::InvalidFact, error.to_string()));
         }
     }
     if faults.is_empty() { Ok(count) } else { Err(faults) }

@@ -1,8 +1,8 @@
 //! Runs the steps of a plan: one pipelined nested-loop join over sorted rows, without intermediate relations.
 
 use crate::engine::plan::{List, Plan, Slot, Source, Step};
-use crate::engine::row::{Batch, Row, gallop, normalise};
-use crate::engine::seen::{Added, Seen};
+use crate::engine::row::{Batch, Row, difference, gallop, normalise};
+use crate::engine::seen::{Added, Seen, raise};
 use crate::lang::{BaseType, Comparison, Functor, Patterns, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
@@ -65,8 +65,18 @@ pub(super) struct Output<const W: usize> {
     pub(super) pushed: u64,
     /// Holds what is in `rows`, if there is one.
     seen: Option<Seen<W>>,
-    /// Whether `seen` holds all rows that were ever pushed.
+    /// Whether `seen`, if there is one, holds all rows that were ever pushed.
     whole: bool,
+    /// Whether rows were taken.
+    took: bool,
+    /// By column: the largest word of rows that were taken.
+    largest: [u32; W],
+    /// Whether `seen` lacks only rows that were taken, which it may be told.
+    may_learn: bool,
+    /// Whether nobody else knows the rows that were taken; see [`Output::remember`].
+    remembers: bool,
+    /// If so, and `seen` was given up: the rows that had been taken before.
+    taken: Vec<Row<W>>,
     /// New rows that `seen` keeps in place of `rows`.
     kept: usize,
     /// With so many rows something is to be done about them.
@@ -117,8 +127,8 @@ impl<const W: usize> Output<W> {
     /// Rows before it is first asked whether their words are dense.
     const SEEN_MIN: usize = 256;
 
-    /// More than a gigabyte is never spent on bits.
-    const SEEN_BYTES_MAX: u64 = 1 << 30;
+    /// More than a gigabyte is never spent on bits, as much as so many rows take.
+    const SEEN_ROWS_MAX: u64 = (1 << 30) / size_of::<Row<W>>() as u64;
 
     /// No rows yet; at most `limit` distinct ones are accepted.
     pub(super) fn new(limit: usize) -> Self {
@@ -128,6 +138,11 @@ impl<const W: usize> Output<W> {
             pushed: 0,
             seen: None,
             whole: true,
+            took: false,
+            largest: [0; W],
+            may_learn: false,
+            remembers: false,
+            taken: Vec::new(),
             kept: 0,
             act_at: compact_at.min(Self::SEEN_MIN),
             compact_at,
@@ -255,10 +270,17 @@ impl<const W: usize> Output<W> {
     /// Goes back to a plain list.
     #[cold]
     fn unmark(&mut self) {
-        self.whole = false;
-        if let Some(mut seen) = self.seen.take().filter(Seen::keeps) {
-            self.rows = seen.drain(std::mem::take(&mut self.kept));
+        if let Some(mut seen) = self.seen.take() {
+            self.largest = seen.largest();
+            let all = if self.remembers { seen.all() } else { Vec::new() };
+            if seen.keeps() {
+                self.rows = seen.drain(std::mem::take(&mut self.kept));
+            } else if self.remembers {
+                normalise(&mut self.rows);
+            }
+            self.taken = difference(&all, &self.rows);
         }
+        self.remembers = false;
         // Not before there are more rows is it asked again whether words are dense.
         self.act_at = (self.rows.len() + Self::SEEN_MIN).min(self.compact_at);
     }
@@ -267,8 +289,10 @@ impl<const W: usize> Output<W> {
     #[cold]
     fn act(&mut self) -> Result<(), Stop> {
         if self.seen.is_none() {
-            self.seen = Seen::over(&self.rows, self.pushed.min(Self::SEEN_BYTES_MAX / W as u64));
+            self.seen = Seen::over(&self.rows, self.largest, self.pushed.min(Self::SEEN_ROWS_MAX));
             if self.seen.is_some() {
+                self.whole = !self.took;
+                self.may_learn = self.took;
                 normalise(&mut self.rows);
             }
         }
@@ -301,14 +325,38 @@ impl<const W: usize> Output<W> {
 
     /// The same with another way to sort rows and remove repetitions.
     pub(super) fn take_by(&mut self, normalise: impl FnOnce(&mut Vec<Row<W>>)) -> Vec<Row<W>> {
-        self.whole &= self.seen.is_some();
+        self.took |= !self.is_empty();
         self.act_at = self.compact_at.min(Self::SEEN_MIN);
         if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
             return seen.drain(std::mem::take(&mut self.kept));
         }
         let mut rows = std::mem::take(&mut self.rows);
         normalise(&mut rows);
+        if self.seen.is_none() {
+            raise(&mut self.largest, &rows);
+        }
         rows
+    }
+
+    /// Tells it the rows that were pushed and taken before it had bits, so that it [is whole](Output::is_whole). Where that does
+    /// not succeed, it does not until there are other bits.
+    pub(super) fn learn<'a>(&mut self, taken: impl Iterator<Item = &'a [Row<W>]>) {
+        if let Some(seen) = self.seen.as_mut().filter(|_| self.may_learn) {
+            self.may_learn = false;
+            let mut rows = taken.flatten();
+            self.whole = rows.all(|row| seen.note(row));
+        }
+    }
+
+    /// The rows that were taken from it are from now on remembered nowhere else. Only while it [is whole](Output::is_whole). When it
+    /// is not any more, [`Output::forgotten`] has them.
+    pub(super) fn remember(&mut self) {
+        self.remembers = true;
+    }
+
+    /// The rows that it remembered and does not any more, in order. Once.
+    pub(super) fn forgotten(&mut self) -> Vec<Row<W>> {
+        std::mem::take(&mut self.taken)
     }
 
     /// Whether it still knows all rows that were ever pushed.

@@ -11,9 +11,10 @@
 //! No derivations are counted, so nothing is kept between commits besides the relations, clauses may stop at the first reason for
 //! a head, and a stratum can be recomputed in one commit and maintained in the next.
 
-use crate::engine::exec::{Commit, Failure, Iteration, Meter, Relation, Room, State, Variable, specs};
-use crate::engine::join::{Output, Stop, View};
+use crate::engine::exec::{Commit, Failure, Meter, Room, State, specs};
+use crate::engine::join::{Output, View};
 use crate::engine::plan::{ChangePlan, Plan, Source, Step, StratumPlan, Version};
+use crate::engine::recursion::{Iteration, Relation, Variable};
 use crate::engine::row::{Batch, Row, difference, merge};
 use crate::engine::table::{Net, Table};
 use crate::lang::RelId;
@@ -79,10 +80,8 @@ impl<const W: usize> State<W> {
             self.tables[relation.index()].rows.len() + net.added.len() - net.removed.len()
         };
         let total: usize = members.iter().zip(&nets).map(after).sum();
-        match meter.largest(stratum) {
-            Some(clause) if total > room.rows => Err((clause, Stop::Overflow)),
-            _ => Ok((nets, rounds.max(1))),
-        }
+        room.check_rows(total, stratum, meter)?;
+        Ok((nets, rounds.max(1)))
     }
 
     /// The rows that may not hold any more, and the number of rounds it took to find them.
@@ -99,16 +98,18 @@ impl<const W: usize> State<W> {
         };
         // What is lost held, so there is no need for a limit.
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(usize::MAX)).collect();
+        let mut steps: Vec<View<'_, W>> = Vec::new();
         for &clause in &stratum.clauses {
             for change in &plans.clauses[clause.index()].changes {
                 let Some(net) = commit.net(change.over) else { continue };
                 let rows = if change.negated { &net.added } else { &net.removed };
                 if let (false, Some(head)) = (rows.is_empty(), plans.member[change.plan.head.index()]) {
-                    let views = views(commit, &change.plan, rows, None, &before);
+                    steps.clear();
+                    steps.extend(views(commit, &change.plan, rows, None, &before));
                     meter.run(
                         clause,
                         &change.plan,
-                        (&views, rows.len()),
+                        (&steps, rows.len()),
                         commit.symbols,
                         &mut outputs[head],
                     )?;
@@ -143,7 +144,7 @@ impl<const W: usize> State<W> {
                     let (Some(over), Some(head)) = member else { continue };
                     let rows = variables[over].recent.borrow();
                     if !rows.is_empty() {
-                        let views = views(commit, &change.plan, &rows, None, &before);
+                        let views: Vec<_> = views(commit, &change.plan, &rows, None, &before).collect();
                         meter.run(
                             clause,
                             &change.plan,
@@ -179,7 +180,7 @@ impl<const W: usize> State<W> {
             if let (Some(plan), false) = (&plans.check, gone[member].is_empty()) {
                 let mut out = Output::new(usize::MAX);
                 let doubtful = std::mem::take(&mut gone[member]);
-                let views = views(commit, plan, &doubtful, None, &now);
+                let views: Vec<_> = views(commit, plan, &doubtful, None, &now).collect();
                 meter.run(clause, plan, (&views, doubtful.len()), commit.symbols, &mut out)?;
                 gone[member] = difference(&doubtful, &out.take());
             }
@@ -199,16 +200,18 @@ impl<const W: usize> State<W> {
         let plans = &commit.plans;
         let now = |relation| self.now(stratum, base, relation);
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
+        let mut steps: Vec<View<'_, W>> = Vec::new();
         for &clause in &stratum.clauses {
             for change in &plans.clauses[clause.index()].changes {
                 let Some(net) = commit.net(change.over) else { continue };
                 let rows = if change.negated { &net.removed } else { &net.added };
                 if let (false, Some(head)) = (rows.is_empty(), plans.member[change.plan.head.index()]) {
-                    let views = views(commit, &change.plan, rows, Some(base[head]), &now);
+                    steps.clear();
+                    steps.extend(views(commit, &change.plan, rows, Some(base[head]), &now));
                     meter.run(
                         clause,
                         &change.plan,
-                        (&views, rows.len()),
+                        (&steps, rows.len()),
                         commit.symbols,
                         &mut outputs[head],
                     )?;
@@ -228,16 +231,16 @@ impl<const W: usize> State<W> {
 /// What each step of a plan looks at: the first one at `rows`, the one that asks whether the head is known at `known`, others at
 /// what `table` says.
 fn views<'a, 'b: 'a, const W: usize>(
-    commit: &Commit<'_, W>,
-    plan: &Plan,
+    commit: &'a Commit<'_, W>,
+    plan: &'a Plan,
     rows: &'a [Row<W>],
     known: Option<&'a Table<W>>,
-    table: &impl Fn(RelId) -> &'b Table<W>,
-) -> Vec<View<'a, W>> {
+    table: &'a impl Fn(RelId) -> &'b Table<W>,
+) -> impl Iterator<Item = View<'a, W>> {
     let indexes = &commit.plans.indexes;
-    let view = |(position, step): (usize, &Step)| {
+    let view = move |(position, step): (usize, &Step)| {
         let batch = |source: Source| {
-            let spec = &indexes[source.index.index()];
+            let spec = &indexes[source.index];
             match known {
                 _ if source.version == Version::New => Batch::plain(rows),
                 None if plan.fresh == Some(position) => Batch::plain(&[]),
@@ -247,5 +250,5 @@ fn views<'a, 'b: 'a, const W: usize>(
         };
         View::for_step(step, batch)
     };
-    plan.steps.iter().enumerate().map(view).collect()
+    plan.steps.iter().enumerate().map(view)
 }

@@ -14,11 +14,14 @@
 //! result stays the same stops the change there. [`Session::work`] tells what was done. [`naive`] is the specification: after
 //! every commit a session holds exactly what `naive` derives from the same facts.
 //!
-//! Inside: `plan` orders the literals of each clause and chooses indexes; `estimate` judges plans by the sizes of relations, and `adapt`
-//! has clauses planned again when those have changed; `show` prints them; `join` runs a plan; `seen` knows what was derived before; `exec` makes a commit and runs strata
-//! to their fixpoint; `maintain` brings a stratum up to date from a change; `table` keeps a relation and its indexes;
-//! `workers` are the threads; `limits` says how much is too much;
-//! `row` has the sorted lists all this works on.
+//! Inside: `plan` says what a plan is, `planner` orders the literals of each clause and chooses indexes; `estimate` judges plans by
+//! the sizes of relations, and `adapt` has clauses planned again when those have changed; `show` prints them. `join` runs a plan;
+//! `seen` knows what was derived before; `exec` makes a commit, `recursion` runs a recursive stratum to its fixpoint; `maintain` brings a stratum up to
+//! date from a change; `noted` holds the changes of the next commit, `table` a relation and its indexes; `workers` are the threads;
+//! `limits` says how much is too much; `row` has the sorted lists all this works on.
+//!
+//! Beside these stand [`dense`], which evaluates rules over few entities on words of bits; [`optimize`], which simplifies clauses
+//! before they are planned; [`diff`], which compares programs; and [`provenance`], which explains facts.
 //!
 //! This module refuses to know what a city, an agent or an ego is. It does no I/O and is deterministic.
 
@@ -32,10 +35,13 @@ mod join;
 mod limits;
 mod maintain;
 pub mod naive;
+mod noted;
 pub mod optimize;
 mod plan;
+mod planner;
 pub mod promise;
 pub mod provenance;
+mod recursion;
 mod row;
 mod seen;
 mod show;
@@ -161,6 +167,18 @@ impl Program {
         self.0.rules.relation(name)
     }
 
+    /// The relation, if rows of it can be set.
+    fn base(&self, rel: RelId) -> Result<&Relation, RowError> {
+        let relation = self.rules().relations.get(rel.index());
+        let relation = relation.ok_or(RowError::UnknownRelation)?;
+        if relation.derived && relation.given.is_none() {
+            return Err(RowError::Derived {
+                relation: relation.name.clone(),
+            });
+        }
+        Ok(relation)
+    }
+
     /// How many parts of bodies are computed once for several clauses. They are in no answer; [`Work::shared`] tells what they took.
     pub fn shared_bodies(&self) -> usize {
         self.0.shared.1.len()
@@ -260,6 +278,45 @@ impl Session {
         Ok(())
     }
 
+    /// Notes that all these rows hold from the next commit on: as [`insert`](Session::insert) does, but faster where they are many.
+    /// If one of them cannot be inserted, none is noted.
+    pub fn insert_all(
+        &mut self,
+        rel: RelId,
+        rows: impl IntoIterator<Item = impl AsRef<[Value]>>,
+    ) -> Result<(), RowError> {
+        /// Words that are handed on at once.
+        const PART: usize = 1 << 12;
+        let (relation, known) = (self.program.base(rel)?, self.symbols.len());
+        let (to, arity) = (relation.given.unwrap_or(rel), relation.arity());
+        let symbolic = relation.columns.iter().any(|column| column.base == BaseType::Symbol);
+        let before = self.store.noted(to);
+        let mut words: Vec<Value> = Vec::with_capacity(PART);
+        let rows = rows.into_iter();
+        self.store.reserve(to, rows.size_hint().0);
+        for row in rows {
+            let row = row.as_ref();
+            if (symbolic || row.len() != arity)
+                && let Err(error) = check_row(relation, row, known)
+            {
+                self.store.forget(to, before);
+                return Err(error);
+            }
+            if arity == 0 {
+                self.store.change(to, row, true);
+            }
+            words.extend_from_slice(row);
+            if words.len() >= PART {
+                self.store.insert_all(to, &words, arity);
+                words.clear();
+            }
+        }
+        if !words.is_empty() {
+            self.store.insert_all(to, &words, arity);
+        }
+        Ok(())
+    }
+
     /// Notes that the row does not hold from the next commit on. A fact in the text of the rules holds nevertheless: this takes
     /// back an [`insert`](Session::insert), not a rule.
     pub fn retract(&mut self, rel: RelId, row: &[Value]) -> Result<(), RowError> {
@@ -275,28 +332,8 @@ impl Session {
 
     /// Where the row goes.
     fn check(&self, rel: RelId, row: &[Value]) -> Result<RelId, RowError> {
-        let Some(relation) = self.program.rules().relations.get(rel.index()) else {
-            return Err(RowError::UnknownRelation);
-        };
-        if relation.derived && relation.given.is_none() {
-            return Err(RowError::Derived {
-                relation: relation.name.clone(),
-            });
-        }
-        if relation.arity() != row.len() {
-            return Err(RowError::Arity {
-                relation: relation.name.clone(),
-                expected: relation.arity(),
-                found: row.len(),
-            });
-        }
-        let known = self.symbols.len();
-        let mut columns = relation.columns.iter().zip(row);
-        if columns.any(|(column, value)| column.base == BaseType::Symbol && value.0 as usize >= known) {
-            return Err(RowError::UnknownSymbol {
-                relation: relation.name.clone(),
-            });
-        }
+        let relation = self.program.base(rel)?;
+        check_row(relation, row, self.symbols.len())?;
         Ok(relation.given.unwrap_or(rel))
     }
 
@@ -376,6 +413,24 @@ impl Session {
     pub fn work(&self) -> &WorkLog {
         &self.work
     }
+}
+
+/// Whether the row can be one of the relation, where so many symbols are known.
+fn check_row(relation: &Relation, row: &[Value], known: usize) -> Result<(), RowError> {
+    if relation.arity() != row.len() {
+        return Err(RowError::Arity {
+            relation: relation.name.clone(),
+            expected: relation.arity(),
+            found: row.len(),
+        });
+    }
+    let mut columns = row.iter().zip(&relation.columns);
+    if columns.any(|(value, column)| value.0 as usize >= known && column.base == BaseType::Symbol) {
+        return Err(RowError::UnknownSymbol {
+            relation: relation.name.clone(),
+        });
+    }
+    Ok(())
 }
 
 impl fmt::Debug for Session {

@@ -1,10 +1,6 @@
-//! From a clause to the steps that evaluate it.
-//!
-//! A plan is a straight list of [`Step`]s over numbered slots (the clause's variables, then its constants). A scan binds
-//! variables, one atom at a time; every other step tests what is already bound and stands as early as it can. Literals are
-//! ordered greedily: tests first, then the atom that shares bound variables and adds the fewest new ones. A program is planned
-//! once, before there are any rows, and clauses are planned again when there are ([`super::adapt`]): then the atom that finds the
-//! fewest rows comes next, and where several atoms wait for the same last variable, one step *meets* them all.
+//! What is planned for a program: for every clause straight lists of [`Step`]s over numbered slots (the clause's variables, then
+//! its constants). A scan binds variables, one atom at a time; every other step tests what is already bound, and stands as early
+//! as it can. [`super::planner`] finds the order.
 //!
 //! A clause of a recursive stratum has one plan for each of its atoms over that stratum, beginning with the newest rows of it,
 //! and *detours*, which come to those rows later. Which is used is decided in every round from the sizes of relations
@@ -14,36 +10,19 @@
 //! and one that begins with rows of the head and asks whether they can be derived.
 
 use crate::diag::{Code, Diagnostic};
-use crate::engine::estimate::{Flow, Known, Reckoning, Size, effort_of_parts};
+use crate::engine::estimate::Size;
+use crate::engine::planner::{Order, is_maintainable, plan_changes, plan_clause, plan_complete};
 use crate::engine::row::WIDTHS;
 use crate::lang::{
-    AggregateOp, Atom, BaseType, Clause, ClauseId, Comparison, Functor, Literal, RelId, Rules, Stratum, Term, Value,
-    VarId,
+    AggregateOp, BaseType, Clause, ClauseId, Comparison, Functor, Literal, RelId, Relation, Rules, Stratum, Value,
 };
 use std::sync::Arc;
 
 /// A place for a value while a clause is evaluated: a variable, or after them a constant.
 pub(super) type Slot = u16;
 
-/// At most this many literals in a body and this many variables in a clause: evaluation recurses once per atom, and planning
-/// takes cubic time.
-pub(super) const CLAUSE_MAX: usize = 128;
-
-/// A clause with more literals than this has no plans for maintenance, since there is one for each and planning one takes longer
-/// the more there are. Its stratum is always recomputed.
-const MAINTAINED_LITERALS_MAX: usize = 24;
-
-/// A clause with more literals than this has no detours.
-const DETOUR_LITERALS_MAX: usize = 8;
-
-/// Putting a row into another order costs as much as looking at so many. Sorting costs more, but the order serves later commits.
-const INDEX_ROW: f64 = 1.9;
-
-/// So many atoms to begin with are tried when a clause is planned by sizes: those that find the fewest rows.
-const STARTS_MAX: usize = 3;
-
-/// Names an index of [`Plans::indexes`]. The first ones are the relations' own rows, by [`RelId`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Names an index of [`Indexes`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct IndexId(pub(super) u32);
 
 impl IndexId {
@@ -59,6 +38,102 @@ pub(super) struct IndexSpec {
     pub(super) columns: Vec<u16>,
     /// Among the relation's indexes; 0 for its own rows.
     pub(super) position: usize,
+}
+
+/// The orders in which rows are wanted, each once. The first ones are the relations' own rows, by [`RelId`].
+#[derive(Clone, Debug)]
+pub(super) struct Indexes {
+    specs: Vec<IndexSpec>,
+    /// By [`RelId`]: the indexes of a relation, its own rows first.
+    of: Vec<Vec<IndexId>>,
+}
+
+impl std::ops::Index<IndexId> for Indexes {
+    type Output = IndexSpec;
+
+    fn index(&self, index: IndexId) -> &IndexSpec {
+        &self.specs[index.index()]
+    }
+}
+
+impl Indexes {
+    /// The own rows of relations with so many columns.
+    pub(super) fn new(arities: impl Iterator<Item = usize>) -> Self {
+        let own = |(arity, number)| own_rows(RelId(number), arity);
+        let specs: Vec<IndexSpec> = arities.zip(0..).map(own).collect();
+        Indexes {
+            of: (0..specs.len() as u32).map(|index| vec![IndexId(index)]).collect(),
+            specs,
+        }
+    }
+
+    /// How many indexes each relation has, by [`RelId`].
+    pub(super) fn counts(&self) -> impl Iterator<Item = usize> {
+        self.of.iter().map(Vec::len)
+    }
+
+    /// The indexes of a relation, its own rows first.
+    pub(super) fn of(&self, relation: RelId) -> impl Iterator<Item = &IndexSpec> {
+        self.of[relation.index()].iter().map(|&index| &self[index])
+    }
+
+    /// Whether the index is a relation's own rows.
+    pub(super) fn is_own(&self, index: IndexId) -> bool {
+        index.index() < self.of.len()
+    }
+
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        self.specs.len()
+    }
+
+    /// Takes back all but the first ones.
+    pub(super) fn truncate(&mut self, count: usize) {
+        self.specs.truncate(count);
+        for known in &mut self.of {
+            known.retain(|index| index.index() < count);
+        }
+    }
+
+    /// Changes the number of columns of a relation for which there is no clause.
+    pub(super) fn redeclare(&mut self, relation: RelId, arity: usize) {
+        self.specs[relation.index()] = own_rows(relation, arity);
+        self.of[relation.index()].truncate(1);
+    }
+
+    /// An index that begins with the columns of each group in turn, within a group in some order, and its order of columns.
+    pub(super) fn prefix(&mut self, relation: RelId, groups: [&[u16]; 2]) -> (IndexId, Vec<u16>) {
+        let begins = |order: &[u16]| {
+            let (first, rest) = order.split_at(groups[0].len());
+            let within = |group: &[u16], part: &[u16]| group.iter().all(|column| part.contains(column));
+            within(groups[0], first) && within(groups[1], &rest[..groups[1].len()])
+        };
+        let known = &mut self.of[relation.index()];
+        if let Some(&index) = known.iter().find(|index| begins(&self.specs[index.index()].columns)) {
+            return (index, self.specs[index.index()].columns.clone());
+        }
+        let mut columns = groups.concat();
+        let all = self.specs[relation.index()].columns.iter().copied();
+        let rest: Vec<u16> = all.filter(|column| !columns.contains(column)).collect();
+        columns.extend(rest);
+        let index = IndexId(self.specs.len() as u32);
+        self.specs.push(IndexSpec {
+            relation,
+            columns: columns.clone(),
+            position: known.len(),
+        });
+        known.push(index);
+        (index, columns)
+    }
+}
+
+/// A relation's rows in their own order.
+fn own_rows(relation: RelId, arity: usize) -> IndexSpec {
+    IndexSpec {
+        relation,
+        columns: (0..arity as u16).collect(),
+        position: 0,
+    }
 }
 
 /// Which rows of a relation are meant.
@@ -162,7 +237,7 @@ impl Step {
     }
 
     /// The slots it fills.
-    fn fills(&self) -> Vec<Slot> {
+    pub(super) fn fills(&self) -> Vec<Slot> {
         match self {
             Step::Scan { bind, .. } => bind.iter().map(|&(_, slot)| slot).collect(),
             Step::Meet { to, .. } | Step::Copy { to, .. } => vec![*to],
@@ -172,7 +247,7 @@ impl Step {
     }
 
     /// Whether it needs what is in a slot.
-    fn reads(&self, slot: Slot) -> bool {
+    pub(super) fn reads(&self, slot: Slot) -> bool {
         match self {
             Step::Scan { key, check, .. } => key.contains(&slot) || check.iter().any(|&(_, other)| other == slot),
             Step::Meet { lists, .. } => lists.iter().any(|list| list.key.contains(&slot)),
@@ -187,7 +262,7 @@ impl Step {
     }
 
     /// Whether it may go on several times.
-    fn branches(&self) -> bool {
+    pub(super) fn branches(&self) -> bool {
         matches!(self, Step::Scan { .. } | Step::Meet { .. })
     }
 }
@@ -210,7 +285,7 @@ pub(super) struct Plan {
 
 impl Plan {
     /// Whether it goes through all new rows again and again.
-    fn searches_new(&self) -> bool {
+    pub(super) fn searches_new(&self) -> bool {
         self.steps.iter().any(
             |step| matches!(step, Step::Scan { source, key, .. } if source.version == Version::New && key.is_empty()),
         )
@@ -265,9 +340,7 @@ pub(super) struct Plans {
     sources: Arc<[Clause]>,
     /// By [`ClauseId`].
     pub(super) clauses: Vec<ClausePlans>,
-    pub(super) indexes: Vec<IndexSpec>,
-    /// By [`RelId`]: the indexes of a relation, its own rows first.
-    pub(super) indexes_of: Vec<Vec<IndexId>>,
+    pub(super) indexes: Indexes,
     /// By position in [`Rules::strata`].
     pub(super) strata: Vec<StratumPlan>,
     /// By [`RelId`]: the position of a derived relation among the members of its stratum.
@@ -297,13 +370,7 @@ impl Plans {
             .unwrap_or(0);
         let width = WIDTHS.into_iter().find(|&width| width >= arity).unwrap_or(width_max);
 
-        let indexes: Vec<IndexSpec> = (rules.relations.iter().zip(0..))
-            .map(|(relation, number)| own_rows(RelId(number), relation.arity()))
-            .collect();
-        let mut indexer = Indexer {
-            of: (0..indexes.len() as u32).map(|index| vec![IndexId(index)]).collect(),
-            specs: indexes,
-        };
+        let mut indexes = Indexes::new(rules.relations.iter().map(Relation::arity));
 
         let strata: Vec<StratumPlan> = rules
             .strata
@@ -322,15 +389,14 @@ impl Plans {
         }
         let mut clauses = Vec::with_capacity(rules.clauses.len());
         for (clause, stratum) in rules.clauses.iter().zip(computed_with) {
-            clauses.push(plan_clause(clause, stratum, &mut indexer)?);
+            clauses.push(plan_clause(clause, stratum, &mut indexes)?);
         }
         Ok(Plans {
             sources: rules.clauses.clone().into(),
             clauses,
             strata,
             member,
-            indexes: indexer.specs,
-            indexes_of: indexer.of,
+            indexes,
             width,
         })
     }
@@ -353,37 +419,27 @@ impl Plans {
         reader.map_or(clause, |reader| ClauseId(reader as u32))
     }
 
-    /// Whether the index is the relation's own rows.
-    pub(super) fn is_own(&self, index: IndexId) -> bool {
-        index.index() < self.indexes_of.len()
-    }
-
     /// Plans clauses again, for relations of these sizes: for a computation from scratch, as far as it is not done in rounds, or
     /// for maintenance. There may be more indexes afterwards; those there are stay what they are.
     pub(super) fn adapt(&mut self, clauses: &[ClauseId], aim: Aim, sizes: &[Option<Size>]) {
-        let mut indexer = Indexer {
-            specs: std::mem::take(&mut self.indexes),
-            of: std::mem::take(&mut self.indexes_of),
-        };
+        let indexes = &mut self.indexes;
         for &id in clauses {
             let (clause, plans) = (&self.sources[id.index()], &mut self.clauses[id.index()]);
             // What could be planned once can be planned again: which variables can be bound does not depend on the order.
             match aim {
                 Aim::Recompute if plans.deltas.is_empty() => {
-                    if let Some((plan, _)) = plan_complete(clause, &mut indexer, sizes) {
+                    if let Some((plan, _)) = plan_complete(clause, indexes, sizes) {
                         plans.complete = plan;
                     }
                 }
                 Aim::Recompute => {}
                 Aim::Maintain => {
-                    if let Ok((changes, check)) = plan_changes(clause, &mut indexer, Order::Sizes(sizes)) {
+                    if let Ok((changes, check)) = plan_changes(clause, indexes, Order::Sizes(sizes)) {
                         (plans.changes, plans.check) = (changes, check);
                     }
                 }
             }
         }
-        self.indexes = indexer.specs;
-        self.indexes_of = indexer.of;
     }
 }
 
@@ -419,824 +475,5 @@ fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
         members,
         inputs,
         clauses,
-    }
-}
-
-/// Plans clauses to see what they would cost, without keeping the plans.
-pub(super) struct Sketcher {
-    indexer: Indexer,
-}
-
-impl Sketcher {
-    /// For clauses over the relations of these rules.
-    pub(super) fn new(rules: &Rules) -> Self {
-        let mut sketcher = Sketcher {
-            indexer: Indexer {
-                specs: Vec::new(),
-                of: Vec::new(),
-            },
-        };
-        for (relation, number) in rules.relations.iter().zip(0..) {
-            sketcher.indexer.specs.push(own_rows(RelId(number), relation.arity()));
-            sketcher.indexer.of.push(vec![IndexId(number)]);
-        }
-        // Place for one relation more, with its own rows at the place of its number.
-        let next = rules.relations.len() as u32;
-        sketcher.indexer.specs.push(own_rows(RelId(next), 0));
-        sketcher.indexer.of.push(vec![IndexId(next)]);
-        sketcher
-    }
-
-    /// Sets the number of columns of the relation after those of the rules.
-    pub(super) fn declare(&mut self, relation: RelId, arity: usize) {
-        self.indexer.specs[relation.index()] = own_rows(relation, arity);
-        self.indexer.of[relation.index()].truncate(1);
-    }
-
-    /// The plan that a clause without recursion has for relations of these sizes, and the order in which it comes to the literals;
-    /// `None` if there is none.
-    pub(super) fn plan(&mut self, clause: &Clause, sizes: &[Option<Size>]) -> Option<(Plan, Vec<usize>)> {
-        let large = clause.body.len() > CLAUSE_MAX || clause.variables.len() > CLAUSE_MAX;
-        if large {
-            return None;
-        }
-        plan_complete(clause, &mut self.indexer, sizes)
-    }
-
-    /// The relation that a step of a plan looks at.
-    pub(super) fn relation(&self, source: Source) -> RelId {
-        self.indexer.specs[source.index.index()].relation
-    }
-}
-
-/// A relation's rows in their own order.
-fn own_rows(relation: RelId, arity: usize) -> IndexSpec {
-    IndexSpec {
-        relation,
-        columns: (0..arity as u16).collect(),
-        position: 0,
-    }
-}
-
-/// Hands out indexes, each once.
-struct Indexer {
-    specs: Vec<IndexSpec>,
-    of: Vec<Vec<IndexId>>,
-}
-
-impl Indexer {
-    /// Whether the index is a relation's own rows.
-    fn is_own(&self, index: IndexId) -> bool {
-        index.index() < self.of.len()
-    }
-
-    /// Takes back all indexes but the first ones.
-    fn forget(&mut self, count: usize) {
-        self.specs.truncate(count);
-        for known in &mut self.of {
-            known.retain(|index| index.index() < count);
-        }
-    }
-
-    /// An index that begins with the columns of each group in turn, within a group in some order, and its order of columns.
-    fn prefix(&mut self, relation: RelId, groups: [&[u16]; 2]) -> (IndexId, Vec<u16>) {
-        let begins = |order: &[u16]| {
-            let (first, rest) = order.split_at(groups[0].len());
-            let within = |group: &[u16], part: &[u16]| group.iter().all(|column| part.contains(column));
-            within(groups[0], first) && within(groups[1], &rest[..groups[1].len()])
-        };
-        let known = &mut self.of[relation.index()];
-        if let Some(&index) = known.iter().find(|index| begins(&self.specs[index.index()].columns)) {
-            return (index, self.specs[index.index()].columns.clone());
-        }
-        let mut columns = groups.concat();
-        let all = self.specs[relation.index()].columns.iter().copied();
-        let rest: Vec<u16> = all.filter(|column| !columns.contains(column)).collect();
-        columns.extend(rest);
-        let index = IndexId(self.specs.len() as u32);
-        self.specs.push(IndexSpec {
-            relation,
-            columns: columns.clone(),
-            position: known.len(),
-        });
-        known.push(index);
-        (index, columns)
-    }
-}
-
-/// Whether the change of the clause's rows can be had from the change of its inputs. An aggregate may change with any row.
-fn is_maintainable(clause: &Clause) -> bool {
-    let aggregates = |literal: &Literal| matches!(literal, Literal::Aggregate { .. });
-    clause.body.len() <= MAINTAINED_LITERALS_MAX && !clause.body.iter().any(aggregates)
-}
-
-/// All plans of a clause. `stratum` holds the relations computed together with its head.
-fn plan_clause(clause: &Clause, stratum: &[RelId], indexer: &mut Indexer) -> Result<ClausePlans, Diagnostic> {
-    for (what, count) in [("literals", clause.body.len()), ("variables", clause.variables.len())] {
-        if count > CLAUSE_MAX {
-            let message = format!("the clause has {count} {what}; at most {CLAUSE_MAX} are possible");
-            return Err(Diagnostic::new(Code::LimitExceeded, message).at(clause.span, ""));
-        }
-    }
-    let recursive: Vec<usize> = (0..clause.body.len())
-        .filter(|&position| match &clause.body[position] {
-            Literal::Positive(atom) | Literal::Guard(atom) => stratum.contains(&atom.relation),
-            _ => false,
-        })
-        .collect();
-    let order = Order::Text { large: &[] };
-    let complete = Planner::new(clause, indexer, order).plan(First::Any, &|_| Version::Complete)?;
-    let (mut deltas, mut detours) = (Vec::new(), Vec::new());
-    for &delta in &recursive {
-        // Each derivation is found once: by the plan of its first atom that holds by a new row.
-        let version = |position: usize| match position.cmp(&delta) {
-            _ if !recursive.contains(&position) => Version::Complete,
-            std::cmp::Ordering::Less => Version::Old,
-            std::cmp::Ordering::Equal => Version::New,
-            std::cmp::Ordering::Greater => Version::All,
-        };
-        let plan = Planner::new(clause, indexer, order).plan(First::Literal(delta), &version)?;
-        let mut others = Vec::new();
-        for (position, literal) in clause.body.iter().enumerate() {
-            let finished =
-                matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
-            if finished && clause.body.len() <= DETOUR_LITERALS_MAX {
-                let other = Planner::new(clause, indexer, order).plan(First::Literal(position), &version)?;
-                // An index over a relation that grows has to be kept up; a detour must do without.
-                let mut sources = other.steps.iter().flat_map(Step::sources);
-                let own = |source: Source| source.version == Version::Complete || indexer.is_own(source.index);
-                let cheap = sources.all(own) && !other.searches_new();
-                drop(sources);
-                if cheap {
-                    others.push(other);
-                }
-            }
-        }
-        if let Some(atom) = clause.body[delta].atom() {
-            deltas.push((atom.relation, plan));
-            detours.push(others);
-        }
-    }
-    // In maintenance a recursive relation is no longer small, as it is when a computation from scratch begins.
-    let (changes, check) = match is_maintainable(clause) {
-        true => plan_changes(clause, indexer, Order::Text { large: stratum })?,
-        false => (Vec::new(), None),
-    };
-    Ok(ClausePlans {
-        complete,
-        deltas,
-        detours,
-        changes,
-        check,
-    })
-}
-
-/// The plans for maintenance.
-fn plan_changes(
-    clause: &Clause,
-    indexer: &mut Indexer,
-    order: Order<'_>,
-) -> Result<(Vec<ChangePlan>, Option<Plan>), Diagnostic> {
-    let mut changes = Vec::new();
-    for (position, literal) in clause.body.iter().enumerate() {
-        let Some(atom) = literal.atom() else { continue };
-        let version = |other: usize| {
-            if other == position {
-                Version::New
-            } else {
-                Version::Complete
-            }
-        };
-        changes.push(ChangePlan {
-            over: atom.relation,
-            negated: matches!(literal, Literal::Negative(_)),
-            plan: Planner::new(clause, indexer, order).plan(First::Change(position), &version)?,
-        });
-    }
-    let check = Planner::new(clause, indexer, order).plan(First::Head, &|_| Version::Complete)?;
-    Ok((changes, Some(check)))
-}
-
-/// The plan over finished relations of known sizes that looks at the fewest rows, of those that begin with one of the atoms that
-/// find few; and the order in which it comes to the literals.
-fn plan_complete(clause: &Clause, indexer: &mut Indexer, sizes: &[Option<Size>]) -> Option<(Plan, Vec<usize>)> {
-    let order = Order::Sizes(sizes);
-    let planner = Planner::new(clause, indexer, order);
-    let found = |position: usize| Some((planner.found(positive(&clause.body[position])?), position));
-    let mut starts: Vec<(f64, usize)> = (0..clause.body.len()).filter_map(found).collect();
-    starts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    starts.truncate(STARTS_MAX);
-    let version = |_| Version::Complete;
-    if starts.len() > 1 {
-        for (effort, start) in &mut starts {
-            let known = indexer.specs.len();
-            *effort = Planner::new(clause, indexer, order)
-                .run(First::Literal(*start), &version)
-                .ok()?
-                .1;
-            indexer.forget(known);
-        }
-        starts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    }
-    let first = starts.first().map_or(First::Any, |&(_, start)| First::Literal(start));
-    let (plan, _, sequence) = Planner::new(clause, indexer, order).run(first, &version).ok()?;
-    Some((plan, sequence))
-}
-
-/// What a plan begins with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum First {
-    /// What is best.
-    Any,
-    /// The atom of the literal at this position of the body.
-    Literal(usize),
-    /// The same, to find heads that are not known yet. A negated atom is tested nevertheless if it has wildcards.
-    Change(usize),
-    /// Rows of the head.
-    Head,
-}
-
-/// By what atoms are ordered.
-#[derive(Clone, Copy, Debug)]
-enum Order<'a> {
-    /// By what the clause says alone. Some relations are probably larger than others.
-    Text { large: &'a [RelId] },
-    /// By the sizes of relations, which are known for those in the body.
-    Sizes(&'a [Option<Size>]),
-}
-
-/// What comes next.
-enum Next {
-    /// The atom of this literal.
-    Scan(usize),
-    /// The atoms of these literals, which lack no variable but this one.
-    Meet(Vec<usize>, VarId),
-}
-
-struct Planner<'a> {
-    clause: &'a Clause,
-    indexer: &'a mut Indexer,
-    order: Order<'a>,
-    /// How many rows there are at this point of the plan.
-    flow: Flow,
-    slots: Vec<Value>,
-    /// By variable.
-    bound: Vec<bool>,
-    /// By variable: how often it occurs in the head and in what is left of the body.
-    uses: Vec<usize>,
-    /// Positions in the body, in the order of the text.
-    left: Vec<usize>,
-    /// Positions in the body of what is placed.
-    sequence: Vec<usize>,
-    steps: Vec<Step>,
-    /// What the orders of rows cost that the plan needs besides relations' own; nothing if sizes are not known.
-    ordering: f64,
-    /// By step: what is expected behind it.
-    trail: Vec<Reckoning>,
-    /// Whether a scan stands before, so that the next step may run many times.
-    repeated: bool,
-}
-
-impl<'a> Planner<'a> {
-    fn new(clause: &'a Clause, indexer: &'a mut Indexer, order: Order<'a>) -> Self {
-        let mut uses = vec![0; clause.variables.len()];
-        let terms = clause
-            .head
-            .terms
-            .iter()
-            .chain(clause.body.iter().flat_map(Literal::terms));
-        terms
-            .filter_map(variable_of)
-            .for_each(|variable| uses[variable.index()] += 1);
-        Planner {
-            clause,
-            indexer,
-            order,
-            flow: Flow::new(clause.variables.len()),
-            slots: vec![Value(0); clause.variables.len()],
-            bound: vec![false; clause.variables.len()],
-            uses,
-            left: (0..clause.body.len()).collect(),
-            sequence: Vec::new(),
-            steps: Vec::new(),
-            ordering: 0.0,
-            trail: Vec::new(),
-            repeated: false,
-        }
-    }
-
-    fn plan(self, first: First, version: &dyn Fn(usize) -> Version) -> Result<Plan, Diagnostic> {
-        self.run(first, version).map(|(plan, ..)| plan)
-    }
-
-    /// The plan, about how many rows it will look at if sizes are known, and the positions of the literals in the order in which
-    /// it comes to them.
-    fn run(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<(Plan, f64, Vec<usize>), Diagnostic> {
-        let clause = self.clause;
-        let head = &clause.head;
-        let head_variables: Vec<VarId> = head.terms.iter().filter_map(variable_of).collect();
-        let mut fresh = None;
-        let mut next = match first {
-            First::Literal(position) | First::Change(position) => Some(Next::Scan(position)),
-            First::Any | First::Head => None,
-        };
-        if first == First::Head {
-            self.scan(head, Version::New);
-        }
-        loop {
-            match next {
-                Some(Next::Scan(position)) => {
-                    let literal = &clause.body[position];
-                    let atom = literal.atom();
-                    if let Some(atom) = atom {
-                        self.scan(atom, version(position));
-                    }
-                    // Another row may have the same values in the other columns.
-                    let open = atom.is_some_and(|atom| atom.terms.contains(&Term::Wildcard));
-                    if !(open && matches!(literal, Literal::Negative(_))) {
-                        self.placed(position);
-                    }
-                }
-                Some(Next::Meet(positions, variable)) => self.meet(&positions, variable, version),
-                None => {}
-            }
-            let known = |planner: &Self| head_variables.iter().all(|variable| planner.bound[variable.index()]);
-            // Whether the head is known is asked as early as possible: mostly it is.
-            for tests_placed in [false, true] {
-                if matches!(first, First::Change(_)) && fresh.is_none() && known(&self) {
-                    fresh = Some(self.steps.len());
-                    let key = head.terms.iter().filter_map(|term| self.slot(term)).collect();
-                    let (index, version) = (IndexId(head.relation.0), Version::Complete);
-                    let source = Source { index, version };
-                    self.push(Step::Absent { source, key });
-                }
-                if !tests_placed {
-                    self.place_tests(version);
-                }
-            }
-            next = self.next();
-            if next.is_none() {
-                break;
-            }
-        }
-        if !self.left.is_empty() || !head_variables.iter().all(|variable| self.bound[variable.index()]) {
-            return Err(self.unbound());
-        }
-        let output: Vec<Slot> = head.terms.iter().filter_map(|term| self.slot(term)).collect();
-        let plan = Plan {
-            head: head.relation,
-            enough: enough(&self.steps, &output),
-            output,
-            steps: self.steps,
-            slots: self.slots,
-            fresh,
-        };
-        let effort = self.ordering + effort_of_parts(&self.trail, &plan.enough);
-        Ok((plan, effort, self.sequence))
-    }
-
-    /// Appends a step with which the flow has been reckoned.
-    fn push(&mut self, step: Step) {
-        self.steps.push(step);
-        self.trail.push(self.flow.reckoning());
-    }
-
-    /// What to say of a clause that checking should have refused.
-    fn unbound(&self) -> Diagnostic {
-        let names = self.clause.variables.iter().zip(&self.bound);
-        let names: Vec<String> = names
-            .filter(|(_, bound)| !**bound)
-            .map(|(name, _)| format!("`{name}`"))
-            .collect();
-        let message = format!("no positive atom binds {}", names.join(", "));
-        Diagnostic::new(Code::UnboundVariable, message).at(self.clause.span, "")
-    }
-
-    /// The slot of a term; `None` for a wildcard.
-    fn slot(&mut self, term: &Term) -> Option<Slot> {
-        match *term {
-            Term::Variable(variable) => Some(variable.index() as Slot),
-            Term::Constant(value) => {
-                let first = self.clause.variables.len();
-                let known = self.slots[first..].iter().position(|&constant| constant == value);
-                let position = known.unwrap_or_else(|| {
-                    self.slots.push(value);
-                    self.slots.len() - 1 - first
-                });
-                Some((first + position) as Slot)
-            }
-            Term::Wildcard => None,
-        }
-    }
-
-    fn is_bound(&self, term: &Term) -> bool {
-        variable_of(term).is_none_or(|variable| self.bound[variable.index()])
-    }
-
-    /// Places every literal that binds no variable by a scan and whose variables are bound.
-    fn place_tests(&mut self, version: &dyn Fn(usize) -> Version) {
-        // An equality may bind what an earlier literal waits for. A comparison costs less than finding a row, and a short row is
-        // found faster than a long one.
-        let clause = self.clause;
-        let cost = |position: usize| clause.body[position].atom().map_or(0, |atom| atom.terms.len());
-        let ready = |planner: &Self| {
-            let ready = planner
-                .left
-                .iter()
-                .copied()
-                .filter(|&position| planner.is_ready(position));
-            ready.min_by_key(|&position| cost(position))
-        };
-        while let Some(position) = ready(self) {
-            self.placed(position);
-            match &self.clause.body[position] {
-                Literal::Positive(atom) | Literal::Guard(atom) => {
-                    self.expect(atom, |flow, size, key| flow.exists(size, key));
-                    let (source, key) = self.lookup(atom, version(position));
-                    self.push(Step::Exists { source, key });
-                }
-                Literal::Negative(atom) => {
-                    self.expect(atom, |flow, size, key| flow.absent(size, key));
-                    let (source, key) = self.lookup(atom, Version::Complete);
-                    self.push(Step::Absent { source, key });
-                }
-                Literal::Compare {
-                    op, left, right, base, ..
-                } => self.compare(*op, left, right, *base),
-                Literal::Compute {
-                    to,
-                    functor,
-                    base,
-                    arguments,
-                    ..
-                } => {
-                    let arguments = arguments.iter().filter_map(|argument| self.slot(argument)).collect();
-                    let Some((to, test)) = self.result(to) else { continue };
-                    self.push(Step::Compute {
-                        functor: *functor,
-                        base: *base,
-                        arguments,
-                        to,
-                        test,
-                    });
-                }
-                Literal::Aggregate {
-                    to,
-                    op,
-                    base,
-                    atom,
-                    column,
-                } => {
-                    let (source, key) = self.rows(atom);
-                    let columns = &self.indexer.specs[source.index.index()].columns;
-                    let place = column.and_then(|column| columns.iter().position(|other| *other as usize == column));
-                    let Some((to, test)) = self.result(to) else { continue };
-                    self.push(Step::Aggregate {
-                        source,
-                        key,
-                        op: *op,
-                        base: *base,
-                        column: place.unwrap_or(0) as u16,
-                        to,
-                        test,
-                    });
-                }
-            }
-        }
-    }
-
-    fn is_ready(&self, position: usize) -> bool {
-        match &self.clause.body[position] {
-            Literal::Positive(atom) | Literal::Guard(atom) => {
-                let terms = || atom.terms.iter();
-                terms().all(|term| self.is_bound(term) || self.is_unneeded(term))
-            }
-            Literal::Negative(atom) | Literal::Aggregate { atom, .. } => {
-                atom.terms.iter().all(|term| self.is_bound(term))
-            }
-            Literal::Compute { arguments, .. } => arguments.iter().all(|argument| self.is_bound(argument)),
-            Literal::Compare {
-                op: Comparison::Equal,
-                left,
-                right,
-                ..
-            } => self.is_bound(left) || self.is_bound(right),
-            Literal::Compare { left, right, .. } => self.is_bound(left) && self.is_bound(right),
-        }
-    }
-
-    /// Whether any value will do for a term of a literal that is still to be placed: a wildcard, or a variable that is not
-    /// bound and occurs nowhere else in what is left of the clause.
-    fn is_unneeded(&self, term: &Term) -> bool {
-        variable_of(term).is_none_or(|variable| !self.bound[variable.index()] && self.uses[variable.index()] == 1)
-            && !matches!(term, Term::Constant(_))
-    }
-
-    /// Strikes a literal off what is left.
-    fn placed(&mut self, position: usize) {
-        self.left.retain(|&other| other != position);
-        self.sequence.push(position);
-        for variable in self.clause.body[position].terms().filter_map(variable_of) {
-            self.uses[variable.index()] -= 1;
-        }
-    }
-
-    /// The source and key of a test. All columns are bound, or any value will do.
-    fn lookup(&mut self, atom: &Atom, version: Version) -> (Source, Vec<Slot>) {
-        let bound = |&column: &u16| {
-            let term = &atom.terms[column as usize];
-            *term != Term::Wildcard && self.is_bound(term)
-        };
-        let columns: Vec<u16> = (0..atom.terms.len() as u16).filter(bound).collect();
-        let (index, order) = self.indexer.prefix(atom.relation, [&columns, &[]]);
-        let key = order[..columns.len()]
-            .iter()
-            .filter_map(|&column| self.slot(&atom.terms[column as usize]))
-            .collect();
-        (Source { index, version }, key)
-    }
-
-    /// The source and key of an aggregate: an index of all columns, the bound ones first.
-    fn rows(&mut self, atom: &Atom) -> (Source, Vec<Slot>) {
-        let bound = |&column: &u16| atom.terms[column as usize] != Term::Wildcard;
-        let known: Vec<u16> = (0..atom.terms.len() as u16).filter(bound).collect();
-        let (index, order) = self.indexer.prefix(atom.relation, [&known, &[]]);
-        let key = (order[..known.len()].iter())
-            .filter_map(|&column| self.slot(&atom.terms[column as usize]))
-            .collect();
-        let version = Version::Complete;
-        (Source { index, version }, key)
-    }
-
-    /// The slot for a value, and whether something is there already.
-    fn result(&mut self, to: &Term) -> Option<(Slot, bool)> {
-        let test = self.is_bound(to);
-        if test {
-            self.flow.filter(Flow::EQUAL);
-        }
-        let slot = self.slot(to)?;
-        if let Some(variable) = variable_of(to) {
-            self.bound[variable.index()] = true;
-        }
-        Some((slot, test))
-    }
-
-    fn compare(&mut self, op: Comparison, left: &Term, right: &Term, base: BaseType) {
-        let bound = (self.is_bound(left), self.is_bound(right));
-        let (Some(left), Some(right)) = (self.slot(left), self.slot(right)) else {
-            return;
-        };
-        let (to, from) = match bound {
-            (true, true) => {
-                self.flow.filter(match op {
-                    Comparison::Equal => Flow::EQUAL,
-                    _ => Flow::COMPARED,
-                });
-                self.push(Step::Compare { op, left, right, base });
-                return;
-            }
-            (false, _) => (left, right),
-            (true, false) => (right, left),
-        };
-        self.bound[to as usize] = true;
-        self.push(Step::Copy { to, from });
-    }
-
-    /// What to do next: scan an atom that is connected to what is bound, or meet several. If sizes are known, the atom that finds
-    /// the fewest rows; then the fewest new variables, then the most bound columns, then one that is not probably large.
-    fn next(&self) -> Option<Next> {
-        let cost = |position: usize| {
-            let atom = positive(&self.clause.body[position])?;
-            let new = self.new_variables(atom).len();
-            let known = (atom.terms.iter())
-                .filter(|term| **term != Term::Wildcard && self.is_bound(term))
-                .count();
-            let (found, large) = match self.order {
-                Order::Text { large } => (0.0, large.contains(&atom.relation)),
-                Order::Sizes(_) => (self.found(atom), false),
-            };
-            // A single row may stand in front of anything.
-            let apart = known == 0 && !(matches!(self.order, Order::Sizes(_)) && found <= 1.0);
-            Some((apart, found, new, std::cmp::Reverse(known), large, position))
-        };
-        let best = (self.left.iter())
-            .filter_map(|&position| cost(position))
-            .min_by(|a, b| {
-                (a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))).then((a.2, a.3, a.4, a.5).cmp(&(b.2, b.3, b.4, b.5)))
-            })?
-            .5;
-        Some(self.next_meet(best).unwrap_or(Next::Scan(best)))
-    }
-
-    /// Whether the atom had better be met than scanned: several atoms lack nothing but the variable that it lacks, and rows
-    /// are so skewed that whichever is scanned may have many more than are left when all have been asked.
-    fn next_meet(&self, best: usize) -> Option<Next> {
-        let Order::Sizes(sizes) = self.order else { return None };
-        let [variable] = self.new_variables(positive(&self.clause.body[best])?)[..] else {
-            return None;
-        };
-        let once = |atom: &Atom| {
-            (atom.terms.iter())
-                .filter(|term| variable_of(term) == Some(variable))
-                .count()
-                == 1
-        };
-        let lacks = |position: &usize| {
-            let atom = positive(&self.clause.body[*position]);
-            atom.is_some_and(|atom| self.new_variables(atom) == [variable] && once(atom))
-        };
-        let lists: Vec<usize> = self.left.iter().copied().filter(lacks).collect();
-        if lists.len() < 2 {
-            return None;
-        }
-        let atoms = || {
-            lists
-                .iter()
-                .filter_map(|&position| positive(&self.clause.body[position]))
-        };
-        let least = |cost: &dyn Fn(&Atom, &Size) -> f64| {
-            let costs = atoms().filter_map(|atom| Some(cost(atom, sizes[atom.relation.index()].as_ref()?)));
-            costs.fold(f64::INFINITY, f64::min)
-        };
-        let count = lists.len() as f64;
-        let scanned = 1.0 + count * least(&|atom, size| self.flow.found_often(size, &self.key(atom)));
-        let met = count * (1.0 + least(&|atom, size| self.flow.found(size, &self.key(atom))));
-        (met < scanned).then_some(Next::Meet(lists, variable))
-    }
-
-    /// The variables of the atom that are not bound and needed, each once.
-    fn new_variables(&self, atom: &Atom) -> Vec<VarId> {
-        let needed = |term: &&Term| !self.is_bound(term) && !self.is_unneeded(term);
-        let mut new: Vec<VarId> = atom.terms.iter().filter(needed).filter_map(variable_of).collect();
-        new.sort_unstable();
-        new.dedup();
-        new
-    }
-
-    /// The bound columns of an atom with their variables; none for a constant.
-    fn key(&self, atom: &Atom) -> Vec<Known> {
-        let known = |term: &Term| *term != Term::Wildcard && self.is_bound(term);
-        let columns = (0..).zip(&atom.terms).filter(|(_, term)| known(term));
-        columns.map(|(column, term)| (column, variable_of(term))).collect()
-    }
-
-    /// How many rows the atom finds; none if sizes are not known.
-    fn found(&self, atom: &Atom) -> f64 {
-        match self.order {
-            Order::Sizes(sizes) => {
-                let size = sizes[atom.relation.index()].as_ref();
-                size.map_or(0.0, |size| self.flow.found(size, &self.key(atom)))
-            }
-            Order::Text { .. } => 0.0,
-        }
-    }
-
-    /// Reckons with what is about to be placed, if sizes are known.
-    fn expect(&mut self, atom: &Atom, reckon: impl Fn(&mut Flow, &Size, &[Known])) {
-        if let Order::Sizes(sizes) = self.order
-            && let Some(size) = &sizes[atom.relation.index()]
-        {
-            let key = self.key(atom);
-            reckon(&mut self.flow, size, &key);
-        }
-    }
-
-    /// Appends a step that meets the atoms of these literals, which lack only the variable.
-    fn meet(&mut self, positions: &[usize], variable: VarId, version: &dyn Fn(usize) -> Version) {
-        let mut lists = Vec::with_capacity(positions.len());
-        for &position in positions {
-            let Some(atom) = positive(&self.clause.body[position]) else {
-                continue;
-            };
-            let place = (0..)
-                .zip(&atom.terms)
-                .find(|(_, term)| variable_of(term) == Some(variable));
-            let Some((column, _)) = place else { continue };
-            let known: Vec<u16> = self.key(atom).iter().map(|&(column, _)| column).collect();
-            let (index, order) = self.indexer.prefix(atom.relation, [&known, &[column]]);
-            let key = (order[..known.len()].iter())
-                .filter_map(|&column| self.slot(&atom.terms[column as usize]))
-                .collect();
-            let source = Source {
-                index,
-                version: version(position),
-            };
-            lists.push(List { source, key });
-        }
-        if let Order::Sizes(sizes) = self.order {
-            let atoms = positions
-                .iter()
-                .filter_map(|&position| positive(&self.clause.body[position]));
-            let sized = atoms.filter_map(|atom| Some((sizes[atom.relation.index()].as_ref()?, self.key(atom))));
-            let sized: Vec<_> = sized.collect();
-            self.flow.meet(&sized, variable);
-        }
-        self.bound[variable.index()] = true;
-        positions.iter().for_each(|&position| self.placed(position));
-        self.push(Step::Meet {
-            lists,
-            to: variable.index() as Slot,
-        });
-        self.repeated = true;
-    }
-
-    /// Appends a scan of the atom.
-    fn scan(&mut self, atom: &Atom, version: Version) {
-        // (column, slot) of every column whose value matters.
-        let mut keys: Vec<(u16, Slot)> = Vec::new();
-        let mut binds: Vec<(u16, Slot)> = Vec::new();
-        let mut checks: Vec<(u16, Slot)> = Vec::new();
-        for (column, term) in (0u16..).zip(&atom.terms) {
-            let bound = self.is_bound(term);
-            let unneeded = self.is_unneeded(term);
-            let Some(slot) = self.slot(term) else { continue };
-            if bound {
-                keys.push((column, slot));
-            } else if binds.iter().any(|&(_, other)| other == slot) {
-                checks.push((column, slot));
-            } else if !unneeded {
-                binds.push((column, slot));
-            }
-        }
-        if version != Version::New {
-            self.expect(atom, |flow, size, key| flow.scan(size, key, &binds));
-        }
-        for &(_, slot) in &binds {
-            self.bound[slot as usize] = true;
-        }
-        let own = IndexId(atom.relation.0);
-        let mut distinct = 0;
-        let index = if self.repeated && version != Version::New && !keys.is_empty() {
-            let known: Vec<u16> = keys.iter().map(|&(column, _)| column).collect();
-            let other: Vec<u16> = binds.iter().chain(&checks).map(|&(column, _)| column).collect();
-            let (index, order) = self.indexer.prefix(atom.relation, [&known, &other]);
-            if let (false, Order::Sizes(sizes)) = (self.indexer.is_own(index), self.order) {
-                let rows = sizes[atom.relation.index()].as_ref().map_or(0, |size| size.rows);
-                self.ordering += INDEX_ROW * rows as f64;
-            }
-            for (column, _) in keys.iter_mut().chain(&mut binds).chain(&mut checks) {
-                *column = (order.iter().position(|other| other == column)).map_or(*column, |position| position as u16);
-            }
-            // The key is read in the order of the index.
-            keys.sort_unstable_by_key(|&(column, _)| column);
-            let needed = known.len() + other.len();
-            if needed < order.len() {
-                distinct = needed as u16;
-            }
-            index
-        } else {
-            // Run once, or with nothing known: an index would cost more than it saves. The relation's own order may still
-            // begin with known columns.
-            let prefix = if version == Version::New && !self.repeated {
-                0
-            } else {
-                (0..).zip(&keys).take_while(|(at, key)| *at == key.0).count()
-            };
-            if prefix < keys.len() && version != Version::New {
-                self.expect(atom, |flow, size, _| flow.passes(size));
-            }
-            checks.extend(keys.drain(prefix..));
-            own
-        };
-        self.push(Step::Scan {
-            source: Source { index, version },
-            key: keys.into_iter().map(|(_, slot)| slot).collect(),
-            bind: binds,
-            check: checks,
-            distinct,
-        });
-        self.repeated = true;
-    }
-}
-
-/// By step: where a part of the plan ends of which one success is enough, or 0. See [`Plan::enough`].
-fn enough(steps: &[Step], output: &[Slot]) -> Vec<u16> {
-    let ends_at = |start: usize| {
-        let mut filled = Vec::new();
-        (start + 1..=steps.len()).find(|&end| {
-            filled.extend(steps[end - 1].fills());
-            let needed = |slot: &Slot| output.contains(slot) || steps[end..].iter().any(|step| step.reads(*slot));
-            !filled.iter().any(needed)
-        })
-    };
-    let parts = (0..steps.len()).map(|start| match steps[start].branches() {
-        true => ends_at(start).unwrap_or(0) as u16,
-        false => 0,
-    });
-    parts.collect()
-}
-
-/// The atom of a literal that may bind variables.
-fn positive(literal: &Literal) -> Option<&Atom> {
-    match literal {
-        Literal::Positive(atom) | Literal::Guard(atom) => Some(atom),
-        _ => None,
-    }
-}
-
-fn variable_of(term: &Term) -> Option<VarId> {
-    match *term {
-        Term::Variable(variable) => Some(variable),
-        Term::Constant(_) | Term::Wildcard => None,
     }
 }

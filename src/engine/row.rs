@@ -19,9 +19,13 @@ impl<const W: usize> Row<W> {
     pub(super) const ZERO: Self = Row([Value(0); W]);
 
     /// The values, padded. There must be at most `W`.
+    #[inline]
     pub(super) fn new(values: &[Value]) -> Self {
         let mut row = Self::ZERO;
-        row.0[..values.len()].copy_from_slice(values);
+        // Shorter than a call to copy so few.
+        for (to, &from) in row.0.iter_mut().zip(values) {
+            *to = from;
+        }
         row
     }
 
@@ -121,8 +125,10 @@ pub(super) fn difference<const W: usize>(a: &[Row<W>], b: &[Row<W>]) -> Vec<Row<
 
 /// Sorts and removes repetitions.
 pub(super) fn normalise<const W: usize>(rows: &mut Vec<Row<W>>) {
-    rows.sort_unstable();
-    rows.dedup();
+    if !rows.is_sorted_by(|a, b| a < b) {
+        rows.sort_unstable();
+        rows.dedup();
+    }
 }
 
 /// A sorted list of rows that can be searched by a prefix.

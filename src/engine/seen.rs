@@ -34,14 +34,10 @@ impl<const W: usize> Seen<W> {
     /// Bytes that may be spent whatever the number of rows.
     const BYTES_FREE: u64 = 1 << 13;
 
-    /// A set with room for these rows and some more, unless it would take more than `W` bytes a row for that many rows.
-    pub(super) fn over(rows: &[Row<W>], count: u64) -> Option<Self> {
-        let mut largest = [0; W];
-        for row in rows {
-            for (largest, word) in largest.iter_mut().zip(&row.0) {
-                *largest = word.0.max(*largest);
-            }
-        }
+    /// A set with room for these rows, for words up to the largest of others and for some more, unless it would take more memory
+    /// than so many rows do.
+    pub(super) fn over(rows: &[Row<W>], mut largest: [u32; W], count: u64) -> Option<Self> {
+        raise(&mut largest, rows);
         let mut bounds = [1; W];
         let mut strides = [0; W];
         let mut bits = 1_u64;
@@ -53,7 +49,7 @@ impl<const W: usize> Seen<W> {
             }
             bits = bits.checked_mul(u64::from(bounds[column]))?;
         }
-        if bits / 8 > count.saturating_mul(W as u64).max(Self::BYTES_FREE) {
+        if bits / 8 > count.saturating_mul(size_of::<Row<W>>() as u64).max(Self::BYTES_FREE) {
             return None;
         }
         let mut seen = Seen {
@@ -73,6 +69,11 @@ impl<const W: usize> Seen<W> {
             fresh: vec![0; self.known.len()],
             ..*self
         }
+    }
+
+    /// By column: the largest word for which there are bits.
+    pub(super) fn largest(&self) -> [u32; W] {
+        self.bounds.map(|bound| bound - 1)
     }
 
     /// What its bits of known rows take.
@@ -123,6 +124,15 @@ impl<const W: usize> Seen<W> {
             *fresh |= mask;
         }
         Added::New
+    }
+
+    /// Adds a row that is not new, unless a word is too large.
+    pub(super) fn note(&mut self, row: &Row<W>) -> bool {
+        let bit = self.bit(row);
+        if let Some((word, mask)) = bit {
+            self.known[word] |= mask;
+        }
+        bit.is_some()
     }
 
     /// Adds rows that are like `row` but for one word, while new rows are kept as bits. Says how many were added until one was
@@ -210,6 +220,15 @@ impl<const W: usize> Seen<W> {
     }
 }
 
+/// Makes every word at least as large as those of rows are in its column.
+pub(super) fn raise<const W: usize>(largest: &mut [u32; W], rows: &[Row<W>]) {
+    for row in rows {
+        for (largest, word) in largest.iter_mut().zip(&row.0) {
+            *largest = word.0.max(*largest);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -224,7 +243,7 @@ mod tests {
             }))
         };
         let first: Vec<Row<W>> = (0..20).map(|_| row()).collect();
-        let mut seen = Seen::over(&first, 1_000_000).expect("it fits");
+        let mut seen = Seen::over(&first, [0; W], 1_000_000).expect("it fits");
         let mut expected: BTreeSet<[u32; W]> = first.iter().map(|row| row.0.map(|word| word.0)).collect();
         for _ in 0..3 {
             let mut fresh = BTreeSet::new();
@@ -274,8 +293,11 @@ mod tests {
 
     #[test]
     fn sparse_rows_have_no_bits() {
-        assert!(Seen::over(&[Row([Value(0), Value(u32::MAX)])], 1000).is_none());
-        assert!(Seen::over(&[Row([Value(100_000), Value(100_000)])], 1000).is_none());
-        assert!(Seen::over(&[Row([Value(100), Value(100)])], 0).is_some());
+        let over = |words: [u32; 2], largest, count| Seen::over(&[Row(words.map(Value))], largest, count);
+        assert!(over([0, u32::MAX], [0, 0], 1000).is_none());
+        assert!(over([100_000, 100_000], [0, 0], 1000).is_none());
+        assert!(over([100, 100], [100_000, 100_000], 1000).is_none());
+        assert!(over([100, 100], [0, 0], 0).is_some_and(|seen| seen.largest() == [125, 125]));
+        assert!(over([100, 100], [40, 200], 0).is_some_and(|seen| seen.largest() == [125, 250]));
     }
 }

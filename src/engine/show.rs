@@ -246,7 +246,7 @@ impl Shown<'_> {
         key: usize,
         value: &dyn Fn(Slot, BaseType) -> String,
     ) -> String {
-        let order = &self.plans.indexes[source.index.index()];
+        let order = &self.plans.indexes[source.index];
         let relation = self.compiled.relation(order.relation);
         let mut atom = vec!["_".to_owned(); relation.arity()];
         for &(column, slot) in terms {

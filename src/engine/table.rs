@@ -91,32 +91,30 @@ impl<const W: usize> Table<W> {
     }
 
     /// What changes of rows add and remove, and the rows after it, if it is anything. The changes are sorted, one for each row.
-    pub(super) fn update(&self, noted: &[(Row<W>, bool)]) -> Option<(Net<W>, Arc<Vec<Row<W>>>)> {
-        if self.rows.is_empty() {
-            let come = noted.iter().filter(|(_, present)| *present);
-            let rows: Vec<Row<W>> = come.map(|(row, _)| *row).collect();
-            let rows = Arc::new(rows);
-            return (!rows.is_empty()).then(|| (Net::between(&[], &rows), rows));
-        }
+    pub(super) fn update(
+        &self,
+        changes: impl ExactSizeIterator<Item = (Row<W>, bool)>,
+    ) -> Option<(Net<W>, Arc<Vec<Row<W>>>)> {
+        let count = changes.len();
         let (mut added, mut removed) = (Vec::new(), Vec::new());
         let mut finder = Finder::new(self.known());
         let mut rows = Vec::new();
         let mut copied = 0;
-        for (row, present) in noted {
-            let was = finder.find(row);
-            if was == *present {
+        for (row, present) in changes {
+            let was = finder.find(&row);
+            if was == present {
                 continue;
             }
             if rows.is_empty() {
-                rows.reserve(self.rows.len() + noted.len());
+                rows.reserve(self.rows.len() + count);
             }
             append(&mut rows, &self.rows[copied..finder.at]);
             copied = finder.at;
-            if *present {
-                added.push(*row);
-                rows.push(*row);
+            if present {
+                added.push(row);
+                rows.push(row);
             } else {
-                removed.push(*row);
+                removed.push(row);
                 copied += 1;
             }
         }
@@ -176,10 +174,13 @@ impl<const W: usize> Index<W> {
 
     /// An index over `rows` by `columns`; `own` if those are in their own order.
     fn build(rows: &[Row<W>], columns: &[u16], own: bool) -> Self {
-        let ordered = if own { Vec::new() } else { project(rows, columns) };
+        let (rows, starts) = match own {
+            true => (Vec::new(), directory(rows)),
+            false => ordered(rows, columns),
+        };
         Index {
-            starts: directory(if own { rows } else { &ordered }),
-            rows: ordered,
+            rows,
+            starts,
             used: AtomicBool::new(false),
             idle: 0,
         }
@@ -216,11 +217,43 @@ impl<const W: usize> Index<W> {
     }
 }
 
-/// The rows with their columns in another order, sorted.
+/// Sorted rows with their columns in another order, sorted.
 pub(super) fn project<const W: usize>(rows: &[Row<W>], columns: &[u16]) -> Vec<Row<W>> {
-    let mut projected: Vec<Row<W>> = rows.iter().map(|row| row.project(columns)).collect();
-    projected.sort_unstable();
-    projected
+    ordered(rows, columns).0
+}
+
+/// The same with a directory, if one is worth its memory. Then words are so dense that rows are put in order by counting them: those
+/// with one first word stay as they were, which mostly is their order already.
+fn ordered<const W: usize>(rows: &[Row<W>], columns: &[u16]) -> (Vec<Row<W>>, Vec<u32>) {
+    let first = columns.first().map_or(0, |&column| column as usize);
+    let largest = rows.iter().map(|row| row.0[first].0).max().unwrap_or(0) as usize;
+    if !Index::<W>::dense(rows.len(), largest) {
+        let mut projected: Vec<Row<W>> = rows.iter().map(|row| row.project(columns)).collect();
+        projected.sort_unstable();
+        return (projected, Vec::new());
+    }
+    // The number of rows of a word stands two places behind it, so that the places of the word itself and of the next one are
+    // where it begins and ends when all its rows are placed.
+    let mut starts = vec![0_u32; largest + 3];
+    for row in rows {
+        starts[row.0[first].0 as usize + 2] += 1;
+    }
+    for word in 2..starts.len() {
+        starts[word] += starts[word - 1];
+    }
+    let mut projected = vec![Row::ZERO; rows.len()];
+    for row in rows {
+        let at = &mut starts[row.0[first].0 as usize + 1];
+        projected[*at as usize] = row.project(columns);
+        *at += 1;
+    }
+    starts.pop();
+    if !columns.iter().skip(1).is_sorted() {
+        for bounds in starts.windows(2) {
+            projected[bounds[0] as usize..bounds[1] as usize].sort_unstable();
+        }
+    }
+    (projected, starts)
 }
 
 /// Finds rows one after the other, in order.
@@ -294,9 +327,10 @@ fn directory<const W: usize>(rows: &[Row<W>]) -> Vec<u32> {
         return Vec::new();
     }
     let mut starts = Vec::with_capacity(largest + 2);
-    for (position, row) in rows.iter().enumerate() {
-        while starts.len() <= row.0[0].0 as usize {
-            starts.push(position as u32);
+    for (row, position) in rows.iter().zip(0_u32..) {
+        let word = row.0[0].0 as usize;
+        if starts.len() <= word {
+            starts.resize(word + 1, position);
         }
     }
     starts.push(rows.len() as u32);
@@ -370,6 +404,38 @@ mod tests {
     }
 
     #[test]
+    fn orders_are_as_sorted_ones() {
+        let mut state = 11_u32;
+        let mut random = move |below: u32| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) % below
+        };
+        let mut counted = 0;
+        for (count, words) in [
+            (0, 1),
+            (3, 5),
+            (700, 20),
+            (700, 3_000),
+            (2_000, 40),
+            (2_000, 16_000_000),
+        ] {
+            let mut rows: Vec<Row<4>> = (0..count)
+                .map(|_| Row([words, 7, words, 1].map(|below| Value(random(below)))))
+                .collect();
+            normalise(&mut rows);
+            for columns in [&[1, 0, 2][..], &[0, 2, 1], &[2, 1, 0], &[1, 2, 0], &[2, 0, 1]] {
+                let mut expected: Vec<Row<4>> = rows.iter().map(|row| row.project(columns)).collect();
+                expected.sort_unstable();
+                let (projected, starts) = ordered(&rows, columns);
+                assert_eq!(projected, expected);
+                assert_eq!(starts, directory(&expected));
+                counted += usize::from(!starts.is_empty());
+            }
+        }
+        assert_eq!(counted, 17);
+    }
+
+    #[test]
     fn patched_tables_are_as_built_ones() {
         let mut state = 7_u32;
         let mut random = move |below: u32| {
@@ -392,7 +458,7 @@ mod tests {
                     .collect();
                 noted.sort_unstable();
                 noted.dedup_by_key(|(row, _)| *row);
-                let Some((net, rows)) = table.update(&noted) else {
+                let Some((net, rows)) = table.update(noted.into_iter()) else {
                     continue;
                 };
                 let expected = merge(&difference(&table.rows, &net.removed), &net.added);

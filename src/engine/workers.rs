@@ -264,13 +264,13 @@ mod tests {
                 .collect();
             normalise(&mut rows);
             let tables = [
-                Table::new(rows, plans.indexes_of[0].len()),
-                Table::new(Vec::new(), plans.indexes_of[1].len()),
+                Table::new(rows, plans.indexes.of(RelId(0)).count()),
+                Table::new(Vec::new(), plans.indexes.of(RelId(1)).count()),
             ];
             for (clause, splits) in [(0, true), (1, true), (2, true), (3, false)] {
                 let plan = &plans.clauses[clause].complete;
                 let batch = |source: Source| {
-                    let spec = &plans.indexes[source.index.index()];
+                    let spec = &plans.indexes[source.index];
                     assert_eq!(spec.relation, RelId(0));
                     tables[0].batch(spec)
                 };

@@ -47,17 +47,12 @@ pub fn load(text: &str, facts: &Facts) -> Session {
         }
     }
     for (name, rows) in &facts.unary {
-        let relation = relation(name);
-        rows.iter()
-            .for_each(|&x| session.insert(relation, &[Value(x)]).expect("a base relation"));
+        let rows = rows.iter().map(|&x| [Value(x)]);
+        session.insert_all(relation(name), rows).expect("a base relation");
     }
     for (name, rows) in &facts.binary {
-        let relation = relation(name);
-        rows.iter().for_each(|&(x, y)| {
-            session
-                .insert(relation, &[Value(x), Value(y)])
-                .expect("a base relation")
-        });
+        let rows = rows.iter().map(|&(x, y)| [Value(x), Value(y)]);
+        session.insert_all(relation(name), rows).expect("a base relation");
     }
     session
 }

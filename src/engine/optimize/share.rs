@@ -16,7 +16,7 @@
 //! Only clauses of strata without recursion take part: elsewhere new rows lead a plan, and they differ from clause to clause.
 
 use crate::engine::estimate::{self, Size};
-use crate::engine::plan::Sketcher;
+use crate::engine::planner::Sketcher;
 use crate::lang::{
     Atom, BaseType, Clause, ClauseId, Column, Comparison, Literal, RelId, Relation, Rules, Stratum, Term, VarId,
 };
