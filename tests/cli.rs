@@ -526,6 +526,36 @@ fn check_tells_all_faults_and_exits_with_1() {
 }
 
 #[test]
+fn check_tells_what_it_did_not_search_to_the_end() {
+    // Does the second clause derive nothing new? A walk of nine steps in a graph of two sides never ends where it began.
+    let graph: Vec<String> = (0..16)
+        .map(|at| format!("E(a{0}, b{1}), E(b{1}, a{0})", at / 4, at % 4))
+        .collect();
+    let walk: Vec<String> = (0..9).map(|at| format!("E(c{at}, c{})", (at + 1) % 9)).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let text = format!(
+        ".decl E(x: symbol, y: symbol)\n.input E\n.decl P(x: symbol)\n.output P\nP(a0) :- {}.\nP(c0) :- {}.\n",
+        graph.join(", "),
+        walk.join(", ")
+    );
+    let path = write(folder.path(), "hard.dl", text);
+    let output = logicity(["check", &path]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    assert!(
+        out(&output).contains("cut short: the search for clauses that derive nothing new;"),
+        "{}",
+        out(&output)
+    );
+    let line: Value = serde_json::from_str(&out(&logicity(["check", "--json", &path]))).unwrap();
+    assert_eq!(
+        line["unfinished"],
+        serde_json::json!(["clauses that derive nothing new"])
+    );
+    let line: Value = serde_json::from_str(&out(&logicity(["check", "--json", "rules/hard.dl"]))).unwrap();
+    assert_eq!(line.get("unfinished"), None);
+}
+
+#[test]
 fn wrong_usage_exits_with_2() {
     let folder = tempfile::tempdir().unwrap();
     let file = write(folder.path(), "file", "");

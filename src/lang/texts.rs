@@ -65,7 +65,7 @@ impl Texts {
     /// The rules that the texts make, or all their faults.
     pub fn check(&self) -> Loaded {
         let mut faults = self.faults.clone();
-        let rules = check(
+        let (rules, compared) = check(
             &self.gathered.items,
             !self.gathered.incomplete,
             self.inputs,
@@ -73,8 +73,9 @@ impl Texts {
             &mut faults,
         );
         Loaded {
-            rules: if faults.failed() { None } else { rules },
+            rules,
             diagnostics: faults.finish(),
+            compared,
         }
     }
 
@@ -112,10 +113,7 @@ impl Texts {
         let parsed = parser::parse_question(question, sources.text(question), &mut faults);
         match parsed.filter(|_| !faults.failed()) {
             Some((body, place)) => self.answer(&body, place, symbols),
-            None => Loaded {
-                rules: None,
-                diagnostics: faults.finish(),
-            },
+            None => Loaded::failed(faults.finish()),
         }
     }
 
@@ -192,8 +190,8 @@ impl Texts {
         }
         let mut items = self.declarations(false);
         items.extend(file.items);
-        let rules = check(&items, true, self.inputs, Symbols::new(), &mut faults);
-        let Some(rules) = rules.filter(|_| !faults.failed()) else {
+        let (rules, _) = check(&items, true, self.inputs, Symbols::new(), &mut faults);
+        let Some(rules) = rules else {
             return Err(of(id, faults));
         };
         let row = |clause: &rules::Clause| {
@@ -280,13 +278,9 @@ impl Texts {
         let checked = clause::check(&items, &mut known, Symbols::new(), &mut faults);
         known.report_unknown(&mut faults);
         if faults.failed() {
-            return Loaded {
-                rules: None,
-                diagnostics: of(place.0.source, faults)
-                    .into_iter()
-                    .filter(Diagnostic::is_error)
-                    .collect(),
-            };
+            let mut found = of(place.0.source, faults);
+            found.retain(Diagnostic::is_error);
+            return Loaded::failed(found);
         }
         let base_of = |name: &str| {
             checked.clauses.iter().find_map(|checked| {
@@ -317,10 +311,11 @@ impl Texts {
         items.push(Item::Decl(decl));
         items.push(Item::Clause(clause));
         let mut faults = Faults::default();
-        let rules = check(&items, true, self.inputs, symbols, &mut faults);
+        let (rules, compared) = check(&items, true, self.inputs, symbols, &mut faults);
         Loaded {
-            rules: if faults.failed() { None } else { rules },
+            rules,
             diagnostics: of(place.0.source, faults),
+            compared,
         }
     }
 }

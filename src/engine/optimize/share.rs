@@ -532,7 +532,8 @@ const WRITTEN_MAX: usize = 10;
 
 /// Parts of bodies that stand in several clauses, those first that say most; no clause is in two. All literals of a part were written,
 /// and it joins two atoms. Under a scope it speaks of the agent that the clause is about: a predicate of its own then sees the same.
-pub(super) fn repeated(rules: &Rules) -> Vec<Vec<Use>> {
+/// Beside them whether all bodies were looked at.
+pub(super) fn repeated(rules: &Rules) -> (Vec<Vec<Use>>, bool) {
     let mut left = Left {
         candidates: 0,
         plans: 0,
@@ -587,7 +588,7 @@ pub(super) fn repeated(rules: &Rules) -> Vec<Vec<Use>> {
             found.push(uses);
         }
     }
-    found
+    (found, left.words > 0)
 }
 
 /// Whether the literals hang together by variables, all of which its positive atoms bind.
