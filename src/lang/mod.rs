@@ -43,7 +43,7 @@ mod witness;
 pub use format::format;
 pub use functor::{AggregateOp, Functor, Patterns, parse as parse_value};
 pub use parser::DIRECTIVES;
-pub use print::print;
+pub use print::{print, quoted};
 pub use rules::{
     Atom, BaseType, Clause, ClauseId, Column, Comparison, Constraint, Directive, Literal, MarkKind, Promise, RelId,
     Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, Value, VarId,

@@ -728,7 +728,8 @@ impl Names {
     }
 }
 
-/// Reports the words after a declaration: each has no effect, and none may say again or otherwise what another says.
+/// Reports the words after a declaration: none may say again or otherwise what another says, and all but `inline` have no effect. That
+/// asks how a predicate is evaluated, which changes no answer, so nothing is lost where it is not followed.
 fn qualifiers(words: &[Name], faults: &mut Faults) {
     let storage = |word: &Name| matches!(word.text.as_str(), "btree" | "brie");
     let rivals = |a: &Name, b: &Name| a.text == b.text || (storage(a) && storage(b));
@@ -741,7 +742,7 @@ fn qualifiers(words: &[Name], faults: &mut Faults) {
             .at(word.place.0, "")
             .also(earlier.place.0, "one of them is enough");
             faults.push(fault.help("remove one of them"));
-        } else if !words[index + 1..].iter().any(|later| rivals(word, later)) {
+        } else if word.text != "inline" && !words[index + 1..].iter().any(|later| rivals(word, later)) {
             let fault = Diagnostic::new(Code::Ignored, format!("`{}` has no effect", word.text));
             faults.push(fault.at(word.place.0, "").help("remove it"));
         }

@@ -406,7 +406,7 @@ fn moved(value: Value, base: BaseType, from: &Symbols, to: &Symbols) -> Value {
 }
 
 /// Whether a text that somebody is typing may end here: every parenthesis is closed, and the last clause has its full stop. A
-/// directive ends with its line.
+/// directive ends with its line, and a question where it can be answered.
 pub fn is_complete(text: &str) -> bool {
     let mut sources = Sources::new();
     let id = sources.add("", text);
@@ -431,6 +431,9 @@ pub fn is_complete(text: &str) -> bool {
     match last.kind {
         Kind::Dot => true,
         Kind::Comma | Kind::Colon | Kind::Pipe | Kind::Subtype | Kind::Equal | Kind::If | Kind::Semicolon => false,
+        _ if text.trim_start().starts_with("?-") => {
+            parser::parse_question(id, text, &mut faults).is_some() && !faults.failed()
+        }
         _ => {
             let (_, starts) = parser::parse_tokens(id, text, &lexed, &mut faults);
             starts

@@ -17,7 +17,7 @@ mod theory;
 
 use crate::diag::{Code, Diagnostic};
 use crate::lang::{
-    Atom, BaseType, Clause, ClauseId, Comparing, Comparison, Constraint, Literal, Rules, Term, Value, VarId,
+    Atom, BaseType, Clause, ClauseId, Comparing, Comparison, Constraint, Literal, Rules, Term, Value, VarId, quoted,
 };
 use crate::symbol::Symbol;
 use cover::is_covered;
@@ -354,7 +354,7 @@ fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> St
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
             BaseType::Float => crate::engine::facts::print_float(value.as_float()),
-            BaseType::Symbol => format!("{:?}", rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
+            BaseType::Symbol => quoted(rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
         },
     }
 }

@@ -8,7 +8,7 @@
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Span};
 
 use super::ast::{File, Include, Item, Literal, Name, Place};
-use super::lexer::{self, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, Token};
+use super::lexer::{self, COMMENT, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, Token};
 use super::rules::BaseType;
 
 mod clause;
@@ -262,8 +262,11 @@ impl<'a> Parser<'a> {
             return Reported;
         }
         let message = format!("expected a clause or a directive{why}, found {}", self.describe(token));
-        self.faults
-            .push(Diagnostic::new(Code::Syntax, message).at(self.span(token), ""));
+        let mut fault = Diagnostic::new(Code::Syntax, message).at(self.span(token), "");
+        if matches!((self.slice(token), self.ahead(1).kind), ("%", _) | ("-", Kind::Minus)) {
+            fault = fault.help(COMMENT);
+        }
+        self.faults.push(fault);
         Reported
     }
 
