@@ -538,4 +538,20 @@ mod terminal {
         terminal.press(".quit\r");
         assert!(terminal.process.wait().unwrap().success());
     }
+
+    #[test]
+    fn who_waits_is_told_that_there_is_something_to_wait_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut terminal = Terminal::open(folder.path());
+        terminal.sees("> ");
+        terminal.press(".decl N(x: number)\r");
+        terminal.sees("> ");
+        terminal.press("N(x) :- x = range(1, 5000).\r");
+        terminal.sees("N +4999");
+        terminal.sees("> ");
+        terminal.press("?- N(x), N(y), N(z), N(v), x * y + z * v = 0.\r");
+        terminal.sees("still evaluating");
+        terminal.process.kill().unwrap();
+        terminal.process.wait().unwrap();
+    }
 }

@@ -45,7 +45,7 @@ enum Command {
     Fmt(fmt::Arguments),
     /// Compare two rule sets: are they equal, and if not, in which smallest scene do they differ?
     Diff(diff::Arguments),
-    /// Run any Datalog program on facts files, as Souffle does
+    /// Run any Datalog program on facts files, as Soufflé does
     Query(query::Arguments),
     /// Work on a Datalog program at a prompt: add and retract facts and rules, ask questions, see why
     Repl(repl::Arguments),

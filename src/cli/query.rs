@@ -131,7 +131,7 @@ fn write_results(out: &mut dyn Write, session: &Session, folder: &Path) -> Resul
                 MarkKind::Input => {}
                 MarkKind::Output => {
                     let mut format = directive.format.clone();
-                    // As Souffle has it.
+                    // As Soufflé has it.
                     format.headers |= to_terminal;
                     let header = facts::header(relation, &format);
                     let rows = |out: &mut dyn Write| facts::write_rows(session, id, &format, out);

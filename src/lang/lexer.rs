@@ -348,7 +348,7 @@ impl Lexer<'_> {
         let (written, kind, help) = FOREIGN
             .iter()
             .find(|(written, ..)| rest.starts_with(written.as_bytes()))?;
-        // `T<>` is a lattice of Souffle's, which the parser knows.
+        // `T<>` is a lattice of Soufflé's, which the parser knows.
         if *written == "<>" && matches!(rest.get(2), Some(b')' | b',')) {
             return None;
         }

@@ -91,7 +91,7 @@ pub enum Inputs {
     /// The rows that are given, and the facts of the text: a rule for it is an error.
     #[default]
     Given,
-    /// Besides, what rules derive, as in Souffle: a rule for it is told by a warning.
+    /// Besides, what rules derive, as in Soufflé: a rule for it is told by a warning.
     Extended,
 }
 

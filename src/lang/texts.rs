@@ -245,71 +245,47 @@ impl Texts {
     }
 
     fn answer(&self, body: &[Literal], place: Place, symbols: Symbols) -> Loaded {
-        let mut faults = Faults::default();
-        let name = Name {
-            text: ANSWER.to_owned(),
-            place,
-        };
-        let head = Atom {
-            predicate: name.clone(),
-            terms: Vec::new(),
-            place,
-        };
         let mut clause = Clause {
-            heads: vec![head],
+            heads: vec![Atom {
+                predicate: answer_name(place),
+                terms: Vec::new(),
+                place,
+            }],
             body: body.to_vec(),
             doc: String::new(),
             place,
         };
+        let mut faults = Faults::default();
         if self.uses_inline() {
             clause = self.inlined(clause, &mut faults);
         }
-        let declared = |columns: Vec<ColumnDecl>| Decl {
-            names: vec![name.clone()],
-            columns: Some(columns),
-            qualifiers: Vec::new(),
-            doc: String::new(),
-        };
-        // First without columns, to find what the variables are made of.
-        let mut items = self.declarations(true);
-        items.push(Item::Decl(declared(Vec::new())));
-        items.push(Item::Clause(clause.clone()));
-        let mut known = names::declare(&items, true, self.inputs, &mut faults);
-        let checked = clause::check(&items, &mut known, Symbols::new(), &mut faults);
-        known.report_unknown(&mut faults);
+        let variables = variables(body);
+        let names: Vec<&str> = variables.iter().map(|(name, _)| *name).collect();
+        let bases = self.bases(&clause, &names, &mut faults);
         if faults.failed() {
             let mut found = of(place.0.source, faults);
             found.retain(Diagnostic::is_error);
             return Loaded::failed(found);
         }
-        let base_of = |name: &str| {
-            checked.clauses.iter().find_map(|checked| {
-                let position = checked.clause.variables.iter().position(|known| known == name)?;
-                checked.bases[position]
+        let columns = (variables.iter().zip(bases))
+            .map(|(&(name, place), base)| ColumnDecl {
+                name: Name {
+                    text: name.to_owned(),
+                    place,
+                },
+                ty: Name {
+                    text: base.name().to_owned(),
+                    place,
+                },
             })
-        };
-        let variables = variables(body);
-        let column = |(name, place): &(&str, Place)| {
-            let named = |text: &str| Name {
-                text: text.to_owned(),
-                place: *place,
-            };
-            ColumnDecl {
-                name: named(name),
-                ty: named(base_of(name).unwrap_or(BaseType::Symbol).name()),
-            }
-        };
-        let decl = declared(variables.iter().map(column).collect());
-        clause.heads[0].terms = variables
-            .iter()
+            .collect();
+        clause.heads[0].terms = (variables.iter())
             .map(|&(name, place)| Term {
                 kind: TermKind::Variable(name.to_owned()),
                 place,
             })
             .collect();
-        let mut items = self.declarations(true);
-        items.push(Item::Decl(decl));
-        items.push(Item::Clause(clause));
+        let items = self.asked(columns, clause);
         let mut faults = Faults::default();
         let (rules, compared) = check(&items, true, self.inputs, symbols, &mut faults);
         Loaded {
@@ -317,6 +293,43 @@ impl Texts {
             diagnostics: of(place.0.source, faults),
             compared,
         }
+    }
+
+    /// What variables of the body of a clause without columns are made of.
+    fn bases(&self, clause: &Clause, variables: &[&str], faults: &mut Faults) -> Vec<BaseType> {
+        let items = self.asked(Vec::new(), clause.clone());
+        let mut known = names::declare(&items, true, self.inputs, faults);
+        let checked = clause::check(&items, &mut known, Symbols::new(), faults);
+        known.report_unknown(faults);
+        let base_of = |name: &&str| {
+            checked.clauses.iter().find_map(|checked| {
+                let position = checked.clause.variables.iter().position(|known| known == name)?;
+                checked.bases[position]
+            })
+        };
+        (variables.iter())
+            .map(|name| base_of(name).unwrap_or(BaseType::Symbol))
+            .collect()
+    }
+
+    /// The program of a question: all predicates as input, and the clause for the answer.
+    fn asked(&self, columns: Vec<ColumnDecl>, clause: Clause) -> Vec<Item> {
+        let mut items = self.declarations(true);
+        items.push(Item::Decl(Decl {
+            names: vec![answer_name(clause.place)],
+            columns: Some(columns),
+            qualifiers: Vec::new(),
+            doc: String::new(),
+        }));
+        items.push(Item::Clause(clause));
+        items
+    }
+}
+
+fn answer_name(place: Place) -> Name {
+    Name {
+        text: ANSWER.to_owned(),
+        place,
     }
 }
 

@@ -459,19 +459,7 @@ fn hidden(rules: &Rules, model: &Use, needed: &[usize], number: usize) -> Option
         columns.push(column(rules, &body, &model.terms[number])?.clone());
     }
     let terms = needed.iter().map(|&number| model.terms[number]).collect();
-    let relation = Relation {
-        name: format!("+shared {number}"),
-        columns,
-        doc: String::new(),
-        span: clause.span,
-        input: false,
-        given: None,
-        output: false,
-        printsize: false,
-        derived: true,
-        hidden: true,
-        directives: Vec::new(),
-    };
+    let relation = Relation::made(format!("+shared {number}"), columns, String::new(), clause.span);
     let head = Atom {
         relation: RelId(rules.relations.len() as u32),
         terms,

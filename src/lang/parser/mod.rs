@@ -40,7 +40,7 @@ pub const DIRECTIVES: &[&str] = &[
     "symmetric",
 ];
 
-/// Souffle's directives that this language does not have.
+/// Soufflé's directives that this language does not have.
 const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
     ("comp", "components (`.comp`)"),
     ("init", "components (`.init`)"),
@@ -50,7 +50,7 @@ const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
     ("limitsize", "`.limitsize`"),
 ];
 
-/// How older versions of Souffle declare a type, and what it is a subtype of.
+/// How older versions of Soufflé declare a type, and what it is a subtype of.
 const OLD_TYPES: &[(&str, BaseType)] = &[("symbol_type", BaseType::Symbol), ("number_type", BaseType::Number)];
 
 /// The tree of one text.
