@@ -507,3 +507,23 @@ impl Match<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lang::random_clauses;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// So looking only at clauses that have all traits misses none.
+        #[test]
+        fn a_redundant_clause_has_all_traits_of_the_one_that_makes_it_so(rules in random_clauses::rules()) {
+            let patterns: Vec<Pattern> = rules.clauses.iter().map(Pattern::new).collect();
+            for (general, special) in patterns.iter().flat_map(|one| patterns.iter().map(move |other| (one, other))) {
+                if Match::exists(general, special, false, &mut Budget::new(MAX_STEPS_OF_PAIR)) {
+                    prop_assert!(general.traits().is_subset(&special.traits()));
+                }
+            }
+        }
+    }
+}

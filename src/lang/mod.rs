@@ -51,6 +51,8 @@ pub use rules::{
 
 pub use lexer::is_name;
 pub use subsets::Comparing;
+#[cfg(test)]
+pub(crate) use subsets::random_clauses;
 pub(crate) use subsets::{Budget, Subsets};
 pub use texts::{FactPattern, FactRow, Texts, is_complete};
 

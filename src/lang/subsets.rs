@@ -153,6 +153,73 @@ fn set_of_ranks<E: Eq + Hash>(set: &BTreeSet<E>, ranks: &HashMap<E, usize>) -> B
     set.iter().filter_map(|element| ranks.get(element).copied()).collect()
 }
 
+/// Rules with clauses that often cover each other.
+#[cfg(test)]
+pub(crate) mod random_clauses {
+    use crate::diag::Sources;
+    use crate::files::ReadError;
+    use crate::lang::{Rules, load};
+    use proptest::collection::vec;
+    use proptest::prelude::*;
+    use proptest::sample::select;
+
+    const DECLARED: &str = ".decl D(x: symbol)\n.decl E, L, S(x: symbol, y: symbol)\n.input D, E, L, S\n\
+                            .irreflexive L\n.symmetric S\n.implies L, E\n.decl P(x: symbol, y: symbol)\n.output P\n";
+
+    const HEADS: &[&str] = &["P(x, y)", "P(x, x)", "P(x, \"a\")", "P(\"a\", y)"];
+
+    const LITERALS: &[&str] = &[
+        "E(x, y)",
+        "E(y, x)",
+        "E(x, x)",
+        "E(x, _)",
+        "E(x, \"a\")",
+        "E(\"a\", y)",
+        "E(y, z)",
+        "L(x, y)",
+        "L(y, z)",
+        "L(\"b\", y)",
+        "S(x, y)",
+        "S(y, x)",
+        "S(z, \"a\")",
+        "!E(x, y)",
+        "!E(x, _)",
+        "!E(x, x)",
+        "!L(x, x)",
+        "!L(x, y)",
+        "!L(z, z)",
+        "!S(_, y)",
+        "x != y",
+        "y != x",
+        "x = \"a\"",
+        "y = z",
+        "x < \"b\"",
+        "\"b\" > x",
+        "x != \"a\"",
+        "x <= y",
+        "contains(\"a\", x)",
+    ];
+
+    pub(crate) fn rules() -> impl Strategy<Value = Rules> {
+        vec((select(HEADS), vec(select(LITERALS), 0..4)), 2..12).prop_map(|clauses| {
+            let clause = |(head, body): (&str, Vec<&str>)| {
+                let body = body.join(", ");
+                let others = ["y", "z"].map(|name| match (head.to_owned() + &body).contains(name) {
+                    true => format!(", D({name})"),
+                    false => String::new(),
+                });
+                let comma = if body.is_empty() { "" } else { ", " };
+                format!("{head} :- D(x){}{comma}{body}.\n", others.concat())
+            };
+            let text = DECLARED.to_owned() + &clauses.into_iter().map(clause).collect::<String>();
+            let mut sources = Sources::new();
+            let id = sources.add("random.dl", text);
+            let loaded = load(&mut sources, id, &|_| Err(ReadError::NotFound));
+            loaded.rules.unwrap_or_else(|| panic!("{:?}", loaded.diagnostics))
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -297,3 +297,28 @@ impl Cover<'_, '_> {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lang::random_clauses;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// So looking only at clauses that have all traits misses none.
+        #[test]
+        fn a_covered_clause_has_all_traits_of_the_one_that_covers_it(rules in random_clauses::rules()) {
+            for theory in [Theory::new([]), Theory::new(rules.promises.iter().map(|promise| promise.constraint))] {
+                let known = rules.clauses.iter().filter(|clause| theory::speaks_of(clause));
+                let all: Vec<Candidate> = known.map(|clause| Candidate::new(ClauseId(0), clause, &theory)).collect();
+                for (general, special) in all.iter().flat_map(|one| all.iter().map(move |other| (one, other))) {
+                    if Cover::exists(&theory, general, special, &mut Budget::new(STEPS_OF_PAIR)) {
+                        let mut asked = general.asks(&theory);
+                        asked.retain(|one| !(special.names_constants() && matches!(one, Trait::Side(_))));
+                        prop_assert!(asked.is_subset(&traits(&special.head, &special.special)));
+                    }
+                }
+            }
+        }
+    }
+}
