@@ -99,6 +99,14 @@ impl std::error::Error for ReadError {}
 /// # Errors
 /// Why the file cannot be read.
 pub fn read_text(path: &Path) -> Result<String, ReadError> {
+    read_from(open(path)?)
+}
+
+/// Opens what is not a folder.
+///
+/// # Errors
+/// Why the file cannot be read.
+pub fn open(path: &Path) -> Result<std::fs::File, ReadError> {
     let fail = |error: io::Error| match error.kind() {
         io::ErrorKind::NotFound => ReadError::NotFound,
         _ => ReadError::Io(error.to_string()),
@@ -107,18 +115,33 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
     if file.metadata().map_err(fail)?.is_dir() {
         return Err(ReadError::Io("it is a folder, not a file".into()));
     }
-    read_from(file)
+    Ok(file)
 }
 
 /// Reads all there is as text.
 pub fn read_from(input: impl Read) -> Result<String, ReadError> {
+    to_text(read_bytes(input)?)
+}
+
+/// Reads all there is as text, also what is not: each byte that is no part of a text becomes `U+FFFD`. Beside it the place of the first.
+pub fn read_any(input: impl Read) -> Result<(String, Option<usize>), ReadError> {
+    Ok(match String::from_utf8(read_bytes(input)?) {
+        Ok(text) => (text, None),
+        Err(error) => {
+            let first = error.utf8_error().valid_up_to();
+            (String::from_utf8_lossy(error.as_bytes()).into_owned(), Some(first))
+        }
+    })
+}
+
+fn read_bytes(input: impl Read) -> Result<Vec<u8>, ReadError> {
     let fail = |error: std::io::Error| ReadError::Io(error.to_string());
     let mut bytes = Vec::new();
     input.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(fail)?;
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(ReadError::TooLarge);
+    match bytes.len() as u64 > MAX_BYTES {
+        true => Err(ReadError::TooLarge),
+        false => Ok(bytes),
     }
-    to_text(bytes)
 }
 
 /// The text that bytes are.

@@ -528,6 +528,36 @@ fn check_tells_all_faults_and_exits_with_1() {
 }
 
 #[test]
+fn check_tells_what_it_did_not_search_to_the_end() {
+    // Does the second clause derive nothing new? A walk of nine steps in a graph of two sides never ends where it began.
+    let graph: Vec<String> = (0..16)
+        .map(|at| format!("E(a{0}, b{1}), E(b{1}, a{0})", at / 4, at % 4))
+        .collect();
+    let walk: Vec<String> = (0..9).map(|at| format!("E(c{at}, c{})", (at + 1) % 9)).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let text = format!(
+        ".decl E(x: symbol, y: symbol)\n.input E\n.decl P(x: symbol)\n.output P\nP(a0) :- {}.\nP(c0) :- {}.\n",
+        graph.join(", "),
+        walk.join(", ")
+    );
+    let path = write(folder.path(), "hard.dl", text);
+    let output = logicity(["check", &path]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    assert!(
+        out(&output).contains("cut short: the search for clauses that derive nothing new;"),
+        "{}",
+        out(&output)
+    );
+    let line: Value = serde_json::from_str(&out(&logicity(["check", "--json", &path]))).unwrap();
+    assert_eq!(
+        line["unfinished"],
+        serde_json::json!(["clauses that derive nothing new"])
+    );
+    let line: Value = serde_json::from_str(&out(&logicity(["check", "--json", "rules/hard.dl"]))).unwrap();
+    assert_eq!(line.get("unfinished"), None);
+}
+
+#[test]
 fn wrong_usage_exits_with_2() {
     let folder = tempfile::tempdir().unwrap();
     let file = write(folder.path(), "file", "");
@@ -571,7 +601,70 @@ fn a_file_that_is_not_text_exits_with_1() {
     fails(&with_input(["infer"], bytes), 1, &["not-text", "line 2"]);
     let program = write(folder.path(), "b.dl", ".decl a(x: symbol)\n.input a\n.output a\n");
     let parent = Path::new(&facts).parent().unwrap().to_str().unwrap();
-    fails(&logicity(["query", &program, "-F", parent]), 1, &["not-text", "line 2"]);
+    fails(
+        &logicity(["query", &program, "-F", parent]),
+        1,
+        &["not-text", "a.facts:2:7"],
+    );
+    // Nor does it hide what else is wrong with the file.
+    write(folder.path(), "n.facts", b"1\n\xff\nthree\n4\n");
+    let program = write(folder.path(), "n.dl", ".decl n(x: number)\n.input n\n.output n\n");
+    let output = logicity(["query", &program, "-F", parent]);
+    fails(&output, 1, &["not-text", "n.facts:2:1", "n.facts:3:1", "holds numbers"]);
+}
+
+#[test]
+fn query_explains_in_the_language() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "path.dl",
+        ".decl edge(x: symbol, y: symbol)\n.decl path(x: symbol, y: symbol)\nedge(\"a\", \"b \\\"c\\\"\").\n\
+         path(x, y) :- edge(x, y).\npath(x, z) :- path(x, y), path(y, z).\n",
+    );
+    let why = |option: &str, fact: &str| out(&logicity(["query", &rules, option, fact]));
+    let told = why("--explain", "path(\"a\", _)");
+    assert!(
+        told.starts_with("path(\"a\", \"b \\\"c\\\"\")  by path(x, y)"),
+        "{told}"
+    );
+    let (fact, _) = told.split_once("  by").unwrap();
+    assert_eq!(why("--explain", fact), told, "what is told can be asked");
+    let told = why("--why-not", "path(\"b\", \"a\")");
+    assert!(told.contains("path(\"b\", y) does not hold"), "{told}");
+}
+
+#[test]
+fn memory_is_given_in_mebibytes_or_with_a_unit() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "n.dl",
+        ".decl n(x: number)\n.printsize n\nn(x) :- x = range(0, 30000).\n",
+    );
+    let with = |option: &str, value: &str| logicity(["query", &rules, option, value]);
+    for enough in ["100", "50M", "50MiB", "1G", "2gib", "1T", "99999999999T"] {
+        let output = with("--max-memory", enough);
+        assert_eq!((code(&output), out(&output).as_str()), (0, "n\t30000\n"), "{enough}");
+    }
+    for little in ["0", "1K", "1kib"] {
+        fails(
+            &with("--max-memory", little),
+            1,
+            &["limit-exceeded", "`--max-memory` allows more"],
+        );
+    }
+    for wrong in ["", "M", "-1", "5 potatoes", "1.5G", "50MB"] {
+        let output = with("--max-memory", wrong);
+        fails(
+            &output,
+            2,
+            &["expected a whole number of MiB, or one with a unit", "50M"],
+        );
+    }
+    for option in ["--max-rows", "--max-steps"] {
+        fails(&with(option, "-1"), 2, &["expected a whole number from 0 on"]);
+    }
 }
 
 #[test]
@@ -644,6 +737,19 @@ stratum 3: path (recursive)
     let shown = out(&output);
     let shown = &shown[shown.find("stratum 3").unwrap_or_default()..];
     assert_eq!((code(&output), shown), (0, expected.as_str()));
+
+    let computed = write(
+        folder.path(),
+        "computed.dl",
+        ".decl e(a: symbol)\n.decl q(x: number)\n.output q\ne(\"it\").\nq(strlen(a) * 2 + 1) :- e(a).\n",
+    );
+    let shown = out(&logicity(["query", &computed, "--plan"]));
+    let lets: Vec<&str> = shown
+        .lines()
+        .filter_map(|line| line.trim().strip_prefix("let    "))
+        .collect();
+    assert_eq!(lets, ["b = strlen(a)", "c = b * 2", "d = c + 1"]);
+    assert!(shown.ends_with("derive q(d)\n\n"), "{shown}");
 
     let output = logicity(["query", &rules, "--profile"]);
     assert_eq!((code(&output), out(&output).as_str()), (0, "path\t3\n"));

@@ -1,7 +1,7 @@
 //! `diff`: whether two rule sets are equal, and the smallest scene in which they are not.
 
 use logicity::diag::Sources;
-use logicity::engine::diff::{Difference, Options, Verdict, diff};
+use logicity::engine::diff::{Cut, Difference, Options, Verdict, diff};
 use logicity::engine::naive;
 use logicity::files;
 use logicity::lang::{self, Constraint, RelId, Rules, Value};
@@ -133,8 +133,9 @@ fn recursion_and_numbers_are_searched_and_not_proved() {
     assert_eq!(
         diff(&left, &right, &few).unwrap(),
         Verdict::NoneFound {
-            entities: 3,
-            proof: None
+            entities: Some(3),
+            proof: None,
+            cut: Vec::new()
         }
     );
     let steps = rules(&format!("{base} Path(x, z) :- Edge(x, y), Edge(y, z)."));
@@ -200,11 +201,21 @@ fn for_all_there_is_is_not_taken_for_proved() {
     assert_eq!(
         diff(&left, &right, &few).unwrap(),
         Verdict::NoneFound {
-            entities: 4,
-            proof: None
+            entities: Some(4),
+            proof: None,
+            cut: Vec::new()
         }
     );
     assert_eq!(difference(&left, &right).entities.len(), 5);
+    let hurried = Options {
+        conflicts_max: 1,
+        ..Options::default()
+    };
+    let found = diff(&left, &right, &hurried).unwrap();
+    assert!(
+        matches!(&found, Verdict::NoneFound { entities: Some(seen), cut, .. } if *seen < 5 && *cut == [Cut::Effort]),
+        "{found:?}"
+    );
 }
 
 /// Nothing in a text makes the comparison crash or run on for ever.
@@ -218,7 +229,7 @@ fn large_programs_are_given_up_in_time() {
     let chain = rules(&chain);
     assert!(matches!(
         verdict(&chain, &chain),
-        Verdict::NoneFound { entities: 0, .. }
+        Verdict::NoneFound { entities: Some(0), ref cut, .. } if *cut == [Cut::Size, Cut::Proof]
     ));
     let wide: Vec<String> = (0..60).map(|number| format!("E(v{number}, v{})", number + 1)).collect();
     let wide = |more: &str| {
@@ -359,7 +370,7 @@ proptest! {
                 prop_assert!(difference.entities.len() <= entities);
             }
             Verdict::NoneFound { entities, .. } => {
-                prop_assert_eq!(entities, 2);
+                prop_assert_eq!(entities, Some(2));
                 prop_assert_eq!(least, None);
             }
             Verdict::Equivalent { .. } => prop_assert_eq!(least, None),

@@ -874,7 +874,7 @@ proptest! {
     }
 }
 
-/// How fast they are loaded is measured in `benches/engine.rs`; with steps for each pair of parts this would not end in minutes.
+/// Neither depth nor length exhausts the stack. How fast they are loaded is measured in `benches/engine.rs`.
 #[test]
 fn large_texts_are_loaded() {
     let many = 200_000;
@@ -929,6 +929,78 @@ fn large_texts_are_loaded() {
     ];
     for text in texts {
         survives(&text);
+    }
+}
+
+const EDGES: &str =
+    ".decl E(x: symbol, y: symbol)\n.decl W(x: symbol, n: number)\n.input E, W\n.decl P(x: symbol)\n.output P\n";
+
+/// Clauses are compared with those that have as much to say, not with all.
+#[test]
+fn twice_the_clauses_are_compared_in_little_more_than_twice_the_steps() {
+    type Written = fn(usize) -> String;
+    let kinds: [(&str, Written); 4] = [
+        ("duplicate-clause", |_| "P(x) :- E(x, y), E(y, x).\n".to_owned()),
+        ("none", |at| format!("P(x) :- W(x, n), n < {at}, E(x, _).\n")),
+        ("none", |at| {
+            format!("P(x) :- E(x, y), W(y, {at}), W(x, {}).\n", at * 7 + 1)
+        }),
+        ("subsumed-clause", |at| {
+            format!("P(x) :- E(x, y), W(y, {}){}.\n", at / 2, ["", ", y != x"][at % 2])
+        }),
+    ];
+    for (code, clause) in kinds {
+        let [one, two] = [1_000, 2_000].map(|count| {
+            let text = EDGES.to_owned() + &(0..count).map(clause).collect::<String>();
+            let (_, loaded) = load_text("many.dl", &text);
+            assert_eq!(
+                loaded.diagnostics.is_empty(),
+                code == "none",
+                "{:?}",
+                loaded.diagnostics
+            );
+            assert!(loaded.diagnostics.iter().all(|fault| fault.code.name() == code));
+            assert!(loaded.compared.complete);
+            loaded.compared.steps
+        });
+        assert!(two <= one * 5 / 2, "{code}: {one} and {two} steps");
+    }
+}
+
+/// Whether a walk of nine steps can end where it began, in a graph where that takes an even number, is not found out in time.
+#[test]
+fn comparing_that_is_given_up_is_told() {
+    let both = |a: String, b: String| format!("E({a}, {b}), E({b}, {a})");
+    let graph: Vec<String> = (0..4)
+        .flat_map(|a| (0..4).map(move |b| both(format!("a{a}"), format!("b{b}"))))
+        .collect();
+    let walk: Vec<String> = (0..9).map(|at| format!("E(c{at}, c{})", (at + 1) % 9)).collect();
+    let clauses = [graph, walk].map(|body| format!("P({}) :- {}.\n", &body[0][2..4], body.join(", ")));
+    let (_, loaded) = load_text("hard.dl", &(EDGES.to_owned() + &clauses.concat()));
+    assert!(loaded.rules.is_some() && loaded.diagnostics.is_empty());
+    assert!(!loaded.compared.complete);
+}
+
+/// Every literal of a clause with more to say stands in the one with less, so it is found wherever it stands among many others.
+#[test]
+fn redundant_clauses_are_found_wherever_they_stand() {
+    let general = "P(x) :- E(x, y), W(y, 7).\n";
+    let special = "P(a) :- W(c, 7), a != c, W(a, n), n < 9, E(a, c).\n";
+    let others: Vec<String> = (0..200)
+        .map(|at| format!("P(x) :- E(y, x), W(y, {at}), W(x, {}).\n", at + 1))
+        .collect();
+    for (first, second) in [(0, 200), (57, 58), (199, 3)] {
+        let mut clauses = others.clone();
+        clauses.insert(first, general.to_owned());
+        clauses.insert(second, special.to_owned());
+        let text = EDGES.to_owned() + &clauses.concat();
+        let (_, loaded) = load_text("one.dl", &text);
+        let [fault] = loaded.diagnostics.as_slice() else {
+            panic!("{:?}", loaded.diagnostics)
+        };
+        let place = fault.primary.as_ref().expect("a clause").span;
+        assert_eq!(fault.code, Code::SubsumedClause);
+        assert_eq!(text[place.start as usize..place.end as usize], *special.trim_end());
     }
 }
 

@@ -393,6 +393,16 @@ fn nothing_an_editor_sends_ends_the_server() {
     assert_eq!(refused["code"], -32602);
     editor.tell("textDocument/didOpen", json!({ "nonsense": true }));
     editor.tell("$/setTrace", json!({ "value": "off" }));
+    editor.tell("textDocument/didOpen", json!({ "textDocument": "a.dl" }));
+    assert_eq!(editor.ask("shutdown?", Value::Null)["code"], -32601);
+    let logged = editor.published.pop_back().expect("what cannot be read is told");
+    assert_eq!(logged["type"], 1);
+    assert!(
+        logged["message"]
+            .as_str()
+            .unwrap()
+            .starts_with("`textDocument/didOpen` cannot be read: ")
+    );
     editor.open(
         "a.dl",
         "\u{feff}.decl A(x: symbol)\r\nA(\"\u{1f697}\u{1f697}\r\n.include \"\u{0}\"\n",

@@ -1,7 +1,7 @@
 //! The prompt as a user meets it: through a pipe, where all is text, and at a terminal.
 
 use std::fs;
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
@@ -277,6 +277,72 @@ fn facts_come_from_a_folder() {
 }
 
 #[test]
+fn a_question_ends_where_it_can_be_answered() {
+    let facts = format!("{GRAPH}Edge(1, 2). Edge(2, 3).\n");
+    let stopped = good(&format!("{facts}?- Path(x, y), y = 3.\n"));
+    for question in [
+        "?- Path(x, y), y = 3",
+        "?- Path(x, y),\n  y = 3",
+        "?- Path(x, y), y =\n 3",
+    ] {
+        assert_eq!(
+            good(&format!("{facts}{question}\n?- Path(1, 3)\n")),
+            format!("{stopped}true\n"),
+            "{question}"
+        );
+    }
+}
+
+#[test]
+fn words_of_other_prompts_are_told() {
+    for (input, meant) in [
+        (".why Path(1, 2)", "explain FACT"),
+        ("why Path(1, 2)", "explain FACT"),
+        (".whynot Path(1, 2).", "why-not FACT"),
+        ("exit", ".quit"),
+        (".tables", ".relations"),
+    ] {
+        let (_, err, code) = typed(&format!("{GRAPH}{input}\n?- Edge(1, 2)\n"));
+        assert!(
+            err.contains("no command `") && err.contains(&format!("type `{meant}`")),
+            "{input}: {err}"
+        );
+        assert_eq!(code, 1);
+    }
+    assert_eq!(
+        good(".decl why(x: number)\nwhy(1).\n?- why(x).\n"),
+        "why +1\nx\n-\n1\n1 row\n"
+    );
+}
+
+#[test]
+fn reading_again_tells_rows_that_took_the_place_of_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("p.dl");
+    let text = |fact: &str| format!(".decl E(x: symbol)\n.decl P(x: symbol)\n{fact}\nP(x) :- E(x).\n");
+    fs::write(&path, text("E(\"a\"). E(\"b\").")).unwrap();
+    fs::write(folder.path().join("new.dl"), text("E(\"c\"). E(\"b\").")).unwrap();
+    let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .args(["repl", "p.dl"])
+        .current_dir(folder.path())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut input = process.stdin.take().unwrap();
+    let mut output = BufReader::new(process.stdout.take().unwrap());
+    let mut line = String::new();
+    input.write_all(b"?- E(\"a\")\n").unwrap();
+    output.read_line(&mut line).unwrap();
+    fs::rename(folder.path().join("new.dl"), &path).unwrap();
+    input.write_all(b".reload\n").unwrap();
+    output.read_line(&mut line).unwrap();
+    drop(input);
+    assert!(process.wait().unwrap().success());
+    assert_eq!(line, "true\nE +1 -1, P +1 -1\n");
+}
+
+#[test]
 fn a_recursion_without_an_end_is_stopped_and_changes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let input = ".decl N(x: number)\nN(1).\nN(x * 3 + 1) :- N(x).\n?- N(x).\n";
@@ -471,5 +537,21 @@ mod terminal {
         terminal.sees("> ");
         terminal.press(".quit\r");
         assert!(terminal.process.wait().unwrap().success());
+    }
+
+    #[test]
+    fn who_waits_is_told_that_there_is_something_to_wait_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut terminal = Terminal::open(folder.path());
+        terminal.sees("> ");
+        terminal.press(".decl N(x: number)\r");
+        terminal.sees("> ");
+        terminal.press("N(x) :- x = range(1, 5000).\r");
+        terminal.sees("N +4999");
+        terminal.sees("> ");
+        terminal.press("?- N(x), N(y), N(z), N(v), x * y + z * v = 0.\r");
+        terminal.sees("still evaluating");
+        terminal.process.kill().unwrap();
+        terminal.process.wait().unwrap();
     }
 }

@@ -1,11 +1,11 @@
 //! `logicity check`
 
 use super::trace::TraceReader;
-use super::{Failure, load_program, report};
+use super::{Failure, load_texts, report};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
 use crate::engine::provenance::Teller;
 use crate::engine::{Program, optimize};
-use crate::lang::{ClauseId, RelId, Rules};
+use crate::lang::{ClauseId, Inputs, RelId, Rules};
 use crate::sim::{Coverage, ENTITIES_MAX, Finding, Overlap, conflicts};
 use serde_json::json;
 use std::collections::HashSet;
@@ -17,7 +17,8 @@ pub struct Arguments {
     /// Rule files; each is a program of its own. With --coverage, the rules of the run unless given
     #[arg(required_unless_present = "coverage", value_name = "RULES")]
     rules: Vec<PathBuf>,
-    /// Print one JSON object a file instead: `file`, `ok`, `strata`, `conflicts`, `diagnostics`, with --coverage `coverage`
+    /// Print one JSON object a file instead: `file`, `ok`, `strata`, `conflicts`, `diagnostics`, with --coverage `coverage`, and
+    /// `unfinished`, what was not searched to the end, if anything
     #[arg(long)]
     json: bool,
     /// Tell how often each clause fires on the states of this trace, and which literals never matter there
@@ -41,49 +42,20 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         paths.push(TraceReader::open(trace)?.header.rules.into());
     }
     for path in &paths {
-        let (program, mut found) = match load_program(sources, path) {
-            Ok((program, warnings)) => (Some(program), warnings),
-            Err(Failure::Input(faults)) => (None, faults),
+        let report = match examine(arguments, path, sources) {
+            Ok(report) => report,
             Err(Failure::Usage(message)) => {
                 unreadable.push(message);
                 continue;
             }
             Err(other) => return Err(other),
         };
-        if let Some(rules) = program.as_ref().map(Program::rules) {
-            let lints = optimize::lints(rules).into_iter();
-            // What is needless may be there for the reader.
-            found.extend(lints.filter(|lint| arguments.lints || lint.code == Code::ContradictoryBody));
-        }
-        let overlaps = program.as_ref().map(conflicts);
-        let covered = match (&arguments.coverage, &program) {
-            (Some(trace), Some(_)) => Some(measure(arguments, trace, path, sources)?),
-            _ => None,
-        };
         if arguments.json {
-            let rules = program.as_ref().map(Program::rules);
-            let mut line = json!({
-                "file": path.display().to_string(),
-                "ok": rules.is_some(),
-                "strata": rules.map(strata),
-            });
-            if let (Some(rules), Some(overlaps)) = (rules, &overlaps) {
-                line["conflicts"] = overlaps_json(overlaps, rules, sources);
-            }
-            if let (Some(rules), Some(covered)) = (rules, &covered) {
-                line["coverage"] = coverage_json(covered, rules, sources);
-            }
-            line["diagnostics"] = to_json(&found, sources);
-            writeln!(out, "{line}")?;
-        } else if let Some(rules) = program.as_ref().map(Program::rules) {
-            let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
-            writeln!(out, "{}: {} clauses", path.display(), rules.clauses.len())?;
-            writeln!(out, "  strata: {}", strata.join(" < "))?;
-            tell_overlaps(&mut out, overlaps.as_deref().unwrap_or_default(), rules, sources)?;
-            if let (Some(covered), Some(trace)) = (&covered, &arguments.coverage) {
-                tell_coverage(&mut out, covered, trace, rules, sources)?;
-            }
+            writeln!(out, "{}", report.json(path, sources))?;
+        } else {
+            report.tell(&mut out, path, arguments, sources)?;
         }
+        let found = report.found;
         // A fault in a file that several programs include is told once.
         diagnostics.extend(
             found
@@ -99,6 +71,102 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Err(Failure::Usage(unreadable.join("\nerror: ")));
     }
     if faulty { Err(Failure::Told) } else { Ok(()) }
+}
+
+/// What is known of one file.
+struct Report {
+    program: Option<Program>,
+    found: Vec<Diagnostic>,
+    /// What was not looked at since it would have taken too long.
+    unfinished: Vec<&'static str>,
+    overlaps: Vec<Overlap>,
+    covered: Option<Coverage>,
+}
+
+fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<Report, Failure> {
+    let mut report = Report {
+        program: None,
+        found: Vec::new(),
+        unfinished: Vec::new(),
+        overlaps: Vec::new(),
+        covered: None,
+    };
+    let loaded = match load_texts(sources, path, Inputs::Given) {
+        Ok(texts) => texts.check(),
+        Err(Failure::Input(faults)) => {
+            report.found = faults;
+            return Ok(report);
+        }
+        Err(other) => return Err(other),
+    };
+    report.found = loaded.diagnostics;
+    if !loaded.compared.complete {
+        report.unfinished.push("clauses that derive nothing new");
+    }
+    let program = loaded.rules.map(Program::new).transpose();
+    let Some(program) = program.unwrap_or_else(|fault| {
+        report.found.push(fault);
+        None
+    }) else {
+        return Ok(report);
+    };
+    let lints = optimize::lints(program.rules());
+    // What is needless may be there for the reader.
+    let shown = |lint: &Diagnostic| arguments.lints || lint.code == Code::ContradictoryBody;
+    report.found.extend(lints.diagnostics.into_iter().filter(shown));
+    if arguments.lints {
+        report.unfinished.extend(lints.unfinished);
+    }
+    report.overlaps = conflicts(&program);
+    if let Some(trace) = &arguments.coverage {
+        report.covered = Some(measure(arguments, trace, path, sources)?);
+    }
+    report.program = Some(program);
+    Ok(report)
+}
+
+impl Report {
+    fn rules(&self) -> Option<&Rules> {
+        self.program.as_ref().map(Program::rules)
+    }
+
+    fn json(&self, path: &Path, sources: &Sources) -> serde_json::Value {
+        let mut line = json!({
+            "file": path.display().to_string(),
+            "ok": self.program.is_some(),
+            "strata": self.rules().map(strata),
+        });
+        if let Some(rules) = self.rules() {
+            line["conflicts"] = overlaps_json(&self.overlaps, rules, sources);
+            if let Some(covered) = &self.covered {
+                line["coverage"] = coverage_json(covered, rules, sources);
+            }
+        }
+        if !self.unfinished.is_empty() {
+            line["unfinished"] = json!(self.unfinished);
+        }
+        line["diagnostics"] = to_json(&self.found, sources);
+        line
+    }
+
+    /// Nothing of rules with errors.
+    fn tell(&self, out: &mut impl Write, path: &Path, arguments: &Arguments, sources: &Sources) -> io::Result<()> {
+        let Some(rules) = self.rules() else { return Ok(()) };
+        let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
+        writeln!(out, "{}: {} clauses", path.display(), rules.clauses.len())?;
+        writeln!(out, "  strata: {}", strata.join(" < "))?;
+        for what in &self.unfinished {
+            writeln!(
+                out,
+                "  cut short: the search for {what}; there may be more than are told"
+            )?;
+        }
+        tell_overlaps(out, &self.overlaps, rules, sources)?;
+        if let (Some(covered), Some(trace)) = (&self.covered, &arguments.coverage) {
+            tell_coverage(out, covered, trace, rules, sources)?;
+        }
+        Ok(())
+    }
 }
 
 /// The names of the predicates of each stratum, hidden ones left out, in the order in which they are computed.

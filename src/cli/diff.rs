@@ -2,7 +2,7 @@
 
 use super::{Failure, load_program, report};
 use crate::diag::Sources;
-use crate::engine::diff::{Difference, Options, Verdict, diff};
+use crate::engine::diff::{Cut, Difference, Options, Verdict, diff};
 use serde_json::{Map, Value, json};
 use std::io::Write;
 use std::path::PathBuf;
@@ -77,12 +77,19 @@ fn equal(verdict: &Verdict) -> String {
             "equivalent: proved (a difference would show in a scene of at most {}, and none does)",
             plural(*entities)
         ),
-        Verdict::NoneFound { entities, proof } => {
-            let rest = match proof {
+        Verdict::NoneFound { entities, proof, cut } => {
+            let mut text = match entities {
+                Some(entities) => format!("no difference in any scene of at most {}; ", plural(*entities)),
+                None => "no scene could be looked at, not even the smallest; ".to_owned(),
+            };
+            text += &match proof {
                 Some(proof) => format!("a proof needs scenes of up to {}", plural(*proof)),
                 None => "no number of entities is known to be enough for a proof".to_owned(),
             };
-            format!("no difference in any scene of at most {}; {rest}", plural(*entities))
+            for cut in cut {
+                text += &format!("\ncut short: {}", reason(*cut));
+            }
+            text
         }
         Verdict::NoneTried {
             facts,
@@ -99,6 +106,14 @@ fn equal(verdict: &Verdict) -> String {
             format!("no difference found in {scenes} scenes: {every}, and larger ones at random; nothing is proved")
         }
         Verdict::Different(_) => String::new(),
+    }
+}
+
+fn reason(cut: Cut) -> &'static str {
+    match cut {
+        Cut::Effort => "the search met as many dead ends as `--effort` allows",
+        Cut::Size => "larger scenes have too many possible facts, or facts too many ways to be derived",
+        Cut::Proof => "finding out how many entities a proof needs takes too long for these rules",
     }
 }
 
@@ -146,9 +161,10 @@ fn scene(difference: &Difference) -> Value {
 fn to_json(verdict: &Verdict) -> Value {
     match verdict {
         Verdict::Equivalent { entities } => json!({ "verdict": "equivalent", "proved": true, "entities": entities }),
-        Verdict::NoneFound { entities, proof } => {
-            json!({ "verdict": "none-found", "proved": false, "entities": entities, "needed": proof })
-        }
+        Verdict::NoneFound { entities, proof, cut } => json!({
+            "verdict": "none-found", "proved": false, "entities": entities, "needed": proof,
+            "cut": cut.iter().map(|cut| reason(*cut)).collect::<Vec<_>>(),
+        }),
         Verdict::NoneTried {
             facts,
             entities,

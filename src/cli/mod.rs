@@ -46,7 +46,7 @@ enum Command {
     Fmt(fmt::Arguments),
     /// Compare two rule sets: are they equal, and if not, in which smallest scene do they differ?
     Diff(diff::Arguments),
-    /// Run any Datalog program on facts files, as Souffle does
+    /// Run any Datalog program on facts files, as Soufflé does
     Query(query::Arguments),
     /// Work on a Datalog program at a prompt: add and retract facts and rules, ask questions, see why
     Repl(repl::Arguments),
@@ -214,28 +214,48 @@ fn read(path: &Path) -> Result<String, Failure> {
 #[derive(clap::Args)]
 struct LimitOptions {
     /// Stop with an error if the rules derive more rows: a hundred millions unless given, at the prompt of `repl` a million
-    #[arg(long, value_name = "COUNT")]
+    #[arg(long, value_name = "COUNT", value_parser = count_of::<usize>, allow_negative_numbers = true)]
     max_rows: Option<usize>,
     /// Stop with an error if more rows have to be looked at: a hundred thousand millions unless given
-    #[arg(long, value_name = "COUNT")]
+    #[arg(long, value_name = "COUNT", value_parser = count_of::<u64>, allow_negative_numbers = true)]
     max_steps: Option<u64>,
-    /// Stop with an error if rows, indexes and texts take more memory, in MiB: 4096 unless given; the process may need about three
-    /// times as much
-    #[arg(long, value_name = "MIB")]
+    /// Stop with an error if rows, indexes and texts take more memory: in MiB, or with a unit: K, M, G, T or KiB, MiB, GiB, TiB (all
+    /// powers of 1024); 4096 unless given; the process may need about three times as much
+    #[arg(long, value_name = "SIZE", value_parser = memory, allow_negative_numbers = true)]
     max_memory: Option<u64>,
 }
 
 impl LimitOptions {
     /// With these limits for what is not given.
     fn limits(&self, usual: Limits) -> Limits {
-        let bytes = self.max_memory.map(|mebibytes| mebibytes.saturating_mul(1 << 20));
         Limits {
             rows: self.max_rows.unwrap_or(usual.rows),
             steps: self.max_steps.unwrap_or(usual.steps),
-            bytes: bytes.unwrap_or(usual.bytes),
+            bytes: self.max_memory.unwrap_or(usual.bytes),
         }
     }
 }
+
+fn count_of<N: std::str::FromStr>(text: &str) -> Result<N, String> {
+    text.parse().map_err(|_| "expected a whole number from 0 on".to_owned())
+}
+
+/// Bytes: a number of mebibytes, or one with a unit.
+fn memory(text: &str) -> Result<u64, String> {
+    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let scale = match unit.trim_start().to_ascii_lowercase().as_str() {
+        "k" | "kib" => 10,
+        "" | "m" | "mib" => 20,
+        "g" | "gib" => 30,
+        "t" | "tib" => 40,
+        _ => return Err(MEMORY.to_owned()),
+    };
+    let number: u64 = number.parse().map_err(|_| MEMORY.to_owned())?;
+    Ok(number.saturating_mul(1 << scale))
+}
+
+const MEMORY: &str = "expected a whole number of MiB, or one with a unit: 512K, 50M, 2G, 1T, 50MiB";
 
 /// The fault of a commit, with what can be done about it.
 pub(super) fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {

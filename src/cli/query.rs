@@ -2,9 +2,9 @@
 
 use super::why::{self, Question};
 use super::{Failure, LimitOptions, compile, load_texts, make_folder, report, too_much};
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::diag::{Code, Diagnostic, Sources, Span};
 use crate::engine::{Delta, Limits, Moment, Options, Program, RuleWork, Session, StratumWork, Threads, facts, promise};
-use crate::files::{self, Output, ReadError};
+use crate::files::{self, Output};
 use crate::lang::{ClauseId, Inputs, MarkKind, RelId, RowPlace};
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
@@ -131,7 +131,7 @@ fn write_results(out: &mut dyn Write, session: &Session, folder: &Path) -> Resul
                 MarkKind::Input => {}
                 MarkKind::Output => {
                     let mut format = directive.format.clone();
-                    // As Souffle has it.
+                    // As Soufflé has it.
                     format.headers |= to_terminal;
                     let header = facts::header(relation, &format);
                     let rows = |out: &mut dyn Write| facts::write_rows(session, id, &format, out);
@@ -271,30 +271,24 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
                 RowPlace::File(name) => folder.join(name),
                 RowPlace::Terminal => PathBuf::from("standard input"),
             };
-            let text = match directive.place {
-                RowPlace::Terminal => files::read_from(std::io::stdin()),
-                _ => files::read_text(&path),
+            let read = match directive.place {
+                RowPlace::Terminal => files::read_any(std::io::stdin()),
+                _ => files::open(&path).and_then(files::read_any),
             };
-            match text {
-                Ok(text) => {
-                    let source = sources.add(path.display().to_string(), text);
-                    if let Err(found) = facts::load_as(session, id, sources, source, &directive.format) {
-                        faults.extend(found);
-                    }
-                }
-                Err(error @ ReadError::NotText { .. }) => {
-                    faults.push(Diagnostic::new(
-                        Code::NotText,
-                        format!("`{}` is {error}", path.display()),
-                    ));
-                }
-                Err(error) => {
-                    return Err(Failure::Usage(format!(
-                        "cannot read the facts of `{}` from `{}`: {error}",
-                        relation.name,
-                        path.display()
-                    )));
-                }
+            let (text, not_text) = read.map_err(|error| {
+                let (name, path) = (&relation.name, path.display());
+                Failure::Usage(format!("cannot read the facts of `{name}` from `{path}`: {error}"))
+            })?;
+            let source = sources.add(path.display().to_string(), text);
+            // What else is wrong with the file is told all the same.
+            faults.extend(not_text.map(|first| {
+                let place = Span::new(source, first..first + char::REPLACEMENT_CHARACTER.len_utf8());
+                Diagnostic::new(Code::NotText, format!("`{}` is not UTF-8 text", path.display()))
+                    .at(place, "the first bytes that are none")
+                    .help("save the file as UTF-8")
+            }));
+            if let Err(found) = facts::load_as(session, id, sources, source, &directive.format) {
+                faults.extend(found);
             }
         }
     }

@@ -56,7 +56,7 @@ pub fn tell(
     let fact = texts.fact(sources, source, session.symbols())?;
     let mut explainer = Explainer::new(session);
     let (answer, explanation) = explain(&mut explainer, session, fact.relation, &fact.values)?;
-    let teller = Teller::new(session.program().rules(), session.symbols(), sources);
+    let teller = Teller::new(session.program().rules(), session.symbols(), sources).quoting();
     let shown = teller.row(fact.relation, &fact.values);
     if as_json {
         let mut line = json!({ "fact": shown, "holds": answer == Question::Holds });

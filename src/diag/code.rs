@@ -38,7 +38,7 @@ codes! {
     // --- rules
     /// The text does not follow the grammar.
     Syntax = "syntax", Error;
-    /// A feature of Souffle that this language does not have.
+    /// A feature of Soufflé that this language does not have.
     Unsupported = "unsupported", Error;
     /// A predicate that is not declared.
     UnknownPredicate = "unknown-predicate", Error;
@@ -76,9 +76,9 @@ codes! {
     DuplicateClause = "duplicate-clause", Warning;
     /// A clause that can never fire, since a predicate it needs is always empty.
     DeadClause = "dead-clause", Warning;
-    /// Something of Souffle that is accepted and has no effect here.
+    /// Something of Soufflé that is accepted and has no effect here.
     Ignored = "ignored", Warning;
-    /// A declaration of a type as older versions of Souffle write it.
+    /// A declaration of a type as older versions of Soufflé write it.
     OldForm = "old-form", Warning;
 
     /// A body two literals of which never hold together.

@@ -1,4 +1,4 @@
-//! Relations as text, by Souffle's conventions.
+//! Relations as text, by Soufflé's conventions.
 //!
 //! One row is one line, its values are separated by tabs or what a [`RowFormat`] says: a symbol as it is, a number in decimal,
 //! a float with up to nine significant digits. The only row of a relation without columns is `()`. This module turns text into rows and rows into text; reading and writing files is for others.

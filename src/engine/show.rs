@@ -3,7 +3,7 @@
 use crate::diag::Sources;
 use crate::engine::plan::{IndexId, List, Plan, Plans, Slot, Source, Step, StratumPlan, Version};
 use crate::engine::{Compiled, Program, Session, facts};
-use crate::lang::{BaseType, Clause, ClauseId, Functor, RelId, Value};
+use crate::lang::{BaseType, Clause, ClauseId, Functor, RelId, Value, is_name, quoted};
 use crate::symbol::Symbol;
 
 impl Program {
@@ -31,6 +31,26 @@ impl Program {
     pub fn show_clause(&self, id: ClauseId, sources: &Sources) -> String {
         on_one_line(&self.0.rules.clauses[id.index()], sources)
     }
+}
+
+/// The names of variables; one that holds the value of an expression, and is named by it, gets a letter that is free.
+fn readable(variables: &[String]) -> Vec<String> {
+    let mut letters = (0_u32..).flat_map(|round| {
+        ('a'..='z').map(move |letter| match round {
+            0 => letter.to_string(),
+            _ => format!("{letter}{round}"),
+        })
+    });
+    let mut free = || letters.find(|letter| !variables.contains(letter)).unwrap_or_default();
+    (variables.iter())
+        .map(|name| {
+            if is_name(name) || name == "_" {
+                name.clone()
+            } else {
+                free()
+            }
+        })
+        .collect()
 }
 
 fn on_one_line(clause: &Clause, sources: &Sources) -> String {
@@ -123,9 +143,9 @@ impl Shown<'_> {
     }
 
     fn show_steps(&self, out: &mut String, clause: &Clause, plan: &Plan) {
-        let known = |slot: Slot| clause.variables.get(slot as usize).map(String::as_str);
+        let names = readable(&clause.variables);
         let value = |slot: Slot, base: BaseType| {
-            let name = known(slot).map(str::to_owned);
+            let name = names.get(slot as usize).cloned();
             name.unwrap_or_else(|| self.show_value(plan.slots[slot as usize], base))
         };
         // Where the part ends of which was told that one match is enough.
@@ -277,10 +297,7 @@ impl Shown<'_> {
 
     fn show_value(&self, value: Value, base: BaseType) -> String {
         match base {
-            BaseType::Symbol => format!(
-                "{:?}",
-                self.compiled.rules.symbols.text(Symbol(value.0)).unwrap_or_default()
-            ),
+            BaseType::Symbol => quoted(self.compiled.rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
             BaseType::Float => facts::print_float(value.as_float()),

@@ -47,15 +47,14 @@ impl<'c> Check<'_, 'c> {
     pub fn finish(&mut self, pending: &[Pending<'c>], context: &[Literal], finish: &mut Finish<'_>) -> Vec<Literal> {
         let mut done: Vec<Option<Literal>> = Vec::with_capacity(pending.len());
         for pending in pending {
-            let simple = !matches!(
+            let is_range = matches!(
                 pending,
-                Pending::Aggregate { .. }
-                    | Pending::Compute {
-                        functor: Functor::Range,
-                        ..
-                    }
+                Pending::Compute {
+                    functor: Functor::Range,
+                    ..
+                }
             );
-            done.push(simple.then(|| self.written(pending)));
+            done.push(if is_range { None } else { self.written(pending) });
         }
         // An aggregate or a range may need the value of another one.
         let mut progress = true;

@@ -67,10 +67,15 @@ pub(super) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults:
         ..Clauses::default()
     };
     let mut scopes = scope::Scopes::default();
+    let mut before = None;
     for item in items {
         match item {
             Item::Scope(scope) => scopes.enter(scope, names, faults),
-            Item::Clause(clause) => one(clause, &mut scopes, names, &mut clauses, faults),
+            Item::Clause(clause) => {
+                one(clause, &mut scopes, names, &mut clauses, faults);
+                before = Some(clause);
+            }
+            Item::Plan(plan) => check_plan(plan, before, faults),
             _ => {}
         }
     }
@@ -87,20 +92,47 @@ pub(super) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults:
     clauses
 }
 
+/// Orders that are none of the clause before are refused, as Soufflé does.
+fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Faults) {
+    let positive = |literal: &ast::Literal| matches!(literal, ast::Literal::Atom { negated: false, .. });
+    let is_flat = |clause: &&ast::Clause| {
+        !clause
+            .body
+            .iter()
+            .any(|literal| matches!(literal, ast::Literal::Any(_)))
+    };
+    if let Some(clause) = clause.filter(is_flat) {
+        let count = clause.body.iter().filter(|literal| positive(literal)).count();
+        for (version, order) in &plan.orders {
+            let mut sorted = order.clone();
+            sorted.sort_unstable();
+            if !sorted.into_iter().eq(1..=count as i64) {
+                let fault = Diagnostic::new(
+                    Code::Syntax,
+                    format!("version {version} is no order of the clause's atoms"),
+                )
+                .at(plan.place.0, "")
+                .also(
+                    clause.place.0,
+                    format!("the positive atoms of the clause before it: {count}"),
+                );
+                faults.push(fault.help("name each atom once by its number, or remove `.plan`: it has no effect"));
+                return;
+            }
+        }
+    }
+    let fault = Diagnostic::new(Code::Ignored, "`.plan` has no effect").at(plan.place.0, "");
+    faults.push(fault.help("remove it; the order of literals is chosen by itself"));
+}
+
 /// A predicate that is input and derived: what is given goes to a hidden one, `P(x, y) :- +1(x, y).`
 fn give(id: RelId, names: &mut Names, out: &mut Clauses) {
     let given = RelId(u32::try_from(names.relations.len()).expect("fewer than 2^32 predicates"));
-    let hidden = Relation {
-        name: format!("+{}", names.hidden() + 1),
-        doc: format!("the rows of `{}` that are given", names.relation(id).name),
-        input: false,
-        output: false,
-        printsize: false,
-        derived: false,
-        hidden: true,
-        directives: Vec::new(),
-        ..names.relation(id).clone()
-    };
+    let owner = names.relation(id);
+    let name = format!("+{}", names.hidden() + 1);
+    let doc = format!("the rows of `{}` that are given", owner.name);
+    let mut hidden = Relation::made(name, owner.columns.clone(), doc, owner.span);
+    hidden.derived = false;
     let span = hidden.span;
     let terms: Vec<Term> = (0..hidden.columns.len())
         .map(|column| Term::Variable(VarId(u32::try_from(column).expect("few columns"))))

@@ -71,6 +71,13 @@ const FOREIGN: &[(&str, Kind, &str)] = &[
     ("\u{2190}", Kind::If, IMPLICATION),
 ];
 
+/// The words of the C preprocessor: what begins with `#` and another word is a comment in other languages.
+const PREPROCESSOR: &[&str] = &[
+    "include", "define", "undef", "if", "ifdef", "ifndef", "elif", "else", "endif", "error", "warning", "line",
+    "pragma",
+];
+
+pub(super) const COMMENT: &str = "comments begin with `//`, or stand between `/*` and `*/`";
 pub(super) const NEGATION: &str = "negation is written `Not(P(X))`, `not P(X)` or `!P(X)`";
 pub(super) const CONJUNCTION: &str = "literals are separated by commas, which mean \"and\"";
 pub(super) const DISJUNCTION: &str = "alternatives are separated by `;`";
@@ -140,6 +147,7 @@ pub(super) fn lex(source: SourceId, text: &str, faults: &mut Faults) -> Lexed {
             0
         },
         fresh_line: true,
+        foreign_comments: Vec::new(),
         lexed: Lexed {
             tokens: Vec::new(),
             docs: Vec::new(),
@@ -157,6 +165,8 @@ struct Lexer<'a> {
     bytes: &'a [u8],
     at: usize,
     fresh_line: bool,
+    /// Where comments of other languages begin.
+    foreign_comments: Vec<Span>,
     lexed: Lexed,
     faults: &'a mut Faults,
 }
@@ -179,6 +189,7 @@ impl Lexer<'_> {
             }
         }
         self.push(Kind::End, 0);
+        self.report_foreign_comments();
     }
 
     fn peek(&self, ahead: usize) -> Option<u8> {
@@ -337,7 +348,7 @@ impl Lexer<'_> {
         let (written, kind, help) = FOREIGN
             .iter()
             .find(|(written, ..)| rest.starts_with(written.as_bytes()))?;
-        // `T<>` is a lattice of Souffle's, which the parser knows.
+        // `T<>` is a lattice of Soufflé's, which the parser knows.
         if *written == "<>" && matches!(rest.get(2), Some(b')' | b',')) {
             return None;
         }
@@ -349,8 +360,44 @@ impl Lexer<'_> {
         Some(())
     }
 
+    /// Skips a comment as other languages have it, where nothing else can be meant. Whether there was one.
+    fn foreign_comment(&mut self) -> bool {
+        let rest = &self.text[self.at..];
+        let after_item = (self.lexed.tokens.last()).is_none_or(|token| token.kind == Kind::Dot);
+        let word = |text: &str| {
+            text.trim_start()
+                .split(|c: char| !c.is_ascii_alphabetic())
+                .next()
+                .map(str::to_owned)
+        };
+        let length = match rest.strip_prefix('#') {
+            Some(rest) if !word(rest).is_some_and(|word| PREPROCESSOR.contains(&word.as_str())) => 1,
+            None if after_item && rest.starts_with('%') => 1,
+            None if after_item && rest.starts_with("--") => 2,
+            _ => return false,
+        };
+        self.foreign_comments.push(self.span(self.at, self.at + length));
+        self.at += self.count_while(self.at, |byte| byte != b'\n');
+        true
+    }
+
+    /// One fault for all of them: who writes one writes many.
+    fn report_foreign_comments(&mut self) {
+        let Some((&first, others)) = self.foreign_comments.split_first() else {
+            return;
+        };
+        let written = &self.text[first.start as usize..first.end as usize];
+        let mut fault = Diagnostic::new(Code::Syntax, format!("`{written}` does not begin a comment"))
+            .at(first, "")
+            .help(COMMENT);
+        if !others.is_empty() {
+            fault = fault.note(format!("there are {} more such lines", others.len()));
+        }
+        self.faults.push(fault);
+    }
+
     fn punctuation(&mut self, byte: u8) {
-        if self.foreign().is_some() {
+        if self.foreign_comment() || self.foreign().is_some() {
             return;
         }
         let (kind, length) = match (byte, self.peek(1)) {

@@ -1,6 +1,7 @@
 //! Warnings that need all clauses: those that can never fire, and those that derive nothing new.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::hash_map::Entry;
+use std::collections::{BTreeSet, HashMap, HashSet};
 
 use crate::diag::{Code, Diagnostic, Faults, Span};
 
@@ -9,6 +10,7 @@ use super::functor::Functor;
 use super::names::Names;
 use super::rules::{Atom, BaseType, Clause, Comparison, Literal, RelId, Relation, Term, Value};
 use super::strata;
+use super::subsets::{Budget, Comparing, Subsets};
 
 // --- clauses that never fire
 
@@ -123,7 +125,7 @@ fn filled(all: &Clauses, names: &Names) -> Vec<bool> {
 
 // --- clauses that derive nothing new
 
-/// All comparisons of clauses together take at most so many steps; later pairs are not compared.
+/// All comparisons of clauses together take at most so many steps; then the search is given up.
 const MAX_STEPS: usize = 10_000_000;
 
 /// One comparison takes at most so many steps; if that does not settle it, nothing is said.
@@ -134,7 +136,7 @@ const MAX_STEPS_OF_PAIR: usize = 2_000;
 /// C makes D redundant if some substitution of C's variables makes their heads equal and each literal of C one of D's (theta
 /// subsumption): whenever D fires, C derives the same. That is sufficient, not necessary, so what is reported is true, but
 /// not all that is true is reported.
-pub(super) fn redundant(clauses: &[Checked], faults: &mut Faults) {
+pub(super) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
     // Facts are found by their rows: there may be very many. The map is only asked, never walked.
     let mut facts: HashMap<(RelId, &[Term]), Span> = HashMap::new();
     for Checked { clause, sound, .. } in clauses {
@@ -155,35 +157,60 @@ pub(super) fn redundant(clauses: &[Checked], faults: &mut Faults) {
             if let Some(&fact) = facts.get(&(clause.head.relation, clause.head.terms.as_slice())) {
                 report(Code::SubsumedClause, clause.span, fact, faults);
             } else {
-                by_head
-                    .entry(clause.head.relation)
-                    .or_default()
-                    .push(Pattern::new(clause));
+                let group = by_head.entry(clause.head.relation).or_default();
+                group.push(Pattern::new(clause));
             }
         }
     }
-    let mut steps = MAX_STEPS;
-    for group in by_head.values() {
-        let mut gone = vec![false; group.len()];
-        for later in 0..group.len() {
-            for earlier in 0..later {
-                let Some(rest) = steps.checked_sub(1) else { return };
-                steps = rest;
-                if gone[later] {
-                    break;
-                }
-                // Alternatives and heads of one clause are not the author's fault.
-                if gone[earlier] || group[earlier].span == group[later].span {
-                    continue;
-                }
-                if let Some((code, redundant)) = compare(&group[earlier], &group[later], &mut steps) {
-                    let (redundant, other) = if redundant { (later, earlier) } else { (earlier, later) };
-                    gone[redundant] = true;
-                    report(code, group[redundant].span, group[other].span, faults);
-                }
+    let mut budget = Budget::new(MAX_STEPS);
+    for group in by_head.into_values() {
+        redundant_of(group, &mut budget, faults);
+    }
+    budget.spent()
+}
+
+/// The same for clauses with one head predicate.
+fn redundant_of(group: Vec<Pattern>, budget: &mut Budget, faults: &mut Faults) {
+    let group = without_copies(group, faults);
+    let traits: Vec<(usize, BTreeSet<Trait>)> = group.iter().map(Pattern::traits).enumerate().collect();
+    let subsets = Subsets::new(&traits, |_| false);
+    let mut gone = vec![false; group.len()];
+    for (special, own) in &traits {
+        let special = *special;
+        let Some(candidates) = subsets.within(own, false, budget) else {
+            return;
+        };
+        // Alternatives and heads of one clause are not the author's fault.
+        let others = (candidates.into_iter()).filter(|&other| group[other].span != group[special].span);
+        for general in others {
+            if gone[general] {
+                continue;
+            }
+            if let Some(code) = makes_redundant(&group, general, special, budget) {
+                gone[special] = true;
+                report(code, group[special].span, group[general].span, faults);
+                break;
             }
         }
     }
+}
+
+/// Tells copies, and leaves them out, so that many of one clause are not compared with each other.
+fn without_copies(group: Vec<Pattern>, faults: &mut Faults) -> Vec<Pattern> {
+    // Only asked, never walked.
+    let mut first: HashMap<(Vec<Part>, Vec<Normal>), Span> = HashMap::new();
+    let mut kept = Vec::new();
+    for pattern in group {
+        match first.entry((pattern.head.clone(), pattern.literals.clone())) {
+            Entry::Occupied(other) if *other.get() == pattern.span => {}
+            Entry::Occupied(other) => report(Code::DuplicateClause, pattern.span, *other.get(), faults),
+            Entry::Vacant(place) => {
+                place.insert(pattern.span);
+                kept.push(pattern);
+            }
+        }
+    }
+    kept
 }
 
 fn report(code: Code, span: Span, other: Span, faults: &mut Faults) {
@@ -205,20 +232,21 @@ fn report(code: Code, span: Span, other: Span, faults: &mut Faults) {
     );
 }
 
-/// What is redundant of two clauses with one head predicate, if anything: the later (`true`) or the earlier.
-fn compare(earlier: &Pattern, later: &Pattern, steps: &mut usize) -> Option<(Code, bool)> {
-    let same_size = earlier.literals.len() == later.literals.len();
-    if same_size && Match::exists(earlier, later, true, steps) {
-        return Some((Code::DuplicateClause, true));
+/// Whether the general clause makes the special one redundant. Of two that derive the same the shorter one stays, else the first.
+fn makes_redundant(group: &[Pattern], general: usize, special: usize, budget: &mut Budget) -> Option<Code> {
+    let (one, two) = (&group[general], &group[special]);
+    if !Match::exists(one, two, false, budget) {
+        return None;
     }
-    let earlier_covers = Match::exists(earlier, later, false, steps);
-    let later_covers = Match::exists(later, earlier, false, steps);
-    match (earlier_covers, later_covers) {
-        (true, true) => Some((Code::SubsumedClause, later.literals.len() >= earlier.literals.len())),
-        (true, false) => Some((Code::SubsumedClause, true)),
-        (false, true) => Some((Code::SubsumedClause, false)),
-        (false, false) => None,
+    if Match::exists(two, one, false, budget) {
+        if (two.literals.len(), special) < (one.literals.len(), general) {
+            return None;
+        }
+        if one.literals.len() == two.literals.len() && Match::exists(one, two, true, budget) {
+            return Some(Code::DuplicateClause);
+        }
     }
+    Some(Code::SubsumedClause)
 }
 
 /// A clause made ready for comparison: literals are unique and in a normal form.
@@ -226,9 +254,23 @@ struct Pattern {
     head: Vec<Part>,
     literals: Vec<Normal>,
     variables: usize,
-    /// A bit for each kind of literal, for a quick refusal.
-    kinds: u64,
     span: Span,
+}
+
+/// Of heads and literals so many arguments are looked at to find the clauses that are worth comparing.
+const PLACES: usize = 8;
+
+/// Something a clause has. If one makes another redundant, the other has all that it has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+enum Trait {
+    /// Such a literal.
+    Kind(LiteralKind),
+    /// Such a literal with a constant in this place.
+    Constant(LiteralKind, usize, Value),
+    /// Such a literal with, in this place, what stands in this column of the head.
+    Head(LiteralKind, usize, usize),
+    /// A constant in this column of the head.
+    HeadConstant(usize, Value),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -323,22 +365,40 @@ impl Pattern {
         literals.retain(|literal| seen.insert(literal.clone()));
         // Literals of one kind stand together; within a kind the author's order stays.
         literals.sort_by_key(|literal| literal.kind);
-        let kinds = literals
-            .iter()
-            .map(|literal| literal.kind.bit())
-            .fold(0, |all, bit| all | bit);
+        let head = clause.head.terms.iter();
         Pattern {
-            head: clause
-                .head
-                .terms
-                .iter()
-                .map(|term| part(*term).unwrap_or(Part::Any))
-                .collect(),
+            head: head.map(|term| part(*term).unwrap_or(Part::Any)).collect(),
             literals,
             variables,
-            kinds,
             span: clause.span,
         }
+    }
+
+    /// What a clause must have if this one is more general, and what this one has if another is.
+    fn traits(&self) -> BTreeSet<Trait> {
+        let head = || self.head.iter().take(PLACES).enumerate();
+        let mut traits = BTreeSet::new();
+        for (column, part) in head() {
+            if let Part::Constant(value) = part {
+                traits.insert(Trait::HeadConstant(column, *value));
+            }
+        }
+        for Normal { kind, parts } in &self.literals {
+            traits.insert(Trait::Kind(*kind));
+            // In a negated atom `_` stands for anything.
+            if matches!(kind, LiteralKind::Negative(_)) {
+                continue;
+            }
+            for (at, part) in parts.iter().take(PLACES).enumerate() {
+                let at = if kind.is_symmetric() { 0 } else { at };
+                if let Part::Constant(value) = part {
+                    traits.insert(Trait::Constant(*kind, at, *value));
+                }
+                let same = head().filter(|(_, other)| *other == part);
+                traits.extend(same.map(|(column, _)| Trait::Head(*kind, at, column)));
+            }
+        }
+        traits
     }
 }
 
@@ -351,18 +411,6 @@ fn part(term: Term) -> Option<Part> {
 }
 
 impl LiteralKind {
-    fn bit(self) -> u64 {
-        let number = match self {
-            LiteralKind::Positive(id) => id.0 % 30,
-            LiteralKind::Negative(id) => 30 + id.0 % 30,
-            LiteralKind::Equal(_) => 60,
-            LiteralKind::NotEqual(_) => 61,
-            LiteralKind::Less(_) => 62,
-            LiteralKind::LessEqual(_) | LiteralKind::Text(_) | LiteralKind::Compute(..) => 63,
-        };
-        1 << number
-    }
-
     /// Whether its two sides may change places.
     fn is_symmetric(self) -> bool {
         matches!(self, LiteralKind::Equal(_) | LiteralKind::NotEqual(_))
@@ -379,26 +427,22 @@ struct Match<'a> {
     trail: Vec<usize>,
     /// Only names of variables may change: each variable stands for another variable.
     renaming: bool,
-    steps: usize,
+    budget: &'a mut Budget,
 }
 
 impl Match<'_> {
-    fn exists(general: &Pattern, special: &Pattern, renaming: bool, steps: &mut usize) -> bool {
-        if general.kinds & !special.kinds != 0 {
-            return false;
-        }
-        let allowed = MAX_STEPS_OF_PAIR.min(*steps);
-        let mut search = Match {
-            general,
-            special,
-            bound: vec![None; general.variables],
-            trail: Vec::new(),
-            renaming,
-            steps: allowed,
-        };
-        let found = search.all(&general.head, &special.head) && search.literal(0);
-        *steps -= allowed - search.steps;
-        found
+    fn exists(general: &Pattern, special: &Pattern, renaming: bool, budget: &mut Budget) -> bool {
+        budget.part(MAX_STEPS_OF_PAIR, |budget| {
+            let mut search = Match {
+                general,
+                special,
+                bound: vec![None; general.variables],
+                trail: Vec::new(),
+                renaming,
+                budget,
+            };
+            search.all(&general.head, &special.head) && search.literal(0)
+        })
     }
 
     /// Whether the literals of `general` from `index` on can be found in `special`.
@@ -417,10 +461,9 @@ impl Match<'_> {
                 orders.push(candidate.parts.iter().rev().copied().collect());
             }
             for parts in orders {
-                let Some(rest) = self.steps.checked_sub(1) else {
+                if !self.budget.take(1) {
                     return false;
-                };
-                self.steps = rest;
+                }
                 let mark = self.trail.len();
                 if self.all(&wanted.parts, &parts) && self.literal(index + 1) {
                     return true;
@@ -461,6 +504,26 @@ impl Match<'_> {
             },
             (Part::Constant(_), _) => general == special,
             (Part::Any, _) => false,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lang::random_clauses;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// So looking only at clauses that have all traits misses none.
+        #[test]
+        fn a_redundant_clause_has_all_traits_of_the_one_that_makes_it_so(rules in random_clauses::rules()) {
+            let patterns: Vec<Pattern> = rules.clauses.iter().map(Pattern::new).collect();
+            for (general, special) in patterns.iter().flat_map(|one| patterns.iter().map(move |other| (one, other))) {
+                if Match::exists(general, special, false, &mut Budget::new(MAX_STEPS_OF_PAIR)) {
+                    prop_assert!(general.traits().is_subset(&special.traits()));
+                }
+            }
         }
     }
 }

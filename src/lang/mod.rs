@@ -36,19 +36,24 @@ mod range;
 mod rules;
 mod scope;
 mod strata;
+mod subsets;
 mod texts;
 mod witness;
 
 pub use format::format;
 pub use functor::{AggregateOp, Functor, Patterns, parse as parse_value};
 pub use parser::DIRECTIVES;
-pub use print::print;
+pub use print::{print, quoted};
 pub use rules::{
     Atom, BaseType, Clause, ClauseId, Column, Comparison, Constraint, Directive, Literal, MarkKind, Promise, RelId,
     Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, Value, VarId,
 };
 
 pub use lexer::is_name;
+pub use subsets::Comparing;
+#[cfg(test)]
+pub(crate) use subsets::random_clauses;
+pub(crate) use subsets::{Budget, Subsets};
 pub use texts::{FactPattern, FactRow, Texts, is_complete};
 
 /// What [`load`] gives.
@@ -58,6 +63,19 @@ pub struct Loaded {
     pub rules: Option<Rules>,
     /// Errors and warnings of all files, in the order of the text.
     pub diagnostics: Vec<Diagnostic>,
+    /// What looking for clauses that derive nothing new took.
+    pub compared: Comparing,
+}
+
+impl Loaded {
+    /// No rules, because of these faults.
+    fn failed(diagnostics: Vec<Diagnostic>) -> Self {
+        Loaded {
+            rules: None,
+            diagnostics,
+            compared: Comparing::default(),
+        }
+    }
 }
 
 /// Reads and checks the rules of `entry`, a text of `sources`, and of all it includes.
@@ -75,7 +93,7 @@ pub enum Inputs {
     /// The rows that are given, and the facts of the text: a rule for it is an error.
     #[default]
     Given,
-    /// Besides, what rules derive, as in Souffle: a rule for it is told by a warning.
+    /// Besides, what rules derive, as in Soufflé: a rule for it is told by a warning.
     Extended,
 }
 
@@ -91,8 +109,14 @@ pub fn load_with(
     texts.check()
 }
 
-/// Checks all items. The constants' texts are added to `symbols`.
-fn check(items: &[ast::Item], complete: bool, inputs: Inputs, symbols: Symbols, faults: &mut Faults) -> Option<Rules> {
+/// Checks all items. The constants' texts are added to `symbols`. There are no rules if there is an error.
+fn check(
+    items: &[ast::Item],
+    complete: bool,
+    inputs: Inputs,
+    symbols: Symbols,
+    faults: &mut Faults,
+) -> (Option<Rules>, Comparing) {
     let replaced = inline::replace(items, faults);
     let syntax_is_good = !faults.failed();
     let items = replaced.as_deref().unwrap_or(items);
@@ -101,26 +125,28 @@ fn check(items: &[ast::Item], complete: bool, inputs: Inputs, symbols: Symbols, 
     let promises = promise::check(items, &mut names, faults);
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
+    let mut compared = Comparing::default();
     // What could not be read might make a clause live, or tell two clauses apart.
     if syntax_is_good {
         lint::dead(&checked, &names, faults);
-        lint::redundant(&checked.clauses, faults);
+        compared = lint::redundant(&checked.clauses, faults);
     }
     if faults.failed() {
-        return None;
+        return (None, compared);
     }
     let names::Names { types, relations, .. } = names;
     let clauses: Vec<Clause> = (checked.clauses.into_iter().map(|clause| clause.clause))
         .chain(checked.hidden)
         .collect();
-    Some(Rules {
+    let rules = Rules {
         strata: strata::order(&relations, &clauses),
         types,
         relations,
         clauses,
         symbols: checked.symbols,
         promises,
-    })
+    };
+    (Some(rules), compared)
 }
 
 /// What [`parse`] gives.

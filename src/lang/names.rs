@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 use crate::diag::{Code, Diagnostic, Faults, Span, did_you_mean};
 
 use super::Inputs;
-use super::ast::{self, Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
+use super::ast::{Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
 use super::rules::{BaseType, Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
 
 /// More columns than this are refused.
@@ -82,69 +82,18 @@ pub(super) fn declare(items: &[Item], complete: bool, inputs: Inputs, faults: &m
             names.declare_predicates(decl, faults);
         }
     }
-    let mut before: Option<&ast::Clause> = None;
     for item in items {
         match item {
-            Item::Clause(clause) => before = Some(clause),
             Item::Mark(mark) => names.mark(mark, faults),
             Item::Pragma(pragma) => faults.push(
                 Diagnostic::new(Code::Ignored, "`.pragma` has no effect")
                     .at(pragma.place.0, "")
                     .help("remove it"),
             ),
-            Item::Plan(plan) => check_plan(plan, before, faults),
             _ => {}
         }
     }
     names
-}
-
-/// What base types are called in other languages.
-const FOREIGN_TYPES: &[(&str, BaseType)] = &[
-    ("int", BaseType::Number),
-    ("integer", BaseType::Number),
-    ("i32", BaseType::Number),
-    ("uint", BaseType::Unsigned),
-    ("u32", BaseType::Unsigned),
-    ("double", BaseType::Float),
-    ("real", BaseType::Float),
-    ("f32", BaseType::Float),
-    ("string", BaseType::Symbol),
-    ("str", BaseType::Symbol),
-    ("text", BaseType::Symbol),
-];
-
-/// Orders that are none of the clause before are refused, as Souffle does.
-fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Faults) {
-    let positive = |literal: &ast::Literal| matches!(literal, ast::Literal::Atom { negated: false, .. });
-    let is_flat = |clause: &&ast::Clause| {
-        !clause
-            .body
-            .iter()
-            .any(|literal| matches!(literal, ast::Literal::Any(_)))
-    };
-    if let Some(clause) = clause.filter(is_flat) {
-        let count = clause.body.iter().filter(|literal| positive(literal)).count();
-        for (version, order) in &plan.orders {
-            let mut sorted = order.clone();
-            sorted.sort_unstable();
-            if !sorted.into_iter().eq(1..=count as i64) {
-                let fault = Diagnostic::new(
-                    Code::Syntax,
-                    format!("version {version} is no order of the clause's atoms"),
-                )
-                .at(plan.place.0, "")
-                .also(
-                    clause.place.0,
-                    format!("the positive atoms of the clause before it: {count}"),
-                );
-                faults.push(fault.help("name each atom once by its number, or remove `.plan`: it has no effect"));
-                return;
-            }
-        }
-    }
-    let fault = Diagnostic::new(Code::Ignored, "`.plan` has no effect").at(plan.place.0, "");
-    faults.push(fault.help("remove it; the order of literals is chosen by itself"));
 }
 
 impl Names {
@@ -202,19 +151,9 @@ impl Names {
             ty,
             base: self.base(ty),
         };
-        self.relations.push(Relation {
-            name: format!("+{}", self.hidden() + 1),
-            columns: columns.into_iter().map(column).collect(),
-            doc,
-            span,
-            input: false,
-            given: None,
-            output: false,
-            printsize: false,
-            derived: true,
-            hidden: true,
-            directives: Vec::new(),
-        });
+        let columns = columns.into_iter().map(column).collect();
+        let name = format!("+{}", self.hidden() + 1);
+        self.relations.push(Relation::made(name, columns, doc, span));
         relation
     }
 
@@ -692,12 +631,10 @@ impl Names {
                     }
                     fault.help(format!("did you mean `{near}`?"))
                 }
-                None => fault.help(
-                    match FOREIGN_TYPES.iter().find(|(foreign, _)| *foreign == name.as_str()) {
-                        Some((_, base)) => format!("write `{}`", base.name()),
-                        None => format!("declare it: `.type {name} <: symbol`"),
-                    },
-                ),
+                None => fault.help(match BaseType::of_other_languages(name) {
+                    Some(base) => format!("write `{}`", base.name()),
+                    None => format!("declare it: `.type {name} <: symbol`"),
+                }),
             };
             faults.push(fault);
         }
@@ -728,7 +665,8 @@ impl Names {
     }
 }
 
-/// Reports the words after a declaration: each has no effect, and none may say again or otherwise what another says.
+/// Reports the words after a declaration: none may say again or otherwise what another says, and all but `inline` have no effect. That
+/// asks how a predicate is evaluated, which changes no answer, so nothing is lost where it is not followed.
 fn qualifiers(words: &[Name], faults: &mut Faults) {
     let storage = |word: &Name| matches!(word.text.as_str(), "btree" | "brie");
     let rivals = |a: &Name, b: &Name| a.text == b.text || (storage(a) && storage(b));
@@ -741,7 +679,7 @@ fn qualifiers(words: &[Name], faults: &mut Faults) {
             .at(word.place.0, "")
             .also(earlier.place.0, "one of them is enough");
             faults.push(fault.help("remove one of them"));
-        } else if !words[index + 1..].iter().any(|later| rivals(word, later)) {
+        } else if word.text != "inline" && !words[index + 1..].iter().any(|later| rivals(word, later)) {
             let fault = Diagnostic::new(Code::Ignored, format!("`{}` has no effect", word.text));
             faults.push(fault.at(word.place.0, "").help("remove it"));
         }

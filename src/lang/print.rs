@@ -282,6 +282,11 @@ fn separated<T>(
     Ok(())
 }
 
+/// A text as it is written in rules: in double quotes, with escapes.
+pub fn quoted(text: &str) -> String {
+    Quoted(text).to_string()
+}
+
 /// A text constant, quoted and escaped.
 struct Quoted<'a>(&'a str);
 

@@ -47,13 +47,13 @@ impl<'c> Check<'_, 'c> {
         context: &[Literal],
         finish: &mut Finish<'_>,
     ) -> Option<Literal> {
-        let Literal::Compute {
+        let Some(Literal::Compute {
             to,
             functor: Functor::Range,
             base,
             arguments,
             span,
-        } = self.written(pending)
+        }) = self.written(pending)
         else {
             return None;
         };

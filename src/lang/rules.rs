@@ -54,6 +54,17 @@ impl BaseType {
     /// All of them; the type of that name is at the same position of [`Rules::types`].
     pub const ALL: [BaseType; 4] = [BaseType::Symbol, BaseType::Number, BaseType::Unsigned, BaseType::Float];
 
+    /// The type that has this name in other languages.
+    pub(super) fn of_other_languages(name: &str) -> Option<BaseType> {
+        match name {
+            "int" | "integer" | "i32" => Some(BaseType::Number),
+            "uint" | "u32" => Some(BaseType::Unsigned),
+            "double" | "real" | "f32" => Some(BaseType::Float),
+            "string" | "str" | "text" => Some(BaseType::Symbol),
+            _ => None,
+        }
+    }
+
     /// Its name in the language.
     pub fn name(self) -> &'static str {
         match self {
@@ -203,6 +214,23 @@ impl Default for RowFormat {
 }
 
 impl Relation {
+    /// A predicate that clauses made while checking or planning derive.
+    pub(crate) fn made(name: String, columns: Vec<Column>, doc: String, span: Span) -> Self {
+        Relation {
+            name,
+            columns,
+            doc,
+            span,
+            input: false,
+            given: None,
+            output: false,
+            printsize: false,
+            derived: true,
+            hidden: true,
+            directives: Vec::new(),
+        }
+    }
+
     /// Number of columns.
     pub fn arity(&self) -> usize {
         self.columns.len()

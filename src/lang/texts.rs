@@ -65,7 +65,7 @@ impl Texts {
     /// The rules that the texts make, or all their faults.
     pub fn check(&self) -> Loaded {
         let mut faults = self.faults.clone();
-        let rules = check(
+        let (rules, compared) = check(
             &self.gathered.items,
             !self.gathered.incomplete,
             self.inputs,
@@ -73,8 +73,9 @@ impl Texts {
             &mut faults,
         );
         Loaded {
-            rules: if faults.failed() { None } else { rules },
+            rules,
             diagnostics: faults.finish(),
+            compared,
         }
     }
 
@@ -112,10 +113,7 @@ impl Texts {
         let parsed = parser::parse_question(question, sources.text(question), &mut faults);
         match parsed.filter(|_| !faults.failed()) {
             Some((body, place)) => self.answer(&body, place, symbols),
-            None => Loaded {
-                rules: None,
-                diagnostics: faults.finish(),
-            },
+            None => Loaded::failed(faults.finish()),
         }
     }
 
@@ -192,8 +190,8 @@ impl Texts {
         }
         let mut items = self.declarations(false);
         items.extend(file.items);
-        let rules = check(&items, true, self.inputs, Symbols::new(), &mut faults);
-        let Some(rules) = rules.filter(|_| !faults.failed()) else {
+        let (rules, _) = check(&items, true, self.inputs, Symbols::new(), &mut faults);
+        let Some(rules) = rules else {
             return Err(of(id, faults));
         };
         let row = |clause: &rules::Clause| {
@@ -247,81 +245,91 @@ impl Texts {
     }
 
     fn answer(&self, body: &[Literal], place: Place, symbols: Symbols) -> Loaded {
-        let mut faults = Faults::default();
-        let name = Name {
-            text: ANSWER.to_owned(),
-            place,
-        };
-        let head = Atom {
-            predicate: name.clone(),
-            terms: Vec::new(),
-            place,
-        };
         let mut clause = Clause {
-            heads: vec![head],
+            heads: vec![Atom {
+                predicate: answer_name(place),
+                terms: Vec::new(),
+                place,
+            }],
             body: body.to_vec(),
             doc: String::new(),
             place,
         };
+        let mut faults = Faults::default();
         if self.uses_inline() {
             clause = self.inlined(clause, &mut faults);
         }
-        let declared = |columns: Vec<ColumnDecl>| Decl {
-            names: vec![name.clone()],
-            columns: Some(columns),
-            qualifiers: Vec::new(),
-            doc: String::new(),
-        };
-        // First without columns, to find what the variables are made of.
-        let mut items = self.declarations(true);
-        items.push(Item::Decl(declared(Vec::new())));
-        items.push(Item::Clause(clause.clone()));
-        let mut known = names::declare(&items, true, self.inputs, &mut faults);
-        let checked = clause::check(&items, &mut known, Symbols::new(), &mut faults);
-        known.report_unknown(&mut faults);
-        if faults.failed() {
-            return Loaded {
-                rules: None,
-                diagnostics: of(place.0.source, faults)
-                    .into_iter()
-                    .filter(Diagnostic::is_error)
-                    .collect(),
-            };
-        }
-        let base_of = |name: &str| {
-            checked.clauses.iter().find_map(|checked| {
-                let position = checked.clause.variables.iter().position(|known| known == name)?;
-                checked.bases[position]
-            })
-        };
         let variables = variables(body);
-        let column = |(name, place): &(&str, Place)| {
-            let named = |text: &str| Name {
-                text: text.to_owned(),
-                place: *place,
-            };
-            ColumnDecl {
-                name: named(name),
-                ty: named(base_of(name).unwrap_or(BaseType::Symbol).name()),
-            }
-        };
-        let decl = declared(variables.iter().map(column).collect());
-        clause.heads[0].terms = variables
-            .iter()
+        let names: Vec<&str> = variables.iter().map(|(name, _)| *name).collect();
+        let bases = self.bases(&clause, &names, &mut faults);
+        if faults.failed() {
+            let mut found = of(place.0.source, faults);
+            found.retain(Diagnostic::is_error);
+            return Loaded::failed(found);
+        }
+        let columns = (variables.iter().zip(bases))
+            .map(|(&(name, place), base)| ColumnDecl {
+                name: Name {
+                    text: name.to_owned(),
+                    place,
+                },
+                ty: Name {
+                    text: base.name().to_owned(),
+                    place,
+                },
+            })
+            .collect();
+        clause.heads[0].terms = (variables.iter())
             .map(|&(name, place)| Term {
                 kind: TermKind::Variable(name.to_owned()),
                 place,
             })
             .collect();
-        let mut items = self.declarations(true);
-        items.push(Item::Decl(decl));
-        items.push(Item::Clause(clause));
+        let items = self.asked(columns, clause);
         let mut faults = Faults::default();
-        let rules = check(&items, true, self.inputs, symbols, &mut faults);
+        let (rules, compared) = check(&items, true, self.inputs, symbols, &mut faults);
         Loaded {
-            rules: if faults.failed() { None } else { rules },
+            rules,
             diagnostics: of(place.0.source, faults),
+            compared,
         }
+    }
+
+    /// What variables of the body of a clause without columns are made of.
+    fn bases(&self, clause: &Clause, variables: &[&str], faults: &mut Faults) -> Vec<BaseType> {
+        let items = self.asked(Vec::new(), clause.clone());
+        let mut known = names::declare(&items, true, self.inputs, faults);
+        let checked = clause::check(&items, &mut known, Symbols::new(), faults);
+        known.report_unknown(faults);
+        let base_of = |name: &&str| {
+            checked.clauses.iter().find_map(|checked| {
+                let position = checked.clause.variables.iter().position(|known| known == name)?;
+                checked.bases[position]
+            })
+        };
+        (variables.iter())
+            .map(|name| base_of(name).unwrap_or(BaseType::Symbol))
+            .collect()
+    }
+
+    /// The program of a question: all predicates as input, and the clause for the answer.
+    fn asked(&self, columns: Vec<ColumnDecl>, clause: Clause) -> Vec<Item> {
+        let mut items = self.declarations(true);
+        items.push(Item::Decl(Decl {
+            names: vec![answer_name(clause.place)],
+            columns: Some(columns),
+            qualifiers: Vec::new(),
+            doc: String::new(),
+        }));
+        items.push(Item::Clause(clause));
+        items
+    }
+}
+
+fn answer_name(place: Place) -> Name {
+    Name {
+        text: ANSWER.to_owned(),
+        place,
     }
 }
 
@@ -411,7 +419,7 @@ fn moved(value: Value, base: BaseType, from: &Symbols, to: &Symbols) -> Value {
 }
 
 /// Whether a text that somebody is typing may end here: every parenthesis is closed, and the last clause has its full stop. A
-/// directive ends with its line.
+/// directive ends with its line, and a question where it can be answered.
 pub fn is_complete(text: &str) -> bool {
     let mut sources = Sources::new();
     let id = sources.add("", text);
@@ -436,6 +444,9 @@ pub fn is_complete(text: &str) -> bool {
     match last.kind {
         Kind::Dot => true,
         Kind::Comma | Kind::Colon | Kind::Pipe | Kind::Subtype | Kind::Equal | Kind::If | Kind::Semicolon => false,
+        _ if text.trim_start().starts_with("?-") => {
+            parser::parse_question(id, text, &mut faults).is_some() && !faults.failed()
+        }
         _ => {
             let (_, starts) = parser::parse_tokens(id, text, &lexed, &mut faults);
             starts
@@ -468,6 +479,8 @@ mod tests {
             ".input A",
             ".decl A(x: number)\nA(1).",
             "?- A(x), x > 1.",
+            "?- A(x), x > 1.5",
+            "?- A(x)",
             "// said\n",
             "/// said\nA(1).",
             "A(\"a.\").",
@@ -482,7 +495,10 @@ mod tests {
             ".input A,",
             ".type t =",
             "A(1). B(",
-            "?- A(x), x > 1.5",
+            "?-",
+            "?- A(x), x >",
+            "?- A(x), x > 1.5 +",
+            "?- A(x,",
             "/// said\n",
             "/* a",
             "A(1). /* b",

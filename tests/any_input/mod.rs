@@ -71,7 +71,7 @@ pub fn check(bytes: &[u8]) {
     let Some(program) = program else { return };
 
     let rules = program.rules();
-    draw(&optimize::lints(rules), &sources);
+    draw(&optimize::lints(rules).diagnostics, &sources);
     for promises in [false, true] {
         let optimize = promises;
         let program = Program::with(rules.clone(), Options { optimize, promises }).expect("it was just planned");

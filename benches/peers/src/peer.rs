@@ -20,9 +20,9 @@ pub enum Peer {
     Crepe,
     /// differential-dataflow, by hand
     Differential,
-    /// Souffle's interpreter, with starting and reading
+    /// Soufflé's interpreter, with starting and reading
     Souffle,
-    /// A program compiled by Souffle, with starting and reading the facts
+    /// A program compiled by Soufflé, with starting and reading the facts
     SouffleCompiled,
 }
 
@@ -35,8 +35,8 @@ impl fmt::Display for Peer {
             Peer::Datafrog => "datafrog, by hand",
             Peer::Crepe => "crepe",
             Peer::Differential => "differential-dataflow",
-            Peer::Souffle => "Souffle interpreted *",
-            Peer::SouffleCompiled => "Souffle compiled *",
+            Peer::Souffle => "Soufflé interpreted *",
+            Peer::SouffleCompiled => "Soufflé compiled *",
         })
     }
 }
@@ -57,7 +57,7 @@ impl Peer {
         Peer::SouffleCompiled,
     ];
 
-    /// Whether it needs Souffle.
+    /// Whether it needs Soufflé.
     pub fn is_souffle(self) -> bool {
         matches!(self, Peer::Souffle | Peer::SouffleCompiled)
     }
@@ -122,7 +122,7 @@ pub fn write_case(case: Case, folder: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
-/// What Souffle says of itself, if it is installed.
+/// What Soufflé says of itself, if it is installed.
 pub fn souffle_version() -> Option<String> {
     let output = Command::new("souffle").arg("--version").output().ok()?;
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -130,7 +130,7 @@ pub fn souffle_version() -> Option<String> {
     Some(line.unwrap_or("unknown version").trim().to_owned())
 }
 
-/// Lets Souffle compile the program in the folder.
+/// Lets Soufflé compile the program in the folder.
 pub fn compile(folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
     let mut command = Command::new("souffle");
     command

@@ -45,7 +45,7 @@ impl Analysis {
         let mut diagnostics = loaded.diagnostics;
         let mut hints = Vec::new();
         if let Some(rules) = loaded.rules {
-            for lint in optimize::lints(&rules) {
+            for lint in optimize::lints(&rules).diagnostics {
                 match lint.code {
                     crate::diag::Code::ContradictoryBody => diagnostics.push(lint),
                     _ => hints.push(lint),

@@ -15,8 +15,8 @@ use lsp_server::{Connection, ErrorCode, Message, Notification, ProtocolError, Re
 use lsp_types::{
     CompletionItem, CompletionItemKind, CompletionParams, DiagnosticSeverity, DidChangeTextDocumentParams,
     DidCloseTextDocumentParams, DidOpenTextDocumentParams, DocumentFormattingParams, DocumentSymbolParams,
-    Documentation, GotoDefinitionParams, HoverParams, MarkupContent, MarkupKind, Position, ReferenceParams,
-    RenameParams, SymbolKind, TextDocumentPositionParams,
+    Documentation, GotoDefinitionParams, HoverParams, MarkupContent, MarkupKind, MessageType, Position,
+    ReferenceParams, RenameParams, SymbolKind, TextDocumentPositionParams,
 };
 use place::{Lines, path_of, uri_of};
 use serde::de::DeserializeOwned;
@@ -100,41 +100,37 @@ type Refusal = (ErrorCode, String);
 impl Server {
     // --- texts
 
-    fn note(&mut self, notification: Notification) -> Vec<Message> {
-        let Notification { method, params } = notification;
-        match method.as_str() {
-            "textDocument/didOpen" => {
-                let Ok(DidOpenTextDocumentParams { text_document: it }) = serde_json::from_value(params) else {
-                    return Vec::new();
-                };
-                self.set(it.uri.as_str(), it.text, it.version)
-            }
-            "textDocument/didChange" => {
-                let Ok(DidChangeTextDocumentParams {
-                    text_document,
-                    content_changes,
-                }) = serde_json::from_value(params)
-                else {
-                    return Vec::new();
-                };
+    /// Does what a notification says. One that cannot be read has no answer in the protocol, so the editor's log tells of it.
+    fn note(&mut self, Notification { method, params }: Notification) -> Vec<Message> {
+        let done = match method.as_str() {
+            "textDocument/didOpen" => serde_json::from_value(params)
+                .map(|DidOpenTextDocumentParams { text_document: it }| self.set(it.uri.as_str(), it.text, it.version)),
+            "textDocument/didChange" => serde_json::from_value(params).map(|it: DidChangeTextDocumentParams| {
                 // Texts come whole; the last one counts.
-                let Some(change) = content_changes.into_iter().next_back() else {
-                    return Vec::new();
-                };
-                self.set(text_document.uri.as_str(), change.text, text_document.version)
-            }
+                match it.content_changes.into_iter().next_back() {
+                    Some(change) => self.set(it.text_document.uri.as_str(), change.text, it.text_document.version),
+                    None => Vec::new(),
+                }
+            }),
             "textDocument/didClose" => {
-                let Ok(DidCloseTextDocumentParams { text_document }) = serde_json::from_value(params) else {
-                    return Vec::new();
-                };
-                self.documents.remove(&key(text_document.uri.as_str()));
-                let mut messages = self.check();
-                messages.push(published(text_document.uri.as_str(), None, Vec::new()));
-                messages
+                serde_json::from_value(params).map(|DidCloseTextDocumentParams { text_document }| {
+                    self.documents.remove(&key(text_document.uri.as_str()));
+                    let mut messages = self.check();
+                    messages.push(published(text_document.uri.as_str(), None, Vec::new()));
+                    messages
+                })
             }
-            "textDocument/didSave" | "workspace/didChangeWatchedFiles" => self.check(),
-            _ => Vec::new(),
-        }
+            "textDocument/didSave" | "workspace/didChangeWatchedFiles" => Ok(self.check()),
+            _ => Ok(Vec::new()),
+        };
+        done.unwrap_or_else(|error| {
+            let message = format!("`{method}` cannot be read: {error}");
+            let params = json!({ "type": MessageType::ERROR, "message": message });
+            vec![Message::Notification(Notification::new(
+                "window/logMessage".to_owned(),
+                params,
+            ))]
+        })
     }
 
     fn set(&mut self, uri: &str, text: String, version: i32) -> Vec<Message> {

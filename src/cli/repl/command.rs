@@ -11,6 +11,7 @@ Facts, clauses, declarations and directives are typed as in a file and may take 
   Edge(1, 2). Edge(2, 3).
 Questions are the body of a clause; each variable is a column, unless it begins with `_`:
   ?- Edge(x, y), !Edge(y, _), n = count : { Edge(_, y) }.
+Their full stop may be missing where the line is complete without it.
 Commands stand on one line; a full stop at the end may be missing:
   explain FACT       why it holds: a shortest proof
   why-not FACT       why it does not: what fails in each clause; `_` is any value
@@ -41,6 +42,27 @@ pub const DOTTED: &[&str] = &[
 
 /// The commands that are words, and may begin with a full stop as well.
 pub const WORDS: &[&str] = &["explain", "why-not", "retract"];
+
+/// What other prompts call it, and what to type here.
+const OTHER_WORDS: &[(&str, &str)] = &[
+    ("why", "explain FACT"),
+    ("proof", "explain FACT"),
+    ("prove", "explain FACT"),
+    ("whynot", "why-not FACT"),
+    ("why_not", "why-not FACT"),
+    ("exit", ".quit"),
+    ("bye", ".quit"),
+    ("q", ".quit"),
+    ("h", ".help"),
+    ("tables", ".relations"),
+    ("schema", ".show NAME"),
+    ("ask", "?- BODY"),
+    ("query", "?- BODY"),
+    ("delete", "retract FACTS"),
+    ("remove", "retract FACTS"),
+    ("read", ".load FILE"),
+    ("consult", ".load FILE"),
+];
 
 #[derive(Debug)]
 pub enum Command {
@@ -77,6 +99,55 @@ pub fn word(text: &str) -> Option<(&'static str, &str)> {
     (!is_atom).then_some((*known, rest))
 }
 
+/// A command as it was typed.
+struct Typed<'t> {
+    id: SourceId,
+    text: &'t str,
+    /// Where what follows the word begins.
+    start: usize,
+}
+
+impl<'t> Typed<'t> {
+    fn argument(&self) -> &'t str {
+        self.text[self.start..].trim()
+    }
+
+    fn place(&self) -> Span {
+        let rest = &self.text[self.start..];
+        let at = self.start + rest.len() - rest.trim_start().len();
+        Span::new(self.id, at..at + self.argument().len())
+    }
+
+    /// The argument as a source of its own, in which all before it is blanked out, so that places stay what they are; see
+    /// [`pointing_at`]. It ends as given.
+    fn part(&self, sources: &mut Sources, end: &str) -> SourceId {
+        let line_or_blank = |c: char| if c == '\n' { '\n' } else { ' ' };
+        let blank: String = self.text[..self.start].chars().map(line_or_blank).collect();
+        let name = sources.name(self.id).to_owned();
+        sources.add(name, blank + self.text[self.start..].trim_end() + end)
+    }
+
+    /// Unless there is an argument.
+    fn wants(&self, what: &str) -> Result<(), Failure> {
+        if !self.argument().is_empty() {
+            return Ok(());
+        }
+        let fault = Diagnostic::new(Code::Syntax, format!("expected {what}"));
+        Err(fault
+            .at(Span::new(self.id, self.start..self.start), "after this")
+            .into())
+    }
+
+    /// Unless there is none.
+    fn stands_alone(&self, name: &str) -> Result<(), Failure> {
+        if self.argument().trim_end_matches('.').is_empty() {
+            return Ok(());
+        }
+        let fault = Diagnostic::new(Code::Syntax, format!("`.{name}` stands alone"));
+        Err(fault.at(self.place(), "").into())
+    }
+}
+
 /// The command that an input is; `None` if it is text of the language.
 ///
 /// # Errors
@@ -86,62 +157,36 @@ pub fn read(sources: &mut Sources, id: SourceId) -> Result<Option<Command>, Fail
     let Some((name, rest)) = word(&text) else {
         return unknown(sources, id, &text).map_or(Ok(None), |fault| Err(fault.into()));
     };
-    let start = text.len() - rest.len();
-    let argument = rest.trim();
-    let at = start + rest.find(argument).unwrap_or(0);
-    let place = Span::new(id, at..at + argument.len());
-    // The same text with all before the argument blanked out, so that places stay what they are; see `pointing_at`.
-    let part = |sources: &mut Sources| {
-        let blank: String = text[..start]
-            .chars()
-            .map(|c| if c == '\n' { '\n' } else { ' ' })
-            .collect();
-        let name = sources.name(id).to_owned();
-        sources.add(name, blank + rest)
+    let typed = Typed {
+        id,
+        text: &text,
+        start: text.len() - rest.len(),
     };
-    let missing = |what: &str| {
-        let fault = Diagnostic::new(Code::Syntax, format!("expected {what}"));
-        fault.at(Span::new(id, start..start), "after this")
-    };
-    let paths = || argument.split_whitespace().map(PathBuf::from);
+    let argument = typed.argument();
+    match name {
+        "explain" | "why-not" => typed.wants("a fact")?,
+        "retract" => typed.wants("a fact or a clause")?,
+        "load" => typed.wants("the names of rule files")?,
+        "facts" => typed.wants("the name of a folder")?,
+        "show" => typed.wants("the name of a relation")?,
+        "plan" => {}
+        alone => typed.stands_alone(alone)?,
+    }
     Ok(Some(match name {
-        "explain" | "why-not" if argument.is_empty() => return Err(missing("a fact").into()),
-        "retract" if argument.is_empty() => return Err(missing("a fact or a clause").into()),
-        "explain" => Command::Explain(part(sources)),
-        "why-not" => Command::WhyNot(part(sources)),
-        "retract" => {
-            let id = part(sources);
-            if argument.ends_with('.') {
-                Command::Retract(id)
-            } else {
-                let (name, text) = (
-                    sources.name(id).to_owned(),
-                    sources.text(id).trim_end().to_owned() + ".",
-                );
-                Command::Retract(sources.add(name, text))
-            }
-        }
+        "explain" => Command::Explain(typed.part(sources, "")),
+        "why-not" => Command::WhyNot(typed.part(sources, "")),
+        "retract" if argument.ends_with('.') => Command::Retract(typed.part(sources, "")),
+        "retract" => Command::Retract(typed.part(sources, ".")),
         "plan" if argument.is_empty() => Command::Plan(None),
-        "plan" => Command::Plan(Some(part(sources))),
-        "load" if argument.is_empty() => return Err(missing("the names of rule files").into()),
-        "load" => Command::Load(paths().collect()),
-        "facts" if argument.is_empty() => return Err(missing("the name of a folder").into()),
+        "plan" => Command::Plan(Some(typed.part(sources, ""))),
+        "load" => Command::Load(argument.split_whitespace().map(PathBuf::from).collect()),
         "facts" => Command::Facts(PathBuf::from(argument)),
-        "show" if argument.is_empty() => return Err(missing("the name of a relation").into()),
-        "show" => Command::Show(argument.trim_end_matches('.').to_owned(), place),
-        simple => {
-            if !argument.trim_end_matches('.').is_empty() {
-                let fault = Diagnostic::new(Code::Syntax, format!("`.{simple}` stands alone"));
-                return Err(fault.at(place, "").into());
-            }
-            match simple {
-                "reload" => Command::Reload,
-                "profile" => Command::Profile,
-                "relations" => Command::Relations,
-                "quit" => Command::Quit,
-                _ => Command::Help,
-            }
-        }
+        "show" => Command::Show(argument.trim_end_matches('.').to_owned(), typed.place()),
+        "reload" => Command::Reload,
+        "profile" => Command::Profile,
+        "relations" => Command::Relations,
+        "quit" => Command::Quit,
+        _ => Command::Help,
     }))
 }
 
@@ -160,9 +205,26 @@ pub fn pointing_at(failure: Failure, id: SourceId, sources: &Sources) -> Failure
     Failure::Input(faults)
 }
 
-/// The fault of a word after a full stop that is neither directive nor command, but like a command.
+/// The word that a text begins with, with its full stop if there is one, where other prompts have it for a command; and what to type here.
+pub fn foreign(text: &str) -> Option<(&str, &'static str)> {
+    let text = text.trim_start();
+    let written = text.split_whitespace().next()?;
+    // With arguments in parentheses it is a predicate.
+    let name = written.strip_prefix('.').unwrap_or(written).trim_end_matches('.');
+    let (_, meant) = OTHER_WORDS.iter().find(|(other, _)| *other == name)?;
+    Some((written, meant))
+}
+
+/// The fault of a word that is no command here: one of other prompts, or after a full stop one that is unlike any directive.
 fn unknown(sources: &Sources, id: SourceId, text: &str) -> Option<Diagnostic> {
     let start = text.len() - text.trim_start().len();
+    let fault = |length: usize| {
+        let span = Span::new(id, start..start + length);
+        Diagnostic::new(Code::Syntax, format!("no command `{}`", sources.slice(span))).at(span, "")
+    };
+    if let Some((written, meant)) = foreign(text) {
+        return Some(fault(written.len()).help(format!("type `{meant}`")));
+    }
     let rest = text[start..].strip_prefix('.')?;
     let name: String = rest
         .chars()
@@ -175,10 +237,6 @@ fn unknown(sources: &Sources, id: SourceId, text: &str) -> Option<Diagnostic> {
     if DIRECTIVES.contains(&near) {
         return None;
     }
-    let span = Span::new(id, start..start + 1 + name.len());
-    let fault = Diagnostic::new(Code::Syntax, format!("no command `{}`", sources.slice(span)));
-    Some(fault.at(span, "").help(format!(
-        "did you mean `{}{near}`?",
-        if WORDS.contains(&near) { "" } else { "." }
-    )))
+    let dot = if WORDS.contains(&near) { "" } else { "." };
+    Some(fault(1 + name.len()).help(format!("did you mean `{dot}{near}`?")))
 }

@@ -17,6 +17,8 @@ use command::Command;
 use prompt::{Line, Lines};
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::Duration;
 use table::Column;
 use workbench::{Outcome, Workbench};
 
@@ -87,7 +89,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             Line::End => break,
         };
         let id = bench.sources.add(format!("<input {number}>"), text);
-        match repl.input(&mut bench, id) {
+        let done = lines.is_interactive().then(StillWorking::begin);
+        let outcome = repl.input(&mut bench, id);
+        drop(done);
+        match outcome {
             Ok(true) => {}
             Ok(false) => break,
             Err(Failure::Closed) => return Err(Failure::Closed),
@@ -102,6 +107,44 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Err(Failure::Told);
     }
     Ok(())
+}
+
+/// Tells whoever waits at a terminal that there is something to wait for; gone when dropped.
+struct StillWorking {
+    /// Nothing is ever sent: the other side waits until this end is gone.
+    done: Option<mpsc::Sender<()>>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+/// After so long.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+impl StillWorking {
+    fn begin() -> StillWorking {
+        let (done, wait) = mpsc::channel();
+        let tell = move || {
+            if wait.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
+                let _ = write!(io::stderr(), "still evaluating; Ctrl-C ends the program");
+                let _ = wait.recv();
+                // Nothing of it stays on the line.
+                let _ = write!(io::stderr(), "\r\u{1b}[K");
+            }
+        };
+        StillWorking {
+            done: Some(done),
+            // Without a thread nothing is told, and that is all.
+            thread: std::thread::Builder::new().spawn(tell).ok(),
+        }
+    }
+}
+
+impl Drop for StillWorking {
+    fn drop(&mut self) {
+        self.done = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
 }
 
 struct Repl<W> {
@@ -304,5 +347,5 @@ fn signature(session: &Session, id: RelId) -> String {
 
 /// Whether an input may end here. A command is one line.
 fn is_whole(text: &str) -> bool {
-    command::word(text).is_some() || is_complete(text)
+    command::word(text).is_some() || command::foreign(text).is_some() || is_complete(text)
 }

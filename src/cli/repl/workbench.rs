@@ -463,17 +463,30 @@ fn constants(clause: &lang::Clause) -> Option<Vec<Value>> {
     clause.head.terms.iter().map(constant).collect()
 }
 
-/// By how many rows the predicates of the new session have more or fewer.
+/// How many rows of its predicates are in the new session only, and in the old one only. Predicates that are declared otherwise have
+/// no row in common.
 fn compare(old: &Session, new: &Session) -> Vec<Changed> {
+    let bases = |relation: &Relation| relation.columns.iter().map(|column| column.base).collect::<Vec<_>>();
     let mut changes = Vec::new();
-    for (id, relation) in query::relations(new.program()) {
-        let before = old.program().relation(&relation.name).map_or(0, |id| old.len(id));
-        let after = new.len(id);
-        if before != after && !relation.hidden {
+    for (id, relation) in query::relations(new.program()).filter(|(_, relation)| !relation.hidden) {
+        let before = old.program().relation(&relation.name);
+        let twin = before.filter(|twin| bases(&old.program().rules().relations[twin.index()]) == bases(relation));
+        let kept = twin.map_or(0, |twin| {
+            let texts = |session: &Session, row: &[Value]| -> Vec<String> {
+                let columns = row.iter().zip(&relation.columns);
+                columns
+                    .map(|(value, column)| facts::print_value(session, *value, column.base))
+                    .collect()
+            };
+            let known: HashSet<Vec<String>> = old.rows(twin).map(|row| texts(old, row)).collect();
+            new.rows(id).filter(|row| known.contains(&texts(new, row))).count()
+        });
+        let (added, removed) = (new.len(id) - kept, before.map_or(0, |before| old.len(before)) - kept);
+        if added + removed > 0 {
             changes.push(Changed {
                 relation: relation.name.clone(),
-                added: after.saturating_sub(before),
-                removed: before.saturating_sub(after),
+                added,
+                removed,
             });
         }
     }

@@ -28,7 +28,18 @@ enum Root {
 type RootFact = (RelId, Vec<Root>);
 
 /// What [`Side::cost`] is known to be.
-type Costs = HashMap<(RelId, bool), usize>;
+#[derive(Default)]
+struct Costs {
+    known: HashMap<(RelId, bool), usize>,
+    /// A chain of predicates was too long to follow.
+    too_deep: bool,
+}
+
+/// About one output so many facts about roots are taken apart.
+const FACTS_OF_OUTPUT_MAX: usize = 1_000;
+
+/// Longer chains of predicates are not followed.
+const DEPTH_MAX: usize = 64;
 
 /// An argument of a fact about the roots, in words that mean the same on both sides.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -38,7 +49,8 @@ enum Told {
 }
 
 /// The number of entities that suffice to show a difference in the output of that name; `None` if no number is known to. Outputs
-/// in `equal` are the same on both sides wherever those are, so their witnesses count once.
+/// in `equal` are the same on both sides wherever those are, so their witnesses count once. There is no `room` left if it would have
+/// taken too long.
 pub(super) fn entities(
     sides: [&Side<'_>; 2],
     output: &Output,
@@ -49,13 +61,17 @@ pub(super) fn entities(
     let mut total = arity;
     let mut kept: BTreeSet<(&str, Vec<Told>)> = BTreeSet::new();
     for (side, relation) in sides.into_iter().zip(output.ids) {
-        let mut costs = Costs::new();
+        let mut costs = Costs::default();
         let mut facts: IndexSet<RootFact> = [(relation, (0..arity).map(Root::Column).collect())].into();
         let mut at = 0;
         while let Some((relation, row)) = facts.get_index(at).cloned() {
             at += 1;
             *room = room.checked_sub(1)?;
-            let witnesses = side.witnesses(relation, &row, &mut facts, &mut costs)?;
+            let witnesses = side.witnesses(relation, &row, &mut facts, &mut costs);
+            if facts.len() > FACTS_OF_OUTPUT_MAX || costs.too_deep {
+                *room = 0;
+            }
+            let witnesses = witnesses?;
             let name = side.rules.relations[relation.index()].name.as_str();
             let known = equal.contains(name) && kept.contains(&(name, side.told(relation, &row)));
             if !known {
@@ -105,10 +121,11 @@ impl Side<'_> {
 
     /// Witnesses that any fact of the predicate needs to hold, or to fail.
     fn cost(&self, relation: RelId, holds: bool, depth: usize, costs: &mut Costs) -> Option<usize> {
-        if let Some(&known) = costs.get(&(relation, holds)) {
+        if let Some(&known) = costs.known.get(&(relation, holds)) {
             return Some(known);
         }
-        if depth > 64 {
+        if depth > DEPTH_MAX {
+            costs.too_deep = true;
             return None;
         }
         let mut total = 0_usize;
@@ -135,7 +152,7 @@ impl Side<'_> {
                 (false, false) => return None,
             };
         }
-        costs.insert((relation, holds), total);
+        costs.known.insert((relation, holds), total);
         Some(total)
     }
 
@@ -235,7 +252,7 @@ impl Side<'_> {
             match roots {
                 Some(roots) => {
                     facts.insert((atom.relation, roots));
-                    if facts.len() > 1000 {
+                    if facts.len() > FACTS_OF_OUTPUT_MAX {
                         return None;
                     }
                 }

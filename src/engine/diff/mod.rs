@@ -56,10 +56,12 @@ pub enum Verdict {
     },
     /// No difference was found in scenes of at most `entities` entities, and larger ones may have one.
     NoneFound {
-        /// The size up to which every scene was looked at.
-        entities: usize,
-        /// The size up to which looking would be a proof, if there is one.
+        /// The size up to which every scene was looked at; `None` if not even the smallest could be.
+        entities: Option<usize>,
+        /// The size up to which looking would be a proof, if one is known.
         proof: Option<usize>,
+        /// What was given up. Nothing if only [`Options::entities_max`] ended the search.
+        cut: Vec<Cut>,
     },
     /// No difference was found by evaluating scenes one by one; others may show one. The values were those that the rules name, their
     /// neighbours and a few small ones.
@@ -73,6 +75,17 @@ pub enum Verdict {
     },
     /// They differ in this scene.
     Different(Difference),
+}
+
+/// Why a search ended early.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Cut {
+    /// It met as many dead ends as [`Options::conflicts_max`] allows.
+    Effort,
+    /// The next larger scenes have too many possible facts, or facts have too many ways to be derived.
+    Size,
+    /// Finding out how many entities a proof needs would have taken too long.
+    Proof,
 }
 
 /// A scene and what each side derives in it.
@@ -191,24 +204,30 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, V
     } else {
         &[View::Free]
     };
-    let mut seen_all = last;
+    let mut seen_all = Some(last);
+    let mut cut = BTreeSet::new();
+    if proof.is_none() && room == 0 {
+        cut.insert(Cut::Proof);
+    }
     for &view in views {
         for entities in 0..=last {
             match search(sides, &base, &outputs, entities, view, &mut left) {
-                Some(Some(difference)) => return Ok(Verdict::Different(difference)),
-                Some(None) => {}
-                None => {
-                    seen_all = seen_all.min(entities.saturating_sub(1));
+                Ok(Some(difference)) => return Ok(Verdict::Different(difference)),
+                Ok(None) => {}
+                Err(why) => {
+                    cut.insert(why);
+                    seen_all = seen_all.min(entities.checked_sub(1));
                     break;
                 }
             }
         }
     }
-    Ok(match proof {
-        Some(proof) if proof <= seen_all => Verdict::Equivalent { entities: proof },
+    Ok(match (proof, seen_all) {
+        (Some(entities), Some(seen_all)) if entities <= seen_all => Verdict::Equivalent { entities },
         _ => Verdict::NoneFound {
             entities: seen_all,
             proof,
+            cut: cut.into_iter().collect(),
         },
     })
 }
@@ -363,8 +382,10 @@ struct Left {
     room: usize,
 }
 
-/// A scene of that size that shows a difference, if there is one; `None` if that could not be settled.
-#[allow(clippy::option_option)]
+/// A scene of that size that shows a difference, if there is one.
+///
+/// # Errors
+/// Why that could not be settled.
 fn search(
     sides: [&Side<'_>; 2],
     base: &[Base],
@@ -372,7 +393,7 @@ fn search(
     entities: usize,
     view: View,
     effort: &mut Left,
-) -> Option<Option<Difference>> {
+) -> Result<Option<Difference>, Cut> {
     let individuals = individuals(sides, entities);
     let [left, right] = sides.map(|side| Side {
         rules: side.rules,
@@ -387,26 +408,29 @@ fn search(
     let asked = questions(&mut circuit, outputs, entities, &individuals);
     let kept = circuit.promises();
     effort.room -= before - circuit.room;
-    let (questions, ()) = asked.ok().zip(kept.ok())?;
+    let (Ok(questions), Ok(())) = (asked, kept) else {
+        return Err(Cut::Size);
+    };
     let any = circuit.any(questions.iter().map(|question| question.differs).collect());
     if circuit.is_no(any) {
-        return Some(None);
+        return Ok(None);
     }
     circuit.solver.add(&[any]);
     match circuit.solver.solve(&[], &mut effort.conflicts) {
-        Outcome::Unsatisfiable => return Some(None),
-        Outcome::Unknown => return None,
+        Outcome::Unsatisfiable => return Ok(None),
+        Outcome::Unknown => return Err(Cut::Effort),
         Outcome::Satisfiable => {}
     }
     let smallest = shrink(&mut circuit, &mut effort.conflicts);
     let asked = questions
         .iter()
-        .find(|question| circuit.solver.is_true(question.differs))?;
+        .find(|question| circuit.solver.is_true(question.differs))
+        .ok_or(Cut::Effort)?;
     let facts: Vec<BaseFact> = (circuit.atoms.iter())
         .filter(|(_, lit)| circuit.solver.is_true(**lit))
         .map(|(fact, _)| fact.clone())
         .collect();
-    Some(Some(tell(
+    Ok(Some(tell(
         sides,
         base,
         outputs,

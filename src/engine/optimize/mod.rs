@@ -10,28 +10,24 @@
 //! derived predicates, so what holds here holds whatever the other clauses are. Promises are used only if the caller says so. Bounded and
 //! deterministic: no clock, no hash order.
 
+mod cover;
 mod saturate;
 mod share;
 mod theory;
 
 use crate::diag::{Code, Diagnostic};
 use crate::lang::{
-    Atom, BaseType, Clause, ClauseId, Comparison, Constraint, Literal, RelId, Rules, Term, Value, VarId,
+    Atom, BaseType, Clause, ClauseId, Comparing, Comparison, Constraint, Literal, Rules, Term, Value, VarId, quoted,
 };
 use crate::symbol::Symbol;
+use cover::is_covered;
 use saturate::Knowledge;
 use std::collections::{BTreeMap, BTreeSet};
 pub(in crate::engine) use theory::speaks_of;
-use theory::{Arg, Fact, Theory, covers, facts};
+use theory::{Fact, Theory, covers, facts};
 
 /// Longer bodies are left as they are.
 const LITERALS_MAX: usize = 64;
-
-/// Looking for clauses that others cover takes at most so many steps.
-const STEPS_MAX: usize = 1_000_000;
-
-/// Of one pair of clauses at most so many.
-const STEPS_OF_PAIR: usize = 2_000;
 
 /// Something that need not be there.
 #[derive(Clone, Debug)]
@@ -55,9 +51,10 @@ pub(super) fn optimize(rules: &Rules, promises: bool) -> Rules {
     let constraints: Vec<Constraint> = rules.promises.iter().map(|promise| promise.constraint).collect();
     let theory = Theory::new(if promises { constraints } else { Vec::new() });
     let mut gone = vec![false; rules.clauses.len()];
-    for finding in find(rules, &theory) {
+    let mut needless: BTreeMap<ClauseId, BTreeSet<usize>> = BTreeMap::new();
+    for finding in find(rules, &theory, true).findings {
         match finding {
-            Finding::Redundant { .. } => {}
+            Finding::Redundant { clause, literal, .. } => _ = needless.entry(clause).or_default().insert(literal),
             Finding::Contradictory { clause, .. } => {
                 let clause = &mut better.clauses[clause.index()];
                 let zero = Term::Constant(Value::number(0));
@@ -73,14 +70,12 @@ pub(super) fn optimize(rules: &Rules, promises: bool) -> Rules {
             Finding::Subsumed { clause, .. } => gone[clause.index()] = true,
         }
     }
-    for (index, clause) in better.clauses.iter_mut().enumerate() {
-        if let Some(Some(kept)) = simplest(&rules.clauses[index], &theory) {
-            let mut position = 0;
-            clause.body.retain(|_| {
-                position += 1;
-                kept.contains(&(position - 1))
-            });
-        }
+    for (clause, needless) in needless {
+        let mut position = 0;
+        better.clauses[clause.index()].body.retain(|_| {
+            position += 1;
+            !needless.contains(&(position - 1))
+        });
     }
     for stratum in &mut better.strata {
         stratum.clauses.retain(|clause| !gone[clause.index()]);
@@ -89,22 +84,29 @@ pub(super) fn optimize(rules: &Rules, promises: bool) -> Rules {
     better
 }
 
+/// What [`lints`] gives.
+#[derive(Clone, Debug)]
+pub struct Lints {
+    /// What could be simpler, in the order of the text.
+    pub diagnostics: Vec<Diagnostic>,
+    /// How many steps it took to look for clauses that others cover under the promises.
+    pub steps: usize,
+    /// What was not looked at since it would have taken too long, if anything.
+    pub unfinished: Vec<&'static str>,
+}
+
 /// What could be simpler, for the author: literals that others imply, bodies that contradict themselves, clauses that others cover
 /// under the promises, and what is said again and again.
-pub fn lints(rules: &Rules) -> Vec<Diagnostic> {
+pub fn lints(rules: &Rules) -> Lints {
     let theory = Theory::new(rules.promises.iter().map(|promise| promise.constraint));
     let plain = Theory::new([]);
-    let pair = |finding: &Finding| match *finding {
-        Finding::Subsumed { clause, by } => Some((clause, by)),
-        _ => None,
-    };
-    let known: BTreeSet<(ClauseId, ClauseId)> = find(rules, &plain).iter().filter_map(pair).collect();
     let mut lints = Vec::new();
-    for finding in find(rules, &theory) {
+    // Loading has told what is covered without promises.
+    let found = find(rules, &theory, !rules.promises.is_empty());
+    for finding in &found.findings {
         let named = |id: ClauseId| &rules.clauses[id.index()];
-        lints.extend(match finding {
-            // Without promises, loading has told.
-            Finding::Subsumed { clause, by } if known.contains(&(clause, by)) => None,
+        lints.extend(match *finding {
+            Finding::Subsumed { clause, by } if is_covered(&plain, named(by), named(clause)) => None,
             Finding::Subsumed { clause, by } => Some(
                 Diagnostic::new(
                     Code::SubsumedClause,
@@ -138,9 +140,22 @@ pub fn lints(rules: &Rules) -> Vec<Diagnostic> {
             } => redundant(rules, &theory, named(clause), literal, because),
         });
     }
-    lints.extend(share::repeated(rules).iter().map(|uses| repeated(rules, uses)));
+    let (parts, all_parts) = share::repeated(rules);
+    lints.extend(parts.iter().map(|uses| repeated(rules, uses)));
     lints.sort_by_key(|lint| lint.primary.as_ref().map(|label| (label.span.source, label.span.start)));
-    lints
+    let unfinished = [
+        (found.effort.complete, "clauses that others cover under the promises"),
+        (all_parts, "parts that several bodies share"),
+    ];
+    Lints {
+        diagnostics: lints,
+        steps: found.effort.steps,
+        unfinished: unfinished
+            .into_iter()
+            .filter(|(all, _)| !all)
+            .map(|(_, what)| what)
+            .collect(),
+    }
 }
 
 /// A part of several bodies that is worth a name.
@@ -252,7 +267,13 @@ fn simplest(clause: &Clause, theory: &Theory) -> Option<Option<Vec<usize>>> {
     Some(kept)
 }
 
-fn find(rules: &Rules, theory: &Theory) -> Vec<Finding> {
+struct Found {
+    findings: Vec<Finding>,
+    /// What looking for covered clauses took.
+    effort: Comparing,
+}
+
+fn find(rules: &Rules, theory: &Theory, covered: bool) -> Found {
     let mut findings = Vec::new();
     for (index, clause) in rules.clauses.iter().enumerate() {
         let id = ClauseId(index as u32);
@@ -280,194 +301,11 @@ fn find(rules: &Rules, theory: &Theory) -> Vec<Finding> {
             }
         }
     }
-    subsumed(rules, theory, &mut findings);
-    findings
-}
-
-/// Finds clauses whose rows another clause of the predicate derives: some substitution makes the heads equal and every literal of the
-/// other one implied by one of this.
-fn subsumed(rules: &Rules, theory: &Theory, findings: &mut Vec<Finding>) {
-    let contradictory = |finding: &Finding| match finding {
-        Finding::Contradictory { clause, .. } => Some(clause.index()),
-        _ => None,
+    let effort = match covered {
+        true => cover::subsumed(rules, theory, &mut findings),
+        false => Comparing::default(),
     };
-    let never: BTreeSet<usize> = findings.iter().filter_map(contradictory).collect();
-    let mut by_head: BTreeMap<RelId, Vec<usize>> = BTreeMap::new();
-    for (index, clause) in rules.clauses.iter().enumerate() {
-        let is_known = !clause.body.is_empty() && clause.body.len() <= LITERALS_MAX && theory::speaks_of(clause);
-        if is_known && !never.contains(&index) {
-            by_head.entry(clause.head.relation).or_default().push(index);
-        }
-    }
-    let mut steps = STEPS_MAX;
-    for group in by_head.values().filter(|group| group.len() > 1) {
-        let special: Vec<Vec<Fact>> = (group.iter())
-            .map(|&index| {
-                facts(&rules.clauses[index], false)
-                    .iter()
-                    .flat_map(|fact| theory.closure(fact))
-                    .collect()
-            })
-            .collect();
-        let general: Vec<Vec<Fact>> = group.iter().map(|&index| facts(&rules.clauses[index], true)).collect();
-        let mut gone = vec![false; group.len()];
-        for later in (0..group.len()).rev() {
-            for other in 0..group.len() {
-                if other == later || gone[other] || gone[later] {
-                    continue;
-                }
-                let Some(left) = steps.checked_sub(1) else { return };
-                steps = left;
-                let (one, two) = (&rules.clauses[group[other]], &rules.clauses[group[later]]);
-                if Cover::exists(theory, one, &general[other], two, &special[later], &mut steps) {
-                    gone[later] = true;
-                    findings.push(Finding::Subsumed {
-                        clause: ClauseId(group[later] as u32),
-                        by: ClauseId(group[other] as u32),
-                    });
-                }
-            }
-        }
-    }
-}
-
-/// The search for a substitution.
-struct Cover<'a> {
-    theory: &'a Theory,
-    general: Vec<&'a Fact>,
-    special: &'a [Fact],
-    bound: Vec<Option<Arg>>,
-    steps: usize,
-}
-
-impl Cover<'_> {
-    fn exists(
-        theory: &Theory,
-        one: &Clause,
-        general: &[Fact],
-        two: &Clause,
-        special: &[Fact],
-        steps: &mut usize,
-    ) -> bool {
-        // Positive atoms first: they say what the variables are.
-        let is_positive = |fact: &&Fact| matches!(fact, Fact::Atom { holds: true, .. });
-        let mut order: Vec<&Fact> = general.iter().filter(is_positive).collect();
-        order.extend(general.iter().filter(|fact| !is_positive(fact)));
-        let allowed = STEPS_OF_PAIR.min(*steps);
-        let mut cover = Cover {
-            theory,
-            general: order,
-            special,
-            bound: vec![None; one.variables.len()],
-            steps: allowed,
-        };
-        let arg = |term: &Term| match *term {
-            Term::Variable(id) => Arg::Variable(id.index()),
-            Term::Constant(value) => Arg::Constant(value),
-            Term::Wildcard => Arg::Any,
-        };
-        let (left, right): (Vec<Arg>, Vec<Arg>) = (
-            one.head.terms.iter().map(arg).collect(),
-            two.head.terms.iter().map(arg).collect(),
-        );
-        let found = cover.unify(&left, &right).is_some() && cover.literal(0);
-        *steps -= allowed - cover.steps;
-        found
-    }
-
-    /// Binds variables so that the arguments are the others; the variables that were bound.
-    fn unify(&mut self, general: &[Arg], special: &[Arg]) -> Option<Vec<usize>> {
-        let mut new = Vec::new();
-        for (&general, &special) in general.iter().zip(special) {
-            let fits = match general {
-                Arg::Any => true,
-                Arg::Constant(_) => general == special,
-                Arg::Variable(_) if special == Arg::Any => false,
-                Arg::Variable(id) => match self.bound[id] {
-                    Some(known) => known == special,
-                    None => {
-                        self.bound[id] = Some(special);
-                        new.push(id);
-                        true
-                    }
-                },
-            };
-            if !fits {
-                self.release(&new);
-                return None;
-            }
-        }
-        Some(new)
-    }
-
-    fn release(&mut self, variables: &[usize]) {
-        for &variable in variables {
-            self.bound[variable] = None;
-        }
-    }
-
-    fn literal(&mut self, at: usize) -> bool {
-        let Some(&wanted) = self.general.get(at) else {
-            return true;
-        };
-        match wanted {
-            Fact::Atom {
-                holds: true,
-                relation,
-                args,
-            } => {
-                for index in 0..self.special.len() {
-                    let special = self.special;
-                    let Fact::Atom {
-                        holds: true,
-                        relation: r,
-                        args: found,
-                    } = &special[index]
-                    else {
-                        continue;
-                    };
-                    if relation != r {
-                        continue;
-                    }
-                    let Some(left) = self.steps.checked_sub(1) else {
-                        return false;
-                    };
-                    self.steps = left;
-                    let Some(new) = self.unify(args, found) else { continue };
-                    if self.literal(at + 1) {
-                        return true;
-                    }
-                    self.release(&new);
-                }
-                false
-            }
-            _ => {
-                let Some(wanted) = self.instance(wanted) else {
-                    return false;
-                };
-                let said = self.theory.always(&wanted) || self.special.iter().any(|known| covers(known, &wanted));
-                said && self.literal(at + 1)
-            }
-        }
-    }
-
-    /// The fact with its variables replaced; `None` if one is not bound.
-    fn instance(&self, fact: &Fact) -> Option<Fact> {
-        let arg = |arg: &Arg| match *arg {
-            Arg::Variable(id) => self.bound[id],
-            other => Some(other),
-        };
-        Some(match fact {
-            Fact::Atom { holds, relation, args } => Fact::Atom {
-                holds: *holds,
-                relation: *relation,
-                args: args.iter().map(arg).collect::<Option<Vec<Arg>>>()?,
-            },
-            Fact::Compare { allowed, left, right } => {
-                theory::comparison(*allowed, arg(left)?, arg(right)?, BaseType::Symbol)
-            }
-        })
-    }
+    Found { findings, effort }
 }
 
 // --- words
@@ -516,7 +354,7 @@ fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> St
             BaseType::Number => value.as_number().to_string(),
             BaseType::Unsigned => value.0.to_string(),
             BaseType::Float => crate::engine::facts::print_float(value.as_float()),
-            BaseType::Symbol => format!("{:?}", rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
+            BaseType::Symbol => quoted(rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
         },
     }
 }

@@ -459,19 +459,7 @@ fn hidden(rules: &Rules, model: &Use, needed: &[usize], number: usize) -> Option
         columns.push(column(rules, &body, &model.terms[number])?.clone());
     }
     let terms = needed.iter().map(|&number| model.terms[number]).collect();
-    let relation = Relation {
-        name: format!("+shared {number}"),
-        columns,
-        doc: String::new(),
-        span: clause.span,
-        input: false,
-        given: None,
-        output: false,
-        printsize: false,
-        derived: true,
-        hidden: true,
-        directives: Vec::new(),
-    };
+    let relation = Relation::made(format!("+shared {number}"), columns, String::new(), clause.span);
     let head = Atom {
         relation: RelId(rules.relations.len() as u32),
         terms,
@@ -532,7 +520,8 @@ const WRITTEN_MAX: usize = 10;
 
 /// Parts of bodies that stand in several clauses, those first that say most; no clause is in two. All literals of a part were written,
 /// and it joins two atoms. Under a scope it speaks of the agent that the clause is about: a predicate of its own then sees the same.
-pub(super) fn repeated(rules: &Rules) -> Vec<Vec<Use>> {
+/// Beside them whether all bodies were looked at.
+pub(super) fn repeated(rules: &Rules) -> (Vec<Vec<Use>>, bool) {
     let mut left = Left {
         candidates: 0,
         plans: 0,
@@ -587,7 +576,7 @@ pub(super) fn repeated(rules: &Rules) -> Vec<Vec<Use>> {
             found.push(uses);
         }
     }
-    found
+    (found, left.words > 0)
 }
 
 /// Whether the literals hang together by variables, all of which its positive atoms bind.

@@ -183,6 +183,11 @@ impl Theory {
         self.irreflexive.contains(&relation) && args[0] == args[1] && args[0] != Arg::Any
     }
 
+    /// Whether the predicate never relates a thing to itself.
+    pub(super) fn is_irreflexive(&self, relation: RelId) -> bool {
+        self.irreflexive.contains(&relation)
+    }
+
     /// The fact and what follows from it.
     pub(super) fn closure(&self, fact: &Fact) -> Vec<Fact> {
         let mut found = vec![fact.clone()];

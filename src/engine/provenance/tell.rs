@@ -3,7 +3,7 @@
 use super::{Absence, Explanation, Fact, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise, Reason};
 use crate::diag::Sources;
 use crate::lang::{
-    AggregateOp, Atom, BaseType, Clause, ClauseId, Comparison, Functor, Literal, RelId, Rules, Term, Value,
+    AggregateOp, Atom, BaseType, Clause, ClauseId, Comparison, Functor, Literal, RelId, Rules, Term, Value, quoted,
 };
 use crate::symbol::{Symbol, Symbols};
 use serde_json::{Map, json};
@@ -18,6 +18,8 @@ pub struct Teller<'a> {
     rules: &'a Rules,
     symbols: &'a Symbols,
     sources: &'a Sources,
+    /// Whether texts stand in quotes even where they read as names.
+    quotes: bool,
 }
 
 /// A line and what stands below it.
@@ -59,7 +61,13 @@ impl<'a> Teller<'a> {
             rules,
             symbols,
             sources,
+            quotes: false,
         }
+    }
+
+    /// Tells values as they are written in rules, so that what is told can be read again: all texts in quotes.
+    pub fn quoting(self) -> Self {
+        Teller { quotes: true, ..self }
     }
 
     /// The explanation as a tree of lines. What occurs several times is told once.
@@ -70,6 +78,7 @@ impl<'a> Teller<'a> {
                 teller: *self,
                 explanation,
                 told: HashSet::new(),
+                open: Vec::new(),
             };
             drawing.node(NodeId(0), 0).draw("", "", &mut out);
         }
@@ -82,7 +91,7 @@ impl<'a> Teller<'a> {
     /// `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range", "clauses": [{"clause", "binding", "fails"}]}`. An entry
     /// of `premises` and `fails` has the `literal` as it reads under the binding, the `kind` (`fact`, `in-view`, `not`,
     /// `comparison`, `expression`, `aggregate`) and, except for the last three, the `node` that tells why it holds or does not. A `clause` has `head`, `file`, `line`
-    /// and `doc`; where only the head does not fit, `fails` is empty.
+    /// and `doc`; where only the head does not fit, `fails` is empty. What does not hold in a recursion may lead back to itself.
     pub fn json(&self, explanation: &Explanation) -> serde_json::Value {
         let nodes: Vec<serde_json::Value> = (explanation.nodes().iter())
             .map(|node| match node {
@@ -296,7 +305,7 @@ impl<'a> Teller<'a> {
         format!("{file}:{}", self.sources.position(clause.span).line)
     }
 
-    /// A value as it is written: numbers in decimal, symbols bare where they read as names.
+    /// A value as it is written: numbers in decimal, symbols bare where they read as names unless [`Teller::quoting`].
     pub fn value(&self, value: Value, base: BaseType) -> String {
         match base {
             BaseType::Number => value.as_number().to_string(),
@@ -305,10 +314,10 @@ impl<'a> Teller<'a> {
             BaseType::Symbol => {
                 let text = self.symbols.text(Symbol(value.0)).unwrap_or_default();
                 let bare = |c: char| c.is_alphanumeric() || "_-.".contains(c);
-                if !text.is_empty() && text.chars().all(bare) {
+                if !self.quotes && !text.is_empty() && text.chars().all(bare) {
                     text.to_owned()
                 } else {
-                    format!("{text:?}")
+                    quoted(text)
                 }
             }
         }
@@ -538,6 +547,8 @@ struct Drawing<'a> {
     teller: Teller<'a>,
     explanation: &'a Explanation,
     told: HashSet<NodeId>,
+    /// The nodes that the present line stands below.
+    open: Vec<NodeId>,
 }
 
 impl Drawing<'_> {
@@ -578,16 +589,20 @@ impl Drawing<'_> {
         if self.teller.is_range(relation) {
             return;
         }
-        if !self.told.insert(id) {
+        if self.open.contains(&id) {
+            item.text.push_str("  (that would rest on itself)");
+        } else if !self.told.insert(id) {
             item.text.push_str("  (see above)");
         } else if depth == Teller::DEPTH_MAX {
             self.told.remove(&id);
             item.text.push_str("  ...");
         } else {
+            self.open.push(id);
             match node {
                 Node::Fact(fact) => self.premises(fact, depth, item),
                 Node::Absence(absence) => self.misses(absence, depth, item),
             }
+            self.open.pop();
         }
     }
 

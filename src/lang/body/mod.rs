@@ -71,13 +71,7 @@ pub(super) fn check(
         sound: true,
         lost: false,
     };
-    // Which variables stand outside of all aggregates must be known when the first aggregate is read.
-    let mut mark = |name| {
-        check.levels[0].direct.insert(name);
-    };
-    head.terms.iter().for_each(|term| names_of(term, false, &mut mark));
-    body.iter().for_each(|literal| names_in(literal, false, &mut mark));
-
+    check.mark_direct(head, body);
     let lowered = check.head(head, clause.body.is_empty());
     if clause.body.is_empty() && (lowered.is_none() || check.variables.is_empty()) {
         // There may be very many facts, and of this one nothing is left to ask.
@@ -93,16 +87,7 @@ pub(super) fn check(
         check.literal(literal);
     }
     let pending = check.pending.pop().unwrap_or_default();
-    let expressions = (0..check.variables.len())
-        .filter(|&index| check.is_hidden(index))
-        .count();
-    if expressions > MAX_EXPRESSIONS {
-        let fault = Diagnostic::new(Code::LimitExceeded, format!("clause with {expressions} expressions"))
-            .at(head.place.0, "")
-            .note(format!(
-                "a clause has at most {MAX_EXPRESSIONS} operators and functions"
-            ));
-        check.fault(fault);
+    if check.has_too_many_expressions(head) {
         return None;
     }
     if let Some(lowered) = &lowered {
@@ -126,10 +111,7 @@ pub(super) fn check(
         literals = check.finish(&pending, &[], &mut finish);
     } else {
         // Nobody will evaluate it; warnings are told of what is certain.
-        let simple = pending
-            .iter()
-            .filter(|pending| !matches!(pending, Pending::Aggregate { .. }));
-        literals.extend(simple.map(|pending| check.written(pending)));
+        literals.extend(pending.iter().filter_map(|pending| check.written(pending)));
     }
     let (edges, lost, sound) = (check.edges, check.lost, check.sound);
     let mut lowered = lowered?;
@@ -277,6 +259,13 @@ pub(super) enum VariableType {
 pub(super) struct Operand {
     pub kind: OperandKind,
     pub span: Span,
+}
+
+impl Operand {
+    fn variable(id: VarId, span: Span) -> Self {
+        let kind = OperandKind::Variable(id);
+        Operand { kind, span }
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -786,11 +775,33 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
+    /// Remembers which variables stand outside of all aggregates: that must be known when the first aggregate is read.
+    fn mark_direct(&mut self, head: &'c ast::Atom, body: &[&'c ast::Literal]) {
+        let mut mark = |name| {
+            self.levels[0].direct.insert(name);
+        };
+        head.terms.iter().for_each(|term| names_of(term, false, &mut mark));
+        body.iter().for_each(|literal| names_in(literal, false, &mut mark));
+    }
+
+    fn has_too_many_expressions(&mut self, head: &ast::Atom) -> bool {
+        let count = (0..self.variables.len()).filter(|&index| self.is_hidden(index)).count();
+        if count > MAX_EXPRESSIONS {
+            let fault = Diagnostic::new(Code::LimitExceeded, format!("clause with {count} expressions"))
+                .at(head.place.0, "")
+                .note(format!(
+                    "a clause has at most {MAX_EXPRESSIONS} operators and functions"
+                ));
+            self.fault(fault);
+        }
+        count > MAX_EXPRESSIONS
+    }
+
     // --- the checked literals
 
-    /// A literal other than an aggregate as the engine gets it.
-    pub fn written(&mut self, pending: &Pending<'c>) -> Literal {
-        match pending {
+    /// A literal as the engine gets it; `None` for an aggregate, see `Check::finish`.
+    pub fn written(&mut self, pending: &Pending<'c>) -> Option<Literal> {
+        Some(match pending {
             Pending::Atom { negated, atom, .. } if *negated => Literal::Negative(atom.clone()),
             Pending::Atom { atom, .. } => Literal::Positive(atom.clone()),
             Pending::Compare { op, left, right, span } => {
@@ -837,15 +848,8 @@ impl<'c> Check<'_, 'c> {
                     span: *span,
                 }
             }
-            // See `Check::finish`; it stands in no list of these.
-            Pending::Aggregate { to, span, .. } => Literal::Compare {
-                op: Comparison::Equal,
-                left: Term::Variable(*to),
-                right: Term::Variable(*to),
-                base: BaseType::Symbol,
-                span: *span,
-            },
-        }
+            Pending::Aggregate { .. } => return None,
+        })
     }
 
     pub fn finished(&mut self, operand: Operand, base: BaseType) -> Term {

@@ -65,10 +65,7 @@ impl<'c> Check<'_, 'c> {
                     ..
                 } => {
                     self.join_compared(body);
-                    let result = Operand {
-                        kind: OperandKind::Variable(*to),
-                        span: *span,
-                    };
+                    let result = Operand::variable(*to, *span);
                     if let (AggregateOp::Min | AggregateOp::Max | AggregateOp::Sum, Some(target)) = (op, target) {
                         self.join(result, *target, *span);
                     }
@@ -219,10 +216,7 @@ impl<'c> Check<'_, 'c> {
                     ty,
                     span,
                 } => {
-                    let result = Operand {
-                        kind: OperandKind::Variable(*to),
-                        span: *span,
-                    };
+                    let result = Operand::variable(*to, *span);
                     let kind = TieKind::Functor(functor.name());
                     match functor.shape() {
                         Shape::Same(allowed) => {
@@ -253,10 +247,7 @@ impl<'c> Check<'_, 'c> {
                     ..
                 } => {
                     self.ties(body, out);
-                    let result = Operand {
-                        kind: OperandKind::Variable(*to),
-                        span: *span,
-                    };
+                    let result = Operand::variable(*to, *span);
                     let kind = TieKind::Functor(op.name());
                     match (op, target) {
                         (AggregateOp::Mean, Some(target)) => {

@@ -135,6 +135,11 @@ impl Parser<'_> {
         let mut negated = false;
         loop {
             let token = self.token();
+            if self.is_cut() {
+                self.unsupported(self.span(token), "the cut `!` is", CUT);
+                self.bump();
+                return Ok(Vec::new());
+            }
             match token.kind {
                 Kind::Bang => negated = !negated,
                 Kind::Ident if matches!(self.slice(token), "Not" | "not") => negated = !negated,
@@ -160,6 +165,15 @@ impl Parser<'_> {
         };
         self.nesting = outside;
         Ok(if negated { negate(all) } else { all })
+    }
+
+    /// A `!` with nothing to negate, as Prolog has it.
+    fn is_cut(&self) -> bool {
+        let ends = matches!(
+            self.ahead(1).kind,
+            Kind::Comma | Kind::Semicolon | Kind::Dot | Kind::End
+        );
+        self.kind() == Kind::Bang && ends
     }
 
     /// `NOT A(x)` or `NOT(A(x))`
@@ -198,35 +212,9 @@ impl Parser<'_> {
     }
 
     fn atom_or_comparison(&mut self) -> Parse<Vec<Literal>> {
-        let start = self.token();
-        let next = self.ahead(1);
+        let (start, next) = (self.token(), self.ahead(1));
         if start.kind == Kind::Ident && next.kind == Kind::LParen && !self.is_term_with_parentheses() {
-            let op = match self.slice(start) {
-                "match" => Some(Comparison::Match),
-                "contains" => Some(Comparison::Contains),
-                _ => None,
-            };
-            let mut atom = self.atom("`(`")?;
-            let Some(op) = op else {
-                let after = self.token();
-                if comparison(after.kind).is_some() || self.infix(after).is_some() {
-                    return Err(self.unsupported(
-                        atom.place.0,
-                        &format!("the functor `{}` is", atom.predicate.text),
-                        "an atom has no value that could be compared",
-                    ));
-                }
-                return Ok(vec![Literal::Atom { negated: false, atom }]);
-            };
-            let (Some(right), Some(left), 0) = (atom.terms.pop(), atom.terms.pop(), atom.terms.len()) else {
-                let message = format!("`{}` takes 2 arguments", atom.predicate.text);
-                self.faults.push(
-                    Diagnostic::new(Code::ArityMismatch, message).at(atom.place.0, "a pattern or part, and a text"),
-                );
-                return Err(Reported);
-            };
-            let place = atom.place;
-            return Ok(vec![Literal::Compare { op, left, right, place }]);
+            return Ok(vec![self.atom_or_text_test()?]);
         }
         let is_alone = comparison(next.kind).is_none() && self.infix(next).is_none();
         match self.slice(start) {
@@ -240,67 +228,96 @@ impl Parser<'_> {
             }
             _ => {}
         }
-        let part = self.ahead(2);
-        if start.kind == Kind::Ident
-            && next.kind == Kind::Dot
-            && start.end == next.start
-            && next.end == part.start
-            && part.kind == Kind::Ident
-            && self.ahead(3).kind == Kind::LParen
-            && !next.first_on_line
-        {
+        if let Some(part) = self.component() {
             self.at += 3;
             let span = self.span(start).to(self.span(part));
             return Err(self.unsupported(span, "names with a dot (components) are", ""));
         }
-        let left = match start.kind {
-            Kind::Ident
-            | Kind::Underscore
-            | Kind::Number
-            | Kind::Faulty
-            | Kind::Float
-            | Kind::Unsigned
-            | Kind::Text
-            | Kind::OpenText
-            | Kind::Minus
-            | Kind::LParen
-            | Kind::LBracket
-            | Kind::Dollar
-            | Kind::At => self.term()?,
-            _ => return Err(self.expected("a literal")),
+        Ok(vec![self.comparison()?])
+    }
+
+    /// `A(x)`, `match(x, y)`
+    fn atom_or_text_test(&mut self) -> Parse<Literal> {
+        let op = match self.slice(self.token()) {
+            "match" => Some(Comparison::Match),
+            "contains" => Some(Comparison::Contains),
+            _ => None,
         };
-        let op_token = self.token();
-        let Some(op) = comparison(op_token.kind) else {
-            if let TermKind::Variable(_) = &left.kind {
-                let help = match op_token.kind {
-                    _ if self.habit().is_some() => self.habit().unwrap_or_default().to_owned(),
-                    Kind::Ident | Kind::Underscore => {
-                        format!(
-                            "arguments stand in parentheses: `{}({})`",
-                            self.slice(start),
-                            self.slice(op_token)
-                        )
-                    }
-                    _ => format!("a predicate without arguments is written `{}()`", self.slice(start)),
-                };
-                let fault = Diagnostic::new(Code::Syntax, format!("`{}` is not a literal", self.slice(start)))
-                    .at(left.place.0, "expected an atom or a comparison")
-                    .help(help);
-                self.faults.push(fault);
-                return Err(Reported);
+        let mut atom = self.atom("`(`")?;
+        let Some(op) = op else {
+            let after = self.token();
+            if comparison(after.kind).is_some() || self.infix(after).is_some() {
+                return Err(self.unsupported(
+                    atom.place.0,
+                    &format!("the functor `{}` is", atom.predicate.text),
+                    "an atom has no value that could be compared",
+                ));
             }
-            return Err(self.expected("a comparison operator"));
+            return Ok(Literal::Atom { negated: false, atom });
+        };
+        let (Some(right), Some(left), 0) = (atom.terms.pop(), atom.terms.pop(), atom.terms.len()) else {
+            let message = format!("`{}` takes 2 arguments", atom.predicate.text);
+            let fault = Diagnostic::new(Code::ArityMismatch, message).at(atom.place.0, "a pattern or part, and a text");
+            self.faults.push(fault);
+            return Err(Reported);
+        };
+        let place = atom.place;
+        Ok(Literal::Compare { op, left, right, place })
+    }
+
+    /// The second part of a name with a dot, if an atom with such a name begins here.
+    fn component(&self) -> Option<Token> {
+        let (start, dot, part) = (self.token(), self.ahead(1), self.ahead(2));
+        let is_name = start.kind == Kind::Ident && dot.kind == Kind::Dot && part.kind == Kind::Ident;
+        let is_one_word = start.end == dot.start && dot.end == part.start && !dot.first_on_line;
+        (is_name && is_one_word && self.ahead(3).kind == Kind::LParen).then_some(part)
+    }
+
+    /// `x < y + 1`
+    fn comparison(&mut self) -> Parse<Literal> {
+        let start = self.token();
+        let begins = matches!(
+            start.kind,
+            Kind::Dollar | Kind::At | Kind::LBracket | Kind::Faulty | Kind::OpenText
+        );
+        if !begins && !self.begins_operand(start) && start.kind != Kind::Ident {
+            return Err(self.expected("a literal"));
+        }
+        let left = self.term()?;
+        let Some(op) = comparison(self.kind()) else {
+            return Err(match left.kind {
+                TermKind::Variable(_) => self.lonely_name(start),
+                _ => self.expected("a comparison operator"),
+            });
         };
         self.bump();
         let right = self.term()?;
-        Ok(vec![Literal::Compare {
-            op,
-            left,
-            right,
-            place: self.place_from(start),
-        }])
+        let place = self.place_from(start);
+        Ok(Literal::Compare { op, left, right, place })
+    }
+
+    /// Reports a name, just read, that is neither an atom nor compared.
+    fn lonely_name(&mut self, name: Token) -> Reported {
+        let text = self.slice(name);
+        let next = self.token();
+        let help = match next.kind {
+            _ if self.habit().is_some() => self.habit().unwrap_or_default().to_owned(),
+            Kind::Ident | Kind::Underscore => {
+                format!("arguments stand in parentheses: `{text}({})`", self.slice(next))
+            }
+            _ => format!("a predicate without arguments is written `{text}()`"),
+        };
+        let fault = Diagnostic::new(Code::Syntax, format!("`{text}` is not a literal"))
+            .at(self.span(name), "expected an atom or a comparison")
+            .help(help);
+        self.faults.push(fault);
+        Reported
     }
 }
+
+/// What to do without a cut.
+const CUT: &str = "all answers are wanted, and the order of clauses says nothing; to leave out what another clause covers, \
+                   negate it: `Not(A(x))`";
 
 fn comparison(kind: Kind) -> Option<Comparison> {
     Some(match kind {

@@ -10,7 +10,7 @@ use crate::lang::rules::BaseType;
 
 use super::{DIRECTIVES, FOREIGN_DIRECTIVES, MAX_NESTING, OLD_TYPES, Parse, Parser, Reported};
 
-/// What Souffle allows after the columns of a declaration and this language reads.
+/// What Soufflé allows after the columns of a declaration and this language reads.
 const QUALIFIERS: &[&str] = &[
     "inline",
     "no_inline",
@@ -24,7 +24,7 @@ const QUALIFIERS: &[&str] = &[
     "printsize",
 ];
 
-/// `.decl A(x: number) output` is Souffle's old way to write `.output A`.
+/// `.decl A(x: number) output` is Soufflé's old way to write `.output A`.
 fn mark_of(qualifier: &str) -> Option<MarkKind> {
     match qualifier {
         "input" => Some(MarkKind::Input),
@@ -297,7 +297,7 @@ impl Parser<'_> {
         }
     }
 
-    /// What Souffle allows after the columns and this language does not: `eqrel`, `choice-domain ...`.
+    /// What Soufflé allows after the columns and this language does not: `eqrel`, `choice-domain ...`.
     fn foreign_qualifiers(&mut self) {
         let first = self.token();
         let known = matches!(

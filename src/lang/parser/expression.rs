@@ -70,7 +70,7 @@ impl Parser<'_> {
         matches!(self.slice(self.token()), "bnot" | "lnot") && self.begins_operand(self.ahead(1))
     }
 
-    fn begins_operand(&self, token: Token) -> bool {
+    pub(super) fn begins_operand(&self, token: Token) -> bool {
         match token.kind {
             Kind::Number | Kind::Float | Kind::Unsigned | Kind::Text | Kind::LParen | Kind::Minus => true,
             Kind::Ident | Kind::Underscore => self.infix(token).is_none(),
@@ -94,114 +94,136 @@ impl Parser<'_> {
     /// What operators stand between, and its height.
     fn operand(&mut self) -> Parse<(Term, usize)> {
         let start = self.token();
-        let outside = self.nesting;
         let prefix = match start.kind {
             Kind::Minus => Some(Functor::Negate),
             Kind::Ident if self.is_prefix_operator() && self.slice(start) == "bnot" => Some(Functor::BitNot),
             Kind::Ident if self.is_prefix_operator() => Some(Functor::Not),
             _ => None,
         };
-        if let Some(functor) = prefix {
-            self.bump();
-            let number = self.token();
-            let powered = self.infix(self.ahead(1)) == Some(Functor::Power);
-            let kind = match number.kind {
-                Kind::Number if functor == Functor::Negate && !powered => {
-                    self.bump();
-                    Some(TermKind::Number(-self.number(number)))
-                }
-                Kind::Float if functor == Functor::Negate && !powered => {
-                    self.bump();
-                    Some(TermKind::Float(format!("-{}", self.slice(number))))
-                }
-                _ => None,
-            };
-            if let Some(kind) = kind {
-                let place = self.place_from(start);
-                return Ok((Term { kind, place }, 0));
-            }
-            self.deeper()?;
-            // An operand may have a sign of its own; only `^` binds more tightly.
-            let tighter = Functor::Power.precedence().unwrap_or(0);
-            let (operand, height) = self.expression(tighter)?;
-            self.nesting = outside;
-            let height = self.higher(start, height)?;
-            let term = Term {
-                kind: TermKind::Functor(functor, vec![operand]),
-                place: self.place_from(start),
-            };
-            return Ok((term, height));
-        }
-        if start.kind == Kind::LParen {
-            self.deeper()?;
-            self.bump();
-            let inner = self.expression(0)?;
-            if !self.eat(Kind::RParen) {
-                return Err(self.expected("`)`"));
-            }
-            self.nesting = outside;
-            return Ok(inner);
-        }
-        let (kind, height) = match start.kind {
-            Kind::Ident => {
-                let applied = self.ahead(1).kind == Kind::LParen;
-                match self.slice(start) {
-                    _ if self.is_aggregate() => (self.aggregate()?, 0),
-                    "as" if applied => self.cast()?,
-                    "autoinc" if applied => {
-                        return Err(self.unsupported(self.span(start), "the functor `autoinc` is", ""));
-                    }
-                    "nil" => return Err(self.unsupported(self.span(start), "records (`nil`) are", "")),
-                    _ if self.ahead(1).kind == Kind::LBracket => {
-                        return Err(self.unsupported(self.span(start), "records (`[...]`) are", ""));
-                    }
-                    word if applied => match Functor::function(word) {
-                        Some(functor) => self.function(functor)?,
-                        None => {
-                            let what = format!("the functor `{word}` is");
-                            let help = "an argument is a variable, a constant, `_` or an expression of the functors listed \
-                                        in the reference";
-                            return Err(self.unsupported(self.span(start), &what, help));
-                        }
-                    },
-                    word => {
-                        self.bump();
-                        (TermKind::Variable(word.to_owned()), 0)
-                    }
-                }
-            }
-            Kind::Underscore => {
-                self.bump();
-                (TermKind::Wildcard, 0)
-            }
-            Kind::Number => {
-                self.bump();
-                (TermKind::Number(self.number(start)), 0)
-            }
-            Kind::Unsigned => {
-                self.bump();
-                let number = self.number(start);
-                (TermKind::Unsigned(u32::try_from(number).unwrap_or(0)), 0)
-            }
-            Kind::Float => {
-                self.bump();
-                (TermKind::Float(self.slice(start).to_owned()), 0)
-            }
-            Kind::Text | Kind::OpenText => {
-                self.bump();
-                (TermKind::Text(self.unescape(start)), 0)
-            }
-            // Reported by the lexer.
-            Kind::Faulty => return Err(Reported),
-            Kind::LBracket => return Err(self.unsupported(self.span(start), "records (`[...]`) are", "")),
-            Kind::Dollar => {
-                return Err(self.unsupported(self.span(start), "algebraic data types and counters (`$`) are", ""));
-            }
-            Kind::At => return Err(self.unsupported(self.span(start), "user-defined functors (`@`) are", "")),
-            _ => return Err(self.expected("an argument: a variable, a constant, `_` or an expression")),
+        let (kind, height) = match (prefix, start.kind) {
+            (Some(functor), _) => self.prefixed(functor)?,
+            (None, Kind::LParen) => return self.parenthesis(),
+            (None, Kind::Ident) => self.word()?,
+            (None, _) => (self.constant()?, 0),
         };
         let place = self.place_from(start);
         Ok((Term { kind, place }, height))
+    }
+
+    /// `-x`, `-1`, `bnot x`
+    fn prefixed(&mut self, functor: Functor) -> Parse<(TermKind, usize)> {
+        let outside = self.nesting;
+        let start = self.bump();
+        let number = self.token();
+        let powered = self.infix(self.ahead(1)) == Some(Functor::Power);
+        if functor == Functor::Negate && !powered {
+            let negative = match number.kind {
+                Kind::Number => Some(TermKind::Number(-self.number(number))),
+                Kind::Float => Some(TermKind::Float(format!("-{}", self.slice(number)))),
+                _ => None,
+            };
+            if let Some(kind) = negative {
+                self.bump();
+                return Ok((kind, 0));
+            }
+        }
+        self.deeper()?;
+        // An operand may have a sign of its own; only `^` binds more tightly.
+        let tighter = Functor::Power.precedence().unwrap_or(0);
+        let (operand, height) = self.expression(tighter)?;
+        self.nesting = outside;
+        let height = self.higher(start, height)?;
+        Ok((TermKind::Functor(functor, vec![operand]), height))
+    }
+
+    /// `(x + y)`
+    fn parenthesis(&mut self) -> Parse<(Term, usize)> {
+        let outside = self.nesting;
+        self.deeper()?;
+        self.bump();
+        let inner = self.expression(0)?;
+        if !self.eat(Kind::RParen) {
+            return Err(self.expected("`)`"));
+        }
+        self.nesting = outside;
+        Ok(inner)
+    }
+
+    /// `x`, `cat(x, y)`, `count : { .. }`
+    fn word(&mut self) -> Parse<(TermKind, usize)> {
+        let start = self.token();
+        let word = self.slice(start);
+        let applied = self.ahead(1).kind == Kind::LParen;
+        if self.is_aggregate() {
+            return Ok((self.aggregate()?, 0));
+        }
+        if word == "nil" || self.ahead(1).kind == Kind::LBracket {
+            let what = if word == "nil" { "nil" } else { "[...]" };
+            return Err(self.unsupported(self.span(start), &format!("records (`{what}`) are"), ""));
+        }
+        if !applied {
+            self.bump();
+            return Ok((TermKind::Variable(word.to_owned()), 0));
+        }
+        if word == "as" {
+            return self.cast();
+        }
+        match Functor::function(word) {
+            Some(functor) => self.function(functor),
+            None => Err(self.unknown_function(start)),
+        }
+    }
+
+    /// Reports a word before `(` that is no function.
+    fn unknown_function(&mut self, name: Token) -> Reported {
+        let word = self.slice(name);
+        if let Some(op) = AggregateOp::ALL.into_iter().find(|op| op.name() == word) {
+            return self.applied_aggregate(op, name);
+        }
+        let help = match word {
+            "autoinc" => "",
+            _ => "an argument is a variable, a constant, `_` or an expression of the functors listed in the reference",
+        };
+        self.unsupported(self.span(name), &format!("the functor `{word}` is"), help)
+    }
+
+    /// Reports `count(x)`, `sum(x : A(x))`.
+    fn applied_aggregate(&mut self, op: AggregateOp, name: Token) -> Reported {
+        let word = op.name();
+        let of = if op == AggregateOp::Count { "" } else { " y" };
+        let fault = Diagnostic::new(Code::Syntax, format!("`{word}` is no function"))
+            .at(self.span(name), "")
+            .help(format!(
+                "it stands before a body of its own: `n = {word}{of} : {{ A(x, y) }}`"
+            ));
+        self.faults.push(fault);
+        Reported
+    }
+
+    /// `_`, `1`, `"text"`
+    fn constant(&mut self) -> Parse<TermKind> {
+        let token = self.token();
+        let foreign = match token.kind {
+            Kind::LBracket => "records (`[...]`) are",
+            Kind::Dollar => "algebraic data types and counters (`$`) are",
+            Kind::At => "user-defined functors (`@`) are",
+            _ => "",
+        };
+        if !foreign.is_empty() {
+            return Err(self.unsupported(self.span(token), foreign, ""));
+        }
+        let kind = match token.kind {
+            Kind::Underscore => TermKind::Wildcard,
+            Kind::Number => TermKind::Number(self.number(token)),
+            Kind::Unsigned => TermKind::Unsigned(u32::try_from(self.number(token)).unwrap_or(0)),
+            Kind::Float => TermKind::Float(self.slice(token).to_owned()),
+            Kind::Text | Kind::OpenText => TermKind::Text(self.unescape(token)),
+            // Reported by the lexer.
+            Kind::Faulty => return Err(Reported),
+            _ => return Err(self.expected("an argument: a variable, a constant, `_` or an expression")),
+        };
+        self.bump();
+        Ok(kind)
     }
 
     /// `cat(x, y)`
@@ -220,6 +242,11 @@ impl Parser<'_> {
                 height = height.max(own);
                 if self.eat(Kind::RParen) {
                     break;
+                }
+                if self.kind() == Kind::Colon
+                    && let Some(op) = AggregateOp::ALL.into_iter().find(|op| op.name() == functor.name())
+                {
+                    return Err(self.applied_aggregate(op, start));
                 }
                 if !self.eat(Kind::Comma) {
                     return Err(self.expected("`,` or `)`"));
@@ -271,6 +298,11 @@ impl Parser<'_> {
         let word = self.bump();
         let op = AggregateOp::ALL.into_iter().find(|op| op.name() == self.slice(word));
         let op = op.unwrap_or(AggregateOp::Count);
+        let is_applied = |after: Token| after.kind != Kind::Colon && self.infix(after).is_none();
+        if op != AggregateOp::Count && self.kind() == Kind::LParen && self.after_parenthesis(0).is_some_and(is_applied)
+        {
+            return Err(self.applied_aggregate(op, word));
+        }
         let target = if op == AggregateOp::Count {
             None
         } else {

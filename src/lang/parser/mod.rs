@@ -8,7 +8,7 @@
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Span};
 
 use super::ast::{File, Include, Item, Literal, Name, Place};
-use super::lexer::{self, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, Token};
+use super::lexer::{self, COMMENT, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, Token};
 use super::rules::BaseType;
 
 mod clause;
@@ -40,7 +40,7 @@ pub const DIRECTIVES: &[&str] = &[
     "symmetric",
 ];
 
-/// Souffle's directives that this language does not have.
+/// Soufflé's directives that this language does not have.
 const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
     ("comp", "components (`.comp`)"),
     ("init", "components (`.init`)"),
@@ -50,7 +50,7 @@ const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
     ("limitsize", "`.limitsize`"),
 ];
 
-/// How older versions of Souffle declare a type, and what it is a subtype of.
+/// How older versions of Soufflé declare a type, and what it is a subtype of.
 const OLD_TYPES: &[(&str, BaseType)] = &[("symbol_type", BaseType::Symbol), ("number_type", BaseType::Number)];
 
 /// The tree of one text.
@@ -262,8 +262,11 @@ impl<'a> Parser<'a> {
             return Reported;
         }
         let message = format!("expected a clause or a directive{why}, found {}", self.describe(token));
-        self.faults
-            .push(Diagnostic::new(Code::Syntax, message).at(self.span(token), ""));
+        let mut fault = Diagnostic::new(Code::Syntax, message).at(self.span(token), "");
+        if matches!((self.slice(token), self.ahead(1).kind), ("%", _) | ("-", Kind::Minus)) {
+            fault = fault.help(COMMENT);
+        }
+        self.faults.push(fault);
         Reported
     }
 
