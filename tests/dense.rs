@@ -221,7 +221,7 @@ fn check<const W: usize>(
     let choice = choose(rules);
     prop_assert!(choice.all_dense(), "{:?}", choice);
     for counting in [Counting::Off, Counting::Each] {
-        let steady = |relation: RelId| relation.0 % 2 == 0;
+        let steady = |relation: RelId| relation.0.is_multiple_of(2);
         let dense = Dense::new(rules, &choice, counting, steady);
         let mut given: BitFacts<W> = BitFacts::new(&dense, entities);
         for (relation, row) in facts {

@@ -11,7 +11,7 @@ use crate::sim::{CROWD_MAX, Executor, Inference, Phase, Settings, Simulation, Wo
 use serde_json::{Value, json};
 use std::hint::black_box;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -440,7 +440,7 @@ fn evaluate<const W: usize>(
 }
 
 /// The rules alone on the scenes of a file.
-fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, path: &PathBuf) -> Result<(), Failure> {
+fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, path: &Path) -> Result<(), Failure> {
     let name = scenario.name.clone();
     let mut inference = Inference::new(
         scenario,
@@ -458,7 +458,7 @@ fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, pat
     let mut most = 0;
     for (number, line) in (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty()) {
         let mut sources = Sources::new();
-        let source = sources.add_from(&path.display().to_string(), line, number);
+        let source = sources.add_from(path.display().to_string(), line, number);
         let scene = inference.ground(&sources, source).map_err(|faults| {
             super::report(&faults, &sources);
             Failure::Told

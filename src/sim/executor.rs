@@ -19,9 +19,6 @@ use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 /// The most entities that are looked at together.
 pub const CROWD_MAX: usize = 64 * 64;
 
-/// Up to so many agents a city is one window: what moved is noted in it. More are looked at by tiles.
-const ONE_WINDOW: usize = 256;
-
 /// About as many entities are in the window of a tile.
 const TILE_ENTITIES: f64 = 40.0;
 
@@ -261,9 +258,9 @@ impl Crowd {
         let shape = match bodies.len() {
             0..=64 => Shape::One(Box::new(One::<1>::new(&reading.grounder, world.map(), bodies))),
             65..=128 => Shape::One(Box::new(One::<2>::new(&reading.grounder, world.map(), bodies))),
-            129..=ONE_WINDOW => Shape::One(Box::new(One::<4>::new(&reading.grounder, world.map(), bodies))),
+            129..=256 => Shape::One(Box::new(One::<4>::new(&reading.grounder, world.map(), bodies))),
             _ if in_tiles => Shape::Tiles(Box::new(Tiles::new(&reading.grounder, world.map(), bodies, threads))),
-            ..=1024 => Shape::One(Box::new(One::<16>::new(&reading.grounder, world.map(), bodies))),
+            257..=1024 => Shape::One(Box::new(One::<16>::new(&reading.grounder, world.map(), bodies))),
             _ => Shape::One(Box::new(One::<64>::new(&reading.grounder, world.map(), bodies))),
         };
         Ok(Crowd { reading, shape })

@@ -226,10 +226,18 @@ impl<const W: usize> Frame<W> {
                     }
                 }
                 Op::Exists { dst, demand, steps } => {
-                    sets[dst.index()] = self.exists(program, &sets, sets[demand.index()], steps, pairs);
+                    sets[dst.index()] = self.search(program, &sets, pairs).exists(sets[demand.index()], steps);
                 }
                 Op::Rows { dst, demand, steps } => {
-                    self.fill_rows(program, &sets, dst, sets[demand.index()], steps, pairs)
+                    let (steps, demand) = (program.steps(steps), sets[demand.index()]);
+                    if is_empty(&sets[steps[0].among.index()]) {
+                        continue;
+                    }
+                    for ego in members(&demand) {
+                        let set = self.search(program, &sets, pairs).values(ego, steps);
+                        let row = dst * self.count + ego;
+                        self.rows[row] = or(self.rows[row], &set);
+                    }
                 }
                 Op::OrRows { dst, from } => {
                     for at in 0..self.count {
@@ -279,97 +287,86 @@ impl<const W: usize> Frame<W> {
         let rows = &self.rows[list * self.count..(list + 1) * self.count];
         Some(rows.iter().map(size).sum())
     }
-
-    /// Those of `demand` for which values of all steps exist.
-    #[inline]
-    fn exists(&self, program: &Dense, sets: &[Set<W>], demand: Set<W>, steps: Range, pairs: &impl Pairs<W>) -> Set<W> {
-        let mut found = [0; W];
-        if is_empty(&demand) {
-            return found;
+    fn search<'a, P>(&'a self, program: &'a Dense, sets: &'a [Set<W>], pairs: &'a P) -> Search<'a, W, P> {
+        Search {
+            program,
+            sets,
+            rows: &self.rows,
+            count: self.count,
+            pairs,
         }
-        let steps = program.steps(steps);
-        let among = sets[steps[0].among.index()];
-        if is_empty(&among) {
+    }
+}
+
+/// Looks for values of variables.
+struct Search<'a, const W: usize, P> {
+    program: &'a Dense,
+    sets: &'a [Set<W>],
+    rows: &'a [Set<W>],
+    count: usize,
+    pairs: &'a P,
+}
+
+/// The values of the head's first variable and of those of the steps so far.
+type Bound = [usize; Dense::VARIABLES_MAX + 1];
+
+impl<const W: usize, P: Pairs<W>> Search<'_, W, P> {
+    /// Those of `demand` for which values of all steps exist.
+    fn exists(&self, demand: Set<W>, steps: Range) -> Set<W> {
+        let mut found = [0; W];
+        let steps = self.program.steps(steps);
+        if is_empty(&demand) || is_empty(&self.sets[steps[0].among.index()]) {
             return found;
         }
         for ego in members(&demand) {
             let mut bound = [0; Dense::VARIABLES_MAX + 1];
             bound[0] = ego;
-            let set = self.narrow(program, &steps[0], among, &bound, pairs);
-            if self.search(program, sets, steps, 0, set, &mut bound, pairs) {
+            let set = self.narrow(&steps[0], &bound);
+            if self.go_on(steps, 0, set, &mut bound) {
                 found[ego / 64] |= 1 << (ego % 64);
             }
         }
         found
     }
 
+    /// The values of the first step for an entity for which values of the others exist.
+    fn values(&self, ego: usize, steps: &[Step]) -> Set<W> {
+        let mut bound = [0; Dense::VARIABLES_MAX + 1];
+        bound[0] = ego;
+        let mut set = self.narrow(&steps[0], &bound);
+        if steps.len() > 1 {
+            for value in members(&set) {
+                if !self.go_on(steps, 0, only(value), &mut bound) {
+                    set = without(set, &only(value));
+                }
+            }
+        }
+        set
+    }
+
     /// Whether some member of `set`, taken for step `depth`, leaves values for all further steps.
-    fn search(
-        &self,
-        program: &Dense,
-        sets: &[Set<W>],
-        steps: &[Step],
-        depth: usize,
-        set: Set<W>,
-        bound: &mut [usize; Dense::VARIABLES_MAX + 1],
-        pairs: &impl Pairs<W>,
-    ) -> bool {
+    fn go_on(&self, steps: &[Step], depth: usize, set: Set<W>, bound: &mut Bound) -> bool {
         let Some(next) = steps.get(depth + 1) else {
             return !is_empty(&set);
         };
-        if is_empty(&set) {
-            return false;
-        }
-        let among = sets[next.among.index()];
-        if is_empty(&among) {
+        if is_empty(&set) || is_empty(&self.sets[next.among.index()]) {
             return false;
         }
         members(&set).any(|value| {
             bound[depth + 1] = value;
-            let set = self.narrow(program, next, among, bound, pairs);
-            self.search(program, sets, steps, depth + 1, set, bound, pairs)
+            let set = self.narrow(next, bound);
+            self.go_on(steps, depth + 1, set, bound)
         })
     }
 
-    /// Adds to each row of `demand` the values of the first step for which values of the others exist.
-    fn fill_rows(
-        &mut self,
-        program: &Dense,
-        sets: &[Set<W>],
-        dst: usize,
-        demand: Set<W>,
-        steps: Range,
-        pairs: &impl Pairs<W>,
-    ) {
-        let steps = program.steps(steps);
-        let among = sets[steps[0].among.index()];
-        if is_empty(&among) {
-            return;
-        }
-        for ego in members(&demand) {
-            let mut bound = [0; Dense::VARIABLES_MAX + 1];
-            bound[0] = ego;
-            let mut set = self.narrow(program, &steps[0], among, &bound, pairs);
-            if steps.len() > 1 {
-                for value in members(&set) {
-                    if !self.search(program, sets, steps, 0, only(value), &mut bound, pairs) {
-                        set = without(set, &only(value));
-                    }
-                }
-            }
-            let row = dst * self.count + ego;
-            self.rows[row] = or(self.rows[row], &set);
-        }
-    }
-
-    /// Those of `set` that stand as the step asks to what is bound.
+    /// The values that a step leaves, given those that are bound.
     #[inline]
-    fn narrow(&self, program: &Dense, step: &Step, set: Set<W>, bound: &[usize], pairs: &impl Pairs<W>) -> Set<W> {
-        let mut set = set;
-        for test in program.tests(step.tests) {
+    fn narrow(&self, step: &Step, bound: &Bound) -> Set<W> {
+        let mut set = self.sets[step.among.index()];
+        for test in self.program.tests(step.tests) {
             let at = bound[test.to];
             let fitting = match test.list {
-                Place::Given(list) => pairs.narrow(list, at, set),
+                Place::Given(list) => self.pairs.narrow(list, at, set),
                 Place::Derived(list, Axis::Second) => and(set, &self.rows[list * self.count + at]),
                 Place::Derived(list, Axis::First) => {
                     let mut fitting = [0; W];
