@@ -1131,11 +1131,14 @@ fn cities_that_cannot_be_are_told() {
     fails(&output, 1, &["mine.yaml:2"]);
     let many = agents("[{priority: 1, count: 1000}]");
     fails(&logicity(["run", &config(&many)]), 1, &["no-start-cell"]);
-    let crowd = agents("[{priority: 1, count: 100000}]");
+    let map = "blocks: [30, 30]\nwidths: {street: 11, sidewalk: 5, building: 10, inner_sidewalk: 5}\n\
+               buildings: {random: {seed: 1, weights: {House: 1, Garage: 1}}}\n";
+    write(folder.path(), "big.yaml", map);
+    let crowd = format!("map: big.yaml\nregion: ~\n{}", agents("[{priority: 1, count: 3000}]"));
     fails(
-        &logicity(["run", &config(&crowd)]),
+        &logicity(["run", &config(&crowd), "--executor", "relational"]),
         1,
-        &["limit-exceeded", "mine.yaml:3"],
+        &["limit-exceeded", "the limit of the relational executor", "mine.yaml:5"],
     );
 }
 

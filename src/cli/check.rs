@@ -4,7 +4,7 @@ use super::trace::TraceReader;
 use super::{Failure, load_texts, report};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
 use crate::engine::provenance::Teller;
-use crate::engine::{Program, optimize};
+use crate::engine::{Program, dense, optimize};
 use crate::lang::{ClauseId, Inputs, RelId, Rules};
 use crate::sim::{Coverage, ENTITIES_MAX, Finding, Overlap, conflicts};
 use serde_json::json;
@@ -17,7 +17,7 @@ pub struct Arguments {
     /// Rule files; each is a program of its own. With --coverage, the rules of the run unless given
     #[arg(required_unless_present = "coverage", value_name = "RULES")]
     rules: Vec<PathBuf>,
-    /// Print one JSON object a file instead: `file`, `ok`, `strata`, `conflicts`, `diagnostics`, with --coverage `coverage`, and
+    /// Print one JSON object a file instead: `file`, `ok`, `strata`, `executors`, `conflicts`, `diagnostics`, with --coverage `coverage`, and
     /// `unfinished`, what was not searched to the end, if anything
     #[arg(long)]
     json: bool,
@@ -135,6 +135,7 @@ impl Report {
             "file": path.display().to_string(),
             "ok": self.program.is_some(),
             "strata": self.rules().map(strata),
+            "executors": self.rules().map(executors_json),
         });
         if let Some(rules) = self.rules() {
             line["conflicts"] = overlaps_json(&self.overlaps, rules, sources);
@@ -155,6 +156,7 @@ impl Report {
         let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
         writeln!(out, "{}: {} clauses", path.display(), rules.clauses.len())?;
         writeln!(out, "  strata: {}", strata.join(" < "))?;
+        tell_executors(out, rules)?;
         for what in &self.unfinished {
             writeln!(
                 out,
@@ -171,11 +173,46 @@ impl Report {
 
 /// The names of the predicates of each stratum, hidden ones left out, in the order in which they are computed.
 fn strata(rules: &Rules) -> Vec<Vec<&str>> {
-    let shown = |relation: &&RelId| !rules.relations[relation.index()].hidden;
-    let name = |relation: &RelId| rules.relations[relation.index()].name.as_str();
-    let strata = rules.strata.iter();
-    let strata = strata.map(|stratum| stratum.relations.iter().filter(shown).map(name).collect::<Vec<_>>());
-    strata.filter(|names| !names.is_empty()).collect()
+    executors(rules).into_iter().map(|(names, _)| names).collect()
+}
+
+/// For each stratum, hidden ones left out, the names of its predicates and why it is not for the dense executor, if it is not.
+fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<String>)> {
+    let choice = dense::choose(rules);
+    let reasons = choice
+        .relational
+        .iter()
+        .map(|reason| Some(reason.as_ref()?.show(rules)));
+    let strata = rules.strata.iter().map(|stratum| {
+        let shown = |relation: &&RelId| !rules.relations[relation.index()].hidden;
+        let shown = stratum.relations.iter().filter(shown);
+        shown
+            .map(|relation| rules.relations[relation.index()].name.as_str())
+            .collect::<Vec<_>>()
+    });
+    strata.zip(reasons).filter(|(names, _)| !names.is_empty()).collect()
+}
+
+fn tell_executors(out: &mut impl Write, rules: &Rules) -> io::Result<()> {
+    let executors = executors(rules);
+    if executors.iter().all(|(_, reason)| reason.is_none()) {
+        return writeln!(out, "  executor: dense");
+    }
+    writeln!(out, "  executor: relational")?;
+    for (names, reason) in executors {
+        if let Some(reason) = reason {
+            writeln!(out, "    {} cannot be dense: {reason}", names.join(", "))?;
+        }
+    }
+    Ok(())
+}
+
+fn executors_json(rules: &Rules) -> serde_json::Value {
+    let told = executors(rules).into_iter().map(|(names, reason)| match reason {
+        None => json!({ "predicates": names, "executor": "dense" }),
+        Some(reason) => json!({ "predicates": names, "executor": "relational", "because": reason }),
+    });
+    told.collect()
 }
 
 /// Nothing for programs that have fewer than two actions.

@@ -2,7 +2,7 @@
 
 use super::{Failure, load_city, make_folder, one_of};
 use crate::config::{AgentKind, Speed, Split};
-use crate::diag::{Code, Diagnostic, Sources};
+use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::engine::promise;
 use crate::engine::provenance::Teller;
 use crate::files::Output;
@@ -61,6 +61,9 @@ pub struct Arguments {
     /// Write the trace only
     #[arg(long)]
     no_pictures: bool,
+    /// Write nothing, print the summary only
+    #[arg(long)]
+    no_trace: bool,
 }
 
 /// What the summary counts.
@@ -96,41 +99,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     )?;
 
     let stop = stop_on_interrupt()?;
-    let folder = &arguments.out;
-    make_folder(folder)?;
-    let path = |name: &str| folder.join(name);
-    let writing = |name: &'static str| {
-        let path = path(name);
-        move |error: io::Error| Failure::file("write", &path, error)
-    };
-    let trace_file = Output::create(&path("trace.jsonl")).map_err(writing("trace.jsonl"))?;
-    let mut trace = TraceWriter::new(
-        trace_file,
-        &simulation,
-        sources,
-        &arguments.config.to_string_lossy(),
-        rule_file,
-        &rules_hash,
-    )
-    .map_err(writing("trace.jsonl"))?;
-    let mut pictures = if arguments.no_pictures {
-        None
-    } else {
-        let painter = Painter::new(simulation.world().map())
-            .map_err(|error| Diagnostic::new(Code::InvalidMap, error.to_string()))?;
-        let file = Output::create(&path("city.gif")).map_err(writing("city.gif"))?;
-        let animation = Animation::new(file, &painter, FRAME_DELAY).map_err(writing("city.gif"))?;
-        Some((painter, animation))
+    let mut record = match arguments.no_trace {
+        true => None,
+        false => Some(Record::new(arguments, &simulation, sources, rule_file, &rules_hash)?),
     };
 
     let bar = ProgressBar::new(ticks).with_style(
         ProgressStyle::with_template("{bar:30} tick {pos} of {len}, {per_sec}, {eta} left").expect("a valid template"),
     );
-    let names: Vec<String> = simulation
-        .agents()
-        .iter()
-        .map(|agent| agent.name().to_string())
-        .collect();
     let mut tally = Tally {
         last_move: vec![0; simulation.agents().len()],
         waited: vec![BTreeSet::new(); simulation.agents().len()],
@@ -145,29 +121,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         if arguments.check_promises {
             tally.add_broken(promise::broken(simulation.moment()?.session()), tick);
         }
-        trace.tick(&simulation).map_err(writing("trace.jsonl"))?;
-        if let Some((painter, animation)) = &mut pictures
-            && tick < MAX_FRAMES
-        {
-            let frame = painter.frame(tick, &sprites(&simulation, &names));
-            animation.push(&frame).map_err(writing("city.gif"))?;
+        if let Some(record) = &mut record {
+            record.tick(&simulation)?;
         }
         bar.inc(1);
     }
     bar.finish_and_clear();
 
-    trace.into_inner().finish().map_err(writing("trace.jsonl"))?;
-    let mut written = vec![path("trace.jsonl")];
-    if let Some((painter, animation)) = pictures {
-        let file = animation.finish().map_err(writing("city.gif"))?;
-        file.finish().map_err(writing("city.gif"))?;
-        written.push(path("city.gif"));
-        let mut file = Output::create(&path("last.png")).map_err(writing("last.png"))?;
-        let frame = painter.frame(simulation.now(), &sprites(&simulation, &names));
-        write_png(&frame, &mut file).map_err(writing("last.png"))?;
-        file.finish().map_err(writing("last.png"))?;
-        written.push(path("last.png"));
-    }
+    let written = record.map_or_else(|| Ok(Vec::new()), |record| record.finish(&simulation))?;
     let mut out = anstream::stdout();
     write!(out, "{}", summary(&mut simulation, &tally, sources, &written))?;
     if tally.ticks < ticks {
@@ -184,6 +145,88 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         ))
     });
     Err(Failure::Input(faults.collect()))
+}
+
+/// The files of a run, under temporary names until it is over.
+struct Record {
+    folder: PathBuf,
+    trace: TraceWriter<Output>,
+    pictures: Option<(Painter, Animation<Output>)>,
+    names: Vec<String>,
+}
+
+impl Record {
+    fn new(
+        arguments: &Arguments,
+        simulation: &Simulation,
+        sources: &Sources,
+        rule_file: SourceId,
+        rules_hash: &str,
+    ) -> Result<Record, Failure> {
+        let folder = arguments.out.clone();
+        make_folder(&folder)?;
+        let create = |name: &str| Output::create(&folder.join(name));
+        let config = arguments.config.to_string_lossy();
+        let trace = create("trace.jsonl")
+            .and_then(|file| TraceWriter::new(file, simulation, sources, &config, rule_file, rules_hash))
+            .map_err(|error| Failure::file("write", &folder.join("trace.jsonl"), error))?;
+        let pictures = if arguments.no_pictures {
+            None
+        } else {
+            let painter = Painter::new(simulation.world().map())
+                .map_err(|error| Diagnostic::new(Code::InvalidMap, error.to_string()))?;
+            let animation = create("city.gif")
+                .and_then(|file| Animation::new(file, &painter, FRAME_DELAY))
+                .map_err(|error| Failure::file("write", &folder.join("city.gif"), error))?;
+            Some((painter, animation))
+        };
+        let names = simulation.agents().iter().map(|agent| agent.name().to_string());
+        Ok(Record {
+            names: names.collect(),
+            folder,
+            trace,
+            pictures,
+        })
+    }
+
+    fn fault(&self, name: &str, error: io::Error) -> Failure {
+        Failure::file("write", &self.folder.join(name), error)
+    }
+
+    /// Writes the last tick.
+    fn tick(&mut self, simulation: &Simulation) -> Result<(), Failure> {
+        (self.trace.tick(simulation)).map_err(|error| self.fault("trace.jsonl", error))?;
+        let tick = simulation.report().tick;
+        if let Some((painter, animation)) = &mut self.pictures
+            && tick < MAX_FRAMES
+        {
+            let frame = painter.frame(tick, &sprites(simulation, &self.names));
+            animation.push(&frame).map_err(|error| self.fault("city.gif", error))?;
+        }
+        Ok(())
+    }
+
+    /// The files, which now have their names.
+    fn finish(self, simulation: &Simulation) -> Result<Vec<PathBuf>, Failure> {
+        let path = |name: &str| self.folder.join(name);
+        let fault = |name: &str, error: io::Error| Failure::file("write", &path(name), error);
+        (self.trace.into_inner().finish()).map_err(|error| fault("trace.jsonl", error))?;
+        let mut written = vec![path("trace.jsonl")];
+        if let Some((painter, animation)) = self.pictures {
+            (animation.finish())
+                .and_then(Output::finish)
+                .map_err(|error| fault("city.gif", error))?;
+            let frame = painter.frame(simulation.now(), &sprites(simulation, &self.names));
+            Output::create(&path("last.png"))
+                .and_then(|mut file| {
+                    write_png(&frame, &mut file)?;
+                    file.finish()
+                })
+                .map_err(|error| fault("last.png", error))?;
+            written.extend([path("city.gif"), path("last.png")]);
+        }
+        Ok(written)
+    }
 }
 
 /// Becomes true when the user interrupts the run (Ctrl-C) or the system asks it to end; what was done is then written and kept. A
@@ -340,7 +383,9 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
         let _ = writeln!(text, "the animation shows the first {MAX_FRAMES} ticks");
     }
     let written: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
-    let _ = writeln!(text, "wrote {}", written.join(", "));
+    if !written.is_empty() {
+        let _ = writeln!(text, "wrote {}", written.join(", "));
+    }
     text
 }
 
