@@ -59,10 +59,11 @@ pub(super) enum Op {
         among: Reg,
         lists: Range,
     },
-    /// Adds those members; who is in `dst` is not asked about.
+    /// Adds such members of both `left` and `right`; who is in `dst` is not asked about.
     AddAny {
         dst: Reg,
-        demand: Reg,
+        left: Reg,
+        right: Reg,
         among: Reg,
         lists: Range,
     },
@@ -510,6 +511,19 @@ impl Body {
     }
 }
 
+/// That entities are in a set, or that they are not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Asked {
+    set: Reg,
+    holds: bool,
+}
+
+impl Asked {
+    fn of(set: Reg) -> Asked {
+        Asked { set, holds: true }
+    }
+}
+
 /// When a set changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Changes {
@@ -530,6 +544,8 @@ struct Compiler<'a> {
     guards: Vec<RelId>,
     out: Dense,
     known_properties: BTreeMap<Property, Reg>,
+    /// How often something is asked of an entity.
+    uses: BTreeMap<(Property, bool), usize>,
     /// Sets made of two others: whether of both, or of the first without the second.
     known_sets: BTreeMap<(Reg, Reg, bool), Reg>,
     /// By [`Reg`]: how seldom the set changes.
@@ -573,6 +589,7 @@ impl<'a> Compiler<'a> {
                 guards: Vec::new(),
             },
             known_properties: BTreeMap::new(),
+            uses: BTreeMap::new(),
             known_sets: BTreeMap::new(),
             changes: vec![Changes::Seldom; Dense::FIRST_INPUT],
             shared: BTreeMap::new(),
@@ -589,6 +606,9 @@ impl<'a> Compiler<'a> {
     fn find_inputs(&mut self, bodies: &[(ClauseId, Body)], steady: impl Fn(RelId) -> bool) {
         let mut given = BTreeSet::new();
         for literal in bodies.iter().flat_map(|(_, body)| &body.literals) {
+            if let Lit::Is(property, _, holds) = *literal {
+                *self.uses.entry((property, holds)).or_default() += 1;
+            }
             let (relation, asked_of_head) = match *literal {
                 Lit::Is(Property::Related(relation, axis), var, _) => (relation, var == 0 && axis == Axis::First),
                 Lit::Is(property @ (Property::Holds(relation) | Property::Diagonal(relation)), var, _) => {
@@ -659,30 +679,34 @@ impl<'a> Compiler<'a> {
 
     fn clause(&mut self, id: ClauseId, body: &Body) {
         let head = self.rules.clauses[id.index()].head.relation;
-        let (mut ones, zeros) = self.split(&body.properties(0));
-        ones.push(Reg(1));
+        let mut asked = self.ask(&body.properties(0));
+        asked.push(Asked::of(Reg(1)));
         let mut own = Vec::new();
         for group in body.conditions() {
             let search = body.search(&group, None, &self.guards);
             match self.shared.contains_key(&search) {
-                true => ones.push(self.shared_search(search)),
+                true => asked.push(Asked::of(self.shared_search(search))),
                 false => own.push(search),
             }
         }
         // One variable is found faster than several.
         own.sort_by_key(Vec::len);
 
-        let mut found = self.combine(ones, zeros);
-        let last = match (self.out.homes[head.index()], self.counting) {
-            (Home::Set(dst), Counting::Off) => own.pop().map(|search| (dst, search)),
-            _ => None,
-        };
+        if let (Home::Set(dst), Counting::Off) = (self.out.homes[head.index()], self.counting)
+            && let Some(last) = own.pop()
+        {
+            let (mut left, mut right) = self.halves(asked);
+            for search in own {
+                let found = self.both(left, right, true);
+                left = self.exists(found, &search);
+                right = left;
+            }
+            self.add_existing(dst, left, right, &last);
+            return;
+        }
+        let mut found = self.combine(asked);
         for search in own {
             found = self.exists(found, &search);
-        }
-        if let Some((dst, search)) = last {
-            self.add_existing(dst, found, &search);
-            return;
         }
         match self.out.homes[head.index()] {
             Home::Set(dst) => {
@@ -721,9 +745,9 @@ impl<'a> Compiler<'a> {
             false => {
                 let sets: Vec<Reg> = (users.iter())
                     .map(|asked| {
-                        let (mut ones, zeros) = self.split(asked);
-                        ones.push(Reg(1));
-                        self.combine(ones, zeros)
+                        let mut asked = self.ask(asked);
+                        asked.push(Asked::of(Reg(1)));
+                        self.combine(asked)
                     })
                     .collect();
                 let union = |left, &right: &Reg| {
@@ -757,18 +781,20 @@ impl<'a> Compiler<'a> {
         dst
     }
 
-    /// Adds the members of `demand` for which a search succeeds to a set.
-    fn add_existing(&mut self, dst: Reg, demand: Reg, search: &Search) {
+    /// Adds the members of both `left` and `right` for which a search succeeds to a set.
+    fn add_existing(&mut self, dst: Reg, left: Reg, right: Reg, search: &Search) {
         let steps = self.search(search);
         if let Some((among, lists)) = self.lists(steps) {
             self.out.ops.push(Op::AddAny {
                 dst,
-                demand,
+                left,
+                right,
                 among,
                 lists,
             });
             return;
         }
+        let demand = self.both(left, right, true);
         let demand = self.both(demand, dst, false);
         let from = self.set(Changes::Often);
         self.out.ops.push(Op::Exists {
@@ -800,14 +826,15 @@ impl<'a> Compiler<'a> {
         Some((among, range.end(&self.out.operands)))
     }
 
-    /// The sets of properties that are to hold, and of those that are not.
-    fn split(&mut self, properties: &[(Property, bool)]) -> (Vec<Reg>, Vec<Reg>) {
-        let (mut ones, mut zeros) = (Vec::new(), Vec::new());
-        for &(property, holds) in properties {
-            let set = self.property(property);
-            if holds { ones.push(set) } else { zeros.push(set) }
-        }
-        (ones, zeros)
+    /// The sets of what is asked of one variable. What clauses have in common comes first, so that it is put together once.
+    fn ask(&mut self, properties: &[(Property, bool)]) -> Vec<Asked> {
+        let mut properties = properties.to_vec();
+        properties.sort_by_key(|asked| std::cmp::Reverse(self.uses.get(asked).copied().unwrap_or(0)));
+        let asked = properties.into_iter().map(|(property, holds)| Asked {
+            set: self.property(property),
+            holds,
+        });
+        asked.collect()
     }
 
     /// The set of entities that have the property.
@@ -844,43 +871,46 @@ impl<'a> Compiler<'a> {
         set
     }
 
-    /// The set of the members of all `ones` and of no `zeros`; all entities are in it if there are neither. What seldom changes is
-    /// put together apart from the rest: it need not be done again, and the rest is what clauses tend to have in common.
-    fn combine(&mut self, ones: Vec<Reg>, zeros: Vec<Reg>) -> Reg {
-        let (ones, zeros) = (
-            ones.into_iter().map(|set| (set, true)),
-            zeros.into_iter().map(|set| (set, false)),
-        );
-        let (mut steady, mut rest): (Vec<_>, Vec<_>) =
-            (ones.chain(zeros)).partition(|(set, _)| self.changes[set.index()] == Changes::Seldom);
+    /// The set of the entities of which all is true that is asked.
+    fn combine(&mut self, asked: Vec<Asked>) -> Reg {
+        let (left, right) = self.halves(asked);
+        self.both(left, right, true)
+    }
+
+    /// The same as the intersection of two sets: what seldom changes is put together apart from the rest. It need not be done again,
+    /// and the rest is what clauses tend to have in common.
+    fn halves(&mut self, asked: Vec<Asked>) -> (Reg, Reg) {
+        let seldom = |asked: &Asked| self.changes[asked.set.index()] == Changes::Seldom;
+        let (mut steady, rest): (Vec<Asked>, Vec<Asked>) = asked.into_iter().partition(seldom);
+        steady.sort_unstable_by_key(|asked| (!asked.holds, asked.set));
         match (steady.is_empty(), rest.is_empty()) {
-            (_, true) => self.fold(steady),
-            (true, false) => self.fold(rest),
-            (false, false) => {
-                // A set that is not to hold has to be taken away from something.
-                if rest.iter().all(|(_, holds)| !holds) && steady.len() == 1 {
-                    rest.append(&mut steady);
-                    return self.fold(rest);
-                }
-                let (left, right) = (self.fold(steady), self.fold(rest));
-                self.both(left, right, true)
+            (false, false) => (self.fold(&steady), self.fold(&rest)),
+            (false, true) => {
+                let set = self.fold(&steady);
+                (set, set)
+            }
+            (true, _) => {
+                let set = self.fold(&rest);
+                (set, set)
             }
         }
     }
 
-    fn fold(&mut self, mut sets: Vec<(Reg, bool)>) -> Reg {
-        sets.sort_unstable_by_key(|&(set, holds)| (!holds, set));
-        sets.dedup();
+    fn fold(&mut self, asked: &[Asked]) -> Reg {
         // It begins with a set that holds, if only with that of all.
-        let (first, rest) = match sets.as_slice() {
-            [(first, true), rest @ ..] => (*first, rest),
+        let (first, rest) = match asked {
+            [Asked { set, holds: true }, rest @ ..] => (*set, rest),
             rest => (Reg(0), rest),
         };
-        (rest.iter()).fold(first, |made, &(set, holds)| self.both(made, set, holds))
+        rest.iter()
+            .fold(first, |made, asked| self.both(made, asked.set, asked.holds))
     }
 
     /// The members of `left` that are in `right`, or those that are not.
     fn both(&mut self, left: Reg, right: Reg, holds: bool) -> Reg {
+        if left == right && holds {
+            return left;
+        }
         if let Some(&set) = self.known_sets.get(&(left, right, holds)) {
             return set;
         }
@@ -903,8 +933,8 @@ impl<'a> Compiler<'a> {
     fn search(&mut self, search: &Search) -> Range {
         let mut steps = Vec::with_capacity(search.len());
         for seek in search {
-            let (ones, zeros) = self.split(&seek.properties);
-            let among = self.combine(ones, zeros);
+            let asked = self.ask(&seek.properties);
+            let among = self.combine(asked);
             let tests: Vec<Test> = (seek.relations.iter())
                 .map(|&(relates, to, holds)| Test {
                     list: self.place(relates),

@@ -215,12 +215,14 @@ impl<const W: usize> Frame<W> {
                 }
                 Op::AddAny {
                     dst,
-                    demand,
+                    left,
+                    right,
                     among,
                     lists,
                 } => {
                     let known = sets[dst.index()];
-                    let (demand, among) = (without(sets[demand.index()], &known), sets[among.index()]);
+                    let demand = without(and(sets[left.index()], &sets[right.index()]), &known);
+                    let among = sets[among.index()];
                     if !is_empty(&demand) && !is_empty(&among) {
                         sets[dst.index()] = or(known, &pairs.any(program.operands(lists), demand, among));
                     }
@@ -465,20 +467,17 @@ impl<const W: usize> Pairs<W> for BitFacts<W> {
         while word < W {
             if demand[word] != 0 {
                 let rows = |list: usize| &self.lists[list * W + word];
-                let many = (self.count - word * 64).min(64);
                 found[word] = match *lists {
                     [] => demand[word],
                     [only] => {
                         let only = rows(only);
-                        of(demand[word], many, |at| !is_empty(&and(among, &only[at])))
+                        of(demand[word], |at| !is_empty(&and(among, &only[at])))
                     }
                     [left, right] => {
                         let (left, right) = (rows(left), rows(right));
-                        of(demand[word], many, |at| {
-                            !is_empty(&and(and(among, &left[at]), &right[at]))
-                        })
+                        of(demand[word], |at| !is_empty(&and(and(among, &left[at]), &right[at])))
                     }
-                    _ => of(demand[word], many, |at| {
+                    _ => of(demand[word], |at| {
                         let set = lists.iter().fold(among, |set, &list| and(set, &rows(list)[at]));
                         !is_empty(&set)
                     }),
@@ -490,22 +489,17 @@ impl<const W: usize> Pairs<W> for BitFacts<W> {
     }
 }
 
-/// Those of `members`, which are among the first `count` of at most 64, for which it holds. If they are many all are asked, since a
-/// loop without branches is faster than looking for the next member.
+/// Those of `members` for which it holds.
 #[inline(always)]
-fn of(members: u64, count: usize, holds: impl Fn(usize) -> bool) -> u64 {
+fn of(members: u64, holds: impl Fn(usize) -> bool) -> u64 {
     let mut found = 0;
-    if members.count_ones() as usize * 2 > count {
-        for bit in 0..count.min(64) {
-            found |= u64::from(holds(bit)) << bit;
-        }
-        return found & members;
-    }
     let mut rest = members;
     while rest != 0 {
-        let bit = rest.trailing_zeros() as usize;
-        found |= u64::from(holds(bit & 63)) << bit;
-        rest &= rest - 1;
+        let lowest = rest & rest.wrapping_neg();
+        let at = rest.trailing_zeros() as usize & 63;
+        // Without a branch: whether it holds is hard to guess.
+        found |= lowest & u64::from(holds(at)).wrapping_neg();
+        rest ^= lowest;
     }
     found
 }
