@@ -19,6 +19,8 @@ use std::time::{Duration, Instant};
 const MOMENTS: usize = 64;
 /// Ticks from one of them to the next.
 const BETWEEN: usize = 7;
+/// So many ticks of a city of `scale` are timed before it is placed afresh.
+const SCALE_TICKS: u32 = 50;
 /// The sizes of cities that `scale` goes through.
 const SCALE: [u32; 4] = [1_000, 10_000, 100_000, 1_000_000];
 
@@ -49,7 +51,7 @@ impl What {
 #[derive(clap::Args)]
 pub struct Arguments {
     /// infer: the rules alone, facts ready as bits (dense) or as rows that change (relational). ground: all facts that the rules can
-    /// ask for. tick: a city. env: a city whose first agent is controlled, placed afresh every episode. scale: cities of 1000 agents
+    /// ask for. tick: a city, placed afresh after the ticks of the configuration. env: a city whose first agent is controlled, placed afresh every episode. scale: cities of 1000 agents
     /// up to --agents
     #[arg(value_parser = one_of(&What::ALL, What::name))]
     what: What,
@@ -104,6 +106,16 @@ struct Timed {
     cpu: Option<Duration>,
 }
 
+impl Default for Timed {
+    fn default() -> Self {
+        Timed {
+            times: 0,
+            wall: Duration::ZERO,
+            cpu: Some(Duration::ZERO),
+        }
+    }
+}
+
 impl Timed {
     /// Does the work again and again for about so long. It is told how often to do it.
     fn run(seconds: Duration, mut work: impl FnMut(u64) -> Result<(), Failure>) -> Result<Timed, Failure> {
@@ -123,11 +135,17 @@ impl Timed {
             work(times)?;
             done += times;
         }
-        Ok(Timed {
-            times: done,
-            wall: start.elapsed(),
-            cpu: cpu.zip(cpu_time()).map(|(before, after)| after.saturating_sub(before)),
-        })
+        let mut timed = Timed::default();
+        timed.add(done, start, cpu);
+        Ok(timed)
+    }
+
+    /// Adds work that began then, with so much CPU time used.
+    fn add(&mut self, times: u64, start: Instant, cpu: Option<Duration>) {
+        self.times += times;
+        self.wall += start.elapsed();
+        let spent = cpu_time().zip(cpu).map(|(after, before)| after.saturating_sub(before));
+        self.cpu = self.cpu.zip(spent).map(|(sum, spent)| sum + spent);
     }
 
     #[allow(clippy::cast_precision_loss)]
@@ -190,7 +208,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let most = arguments.agents.unwrap_or(SCALE[SCALE.len() - 1]);
         let sizes = SCALE.into_iter().take_while(|&size| size < most);
         for size in sizes.chain([most]) {
-            Bench::new(arguments, &scenario, &program, Some(size))?.tick(false)?;
+            Bench::new(arguments, &scenario, &program, Some(size))?.tick(SCALE_TICKS, false)?;
         }
         return Ok(());
     }
@@ -201,7 +219,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     match arguments.what {
         What::Infer => bench.infer(),
         What::Ground => bench.ground(),
-        What::Tick | What::Scale => bench.tick(arguments.breakdown),
+        What::Tick | What::Scale => bench.tick(bench.world.scenario.ticks, arguments.breakdown),
         What::Env => bench.env(),
     }
 }
@@ -255,14 +273,20 @@ impl<'a> Bench<'a> {
         self.simulation.agents().len()
     }
 
-    fn tick(&mut self, breakdown: bool) -> Result<(), Failure> {
-        let simulation = &mut self.simulation;
+    /// Ticks of cities that are placed afresh after `length` ticks, since in time many of its agents wait for each other. Placing is not
+    /// timed.
+    fn tick(&mut self, length: u32, breakdown: bool) -> Result<(), Failure> {
         let mut parts = [Duration::ZERO; Phase::ALL.len()];
-        let timed = Timed::run(self.arguments.seconds, |times| {
-            if breakdown {
-                parts = [Duration::ZERO; Phase::ALL.len()];
+        let mut timed = Timed::default();
+        let mut seed = self.arguments.seed;
+        while timed.wall < self.arguments.seconds {
+            if timed.times > 0 {
+                seed = seed.wrapping_add(1);
+                self.simulation = Self::place(self.arguments, &self.world, seed)?;
             }
-            for _ in 0..times {
+            let simulation = &mut self.simulation;
+            let (start, cpu) = (Instant::now(), cpu_time());
+            for _ in 0..length {
                 if breakdown {
                     let mut last = Instant::now();
                     simulation.tick_watched(&[], |phase| {
@@ -274,8 +298,8 @@ impl<'a> Bench<'a> {
                     simulation.tick(&[])?;
                 }
             }
-            Ok(())
-        })?;
+            timed.add(u64::from(length), start, cpu);
+        }
         let mut more = Vec::new();
         if breakdown {
             let sum: Duration = parts.iter().sum();

@@ -43,21 +43,38 @@ impl Range {
     }
 }
 
+/// `(left ^ flips) & (right ^ flips)`, flipped again or not: intersection, difference and union without a branch.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Combination {
+    pub dst: Reg,
+    pub left: Reg,
+    pub right: Reg,
+    /// All bits set or none.
+    pub flips: [u64; 3],
+}
+
+/// Up to [`Lists::MAX`] positions in [`Dense::lists`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Lists {
+    pub count: u8,
+    pub lists: [u16; Lists::MAX],
+}
+
+impl Lists {
+    pub const MAX: usize = 3;
+}
+
 /// One operation. `dst` is written, all else is read.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Op {
-    /// The members of both.
-    And { dst: Reg, left: Reg, right: Reg },
-    /// The members of `left` that are not in `right`.
-    Without { dst: Reg, left: Reg, right: Reg },
-    /// The members of either.
-    Or { dst: Reg, left: Reg, right: Reg },
+    /// These combinations, one after the other.
+    Combine(Range),
     /// The members of `demand` to which all `lists` relate one and the same member of `among`.
     Any {
         dst: Reg,
         demand: Reg,
         among: Reg,
-        lists: Range,
+        lists: Lists,
     },
     /// Adds such members of both `left` and `right`; who is in `dst` is not asked about.
     AddAny {
@@ -65,7 +82,7 @@ pub(super) enum Op {
         left: Reg,
         right: Reg,
         among: Reg,
-        lists: Range,
+        lists: Lists,
     },
     /// The members of `demand` for which each step has a value.
     Exists { dst: Reg, demand: Reg, steps: Range },
@@ -144,14 +161,13 @@ pub struct Dense {
     lists: Vec<List>,
     set_count: usize,
     row_lists: usize,
-    /// Operands of [`Op::Any`]: positions in `lists`.
-    operands: Vec<usize>,
+    combinations: Vec<Combination>,
     steps: Vec<Step>,
     tests: Vec<Test>,
     /// How many of `inputs` change often; the others follow.
     pub(super) restless: usize,
     /// What depends on steady inputs only.
-    pub(super) settling: Vec<Op>,
+    pub(super) settling: Vec<Combination>,
     pub(super) ops: Vec<Op>,
     /// The sets of derived predicates with one column.
     pub(super) heads: Vec<Reg>,
@@ -247,8 +263,8 @@ impl Dense {
     }
 
     #[inline]
-    pub(super) fn operands(&self, range: Range) -> &[usize] {
-        range.cut(&self.operands)
+    pub(super) fn combinations(&self, range: Range) -> &[Combination] {
+        range.cut(&self.combinations)
     }
 
     #[inline]
@@ -535,6 +551,15 @@ enum Changes {
     Within,
 }
 
+fn union(dst: Reg, left: Reg, right: Reg) -> Combination {
+    Combination {
+        dst,
+        left,
+        right,
+        flips: [u64::MAX; 3],
+    }
+}
+
 struct Compiler<'a> {
     rules: &'a Rules,
     counting: Counting,
@@ -576,7 +601,7 @@ impl<'a> Compiler<'a> {
                 lists: Vec::new(),
                 set_count: Dense::FIRST_INPUT,
                 row_lists: 0,
-                operands: Vec::new(),
+                combinations: Vec::new(),
                 steps: Vec::new(),
                 tests: Vec::new(),
                 restless: 0,
@@ -750,13 +775,13 @@ impl<'a> Compiler<'a> {
                         self.combine(asked)
                     })
                     .collect();
-                let union = |left, &right: &Reg| {
+                let unite = |left, &right: &Reg| {
                     let dst = self.set(Changes::Often);
-                    self.out.ops.push(Op::Or { dst, left, right });
+                    self.push(union(dst, left, right));
                     dst
                 };
                 let (&first, rest) = sets.split_first().expect("a shared search has users");
-                rest.iter().fold(first, union)
+                rest.iter().fold(first, unite)
             }
         };
         let dst = self.exists(demand, &search);
@@ -805,25 +830,41 @@ impl<'a> Compiler<'a> {
         self.add(dst, from);
     }
 
-    /// Adds the members of a set to another.
-    fn add(&mut self, dst: Reg, from: Reg) {
-        let (left, right) = (dst, from);
-        self.out.ops.push(Op::Or { dst, left, right });
+    /// Adds a combination to those that are made last, if nothing else is.
+    fn push(&mut self, combination: Combination) {
+        let range = match self.out.ops.pop() {
+            Some(Op::Combine(range)) => range,
+            other => {
+                self.out.ops.extend(other);
+                Range::begin(&self.out.combinations)
+            }
+        };
+        self.out.combinations.push(combination);
+        self.out.ops.push(Op::Combine(range.end(&self.out.combinations)));
     }
 
-    /// Of a search with one step that asks given lists only: among whom it looks, and the lists.
-    fn lists(&mut self, steps: Range) -> Option<(Reg, Range)> {
+    /// Adds the members of a set to another.
+    fn add(&mut self, dst: Reg, from: Reg) {
+        self.push(union(dst, dst, from));
+    }
+
+    /// Of a search with one step that asks a few given lists only: among whom it looks, and the lists.
+    fn lists(&mut self, steps: Range) -> Option<(Reg, Lists)> {
         let [Step { among, tests }] = *self.out.steps(steps) else {
             return None;
         };
-        let given = |test: &Test| match test.list {
-            Place::Given(list) if test.holds => Some(list),
-            _ => None,
-        };
-        let lists: Vec<usize> = self.out.tests(tests).iter().map(given).collect::<Option<_>>()?;
-        let range = Range::begin(&self.out.operands);
-        self.out.operands.extend(lists);
-        Some((among, range.end(&self.out.operands)))
+        let tests = self.out.tests(tests);
+        let mut lists = [0; Lists::MAX];
+        for (list, test) in lists.iter_mut().zip(tests) {
+            *list = match test.list {
+                Place::Given(list) if test.holds => u16::try_from(list).ok()?,
+                _ => return None,
+            };
+        }
+        let count = u8::try_from(tests.len())
+            .ok()
+            .filter(|&count| usize::from(count) <= Lists::MAX)?;
+        Some((among, Lists { count, lists }))
     }
 
     /// The sets of what is asked of one variable. What clauses have in common comes first, so that it is put together once.
@@ -916,16 +957,18 @@ impl<'a> Compiler<'a> {
         }
         let changes = self.changes[left.index()].max(self.changes[right.index()]);
         let dst = self.set(changes.min(Changes::Often));
-        let op = match holds {
-            true => Op::And { dst, left, right },
-            false => Op::Without { dst, left, right },
+        let combination = Combination {
+            dst,
+            left,
+            right,
+            flips: [0, if holds { 0 } else { u64::MAX }, 0],
         };
         if changes != Changes::Within {
             self.known_sets.insert((left, right, holds), dst);
         }
         match changes {
-            Changes::Seldom => self.out.settling.push(op),
-            _ => self.out.ops.push(op),
+            Changes::Seldom => self.out.settling.push(combination),
+            _ => self.push(combination),
         }
         dst
     }

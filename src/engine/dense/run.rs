@@ -1,6 +1,6 @@
 //! Running a [`Dense`] program.
 
-use super::compile::{Axis, Dense, Input, List, Op, Place, Range, Step};
+use super::compile::{Axis, Combination, Dense, Input, List, Lists, Op, Place, Range, Step};
 use crate::lang::{ClauseId, RelId};
 
 /// A set of entities: entity `i` is bit `i % 64` of word `i / 64`. Holds up to `64 * W` entities.
@@ -94,11 +94,12 @@ pub trait Pairs<const W: usize> {
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W>;
 
     /// Those of `demand` to which one and the same member of `among` stands in the relations of all lists.
-    fn any(&self, lists: &[usize], demand: Set<W>, among: Set<W>) -> Set<W> {
+    #[inline]
+    fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
         let mut found = [0; W];
         for at in members(&demand) {
             let mut set = among;
-            for &list in lists {
+            for list in lists {
                 set = self.narrow(list, at, set);
                 if is_empty(&set) {
                     break;
@@ -109,6 +110,39 @@ pub trait Pairs<const W: usize> {
             }
         }
         found
+    }
+}
+
+/// [`Pairs::any`] for a number of lists that is known at run time.
+#[inline]
+fn any<const W: usize>(pairs: &impl Pairs<W>, lists: Lists, demand: Set<W>, among: Set<W>) -> Set<W> {
+    let [first, second, third] = lists.lists.map(usize::from);
+    match lists.count {
+        0 => demand,
+        1 => pairs.any([first], demand, among),
+        2 => pairs.any([first, second], demand, among),
+        _ => pairs.any([first, second, third], demand, among),
+    }
+}
+
+/// Makes combinations of sets.
+#[inline]
+fn combine<const W: usize>(sets: &mut [Set<W>], combinations: &[Combination]) {
+    for &Combination {
+        dst,
+        left,
+        right,
+        flips,
+    } in combinations
+    {
+        let (left, right) = (sets[left.index()], sets[right.index()]);
+        let [flip_left, flip_right, flip] = flips;
+        let dst = &mut sets[dst.index()];
+        let mut word = 0;
+        while word < W {
+            dst[word] = (left[word] ^ flip_left) & (right[word] ^ flip_right) ^ flip;
+            word += 1;
+        }
     }
 }
 
@@ -184,23 +218,19 @@ impl<const W: usize> Frame<W> {
             self.rows.fill([0; W]);
         }
         if self.unsettled {
-            self.execute(program, &program.settling, pairs);
+            combine(&mut self.sets, &program.settling);
             self.unsettled = false;
         }
-        self.execute(program, &program.ops, pairs);
+        self.execute(program, pairs);
     }
 
     #[inline]
-    fn execute(&mut self, program: &Dense, ops: &[Op], pairs: &impl Pairs<W>) {
+    fn execute(&mut self, program: &Dense, pairs: &impl Pairs<W>) {
         // As a local the list stays in registers.
         let mut sets = std::mem::take(&mut self.sets);
-        for op in ops {
+        for op in &program.ops {
             match *op {
-                Op::And { dst, left, right } => sets[dst.index()] = and(sets[left.index()], &sets[right.index()]),
-                Op::Without { dst, left, right } => {
-                    sets[dst.index()] = without(sets[left.index()], &sets[right.index()]);
-                }
-                Op::Or { dst, left, right } => sets[dst.index()] = or(sets[left.index()], &sets[right.index()]),
+                Op::Combine(range) => combine(&mut sets, program.combinations(range)),
                 Op::Any {
                     dst,
                     demand,
@@ -210,7 +240,7 @@ impl<const W: usize> Frame<W> {
                     let (demand, among) = (sets[demand.index()], sets[among.index()]);
                     sets[dst.index()] = match is_empty(&demand) || is_empty(&among) {
                         true => [0; W],
-                        false => pairs.any(program.operands(lists), demand, among),
+                        false => any(pairs, lists, demand, among),
                     };
                 }
                 Op::AddAny {
@@ -224,7 +254,7 @@ impl<const W: usize> Frame<W> {
                     let demand = without(and(sets[left.index()], &sets[right.index()]), &known);
                     let among = sets[among.index()];
                     if !is_empty(&demand) && !is_empty(&among) {
-                        sets[dst.index()] = or(known, &pairs.any(program.operands(lists), demand, among));
+                        sets[dst.index()] = or(known, &any(pairs, lists, demand, among));
                     }
                 }
                 Op::Exists { dst, demand, steps } => {
@@ -461,27 +491,21 @@ impl<const W: usize> Pairs<W> for BitFacts<W> {
     }
 
     #[inline]
-    fn any(&self, lists: &[usize], demand: Set<W>, among: Set<W>) -> Set<W> {
+    fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
         let mut found = [0; W];
         let mut word = 0;
         while word < W {
             if demand[word] != 0 {
-                let rows = |list: usize| &self.lists[list * W + word];
-                found[word] = match *lists {
-                    [] => demand[word],
-                    [only] => {
-                        let only = rows(only);
-                        of(demand[word], |at| !is_empty(&and(among, &only[at])))
+                let rows = lists.map(|list| &self.lists[list * W + word]);
+                found[word] = of(demand[word], |at| {
+                    let mut set = among;
+                    let mut list = 0;
+                    while list < N {
+                        set = and(set, &rows[list][at]);
+                        list += 1;
                     }
-                    [left, right] => {
-                        let (left, right) = (rows(left), rows(right));
-                        of(demand[word], |at| !is_empty(&and(and(among, &left[at]), &right[at])))
-                    }
-                    _ => of(demand[word], |at| {
-                        let set = lists.iter().fold(among, |set, &list| and(set, &rows(list)[at]));
-                        !is_empty(&set)
-                    }),
-                };
+                    !is_empty(&set)
+                });
             }
             word += 1;
         }
