@@ -34,10 +34,10 @@ python: $(VENV)/bin/python
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV) || { echo "on Debian: apt-get install python3-venv"; exit 1; }
 
-# Not part of `make test`: z3 and clingo beside our program. OPTIONS are those of benches/solvers/compare.py.
+# Not part of `make test`: z3 and clingo beside our program, by benches/solvers; SOLVERS_OPTIONS are options of its compare.py.
 solvers: $(SOLVERS)/installed
 	cargo build --release --locked
-	$(SOLVERS)/bin/python benches/solvers/compare.py $(OPTIONS)
+	$(SOLVERS)/bin/python benches/solvers/compare.py $(SOLVERS_OPTIONS)
 
 $(SOLVERS)/installed: benches/solvers/requirements.txt
 	$(PYTHON) -m venv $(SOLVERS) || { echo "on Debian: apt-get install python3-venv"; exit 1; }
