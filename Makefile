@@ -1,12 +1,13 @@
 # `make test` runs every test there is; `.ci/run` calls it. Each part can be run alone.
 PYTHON ?= python3
 VENV := .venv
+SOLVERS := .venv-solvers
 
 # What `make fuzz` runs, each for so many seconds.
 FUZZ_TARGETS := parse check query evaluate config scene rows
 FUZZ_SECONDS := 600
 
-.PHONY: test lint rust doc python fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test lint rust doc python solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint rust doc python
 
@@ -32,6 +33,17 @@ python: $(VENV)/bin/python
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV) || { echo "on Debian: apt-get install python3-venv"; exit 1; }
+
+# Not part of `make test`: z3 and clingo beside our program, by benches/solvers; SOLVERS_OPTIONS are options of its compare.py.
+solvers: $(SOLVERS)/installed
+	cargo build --release --locked
+	$(SOLVERS)/bin/python benches/solvers/compare.py $(SOLVERS_OPTIONS)
+
+$(SOLVERS)/installed: benches/solvers/requirements.txt
+	$(PYTHON) -m venv $(SOLVERS) || { echo "on Debian: apt-get install python3-venv"; exit 1; }
+	$(SOLVERS)/bin/pip install --quiet --disable-pip-version-check -r $< || \
+	    { echo "cannot install what $< names: it takes Python 3.10 or later and a package index that has wheels for this machine"; exit 1; }
+	touch $@
 
 # Not part of `make test`. Wants a C++ compiler and `cargo install cargo-fuzz`. There is no unsafe code to sanitize, so any
 # toolchain will do. What is found stays in tests/fuzz/corpus, and an input that breaks something in tests/fuzz/artifacts.

@@ -478,8 +478,7 @@ fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, pat
         ReadError::NotFound => Failure::file("read", path, "there is no such file"),
         other => Failure::file("read", path, other),
     })?;
-    let mut moments: Vec<BitFacts<1>> = Vec::new();
-    let mut most = 0;
+    let mut scenes = Vec::new();
     for (number, line) in (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty()) {
         let mut sources = Sources::new();
         let source = sources.add_from(path.display().to_string(), line, number);
@@ -495,13 +494,15 @@ fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, pat
             );
             return Err(Failure::Usage(message));
         }
-        most = most.max(count);
-        moments.push(scene.facts.to_bits(inference.vocabulary(), &dense, 64));
+        scenes.push(scene);
     }
-    if moments.is_empty() {
+    let Some(most) = scenes.iter().map(|scene| scene.names.len()).max() else {
         return Err(Failure::Usage(format!("there is no scene in `{}`", path.display())));
-    }
-    let timed = evaluate(arguments.seconds, &dense, &moments, 64)?;
+    };
+    let moments: Vec<BitFacts<1>> = (scenes.iter())
+        .map(|scene| scene.facts.to_bits(inference.vocabulary(), &dense, most))
+        .collect();
+    let timed = evaluate(arguments.seconds, &dense, &moments, most)?;
     let result = json!({
         "what": "infer",
         "config": name,

@@ -1,0 +1,243 @@
+"""Times one ego's decision by logicity, z3 and clingo on the same facts, after checking that all decide the same.
+
+`make solvers` runs it. Every figure is CPU time on one thread; facts are ready for each in the form that suits it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import rules as rule_files
+from rules import Refused
+from scenes import EGO, Logicity, Scene, invent, record, write
+
+try:
+    import clingo
+    import z3  # type: ignore[import-untyped]
+
+    from deciders import DECIDERS, Decider
+except ImportError as error:
+    sys.exit(f"error: {error}; `make solvers` installs what benches/solvers/requirements.txt names")
+
+ROOT = Path(__file__).resolve().parents[2]
+ROUNDS = 5
+BATCH = 20
+"""Decisions between looks at the clock."""
+
+
+@dataclass
+class Row:
+    """What was measured of one way to decide."""
+
+    name: str
+    scenes: int
+    """Over how many scenes it goes round and round; less than all where one decision takes long."""
+    decisions: int = 0
+    rounds: list[float] = field(default_factory=list)
+    """Microseconds a decision."""
+
+    @property
+    def microseconds(self) -> float:
+        """The median of the rounds."""
+        return median(self.rounds)
+
+
+class Timer:
+    """Goes through the scenes with one decider."""
+
+    def __init__(self, decider: Decider[Any], scenes: Sequence[Scene]) -> None:
+        self.decider = decider
+        self.facts = decider.prepare(scenes[:: decider.every])
+        self.row = Row(decider.name, len(self.facts))
+        self.next = 0
+
+    def round(self, seconds: float) -> None:
+        """Decides for about so long."""
+        decide, facts, done = self.decider.decide, self.facts, 0
+        start = time.process_time()
+        while (spent := time.process_time() - start) < seconds:
+            for _ in range(BATCH):
+                decide(facts[self.next])
+                self.next = (self.next + 1) % len(facts)
+            done += BATCH
+        self.row.decisions += done
+        self.row.rounds.append(spent / done * 1e6)
+
+
+def check(logicity: Logicity, rules: rule_files.Rules, folder: Path, scenes: Sequence[Scene]) -> Counter[str]:
+    """That all derive the same in every scene. How often what is derived."""
+    path = folder / "checked.jsonl"
+    write(path, [scene.to_json() for scene in scenes])
+    expected: list[set[str]] = []
+    for executor in ("relational", "dense"):
+        answers = [answer[EGO] for answer in logicity.answers(path, "--executor", executor)]
+        # `derived` leaves out the default.
+        derived = [set(answer["derived"]) or {answer["action"]} for answer in answers]
+        _compare(f"logicity, {executor}", scenes, expected or derived, derived)
+        expected = derived
+    for make in DECIDERS:
+        decider = make(rules)
+        _compare(decider.name, scenes, expected, [decider.decide(facts) for facts in decider.prepare(scenes)])
+    return Counter(" and ".join(sorted(actions)) for actions in expected)
+
+
+def _compare(name: str, scenes: Sequence[Scene], expected: list[set[str]], found: list[set[str]]) -> None:
+    if len(found) != len(scenes):
+        raise Refused(f"{name} answers {len(found)} of {len(scenes)} scenes")
+    for scene, right, wrong in zip(scenes, expected, found, strict=True):
+        if right != wrong:
+            told = f"{name} derives {sorted(wrong)}, logicity {sorted(right)}; nothing is timed. The scene:"
+            raise Refused(f"{told}\n{json.dumps(scene.to_json())}")
+
+
+def measure(
+    logicity: Logicity, rules: rule_files.Rules, folder: Path, scenes: Sequence[Scene], seconds: float
+) -> list[Row]:
+    """Rounds in turn, so that a busy machine is busy for all. The first row is logicity's."""
+    path = folder / "timed.jsonl"
+    write(path, [scene.to_json() for scene in scenes])
+    ours = Row("logicity", len(scenes))
+    timers = [Timer(make(rules), scenes) for make in DECIDERS]
+    share = seconds / ROUNDS
+    for done in range(ROUNDS):
+        _progress(f"timing, round {done + 1} of {ROUNDS}")
+        bench = logicity.call(
+            "bench", "infer", "--config", logicity.config, "--scenes", path, "--seconds", str(share), "--json"
+        )
+        result = json.loads(bench)
+        ours.decisions += result["evaluations"]
+        ours.rounds.append(result["ns_per_evaluation"] / 1000)
+        for timer in timers:
+            timer.round(share)
+    return [ours, *(timer.row for timer in timers)]
+
+
+def _progress(what: str) -> None:
+    print(f"{what} ..", file=sys.stderr, flush=True)
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Markdown."""
+    lines = [("one ego's decision", "microseconds", "times logicity", "scenes", "decisions")]
+    for row in rows:
+        ratio = row.microseconds / rows[0].microseconds
+        places = 3 if row.microseconds < 1 else 1 if row.microseconds < 100 else 0
+        lines.append(
+            (row.name, f"{row.microseconds:,.{places}f}", f"{ratio:,.0f}", f"{row.scenes}", f"{row.decisions:,}")
+        )
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+
+    def told(cells: Sequence[str]) -> str:
+        return f"| {cells[0]:<{widths[0]}} | " + " | ".join(map(str.rjust, cells[1:], widths[1:])) + " |"
+
+    rule = told(["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])])
+    return "\n".join([told(lines[0]), rule, *map(told, lines[1:])])
+
+
+def rules_of(config: Path) -> Path:
+    """The rule file that a configuration names."""
+    try:
+        found = re.search(r"^rules:\s*(\S+)\s*$", config.read_text(encoding="utf-8"), re.MULTILINE)
+    except OSError as error:
+        raise Refused(f"cannot read {config}: {error.strerror}") from None
+    if found is None:
+        raise Refused(f"{config} names no rule file itself (`rules: FILE`)")
+    return config.parent / found.group(1)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "--config", type=Path, default=ROOT / "configs/expert.yaml", help="of the city; it names the rules"
+    )
+    parser.add_argument(
+        "--program", type=Path, default=ROOT / "target/release/logicity", help="logicity, as built for release"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the city, and of what is drawn")
+    parser.add_argument("--ticks", type=_positive, default=300, help="of the city, from which scenes are drawn")
+    parser.add_argument("--scenes", type=_positive, default=300, help="to be timed; as many more are only checked")
+    parser.add_argument("--seconds", type=_seconds, default=10, help="CPU time for each way to decide, 0.5 or more")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where to leave trace and scenes")
+    parser.add_argument("--json", action="store_true", help="one JSON object instead of a table")
+    return parser.parse_args()
+
+
+def _positive(text: str) -> int:
+    if not text.isdecimal() or int(text) == 0:
+        raise argparse.ArgumentTypeError("not a whole number from 1")
+    return int(text)
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0.5 <= seconds <= 3600:
+        raise argparse.ArgumentTypeError("not from 0.5 to 3600")
+    return seconds
+
+
+def _run(arguments: argparse.Namespace, folder: Path) -> None:
+    logicity = Logicity(arguments.program, arguments.config)
+    rules = rule_files.read(rules_of(arguments.config))
+    _progress("recording scenes")
+    recorded = record(logicity, folder, arguments.seed, arguments.ticks, arguments.scenes)
+    invented = invent(rules, arguments.seed, arguments.scenes)
+    _progress("checking that all decide the same")
+    decisions = check(logicity, rules, folder, [*recorded, *invented])
+    rows = measure(logicity, rules, folder, recorded, arguments.seconds)
+    versions = {"z3": z3.get_version_string(), "clingo": clingo.__version__}
+    if arguments.json:
+        result: dict[str, Any] = {
+            "config": str(arguments.config),
+            "versions": versions,
+            "checked": len(recorded) + len(invented),
+            "derived": dict(decisions),
+            "rows": [
+                {
+                    "name": row.name,
+                    "us_per_decision": row.microseconds,
+                    "times_logicity": row.microseconds / rows[0].microseconds,
+                    "scenes": row.scenes,
+                    "decisions": row.decisions,
+                    "rounds_us": row.rounds,
+                }
+                for row in rows
+            ],
+        }
+        print(json.dumps(result))
+        return
+    told = ", ".join(f"{count} {actions}" for actions, count in decisions.most_common())
+    print(f"all decide the same in {len(recorded)} scenes of a city and {len(invented)} random ones ({told})")
+    print(f"z3 {versions['z3']}, clingo {versions['clingo']}; CPU time, median of {ROUNDS} rounds\n")
+    print(table(rows))
+
+
+def main() -> None:
+    """Runs the comparison; ends with 1 and a message where it cannot."""
+    arguments = _arguments()
+    try:
+        if arguments.keep is not None:
+            arguments.keep.mkdir(parents=True, exist_ok=True)
+            _run(arguments, arguments.keep)
+            return
+        with tempfile.TemporaryDirectory(prefix="logicity-solvers-") as folder:
+            _run(arguments, Path(folder))
+    except (Refused, OSError) as error:
+        sys.exit(f"error: {error}")
+
+
+if __name__ == "__main__":
+    main()

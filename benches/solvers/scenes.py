@@ -1,0 +1,121 @@
+"""Scenes to decide: an ego and four others, with all base facts about them.
+
+Some are recorded: egos of a run of the city that see four others or more. Few things ever happen together in a city,
+so the others are drawn at random, to be checked and not to be timed.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import subprocess
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from rules import Refused, Rules
+
+ENTITIES = ("e0", "e1", "e2", "e3", "e4")
+EGO = ENTITIES[0]
+
+Atom = tuple[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is true of `ENTITIES`, the first of which is the ego."""
+
+    facts: frozenset[Atom]
+
+    def to_json(self) -> dict[str, Any]:
+        """As `logicity infer` takes it."""
+        facts: dict[str, list[Any]] = {}
+        for predicate, row in sorted(self.facts):
+            facts.setdefault(predicate, []).append(row[0] if len(row) == 1 else list(row))
+        return {"entities": ENTITIES, "ego": EGO, "facts": facts}
+
+
+class Logicity:
+    """The program that is compared."""
+
+    def __init__(self, program: Path, config: Path) -> None:
+        self.program = program.resolve()
+        self.config = config
+
+    def call(self, *arguments: str | Path) -> str:
+        """What the program prints."""
+        command = [str(self.program), *map(str, arguments)]
+        try:
+            return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        except OSError as error:
+            raise Refused(f"cannot run {self.program}: {error.strerror}") from None
+        except subprocess.CalledProcessError as error:
+            raise Refused(f"`{' '.join(command)}` failed:\n{error.stderr or error.stdout}") from None
+
+    def answers(self, scenes: Path, *options: str) -> Iterator[dict[str, dict[str, Any]]]:
+        """For every scene of a file what `infer` answers about each ego."""
+        for line in self.call("infer", "--config", self.config, *options, scenes).splitlines():
+            yield json.loads(line)["egos"]
+
+
+def write(path: Path, scenes: Sequence[dict[str, Any]]) -> None:
+    """One scene a line."""
+    path.write_text("".join(json.dumps(scene, separators=(",", ":")) + "\n" for scene in scenes), encoding="utf-8")
+
+
+def record(logicity: Logicity, folder: Path, seed: int, ticks: int, count: int) -> list[Scene]:
+    """So many different scenes, drawn from a run of the city."""
+    logicity.call("run", logicity.config, "--no-pictures", "--seed", str(seed), "--ticks", str(ticks), "--out", folder)
+    header, *states = map(json.loads, (folder / "trace.jsonl").read_text(encoding="utf-8").splitlines())
+    moments = folder / "moments.jsonl"
+    write(moments, [_moment(header, state) for state in states])
+    found = dict.fromkeys(
+        _scene(answer, answer["sees"][: len(ENTITIES)])
+        for egos in logicity.answers(moments)
+        for answer in egos.values()
+        if len(answer["sees"]) >= len(ENTITIES)
+    )
+    if len(found) < count:
+        raise Refused(f"{ticks} ticks have {len(found)} different scenes, not {count}: raise --ticks or lower --scenes")
+    return random.Random(seed).sample(list(found), count)
+
+
+def _moment(header: dict[str, Any], state: dict[str, Any]) -> dict[str, Any]:
+    agents = [
+        {**agent, "at": now["at"], "heading": now.get("heading")}
+        for agent, now in zip(header["agents"], state["agents"], strict=True)
+    ]
+    return {"map": header["map"], "tick": state["tick"], "agents": agents, "given": state["given"]}
+
+
+def _scene(answer: dict[str, Any], entities: Sequence[str]) -> Scene:
+    names = dict(zip(entities, ENTITIES, strict=True))
+    rows = (
+        (predicate, (row,) if isinstance(row, str) else tuple(row))
+        for predicate, found in answer["true"].items()
+        for row in found
+    )
+    return Scene(
+        frozenset(
+            (predicate, tuple(names[name] for name in row)) for predicate, row in rows if names.keys() >= set(row)
+        )
+    )
+
+
+def invent(rules: Rules, seed: int, count: int) -> list[Scene]:
+    """Scenes of anything that the rules ask about, from few facts to many, whether a city could be so or not."""
+    draw = random.Random(seed)
+    asked = {literal.predicate for group in rules.clauses.values() for clause in group for literal in clause.body}
+    atoms = [atom for atom in all_atoms(rules) if atom[0] in asked]
+    scenes = []
+    for _ in range(count):
+        share = draw.uniform(0.02, 0.5)
+        scenes.append(Scene(frozenset(atom for atom in atoms if draw.random() < share)))
+    return scenes
+
+
+def all_atoms(rules: Rules) -> list[Atom]:
+    """Every base atom about `ENTITIES`."""
+    return [(predicate, row) for predicate in rules.base for row in product(ENTITIES, repeat=rules.arities[predicate])]
