@@ -236,6 +236,7 @@ impl Crowd {
                     class: *known.entry((agent.kind, &agent.concepts)).or_insert(next),
                     kind: agent.kind,
                     heading: agent.heading,
+                    junction: world.map().junction(agent.cell),
                 }
             })
             .collect();
@@ -282,9 +283,9 @@ impl Crowd {
     }
 
     /// Computes all facts that the rules can ask for; how many there are. `None` for a city that is looked at by tiles.
-    pub fn count_facts(&mut self, map: &CityMap, draws: Draws) -> Option<u64> {
+    pub fn count_facts(&mut self, draws: Draws) -> Option<u64> {
         match &mut self.shape {
-            Shape::One(one) => Some(one.count_facts(&self.reading.grounder, map, draws)),
+            Shape::One(one) => Some(one.count_facts(&self.reading.grounder, draws)),
             Shape::Tiles(_) => None,
         }
     }
@@ -294,10 +295,7 @@ impl Crowd {
         match &mut self.shape {
             Shape::One(one) => one.follow(&self.reading.grounder, map, agents),
             Shape::Tiles(tiles) => {
-                let follow = |(body, agent): (&mut Body, &Agent)| {
-                    body.at = agent.cell;
-                    body.heading = agent.heading;
-                };
+                let follow = |(body, agent): (&mut Body, &Agent)| body.shift(map, agent.cell, agent.heading);
                 (tiles.bodies.par_iter_mut().with_min_len(4096))
                     .zip(agents)
                     .for_each(follow);
@@ -310,7 +308,7 @@ impl Crowd {
 trait OneWindow: Send {
     fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions);
     fn follow(&mut self, grounder: &Grounder, map: &CityMap, agents: &[Agent]);
-    fn count_facts(&mut self, grounder: &Grounder, map: &CityMap, draws: Draws) -> u64;
+    fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64;
 }
 
 struct One<const W: usize> {
@@ -323,7 +321,7 @@ impl<const W: usize> One<W> {
         let mut window = Window::new(grounder);
         let all = crate::engine::dense::first(bodies.len());
         window.bodies = bodies;
-        window.fill(grounder, map, Cell::new(0, 0), [map.rows(), map.cols()]);
+        window.fill(grounder, Cell::new(0, 0), [map.rows(), map.cols()]);
         One { window, all }
     }
 }
@@ -342,8 +340,8 @@ impl<const W: usize> OneWindow for One<W> {
         }
     }
 
-    fn count_facts(&mut self, grounder: &Grounder, map: &CityMap, draws: Draws) -> u64 {
-        self.window.count_facts(grounder, map, draws)
+    fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64 {
+        self.window.count_facts(grounder, draws)
     }
 }
 
@@ -518,7 +516,6 @@ impl Tiles {
         self.gather_around(window, tile, found);
         let evaluate = Evaluate {
             reading,
-            map,
             draws,
             out,
             window,
@@ -590,7 +587,6 @@ impl Tiles {
 /// Evaluates the window of a tile.
 struct Evaluate<'a> {
     reading: &'a Reading,
-    map: &'a CityMap,
     draws: Draws,
     out: &'a Decisions,
     window: Area,
@@ -602,7 +598,7 @@ impl Evaluate<'_> {
     fn run<const W: usize>(&self, window: &mut Window<W>, found: &mut Vec<Body>, firings: &mut [usize]) {
         std::mem::swap(&mut window.bodies, found);
         let Area { first, rows, cols } = self.window;
-        window.fill(&self.reading.grounder, self.map, first, [rows, cols]);
+        window.fill(&self.reading.grounder, first, [rows, cols]);
         let egos = crate::engine::dense::first(self.egos);
         window.frame.set_egos(egos);
         window.run(&self.reading.grounder, self.draws);

@@ -441,7 +441,7 @@ impl Simulation {
             seed: self.seed,
             time: self.tick,
         };
-        self.crowd.as_mut()?.count_facts(self.world.map(), draws)
+        self.crowd.as_mut()?.count_facts(draws)
     }
 
     /// The agents as they were when the last tick was decided.

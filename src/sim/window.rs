@@ -4,7 +4,7 @@
 use super::ground::{Chance, Entity, binary, side};
 use super::infer::Draws;
 use super::vocabulary::Vocabulary;
-use crate::city::{Cell, CityMap, Heading, view_reach};
+use crate::city::{Cell, CityMap, Heading, Junction, view_reach};
 use crate::config::{AgentKind, Definition};
 use crate::engine::dense::{Axis, Dense, Frame, Input, List, Pairs, Set, and, first, is_empty, members, without};
 
@@ -19,6 +19,19 @@ pub(super) struct Body {
     pub class: u32,
     pub kind: AgentKind,
     pub heading: Option<Heading>,
+    /// Of the cell where it is.
+    pub junction: Junction,
+}
+
+impl Body {
+    /// Takes note of a move.
+    pub fn shift(&mut self, map: &CityMap, to: Cell, heading: Option<Heading>) {
+        self.heading = heading;
+        if self.at != to {
+            self.at = to;
+            self.junction = map.junction(to);
+        }
+    }
 }
 
 /// How many cells something reaches: up, down, left, right.
@@ -337,7 +350,7 @@ impl<const W: usize> Window<W> {
     ///
     /// # Panics
     /// If they are more than the window holds, or one is outside of the area.
-    pub fn fill(&mut self, grounder: &Grounder, map: &CityMap, first_cell: Cell, [rows, cols]: [i32; 2]) {
+    pub fn fill(&mut self, grounder: &Grounder, first_cell: Cell, [rows, cols]: [i32; 2]) {
         let count = self.bodies.len();
         self.frame.reset(&grounder.dense, count);
         let Place {
@@ -368,18 +381,17 @@ impl<const W: usize> Window<W> {
             }
         }
         for entity in 0..count {
-            self.look(grounder, map, entity);
+            self.look(grounder, entity);
         }
     }
 
     /// Sets what depends on the cell where an entity is.
-    fn look(&mut self, grounder: &Grounder, map: &CityMap, entity: usize) {
+    fn look(&mut self, grounder: &Grounder, entity: usize) {
         let body = &self.bodies[entity];
-        let junction = map.junction(body.at);
         for (set, how) in self.inputs.iter_mut().zip(&grounder.inputs) {
             let holds = match how {
-                Unary::AtIntersection => junction.is_at(body.kind),
-                Unary::InIntersection => junction.is_inside(),
+                Unary::AtIntersection => body.junction.is_at(body.kind),
+                Unary::InIntersection => body.junction.is_inside(),
                 Unary::Class | Unary::Always | Unary::Never => continue,
             };
             let word = &mut set[entity / 64];
@@ -391,19 +403,18 @@ impl<const W: usize> Window<W> {
     pub fn shift(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Cell, heading: Option<Heading>) {
         let body = &mut self.bodies[entity];
         let from = body.at;
-        body.heading = heading;
+        body.shift(map, to, heading);
         if from != to {
-            body.at = to;
             self.place.shift(entity, from, to);
-            self.look(grounder, map, entity);
+            self.look(grounder, entity);
         }
     }
 
     /// Takes note of the bodies afresh and computes all facts that the rules can ask for. How many there are.
-    pub fn count_facts(&mut self, grounder: &Grounder, map: &CityMap, draws: Draws) -> u64 {
+    pub fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64 {
         let lines = |lists: &[Set<W>]| i32::try_from(lists.len() - 1).expect("an area has fewer than 2^31 lines");
         let size = [lines(&self.place.rows), lines(&self.place.cols)];
-        self.fill(grounder, map, self.place.first, size);
+        self.fill(grounder, self.place.first, size);
         let scene = Scene {
             grounder,
             bodies: &self.bodies,
