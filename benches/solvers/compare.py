@@ -20,7 +20,7 @@ from typing import Any
 
 import rules as rule_files
 from rules import Refused
-from scenes import EGO, Logicity, Scene, invent, record, write
+from scenes import TOGETHER, Logicity, Scene, invent, record, together, write
 
 try:
     import clingo
@@ -75,17 +75,38 @@ class Timer:
         self.row.rounds.append(spent / done * 1e6)
 
 
+class OwnTimer:
+    """Has `logicity bench infer` go through scenes."""
+
+    def __init__(self, logicity: Logicity, row: Row, path: Path, written: Sequence[dict[str, Any]]) -> None:
+        self.logicity = logicity
+        self.row = row
+        self.path = path
+        self.decisions_each = row.scenes / len(written)
+        write(path, written)
+
+    def round(self, seconds: float) -> None:
+        """Decides for about so long."""
+        asked = ("--scenes", self.path, "--seconds", str(seconds), "--json")
+        result = json.loads(self.logicity.call("bench", "infer", "--config", self.logicity.config, *asked))
+        self.row.decisions += round(result["evaluations"] * self.decisions_each)
+        self.row.rounds.append(result["ns_per_evaluation"] / 1000 / self.decisions_each)
+
+
 def check(logicity: Logicity, rules: rule_files.Rules, folder: Path, scenes: Sequence[Scene]) -> Counter[str]:
     """That all derive the same in every scene. How often what is derived."""
-    path = folder / "checked.jsonl"
-    write(path, [scene.to_json() for scene in scenes])
-    expected: list[set[str]] = []
-    for executor in ("relational", "dense"):
-        answers = [answer[EGO] for answer in logicity.answers(path, "--executor", executor)]
+    single, packed = folder / "checked.jsonl", folder / "checked-together.jsonl"
+    write(single, [scene.to_json() for scene in scenes])
+    write(packed, [scene for group in together(scenes, rules.scope) for scene in group])
+
+    def ours(path: Path, executor: str) -> list[set[str]]:
+        answers = [answer for egos in logicity.answers(path, "--executor", executor) for answer in egos.values()]
         # `derived` leaves out the default.
-        derived = [set(answer["derived"]) or {answer["action"]} for answer in answers]
-        _compare(f"logicity, {executor}", scenes, expected or derived, derived)
-        expected = derived
+        return [set(answer["derived"]) or {answer["action"]} for answer in answers]
+
+    expected = ours(single, "relational")
+    _compare("logicity, dense", scenes, expected, ours(single, "dense"))
+    _compare("logicity, dense, scenes side by side", scenes, expected, ours(packed, "dense"))
     for make in DECIDERS:
         decider = make(rules)
         _compare(decider.name, scenes, expected, [decider.decide(facts) for facts in decider.prepare(scenes)])
@@ -104,23 +125,19 @@ def _compare(name: str, scenes: Sequence[Scene], expected: list[set[str]], found
 def measure(
     logicity: Logicity, rules: rule_files.Rules, folder: Path, scenes: Sequence[Scene], seconds: float
 ) -> list[Row]:
-    """Rounds in turn, so that a busy machine is busy for all. The first row is logicity's."""
-    path = folder / "timed.jsonl"
-    write(path, [scene.to_json() for scene in scenes])
-    ours = Row("logicity", len(scenes))
-    timers = [Timer(make(rules), scenes) for make in DECIDERS]
-    share = seconds / ROUNDS
+    """Rounds in turn, so that a busy machine is busy for all. The first two rows are logicity's."""
+    single, packed = Row("logicity", len(scenes)), Row(f"logicity, {TOGETHER} scenes side by side", len(scenes))
+    groups = [group[0] for group in together(scenes, rules.scope)]
+    timers: list[OwnTimer | Timer] = [
+        OwnTimer(logicity, single, folder / "timed.jsonl", [scene.to_json() for scene in scenes]),
+        OwnTimer(logicity, packed, folder / "timed-together.jsonl", groups),
+        *(Timer(make(rules), scenes) for make in DECIDERS),
+    ]
     for done in range(ROUNDS):
         _progress(f"timing, round {done + 1} of {ROUNDS}")
-        bench = logicity.call(
-            "bench", "infer", "--config", logicity.config, "--scenes", path, "--seconds", str(share), "--json"
-        )
-        result = json.loads(bench)
-        ours.decisions += result["evaluations"]
-        ours.rounds.append(result["ns_per_evaluation"] / 1000)
         for timer in timers:
-            timer.round(share)
-    return [ours, *(timer.row for timer in timers)]
+            timer.round(seconds / ROUNDS)
+    return [timer.row for timer in timers]
 
 
 def _progress(what: str) -> None:
@@ -129,13 +146,14 @@ def _progress(what: str) -> None:
 
 def table(rows: Sequence[Row]) -> str:
     """Markdown."""
-    lines = [("one ego's decision", "microseconds", "times logicity", "scenes", "decisions")]
+    lines: list[tuple[str, ...]] = [
+        ("one ego's decision", "microseconds", "to the first", "to the second", "scenes", "decisions")
+    ]
     for row in rows:
-        ratio = row.microseconds / rows[0].microseconds
+        ratios = [row.microseconds / ours.microseconds for ours in rows[:2]]
         places = 3 if row.microseconds < 1 else 1 if row.microseconds < 100 else 0
-        lines.append(
-            (row.name, f"{row.microseconds:,.{places}f}", f"{ratio:,.0f}", f"{row.scenes}", f"{row.decisions:,}")
-        )
+        told_ratios = [f"{ratio:,.{0 if ratio >= 10 else 2}f}" for ratio in ratios]
+        lines.append((row.name, f"{row.microseconds:,.{places}f}", *told_ratios, f"{row.scenes}", f"{row.decisions:,}"))
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
 
     def told(cells: Sequence[str]) -> str:
@@ -209,7 +227,8 @@ def _run(arguments: argparse.Namespace, folder: Path) -> None:
                 {
                     "name": row.name,
                     "us_per_decision": row.microseconds,
-                    "times_logicity": row.microseconds / rows[0].microseconds,
+                    "times_first": row.microseconds / rows[0].microseconds,
+                    "times_second": row.microseconds / rows[1].microseconds,
                     "scenes": row.scenes,
                     "decisions": row.decisions,
                     "rounds_us": row.rounds,

@@ -57,7 +57,8 @@ class Rules:
     base: list[str] = field(default_factory=list)
     """Predicates whose facts are given, without the scope."""
     actions: list[str] = field(default_factory=list)
-    scope: str | None = None
+    scope: str = ""
+    """The predicate that says who is in view."""
     clauses: dict[str, list[Clause]] = field(default_factory=dict)
     """Of every derived predicate, what is negated or needed before what needs it."""
 
@@ -76,8 +77,9 @@ def read(path: Path) -> Rules:
     rules = Rules()
     clauses: list[tuple[Clause, str]] = []
     _read_file(path, rules, clauses, set())
-    if rules.scope in rules.base:
-        rules.base.remove(rules.scope)
+    if rules.scope not in rules.base:
+        raise Refused(f"{path}: rules without a `.scope` that is given have no encoding here")
+    rules.base.remove(rules.scope)
     grouped: dict[str, list[Clause]] = {action: [] for action in rules.actions}
     for clause, place in clauses:
         grouped.setdefault(clause.head, []).append(_in_view(clause, rules, place))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import random
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -31,10 +31,34 @@ class Scene:
 
     def to_json(self) -> dict[str, Any]:
         """As `logicity infer` takes it."""
-        facts: dict[str, list[Any]] = {}
-        for predicate, row in sorted(self.facts):
-            facts.setdefault(predicate, []).append(row[0] if len(row) == 1 else list(row))
-        return {"entities": ENTITIES, "ego": EGO, "facts": facts}
+        return _to_json(ENTITIES, EGO, self.facts)
+
+
+def _to_json(entities: Sequence[str], ego: str, atoms: Iterable[Atom]) -> dict[str, Any]:
+    facts: dict[str, list[Any]] = {}
+    for predicate, row in sorted(atoms):
+        facts.setdefault(predicate, []).append(row[0] if len(row) == 1 else list(row))
+    return {"entities": list(entities), "ego": ego, "facts": facts}
+
+
+TOGETHER = 64 // len(ENTITIES)
+"""So many scenes have entities enough for the bits of a word."""
+
+
+def together(scenes: Sequence[Scene], scope: str) -> list[list[dict[str, Any]]]:
+    """Scenes side by side in large ones, where nobody sees anybody of another; a large one for each ego in it."""
+    in_view = {(scope, row) for row in product(ENTITIES, repeat=2)}
+    groups = []
+    for start in range(0, len(scenes), TOGETHER):
+        part = scenes[start : start + TOGETHER]
+        entities = [f"{name}_{at}" for at in range(len(part)) for name in ENTITIES]
+        atoms = [
+            (predicate, tuple(f"{name}_{at}" for name in row))
+            for at, scene in enumerate(part)
+            for predicate, row in scene.facts | in_view
+        ]
+        groups.append([_to_json(entities, f"{EGO}_{at}", atoms) for at in range(len(part))])
+    return groups
 
 
 class Logicity:
