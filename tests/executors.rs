@@ -1,10 +1,10 @@
 //! The executors against each other: whatever evaluates the rules, on however many threads, a city goes the same way.
 
-use logicity::config::{Scenario, Split, load_scenario};
+use logicity::config::{Scenario, Speed, Split, load_scenario};
 use logicity::diag::Sources;
 use logicity::engine::Program;
 use logicity::rng::Seed;
-use logicity::sim::{Executor, Settings, Simulation, World};
+use logicity::sim::{Batch, Executor, Settings, Simulation, World};
 use logicity::{files, lang};
 use std::path::Path;
 use std::sync::Arc;
@@ -74,13 +74,50 @@ fn go_the_same_way(mut simulations: Vec<Simulation>, ticks: u64) {
     }
 }
 
+/// How many ticks to compare; README names the long mode.
+fn ticks() -> u64 {
+    std::env::var("LOGICITY_TICKS").map_or(300, |ticks| ticks.parse().expect("a number of ticks"))
+}
+
 #[test]
 fn executors_agree_in_every_mode() {
     for mode in MODES {
         let world = world(mode, None, |_| ());
         let dense = simulation(&world, Executor::Dense, 1);
         assert_eq!(dense.executor(), Executor::Dense);
-        go_the_same_way(vec![dense, simulation(&world, Executor::Relational, 1)], 300);
+        go_the_same_way(vec![dense, simulation(&world, Executor::Relational, 1)], ticks());
+    }
+}
+
+/// Cities of a batch go as they would alone, on any number of threads.
+#[test]
+fn a_batch_goes_as_single_cities_do() {
+    for mode in MODES {
+        let world = world(mode, None, |_| ());
+        let city = |seed| Simulation::new(Arc::clone(&world), Split::Test, Seed(seed), Settings::default()).unwrap();
+        let mut batches: Vec<Batch> = (1..=3)
+            .map(|threads| Batch::new((0..5).map(city).collect(), threads).unwrap())
+            .collect();
+        let mut alone: Vec<Simulation> = (0..5).map(city).collect();
+        for tick in 0..ticks() {
+            for batch in &mut batches {
+                // The third city's first agent is told to stop.
+                batch
+                    .tick(|city| if city == 2 { &[(0, Speed::Stop)] } else { &[] })
+                    .unwrap();
+            }
+            for (number, city) in alone.iter_mut().enumerate() {
+                let controls: &[_] = if number == 2 { &[(0, Speed::Stop)] } else { &[] };
+                city.tick(controls).unwrap();
+                for batch in &batches {
+                    assert_eq!(
+                        batch.cities()[number].report().agents,
+                        city.report().agents,
+                        "tick {tick}"
+                    );
+                }
+            }
+        }
     }
 }
 

@@ -26,7 +26,7 @@ pub use ground::{Chance, Entity, Facts, ground};
 pub use infer::{Answer, EgoAnswer, Inference, SceneFacts};
 pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};
 pub use scene::MAX_ENTITIES;
-pub use simulation::{AgentTick, Moment, Phase, Settings, Simulation, TickReport};
+pub use simulation::{AgentTick, Batch, Moment, Phase, Settings, Simulation, TickReport};
 pub use trace::{TRACE_VERSION, TraceWriter, hash_sources};
 pub use vocabulary::{Actions, Predicate, Vocabulary};
 pub use world::World;

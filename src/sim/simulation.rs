@@ -168,11 +168,7 @@ impl Simulation {
             let fault = Diagnostic::new(Code::LimitExceeded, message).at(set.span, "in this agent set");
             return Err(fault.help("`logicity check` tells which rules the dense executor cannot take, and why"));
         }
-        let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build());
-        let pool = pool.transpose().map_err(|error| {
-            let message = format!("{threads} threads cannot be started: {error}");
-            Diagnostic::new(Code::LimitExceeded, message).help("take fewer")
-        })?;
+        let pool = start(threads)?;
         let report = TickReport {
             tick: 0,
             agents: agents.iter().map(AgentTick::resting).collect(),
@@ -452,6 +448,57 @@ impl Simulation {
             ..entity(agent)
         };
         self.agents.iter().zip(&self.report.agents).map(before).collect()
+    }
+}
+
+/// Threads, if they are more than one.
+fn start(threads: usize) -> Result<Option<ThreadPool>, Diagnostic> {
+    let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build());
+    pool.transpose().map_err(|error| {
+        let message = format!("{threads} threads cannot be started: {error}");
+        Diagnostic::new(Code::LimitExceeded, message).help("take fewer")
+    })
+}
+
+/// Independent cities that go at the same pace. Each goes as it would alone.
+pub struct Batch {
+    cities: Vec<Simulation>,
+    threads: Option<ThreadPool>,
+}
+
+impl Batch {
+    /// Cities, and on how many threads they go; they had better have one thread each themselves.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if so many threads cannot be started.
+    pub fn new(cities: Vec<Simulation>, threads: usize) -> Result<Batch, Diagnostic> {
+        Ok(Batch {
+            cities,
+            threads: start(threads)?,
+        })
+    }
+
+    /// The cities.
+    pub fn cities(&self) -> &[Simulation] {
+        &self.cities
+    }
+
+    /// The cities, for example to place one afresh.
+    pub fn cities_mut(&mut self) -> &mut [Simulation] {
+        &mut self.cities
+    }
+
+    /// A tick of every city. `controls` tells for each, by its position, whose decisions are given, see [`Simulation::tick`].
+    ///
+    /// # Errors
+    /// As [`Simulation::tick`], of the first city that has one. The others have gone on.
+    pub fn tick<'c>(&mut self, controls: impl Fn(usize) -> &'c [(usize, Speed)] + Sync) -> Result<(), Diagnostic> {
+        let step = |(position, city): (usize, &mut Simulation)| city.tick(controls(position)).map(|_| ());
+        let faults: Vec<Result<(), Diagnostic>> = match &self.threads {
+            Some(pool) => pool.install(|| self.cities.par_iter_mut().enumerate().map(step).collect()),
+            None => self.cities.iter_mut().enumerate().map(step).collect(),
+        };
+        faults.into_iter().collect()
     }
 }
 
