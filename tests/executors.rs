@@ -1,10 +1,10 @@
 //! The executors against each other: whatever evaluates the rules, on however many threads, a city goes the same way.
 
-use logicity::config::{Scenario, Speed, Split, load_scenario};
+use logicity::config::{Building, Buildings, Scenario, Speed, Split, load_scenario};
 use logicity::diag::Sources;
 use logicity::engine::Program;
 use logicity::rng::Seed;
-use logicity::sim::{Batch, Executor, Settings, Simulation, World};
+use logicity::sim::{Batch, CROWD_MAX, Executor, Settings, Simulation, World};
 use logicity::{files, lang};
 use std::path::Path;
 use std::sync::Arc;
@@ -137,6 +137,60 @@ fn a_crowd_goes_the_same_way_in_tiles() {
     }
 }
 
+/// A city of tiles in a batch: threads that are not its own evaluate it.
+#[test]
+fn a_batch_of_crowds_goes_as_single_ones_do() {
+    let world = world("expert", None, |scenario| multiply(scenario, 20));
+    let mut batch = Batch::new((0..3).map(|_| simulation(&world, Executor::Dense, 1)).collect(), 3).unwrap();
+    let mut alone = simulation(&world, Executor::Dense, 1);
+    for _ in 0..10 {
+        batch.tick(|_| &[]).unwrap();
+        alone.tick(&[]).unwrap();
+        for city in batch.cities() {
+            assert_eq!(city.report().agents, alone.report().agents);
+        }
+    }
+}
+
+/// Windows of 64 words, and more agents around one place than are looked at together.
+#[test]
+fn crowds_have_a_limit() {
+    let fits = world("vap-hard", None, |scenario| multiply(scenario, 100));
+    let mut fits = simulation(&fits, Executor::Dense, 1);
+    let everything = world("vap-hard", None, |scenario| {
+        multiply(scenario, 100);
+        scenario.view = 1000;
+    });
+    let mut everything = simulation(&everything, Executor::Dense, 1);
+    assert!((1025..CROWD_MAX).contains(&everything.agents().len()));
+    fits.tick(&[]).unwrap();
+    everything.tick(&[]).unwrap();
+
+    let crowd = world("expert", None, |scenario| {
+        let mut splits = scenario.splits.iter_mut();
+        let (_, set) = splits.find(|(split, _)| *split == Split::Test).unwrap();
+        (set.region, set.repeat, set.cars) = (None, 300, Vec::new());
+        set.pedestrians.truncate(1);
+        set.pedestrians[0].count = 15;
+        scenario.map.blocks.value = [6, 6];
+        scenario.map.buildings.value = Buildings::Random {
+            seed: 1,
+            weights: vec![(Building::House, 1.0)],
+        };
+        scenario.view = 1000;
+    });
+    let mut crowd = simulation(&crowd, Executor::Dense, 2);
+    let before: Vec<_> = crowd.agents().iter().map(|agent| agent.cell).collect();
+    let fault = crowd.tick(&[]).unwrap_err();
+    assert!(
+        fault.message.contains("4500 agents around the cell"),
+        "{}",
+        fault.message
+    );
+    assert!(crowd.agents().iter().map(|agent| agent.cell).eq(before));
+    assert_eq!((crowd.now(), crowd.firings().iter().sum::<usize>()), (0, 0));
+}
+
 /// Everybody sees everybody: windows of several words, up to what is asked of about 300 entities in view.
 #[test]
 fn executors_agree_about_many_entities_in_view() {
@@ -195,6 +249,6 @@ fn rules_that_are_not_dense_are_told() {
     };
     assert_eq!(
         fault.message,
-        "the dense executor cannot evaluate these rules, because it is recursive"
+        "the dense executor cannot evaluate these rules, because a predicate depends on itself"
     );
 }

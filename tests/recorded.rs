@@ -199,9 +199,16 @@ fn row(row: &Value) -> Vec<String> {
     }
 }
 
+/// The answers, which both executors give.
 fn infer(config: &str, scenes: &[Value]) -> Vec<Map<String, Value>> {
+    let [dense, relational] = ["dense", "relational"].map(|executor| infer_by(executor, config, scenes));
+    assert_eq!(dense, relational);
+    dense
+}
+
+fn infer_by(executor: &str, config: &str, scenes: &[Value]) -> Vec<Map<String, Value>> {
     let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
-        .args(["infer", "--config", config])
+        .args(["infer", "--config", config, "--executor", executor])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())

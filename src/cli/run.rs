@@ -10,7 +10,7 @@ use crate::lang::{Clause, ClauseId};
 use crate::render::{Animation, Painter, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{
-    Executor, Settings, Simulation, Standstill, TraceWriter, Wait, World, hash_sources, standstill, waits,
+    Executor, MAX_ENTITIES, Settings, Simulation, Standstill, TraceWriter, Wait, World, hash_sources, standstill, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeSet;
@@ -99,6 +99,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     )?;
 
     let stop = stop_on_interrupt()?;
+    if !arguments.no_trace && simulation.agents().len() > MAX_ENTITIES {
+        let agents = simulation.agents().len();
+        let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
+        let fault = Diagnostic::new(Code::LimitExceeded, message);
+        return Err(fault
+            .help("`--no-trace` runs the city and prints the summary only")
+            .into());
+    }
     let mut record = match arguments.no_trace {
         true => None,
         false => Some(Record::new(arguments, &simulation, sources, rule_file, &rules_hash)?),

@@ -61,7 +61,8 @@ impl Executor {
             Err(reason) => {
                 let message = format!("the dense executor cannot evaluate these rules, because {reason}");
                 let fault = Diagnostic::new(Code::LimitExceeded, message);
-                Err(fault.help("let the executor be chosen, or take the relational one"))
+                Err(fault
+                    .help("`--executor auto` takes the relational one, for fewer agents, where the dense one cannot"))
             }
         }
     }
@@ -267,19 +268,23 @@ impl Crowd {
         Ok(Crowd { reading, shape })
     }
 
-    /// Decides for all agents; `out` is cleared before.
+    /// Decides for all agents; `out` is cleared before, and left empty by an error.
     ///
     /// # Errors
     /// `limit-exceeded` for more than [`CROWD_MAX`] agents around one cell.
     pub fn decide(&mut self, map: &CityMap, draws: Draws, out: &mut Decisions) -> Result<(), Diagnostic> {
         out.clear();
-        match &mut self.shape {
+        let decided = match &mut self.shape {
             Shape::One(one) => {
                 one.decide(&self.reading, draws, out);
                 Ok(())
             }
             Shape::Tiles(tiles) => tiles.decide(&self.reading, map, draws, out),
+        };
+        if decided.is_err() {
+            out.clear();
         }
+        decided
     }
 
     /// Computes all facts that the rules can ask for; how many there are. `None` for a city that is looked at by tiles.
@@ -296,9 +301,12 @@ impl Crowd {
             Shape::One(one) => one.follow(&self.reading.grounder, map, agents),
             Shape::Tiles(tiles) => {
                 let follow = |(body, agent): (&mut Body, &Agent)| body.shift(map, agent.cell, agent.heading);
-                (tiles.bodies.par_iter_mut().with_min_len(4096))
-                    .zip(agents)
-                    .for_each(follow);
+                match tiles.workers.len() {
+                    1 => tiles.bodies.iter_mut().zip(agents).for_each(follow),
+                    _ => (tiles.bodies.par_iter_mut().with_min_len(4096))
+                        .zip(agents)
+                        .for_each(follow),
+                }
             }
         }
     }
@@ -461,9 +469,12 @@ impl Tiles {
         }
         let lines = |cells: i32| (cells + self.side - 1) / self.side;
         let row_of_tiles = |row: i32| {
-            let mut worker = self.workers[rayon::current_thread_index().unwrap_or(0)]
-                .lock()
-                .expect("no thread has panicked");
+            // With one worker the thread may be anybody's, with several it is of the simulation's own pool.
+            let thread = match self.workers.len() {
+                1 => 0,
+                _ => rayon::current_thread_index().unwrap_or(0),
+            };
+            let mut worker = self.workers[thread].lock().expect("no thread has panicked");
             (0..lines(map.cols())).try_for_each(|col| {
                 let tile = Area {
                     first: Cell::new(row * self.side, col * self.side),
@@ -525,16 +536,21 @@ impl Tiles {
             0..=64 => evaluate.run(&mut worker.narrow, found, &mut worker.firings),
             65..=128 => evaluate.run(&mut worker.pair, found, &mut worker.firings),
             129..=256 => evaluate.run(&mut worker.wide, found, &mut worker.firings),
-            _ if tile.rows > BIN => {
+            _ if tile.rows > BIN || tile.cols > BIN => {
                 // Where the city is crowded tiles are smaller.
-                let half = (tile.rows / 2 + BIN - 1) / BIN * BIN;
-                for (row, col) in [(0, 0), (0, half), (half, 0), (half, half)] {
-                    let part = Area {
-                        first: Cell::new(tile.first.row + row, tile.first.col + col),
-                        rows: if row == 0 { half } else { tile.rows - half },
-                        cols: if col == 0 { half } else { tile.cols - half },
-                    };
-                    self.decide_tile(part, worker, reading, map, draws, out)?;
+                let half = |cells: i32| (cells / 2 + BIN - 1) / BIN * BIN;
+                let (row, col) = (half(tile.rows), half(tile.cols));
+                for (row, rows) in [(0, row), (row, tile.rows - row)] {
+                    for (col, cols) in [(0, col), (col, tile.cols - col)] {
+                        let part = Area {
+                            first: Cell::new(tile.first.row + row, tile.first.col + col),
+                            rows,
+                            cols,
+                        };
+                        if rows > 0 && cols > 0 {
+                            self.decide_tile(part, worker, reading, map, draws, out)?;
+                        }
+                    }
                 }
             }
             257..=1024 => evaluate.run(&mut worker.wider, found, &mut worker.firings),
@@ -542,8 +558,7 @@ impl Tiles {
             many => {
                 let Cell { row, col } = tile.first;
                 let message = format!("{many} agents around the cell [{row}, {col}], the limit is {CROWD_MAX}");
-                return Err(Diagnostic::new(Code::LimitExceeded, message)
-                    .help("take a larger map or fewer agents, or let the relational executor decide"));
+                return Err(Diagnostic::new(Code::LimitExceeded, message).help("take a larger map or fewer agents"));
             }
         }
         Ok(())

@@ -56,7 +56,7 @@ impl Reason {
             }
         };
         match self {
-            Reason::Recursive => "it is recursive".to_owned(),
+            Reason::Recursive => "a predicate depends on itself".to_owned(),
             Reason::Columns(relation) => format!(
                 "{} has {} columns, not one or two",
                 name(relation),
