@@ -397,7 +397,7 @@ pub struct Router {
 }
 
 impl Router {
-    /// A router of a map. It takes half a megabyte at most, whatever the map.
+    /// A router of a map. It takes 0.7 MB at most, whatever the map.
     pub fn new(map: Arc<CityMap>, routing: Routing) -> Self {
         let layout = map.layout;
         let roads = |blocks| Roads { layout, blocks };

@@ -1,8 +1,8 @@
 //! Where the city meets the engine.
 //!
-//! Each tick, [`Simulation`] turns the state of the agents into base facts ([`ground`](ground::ground)), gives the engine the
-//! *difference* from the facts of the tick before, reads one action for every agent from the derived facts
-//! ([`Vocabulary::decide`]) and lets the agents move. [`Inference`] does the same for single scenes that come from outside.
+//! Each tick, [`Simulation`] lets the rules decide on the state of the agents and the agents move. The dense executor computes base facts
+//! as bits where a rule asks for them; the relational one is given the *difference* of all facts ([`ground`](ground::ground)) from
+//! those of the tick before. One action is taken of those derived ([`Vocabulary::decide`]). [`Inference`] does the same for single scenes that come from outside.
 
 mod conflict;
 mod coverage;
