@@ -203,6 +203,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if arguments.scenes.is_some() && arguments.what != What::Infer {
         return misplaced("--scenes", "infer");
     }
+    if arguments.scenes.is_some() && arguments.executor == Executor::Relational {
+        return Err(Failure::Usage(
+            "--scenes times the dense executor only; leave out --executor relational".to_owned(),
+        ));
+    }
     let (scenario, program, _) = load_city(sources, &arguments.config, None)?;
     if arguments.what == What::Scale {
         let most = arguments.agents.unwrap_or(SCALE[SCALE.len() - 1]);

@@ -17,6 +17,9 @@ use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::sync::Arc;
 
+/// So many agents are decided about on one thread.
+const SMALL_CITY: usize = 256;
+
 /// How a [`Simulation`] works. Ticks are the same whatever is chosen.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
@@ -24,7 +27,7 @@ pub struct Settings {
     pub executor: Executor,
     /// Whether the firings of clauses are counted.
     pub count_firings: bool,
-    /// Threads for a city of many agents, at least 1.
+    /// Threads for a city of more than 256 agents, at least 1; a smaller one has one.
     pub threads: usize,
 }
 
@@ -156,7 +159,11 @@ impl Simulation {
             .filter(counted)
             .collect();
         let to_count: &[ClauseId] = if settings.count_firings { &clauses } else { &[] };
-        let threads = settings.threads.max(1);
+        // Fewer agents are decided about faster than threads are woken.
+        let threads = match agents.len() > SMALL_CITY {
+            true => settings.threads.max(1),
+            false => 1,
+        };
         let crowd = (settings.executor)
             .choose(|| Crowd::new(&world, &agents, to_count, threads))
             .map_err(|fault| fault.at(scenario.rules.span, "these rules"))?;
@@ -166,7 +173,10 @@ impl Simulation {
                 agents.len()
             );
             let fault = Diagnostic::new(Code::LimitExceeded, message).at(set.span, "in this agent set");
-            return Err(fault.help("`logicity check` tells which rules the dense executor cannot take, and why"));
+            return Err(fault.help(match settings.executor {
+                Executor::Relational => "let the executor be chosen: `--executor auto`",
+                _ => "`logicity check` tells which rules the dense executor cannot take, and why",
+            }));
         }
         let pool = start(threads)?;
         let report = TickReport {
