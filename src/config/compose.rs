@@ -67,6 +67,13 @@ impl<'a> Composer<'a> {
         self.refer(node).map(|(path, _)| path)
     }
 
+    /// The path of the file that a value names, whether or not there is one.
+    pub fn name_file(&mut self, node: &Node) -> Option<PathBuf> {
+        let reference = super::read::text(node, "the path of a file", &mut self.faults)?;
+        let folder = self.path_of(node).parent().unwrap_or(Path::new(""));
+        Some(normalise(&folder.join(reference)))
+    }
+
     /// The name of the file a tree came from, without its extension.
     pub fn name_of(&self, node: &Node) -> String {
         let stem = self.path_of(node).file_stem().unwrap_or_default();
@@ -79,9 +86,8 @@ impl<'a> Composer<'a> {
     }
 
     fn refer(&mut self, node: &Node) -> Option<(PathBuf, String)> {
+        let path = self.name_file(node)?;
         let reference = super::read::text(node, "the path of a file", &mut self.faults)?;
-        let folder = self.path_of(node).parent().unwrap_or(Path::new(""));
-        let path = normalise(&folder.join(reference));
         match self.find(&path, Path::new(reference)) {
             Ok(found) => Some(found),
             Err(error) => {

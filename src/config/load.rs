@@ -6,6 +6,7 @@
 use super::compose::{Composer, Read};
 use super::model::*;
 use super::read::{Fields, choice, entries, integer, invalid, is_name, list, name, number, text};
+use super::task;
 use super::yaml::{Node, Value};
 use crate::diag::{Code, Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean};
 use sha2::{Digest, Sha256};
@@ -47,7 +48,7 @@ const SEES: &str = "Sees";
 pub fn load_scenario(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Scenario, Vec<Diagnostic>> {
     let mut composer = Composer::new(sources, read);
     let scenario = composer
-        .root(path, "configs", &["map", "agents", "predicates"])
+        .root(path, "configs", &["map", "agents", "predicates", "task"])
         .and_then(|tree| scenario(&mut composer, &tree));
     finish(scenario, composer.faults)
 }
@@ -102,6 +103,9 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
     let ticks = fields
         .required("ticks", faults)
         .and_then(|node| integer(node, 1..=MAX_TICKS, faults));
+    let task_node = fields.optional("task");
+    let task = task_node.map(|node| task::path(composer, node, predicates.as_ref()));
+    let faults = &mut composer.faults;
     let usual = "`base: configs/common.yaml` gives what is usual for every key but `rules` and `agents`";
     fields.close_with(Some(usual), faults);
     let mut scenario = Scenario {
@@ -114,6 +118,7 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
         routing: routing?,
         view: view?,
         ticks: ticks?,
+        task: task.map_or(Some(None), |task| task.map(Some))?,
         hash: String::new(),
     };
     scenario.hash = hash(&scenario);
@@ -268,7 +273,7 @@ fn random_buildings(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Buildin
 }
 
 /// The base predicates, and where each concept comes from.
-struct Predicates {
+pub(super) struct Predicates {
     used: Vec<PredicateConfig>,
     /// All that are defined, used or not.
     defined: Vec<PredicateConfig>,
@@ -531,13 +536,13 @@ fn splits(
 }
 
 /// Which concepts agents can carry.
-struct Concepts<'p> {
+pub(super) struct Concepts<'p> {
     used: HashMap<&'p str, Vec<AgentKind>>,
     predicates: &'p Predicates,
 }
 
 impl<'p> Concepts<'p> {
-    fn new(predicates: &'p Predicates) -> Self {
+    pub fn new(predicates: &'p Predicates) -> Self {
         let mut used: HashMap<&str, Vec<AgentKind>> = HashMap::new();
         for predicate in &predicates.used {
             if let Definition::Concept { of, concept } = &predicate.definition {
@@ -686,7 +691,7 @@ fn group(
 }
 
 /// The concepts of one entry of an agent list.
-fn carried(
+pub(super) fn carried(
     node: &Node,
     kind: AgentKind,
     known: Option<&Concepts<'_>>,

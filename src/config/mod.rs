@@ -12,6 +12,7 @@ mod compose;
 mod load;
 mod model;
 mod read;
+mod task;
 mod yaml;
 
 pub use compose::Read;

@@ -6,13 +6,12 @@ use super::vocabulary::{Actions, Vocabulary};
 use super::window::{Body, Grounder, Window};
 use super::world::World;
 use crate::city::{Agent, Cell, CityMap};
-use crate::config::{AgentKind, Speed};
+use crate::config::Speed;
 use crate::diag::{Code, Diagnostic};
 use crate::engine::Program;
 use crate::engine::dense::{BitFacts, Counting, Dense, Set, choose, has, members};
 use crate::lang::{ClauseId, RelId};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
@@ -226,25 +225,6 @@ impl Crowd {
             ));
         }
 
-        let mut known: BTreeMap<(AgentKind, &[String]), u32> = BTreeMap::new();
-        let bodies: Vec<Body> = (agents.iter().zip(0..))
-            .map(|(agent, position)| {
-                let next = u32::try_from(known.len()).expect("fewer classes than agents");
-                Body {
-                    at: agent.cell,
-                    priority: agent.priority,
-                    agent: position,
-                    class: *known.entry((agent.kind, &agent.concepts)).or_insert(next),
-                    kind: agent.kind,
-                    heading: agent.heading,
-                    junction: world.map().junction(agent.cell),
-                }
-            })
-            .collect();
-        let mut classes: Vec<(AgentKind, &[String])> = vec![(AgentKind::Car, &[]); known.len()];
-        for (class, position) in known {
-            classes[position as usize] = class;
-        }
         let vocabulary: &Vocabulary = &world.vocabulary;
         let action = |speed: &Speed| Some((*speed, vocabulary.action(*speed)?));
         let actions: Vec<(Speed, RelId)> = Speed::ALL.iter().filter_map(action).collect();
@@ -252,11 +232,12 @@ impl Crowd {
             let head = rules.clauses[clause.index()].head.relation;
             actions.iter().any(|(_, action)| *action == head)
         };
-        let reading = Reading {
-            grounder: Grounder::new(dense, vocabulary, world.scenario.view, &classes),
+        let mut reading = Reading {
+            grounder: Grounder::new(dense, vocabulary, world.scenario.view),
             clauses: clauses.iter().map(|clause| (*clause, of_action(clause))).collect(),
             actions,
         };
+        let bodies = bodies(&mut reading.grounder, world.map(), agents);
         let shape = match bodies.len() {
             0..=64 => Shape::One(Box::new(One::<1>::new(&reading.grounder, world.map(), bodies))),
             65..=128 => Shape::One(Box::new(One::<2>::new(&reading.grounder, world.map(), bodies))),
@@ -266,6 +247,15 @@ impl Crowd {
             _ => Shape::One(Box::new(One::<64>::new(&reading.grounder, world.map(), bodies))),
         };
         Ok(Crowd { reading, shape })
+    }
+
+    /// Takes note of other agents, as many as before.
+    pub fn restart(&mut self, map: &CityMap, agents: &[Agent]) {
+        let bodies = bodies(&mut self.reading.grounder, map, agents);
+        match &mut self.shape {
+            Shape::One(one) => one.restart(&self.reading.grounder, map, bodies),
+            Shape::Tiles(tiles) => tiles.bodies = bodies,
+        }
     }
 
     /// Decides for all agents; `out` is cleared before, and left empty by an error.
@@ -312,8 +302,18 @@ impl Crowd {
     }
 }
 
+/// What the predicates can see of the agents of a list.
+fn bodies(grounder: &mut Grounder, map: &CityMap, agents: &[Agent]) -> Vec<Body> {
+    let body = |(position, agent): (usize, &Agent)| Body {
+        class: grounder.class_of(agent.kind, &agent.concepts),
+        ..Body::new(map, position, agent)
+    };
+    agents.iter().enumerate().map(body).collect()
+}
+
 /// A whole city in one window.
 trait OneWindow: Send {
+    fn restart(&mut self, grounder: &Grounder, map: &CityMap, bodies: Vec<Body>);
     fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions);
     fn follow(&mut self, grounder: &Grounder, map: &CityMap, agents: &[Agent]);
     fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64;
@@ -326,15 +326,21 @@ struct One<const W: usize> {
 
 impl<const W: usize> One<W> {
     fn new(grounder: &Grounder, map: &CityMap, bodies: Vec<Body>) -> Self {
-        let mut window = Window::new(grounder);
-        let all = crate::engine::dense::first(bodies.len());
-        window.bodies = bodies;
-        window.fill(grounder, Cell::new(0, 0), [map.rows(), map.cols()]);
-        One { window, all }
+        let mut one = One {
+            window: Window::new(grounder),
+            all: crate::engine::dense::first(bodies.len()),
+        };
+        one.restart(grounder, map, bodies);
+        one
     }
 }
 
 impl<const W: usize> OneWindow for One<W> {
+    fn restart(&mut self, grounder: &Grounder, map: &CityMap, bodies: Vec<Body>) {
+        self.window.bodies = bodies;
+        (self.window).fill(grounder, Cell::new(0, 0), [map.rows(), map.cols()]);
+    }
+
     fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions) {
         self.window.run(&reading.grounder, draws);
         let mut firings = std::mem::take(&mut out.firings);

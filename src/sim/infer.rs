@@ -404,6 +404,17 @@ pub struct GroundState {
 impl GroundState {
     /// A session without facts about the entities of these names.
     pub fn new<'n>(program: &Program, vocabulary: &Vocabulary, names: impl Iterator<Item = &'n str>) -> Self {
+        let predicates = vocabulary.predicates.iter();
+        let relations = predicates.map(|predicate| predicate.relation.map(|relation| (relation, predicate.arity)));
+        GroundState::over(program, relations.collect(), names)
+    }
+
+    /// The same for facts of these relations, with one or two columns each.
+    pub(super) fn over<'n>(
+        program: &Program,
+        relations: Vec<Option<(RelId, usize)>>,
+        names: impl Iterator<Item = &'n str>,
+    ) -> Self {
         let mut session = program.session();
         let entities: Vec<Value> = names.map(|name| session.intern(name)).collect();
         GroundState {
@@ -414,14 +425,10 @@ impl GroundState {
                 .map(|(index, &value)| (value, index))
                 .collect(),
             entities,
-            relations: vocabulary
-                .predicates
-                .iter()
-                .map(|predicate| predicate.relation.map(|relation| (relation, predicate.arity)))
-                .collect(),
             facts: Facts {
-                rows: vec![Vec::new(); vocabulary.predicates.len()],
+                rows: vec![Vec::new(); relations.len()],
             },
+            relations,
         }
     }
 

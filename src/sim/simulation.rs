@@ -200,8 +200,50 @@ impl Simulation {
         })
     }
 
+    /// Starts a new run with other agents, as many and named alike: tick 0 with this seed, as a new simulation with them would.
+    ///
+    /// # Panics
+    /// If they are more or fewer than before, or named otherwise.
+    pub fn restart(&mut self, seed: Seed, agents: impl IntoIterator<Item = Agent>) {
+        let mut count = 0;
+        for (position, agent) in agents.into_iter().enumerate() {
+            assert!(agent.name() == self.agents[position].name(), "agents named otherwise");
+            self.agents[position] = agent;
+            count += 1;
+        }
+        assert!(count == self.agents.len(), "fewer agents");
+        self.seed = seed;
+        (self.tick, self.stated) = (0, None);
+        if let Some(crowd) = &mut self.crowd {
+            crowd.restart(self.world.map(), &self.agents);
+        }
+        self.decisions.clear();
+        self.report.tick = 0;
+        for (done, agent) in self.report.agents.iter_mut().zip(&self.agents) {
+            *done = AgentTick::resting(agent);
+        }
+    }
+
+    /// Places the agents of the split as a new simulation with this seed would.
+    ///
+    /// # Errors
+    /// `no-start-cell`, `no-route`.
+    pub fn draw_agents(&self, seed: Seed) -> Result<Vec<Agent>, Diagnostic> {
+        let set = self
+            .world
+            .scenario
+            .agent_set(self.split)
+            .expect("the simulation was made for it");
+        place_agents(set, &self.world.router, &self.places, seed)
+    }
+
+    /// Where agents start and arrive.
+    pub fn places(&self) -> &Places {
+        &self.places
+    }
+
     /// What does not change.
-    pub fn world(&self) -> &World {
+    pub fn world(&self) -> &Arc<World> {
         &self.world
     }
 

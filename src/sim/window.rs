@@ -4,9 +4,11 @@
 use super::ground::{Chance, Entity, binary, side};
 use super::infer::Draws;
 use super::vocabulary::Vocabulary;
-use crate::city::{Cell, CityMap, Heading, Junction, view_reach};
+use crate::city::{Agent, Cell, CityMap, Heading, Junction, view_reach};
 use crate::config::{AgentKind, Definition};
 use crate::engine::dense::{Axis, Dense, Frame, Input, List, Pairs, Set, and, first, is_empty, members, without};
+use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// What the predicates can see of an agent.
 #[derive(Clone, Copy, Debug)]
@@ -24,6 +26,19 @@ pub(super) struct Body {
 }
 
 impl Body {
+    /// Of an agent of the list. Its class is 0.
+    pub fn new(map: &CityMap, position: usize, agent: &Agent) -> Self {
+        Body {
+            at: agent.cell,
+            priority: agent.priority,
+            agent: u32::try_from(position).expect("fewer than 2^32 agents"),
+            class: 0,
+            kind: agent.kind,
+            heading: agent.heading,
+            junction: map.junction(agent.cell),
+        }
+    }
+
     /// Takes note of a move.
     pub fn shift(&mut self, map: &CityMap, to: Cell, heading: Option<Heading>) {
         self.heading = heading;
@@ -35,7 +50,7 @@ impl Body {
 }
 
 /// How many cells something reaches: up, down, left, right.
-type Reach = [i32; 4];
+pub(super) type Reach = [i32; 4];
 
 /// Farther apart are no two cells of a map.
 const FARTHEST: i32 = 1 << 24;
@@ -58,7 +73,7 @@ enum Unary {
 
 /// How facts about pairs are computed.
 #[derive(Clone, Debug)]
-enum Relation {
+pub(super) enum Relation {
     Sees,
     /// Squared distances from `least` to `most`; no farther than `reach` in rows or columns.
     Distance {
@@ -75,7 +90,7 @@ enum Relation {
 }
 
 #[derive(Clone, Debug)]
-struct Colliding {
+pub(super) struct Colliding {
     /// By kind and heading of the first: where the second can be.
     cones: [[Reach; 4]; 2],
     /// Position in the vocabulary.
@@ -96,6 +111,10 @@ pub(super) struct Grounder {
     pub dense: Dense,
     inputs: Vec<Unary>,
     lists: Vec<Asked>,
+    /// The inputs of which what an agent is decides.
+    steady: Vec<(usize, Definition)>,
+    /// The classes of agents that are known.
+    known: BTreeMap<(AgentKind, Arc<[String]>), u32>,
     /// By class: the inputs that hold of its members.
     classes: Vec<Vec<usize>>,
     /// How far an agent without a heading sees, and one with each.
@@ -103,8 +122,8 @@ pub(super) struct Grounder {
 }
 
 impl Grounder {
-    /// `dense` must ask only for predicates of the vocabulary. `classes` has the kind and the concepts of each class of agents.
-    pub fn new(dense: Dense, vocabulary: &Vocabulary, view: u32, classes: &[(AgentKind, &[String])]) -> Self {
+    /// `dense` must ask only for predicates of the vocabulary.
+    pub fn new(dense: Dense, vocabulary: &Vocabulary, view: u32) -> Self {
         // What is not a predicate of the vocabulary is one that no clause derives: binding has refused all others.
         let find = |relation| {
             let mut predicates = vocabulary.predicates.iter();
@@ -133,31 +152,35 @@ impl Grounder {
                 axis,
             })
             .collect();
-        let holds_of = |&(kind, concepts): &(AgentKind, &[String])| {
-            let holds = |&position: &usize| match dense.inputs()[position] {
-                Input::Unary(relation) => match find(relation) {
-                    Some((_, Definition::Kind(of))) => *of == kind,
-                    Some((_, Definition::Concept { of, concept })) => *of == kind && concepts.contains(concept),
-                    _ => false,
-                },
-                Input::Diagonal(_) => false,
-            };
-            (0..dense.inputs().len()).filter(holds).collect()
-        };
-        let reach = |heading| view_reach(heading, view).map(|cells| cells.min(FARTHEST));
+        let steady = (dense.inputs().iter().enumerate())
+            .filter_map(|(position, input)| match input {
+                Input::Unary(relation) => Some((position, find(*relation)?.1.clone())),
+                Input::Diagonal(_) => None,
+            })
+            .filter(|(_, definition)| definition.is_steady())
+            .collect();
         Grounder {
             inputs,
             lists,
-            classes: classes.iter().map(holds_of).collect(),
-            views: [
-                reach(None),
-                reach(Some(Heading::Left)),
-                reach(Some(Heading::Right)),
-                reach(Some(Heading::Up)),
-                reach(Some(Heading::Down)),
-            ],
+            steady,
+            known: BTreeMap::new(),
+            classes: Vec::new(),
+            views: views(view),
             dense,
         }
+    }
+
+    /// The class of agents of this kind that carry these concepts.
+    pub fn class_of(&mut self, kind: AgentKind, concepts: &Arc<[String]>) -> u32 {
+        let next = u32::try_from(self.known.len()).expect("fewer classes than agents");
+        *(self.known.entry((kind, Arc::clone(concepts)))).or_insert_with(|| {
+            let holds = self
+                .steady
+                .iter()
+                .filter(|(_, definition)| holds_of(definition, kind, concepts));
+            self.classes.push(holds.map(|(input, _)| *input).collect());
+            next
+        })
     }
 
     /// How far anybody sees.
@@ -166,9 +189,25 @@ impl Grounder {
     }
 }
 
+/// Whether a [steady](Definition::is_steady) definition holds of agents of this kind that carry these concepts.
+pub(super) fn holds_of(definition: &Definition, kind: AgentKind, concepts: &[String]) -> bool {
+    match definition {
+        Definition::Kind(of) => *of == kind,
+        Definition::Concept { of, concept } => *of == kind && concepts.contains(concept),
+        _ => unreachable!("it depends on where agents are"),
+    }
+}
+
+/// How far an agent without a heading sees, and one with each, if the half-width of the field of view is so many cells.
+pub(super) fn views(half_width: u32) -> [Reach; 5] {
+    let reach = |heading| view_reach(heading, half_width).map(|cells| cells.min(FARTHEST));
+    let [left, right, up, down] = Heading::ALL.map(|heading| reach(Some(heading)));
+    [reach(None), left, right, up, down]
+}
+
 impl Relation {
     /// Of the predicate at this position of the vocabulary.
-    fn new(predicate: usize, definition: &Definition) -> Relation {
+    pub fn new(predicate: usize, definition: &Definition) -> Relation {
         match *definition {
             Definition::Sees => Relation::Sees,
             Definition::Distance {
@@ -481,16 +520,24 @@ impl<const W: usize> Scene<'_, W> {
         self.grounder.views[body.heading.map_or(0, |heading| heading as usize + 1)]
     }
 
-    /// Whether a predicate holds of two entities.
     fn holds(&self, relation: &Relation, first: usize, second: usize) -> bool {
         let (x, y) = (&self.bodies[first], &self.bodies[second]);
-        match *relation {
+        relation.holds(&self.grounder.views, self.draws, x, y)
+    }
+}
+
+impl Relation {
+    /// Whether it holds of two agents.
+    #[inline]
+    pub fn holds(&self, views: &[Reach; 5], draws: Draws, x: &Body, y: &Body) -> bool {
+        let same = x.agent == y.agent;
+        match *self {
             Relation::Sees => {
-                let [up, down, left, right] = self.view(x);
+                let [up, down, left, right] = views[x.heading.map_or(0, |heading| heading as usize + 1)];
                 let (rows, cols) = (y.at.row - x.at.row, y.at.col - x.at.col);
-                first == second || (-up..=down).contains(&rows) && (-left..=right).contains(&cols)
+                same || (-up..=down).contains(&rows) && (-left..=right).contains(&cols)
             }
-            _ if first == second => false,
+            _ if same => false,
             Relation::Distance { least, most, .. } => (least..=most).contains(&square(x.at, y.at)),
             Relation::HigherPriority => x.priority < y.priority,
             Relation::Side(wanted) => side(&x.entity(), &y.entity()).signum() == wanted,
@@ -499,7 +546,7 @@ impl<const W: usize> Scene<'_, W> {
                 let probability = binary(&colliding.definition, &x.entity(), &y.entity());
                 probability >= 1.0
                     || probability > 0.0
-                        && (self.draws).happens(colliding.predicate, x.agent as usize, y.agent as usize, probability)
+                        && draws.happens(colliding.predicate, x.agent as usize, y.agent as usize, probability)
             }
         }
     }

@@ -1,0 +1,168 @@
+//! The task of a run configuration: Safe Path Following.
+
+use super::compose::Composer;
+use super::load::{Concepts, Predicates, carried};
+use super::model::*;
+use super::read::{Fields, choice, entries, integer, invalid, list, number};
+use super::yaml::{Node, Value};
+use crate::diag::Diagnostic;
+use std::sync::Arc;
+
+/// The most entities that are observed.
+const MAX_ENTITIES: u32 = 64;
+/// The most points of the exact observation.
+const MAX_POINTS: u32 = 1024;
+/// The longest episode in steps.
+const MAX_HORIZON: u32 = 1_000_000;
+/// The most times the oracle's steps.
+const MAX_PATIENCE: u32 = 1000;
+/// The greatest reward, to either side.
+const MAX_REWARD: f64 = 1e6;
+
+/// The task of Safe Path Following.
+pub(super) fn path(
+    composer: &mut Composer<'_>,
+    node: &Node,
+    predicates: Option<&Predicates>,
+) -> Option<PathTaskConfig> {
+    let mut fields = Fields::open(node, "a task", &mut composer.faults)?;
+    fields.optional("base");
+    let episodes = fields.optional("episodes").map(|node| episodes(composer, node));
+    let faults = &mut composer.faults;
+    let mut count = |key, most| {
+        let node = fields.required(key, faults)?;
+        integer(node, 1..=most, faults)
+    };
+    let (entities, points) = (count("entities", MAX_ENTITIES), count("points", MAX_POINTS));
+    let (horizon, patience) = (count("horizon", MAX_HORIZON), count("patience", MAX_PATIENCE));
+    let route_length = (fields.required("route_length", faults)).and_then(|node| yes_or_no(node, faults));
+    let reward_of = fields.required("reward", faults).and_then(|node| reward(node, faults));
+    let ego_of = fields.optional("ego").map(|node| ego(node, predicates, faults));
+    let usual = "`base: configs/tasks/common.yaml` gives what is usual";
+    fields.close_with(Some(usual), faults);
+    Some(PathTaskConfig {
+        entities: entities?,
+        points: points?,
+        route_length: route_length?,
+        horizon: horizon?,
+        patience: patience?,
+        reward: reward_of?,
+        ego: ego_of.map_or(Some(None), |ego| ego.map(Some))?,
+        episodes: episodes.map_or(Some(Default::default()), |episodes| episodes)?,
+        span: node.span,
+    })
+}
+
+fn yes_or_no(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<bool> {
+    choice(node, &[("true", true), ("false", false)], faults)
+}
+
+fn reward_value(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<f64> {
+    let range = -MAX_REWARD..=MAX_REWARD;
+    number(node, range, "a reward from -1e6 to 1e6; costs are negative", faults)
+}
+
+fn reward(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
+    let mut fields = Fields::open(node, "the reward", faults)?;
+    let actions = fields.required("actions", faults).and_then(|node| {
+        let mut fields = Fields::open(node, "the rewards of actions", faults)?;
+        let rewards = Speed::ALL.map(|speed| {
+            let node = fields.required(speed.name(), faults)?;
+            reward_value(node, faults)
+        });
+        fields.close(faults);
+        let [slow, normal, fast, stop] = rewards;
+        Some([slow?, normal?, fast?, stop?])
+    });
+    let mut value = |key| {
+        let node = fields.required(key, faults)?;
+        reward_value(node, faults)
+    };
+    let (violation, overtime) = (value("violation"), value("overtime"));
+    let per = ViolationsPer::ALL.map(|per| (per.name(), per));
+    let violations_per = (fields.required("violations_per", faults)).and_then(|node| choice(node, &per, faults));
+    let clauses = fields.optional("clauses").map(|node| {
+        let entries = entries(node, "rewards by labels of clauses", faults)?.iter();
+        let present = entries.filter(|(_, node)| !node.is_null());
+        let clause = |(key, node): &(super::yaml::Key, Node)| {
+            let value = reward_value(node, faults)?;
+            let label = Located {
+                value: key.text.clone(),
+                span: key.span,
+            };
+            Some((label, value))
+        };
+        present.map(clause).collect::<Option<Vec<_>>>()
+    });
+    fields.close(faults);
+    Some(RewardConfig {
+        actions: actions?,
+        violation: violation?,
+        violations_per: violations_per?,
+        clauses: clauses.map_or(Some(Vec::new()), |clauses| clauses)?,
+        overtime: overtime?,
+    })
+}
+
+fn ego(node: &Node, predicates: Option<&Predicates>, faults: &mut Vec<Diagnostic>) -> Option<EgoConfig> {
+    let mut fields = Fields::open(node, "what the ego is", faults)?;
+    let priority = (fields.required("priority", faults)).and_then(|node| by_split(node, faults));
+    let known = predicates.map(Concepts::new);
+    let concepts = fields.required("concepts", faults).and_then(|node| {
+        let items = list(node, "what the ego can be", faults)?;
+        let weighted = |item: &Node| {
+            let mut fields = Fields::open(item, "what the ego can be", faults)?;
+            let weight = (fields.required("weight", faults))
+                .and_then(|node| number(node, 0.0..=1e9, "a weight from 0 to 1e9", faults));
+            let concepts = (fields.optional("concepts")).map_or(Some(Vec::new()), |node| {
+                carried(node, AgentKind::Car, known.as_ref(), faults)
+            });
+            fields.close(faults);
+            let concepts: Arc<[String]> = concepts?.into_iter().map(|concept| concept.value).collect();
+            Some((weight?, concepts))
+        };
+        let weighted: Vec<_> = items.iter().map(weighted).collect::<Option<_>>()?;
+        if weighted.iter().all(|(weight, _)| *weight == 0.0) {
+            invalid(node, "at least one entry whose weight is not 0", faults);
+            return None;
+        }
+        Some(weighted)
+    });
+    fields.close(faults);
+    Some(EgoConfig {
+        priority: priority?,
+        concepts: concepts?,
+    })
+}
+
+/// One number, or one for each split; a split without one has none to draw from, which is refused.
+fn by_split(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<[u32; 3]> {
+    let most = i32::MAX.cast_unsigned();
+    if !matches!(node.value, Value::Map(_)) {
+        return integer(node, 1..=most, faults).map(|value| [value; 3]);
+    }
+    let mut fields = Fields::open(node, "the greatest priorities", faults)?;
+    let values = Split::ALL.map(|split| {
+        let node = fields.required(split.name(), faults)?;
+        integer(node, 1..=most, faults)
+    });
+    fields.close(faults);
+    let [train, val, test] = values;
+    Some([train?, val?, test?])
+}
+
+fn episodes(composer: &mut Composer<'_>, node: &Node) -> Option<[Option<Located<std::path::PathBuf>>; 3]> {
+    let mut fields = Fields::open(node, "the files of episodes", &mut composer.faults)?;
+    let nodes = Split::ALL.map(|split| fields.optional(split.name()));
+    fields.close(&mut composer.faults);
+    let mut found = [None, None, None];
+    for (found, node) in found.iter_mut().zip(nodes) {
+        if let Some(node) = node {
+            *found = Some(Located {
+                value: composer.name_file(node)?,
+                span: node.span,
+            });
+        }
+    }
+    Some(found)
+}
