@@ -53,3 +53,4 @@ pub mod render;
 pub mod rng;
 pub mod sim;
 pub mod symbol;
+pub mod task;

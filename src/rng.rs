@@ -24,6 +24,12 @@ pub enum Purpose {
     Predicate = 5,
     /// A scene in which two rule sets are compared; index: its number.
     Scene = 6,
+    /// What the ego of a task is.
+    Ego = 7,
+    /// Seeds of one episode after another; index: how many there were before.
+    Episode = 8,
+    /// A policy that acts at random; index: the step.
+    Policy = 9,
 }
 
 /// The seed of a run, from which every stream is made.

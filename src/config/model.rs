@@ -199,6 +199,11 @@ impl AgentSet {
         self.len() == 0
     }
 
+    /// All entries.
+    pub fn entries(&self) -> impl Iterator<Item = &AgentGroup> {
+        self.cars.iter().chain(&self.pedestrians)
+    }
+
     fn groups(&self, kind: AgentKind) -> &[AgentGroup] {
         match kind {
             AgentKind::Car => &self.cars,

@@ -124,6 +124,10 @@ codes! {
     /// A scene that is not JSON or does not follow the scene format.
     InvalidScene = "invalid-scene", Error;
 
+    // --- episodes
+    /// An episode that is not of its format, or that cannot begin in its city.
+    InvalidEpisode = "invalid-episode", Error;
+
     // --- traces
     /// A trace that is not JSON or does not follow the trace format.
     InvalidTrace = "invalid-trace", Error;

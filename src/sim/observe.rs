@@ -8,7 +8,7 @@
 //! others do next nobody can observe, so no action holds of them there.
 
 use super::executor::compile;
-use super::ground::Facts;
+use super::ground::{Chance, Facts};
 use super::infer::{Draws, GroundState};
 use super::simulation::Simulation;
 use super::vocabulary::{Actions, Vocabulary};
@@ -432,11 +432,16 @@ impl Observer {
 
     /// Observes the present state of the city, the one on which the next tick will be decided.
     pub fn look(&mut self, city: &Simulation) {
-        let (oracle, map) = (&*self.oracle, self.oracle.world.map());
         let draws = Draws {
             seed: city.seed(),
             time: city.now(),
         };
+        self.look_with(city, &draws);
+    }
+
+    /// As [`Observer::look`], but `chance` decides about predicates that hold with a probability.
+    pub fn look_with(&mut self, city: &Simulation, chance: &impl Chance) {
+        let (oracle, map) = (&*self.oracle, self.oracle.world.map());
         self.bodies.clear();
         let ego = Body::new(map, self.ego, &city.agents()[self.ego]);
         self.bodies.push(ego);
@@ -448,11 +453,11 @@ impl Observer {
                 self.bodies.push(Body::new(map, position, agent));
             }
         }
-        self.compute(draws);
+        self.compute(chance);
     }
 
     /// Computes the facts about the observed entities.
-    fn compute(&mut self, draws: Draws) {
+    fn compute(&mut self, chance: &impl Chance) {
         let (oracle, bodies) = (&*self.oracle, &self.bodies);
         let collect = |holds: &dyn Fn(&Body) -> bool| {
             let entities = bodies.iter().enumerate();
@@ -469,7 +474,7 @@ impl Observer {
                     for (first, x) in bodies.iter().enumerate() {
                         let mut row = 0;
                         for (second, y) in bodies.iter().enumerate() {
-                            row |= u64::from(relation.holds(&oracle.views, draws, x, y)) << second;
+                            row |= u64::from(relation.holds(&oracle.views, chance, x, y)) << second;
                         }
                         self.atoms.rows[predicate * self.atoms.entities + first] = row;
                     }

@@ -522,14 +522,14 @@ impl<const W: usize> Scene<'_, W> {
 
     fn holds(&self, relation: &Relation, first: usize, second: usize) -> bool {
         let (x, y) = (&self.bodies[first], &self.bodies[second]);
-        relation.holds(&self.grounder.views, self.draws, x, y)
+        relation.holds(&self.grounder.views, &self.draws, x, y)
     }
 }
 
 impl Relation {
     /// Whether it holds of two agents.
     #[inline]
-    pub fn holds(&self, views: &[Reach; 5], draws: Draws, x: &Body, y: &Body) -> bool {
+    pub fn holds(&self, views: &[Reach; 5], chance: &impl Chance, x: &Body, y: &Body) -> bool {
         let same = x.agent == y.agent;
         match *self {
             Relation::Sees => {
@@ -546,7 +546,7 @@ impl Relation {
                 let probability = binary(&colliding.definition, &x.entity(), &y.entity());
                 probability >= 1.0
                     || probability > 0.0
-                        && draws.happens(colliding.predicate, x.agent as usize, y.agent as usize, probability)
+                        && chance.happens(colliding.predicate, x.agent as usize, y.agent as usize, probability)
             }
         }
     }

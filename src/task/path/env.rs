@@ -1,0 +1,301 @@
+//! One city in which cars are driven from outside.
+
+use super::{Episode, EpisodeAgent, PathTask};
+use crate::city::Agent;
+use crate::config::{AgentKind, Speed, Split};
+use crate::diag::{Code, Diagnostic};
+use crate::rng::{Purpose, RngExt, Seed};
+use crate::sim::{Actions, Observer, Settings, Simulation};
+use std::sync::Arc;
+
+/// Who is driven from outside.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Egos {
+    /// The first car.
+    First,
+    /// Every car, each a rider of its own.
+    Cars,
+}
+
+/// A city in which one car or every car is driven from outside. The same task, split and seed give the same episodes.
+pub struct Env {
+    task: Arc<PathTask>,
+    city: Simulation,
+    riders: Vec<Rider>,
+    /// The episode has at most so many steps.
+    horizon: u32,
+    steps: u32,
+    controls: Vec<(usize, Speed)>,
+    episode: Episode,
+}
+
+/// A car that is driven from outside.
+pub struct Rider {
+    observer: Observer,
+    /// Cells of its route, start and goal included.
+    cells: usize,
+    derived: Actions,
+    last: Step,
+    running: bool,
+}
+
+/// What came of an action.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Step {
+    /// What it is worth.
+    pub reward: f64,
+    /// Whether the episode has ended: the goal is reached or a rule is broken.
+    pub terminated: bool,
+    /// Whether it was cut short at the horizon.
+    pub truncated: bool,
+    /// Whether the goal is reached without a rule broken.
+    pub success: bool,
+    /// The clauses that the action broke, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
+    pub broken: Vec<usize>,
+}
+
+impl Rider {
+    /// What it observes.
+    pub fn observer(&self) -> &Observer {
+        &self.observer
+    }
+
+    /// The car, by its position in the list of agents.
+    pub fn agent(&self) -> usize {
+        self.observer.ego()
+    }
+
+    /// How many cells its route had when the episode began, start and goal included.
+    pub fn cells(&self) -> usize {
+        self.cells
+    }
+
+    /// The actions that rules ask of it now, before the default. If there are any, the next step is *constrained*.
+    pub fn derived(&self) -> Actions {
+        self.derived
+    }
+
+    /// What came of its last action.
+    pub fn last(&self) -> &Step {
+        &self.last
+    }
+
+    /// Whether its episode goes on.
+    pub fn is_running(&self) -> bool {
+        self.running
+    }
+}
+
+impl Env {
+    /// An environment over the agents of a split. [`Env::reset`] comes next.
+    ///
+    /// # Errors
+    /// `unknown-split`, `no-start-cell`, `no-route`, `limit-exceeded`: see [`Simulation::new`]; `invalid-value` if the split has no car.
+    pub fn new(task: Arc<PathTask>, split: Split, egos: Egos) -> Result<Env, Diagnostic> {
+        let city = Simulation::new(Arc::clone(task.world()), split, Seed(0), Settings::default())?;
+        let agents = city.agents().iter().enumerate();
+        let cars = agents
+            .filter(|(_, agent)| agent.kind == AgentKind::Car)
+            .map(|(position, _)| position);
+        let driven = cars.take(match egos {
+            Egos::First => 1,
+            Egos::Cars => usize::MAX,
+        });
+        let rider = |ego| Rider {
+            observer: Observer::new(Arc::clone(task.oracle()), ego),
+            cells: 0,
+            derived: Actions::default(),
+            last: Step::default(),
+            running: false,
+        };
+        let riders: Vec<Rider> = driven.map(rider).collect();
+        if riders.is_empty() {
+            let message = format!("the split `{}` has no car to drive", split.name());
+            return Err(Diagnostic::new(Code::InvalidValue, message).at(task.config().span, "for this task"));
+        }
+        Ok(Env {
+            horizon: task.config().horizon,
+            steps: 0,
+            controls: Vec::with_capacity(riders.len()),
+            episode: Episode::of(0, city.agents()),
+            riders,
+            city,
+            task,
+        })
+    }
+
+    /// What does not change.
+    pub fn task(&self) -> &Arc<PathTask> {
+        &self.task
+    }
+
+    /// The city.
+    pub fn city(&self) -> &Simulation {
+        &self.city
+    }
+
+    /// The same, to ask for the facts of a moment; its ticks and restarts are the environment's.
+    pub fn city_mut(&mut self) -> &mut Simulation {
+        &mut self.city
+    }
+
+    /// The cars that are driven, in the order of the list of agents.
+    pub fn riders(&self) -> &[Rider] {
+        &self.riders
+    }
+
+    /// How many steps the episode has had.
+    pub fn steps(&self) -> u32 {
+        self.steps
+    }
+
+    /// How many steps the episode can have.
+    pub fn horizon(&self) -> u32 {
+        self.horizon
+    }
+
+    /// How the episode began.
+    pub fn episode(&self) -> &Episode {
+        &self.episode
+    }
+
+    /// Begins an episode that is drawn: new starts and goals for all agents; for the first car a priority and concepts as the
+    /// configuration says.
+    ///
+    /// # Errors
+    /// `no-start-cell`, `no-route`, `limit-exceeded`.
+    pub fn reset(&mut self, seed: u64) -> Result<(), Diagnostic> {
+        let mut agents = self.city.draw_agents(Seed(seed))?;
+        let first = self.riders[0].agent();
+        if let Some(ego) = &self.task.config().ego {
+            let mut stream = Seed(seed).stream(Purpose::Ego, 0, 0);
+            let most = ego.priority[self.city.split() as usize];
+            agents[first].priority = stream.random_range(1..=most).cast_signed();
+            let sum: f64 = ego.concepts.iter().map(|(weight, _)| weight).sum();
+            let mut left = stream.random::<f64>() * sum;
+            // Rounding may leave a little after the last one, which must not be one of weight 0.
+            let possible = ego.concepts.iter().filter(|(weight, _)| *weight > 0.0);
+            let drawn = possible.clone().find(|(weight, _)| {
+                left -= weight;
+                left < 0.0
+            });
+            let (_, concepts) = drawn.or(possible.last()).expect("a weight is not 0");
+            agents[first].concepts = Arc::clone(concepts);
+        }
+        self.horizon = self.task.config().horizon;
+        self.begin(seed, agents)
+    }
+
+    /// Begins a given episode. It has as many steps as the configuration allows of the oracle's, or as a drawn one if those are not known.
+    ///
+    /// # Errors
+    /// `invalid-episode` if its agents are not those of the split or cannot go their ways; `limit-exceeded`.
+    pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
+        let agents = episode.place(&self.task.world().router, self.city.agents())?;
+        let config = self.task.config();
+        let horizon = episode
+            .oracle
+            .as_ref()
+            .map(|oracle| oracle.steps.saturating_mul(config.patience));
+        self.horizon = horizon.unwrap_or(config.horizon).max(1);
+        self.begin(episode.seed, agents)?;
+        self.episode.oracle.clone_from(&episode.oracle);
+        Ok(())
+    }
+
+    fn begin(&mut self, seed: u64, agents: Vec<Agent>) -> Result<(), Diagnostic> {
+        self.episode.seed = seed;
+        self.episode.oracle = None;
+        self.episode.agents.clear();
+        self.episode.agents.extend(agents.iter().map(EpisodeAgent::of));
+        self.city.restart(Seed(seed), agents);
+        self.steps = 0;
+        for rider in &mut self.riders {
+            rider.cells = self.city.agents()[rider.agent()].route().steps() + 1;
+            rider.running = true;
+            rider.last = Step::default();
+            rider.observer.begin(&self.city);
+        }
+        self.look()
+    }
+
+    fn look(&mut self) -> Result<(), Diagnostic> {
+        for rider in self.riders.iter_mut().filter(|rider| rider.running) {
+            rider.observer.look(&self.city);
+            rider.derived = rider.observer.derived(&self.city)?;
+        }
+        Ok(())
+    }
+
+    /// The action that the rules want of a rider.
+    pub fn oracle_action(&self, rider: usize) -> Speed {
+        self.task.world().vocabulary.decide(self.riders[rider].derived)
+    }
+
+    /// Lets the riders act and the city go on by a tick. `actions` has one for each rider; those whose episode has ended are driven by the
+    /// rules. What came of it is in [`Rider::last`].
+    ///
+    /// # Errors
+    /// `limit-exceeded` for rules that derive too much.
+    ///
+    /// # Panics
+    /// If there are not as many actions as riders.
+    pub fn step(&mut self, actions: &[Speed]) -> Result<(), Diagnostic> {
+        assert!(actions.len() == self.riders.len(), "one action for each rider");
+        self.controls.clear();
+        for (rider, &action) in self.riders.iter_mut().zip(actions) {
+            if rider.running {
+                let broken = rider.observer.broken(&self.city, action)?;
+                rider.last.broken.clear();
+                rider.last.broken.extend_from_slice(broken);
+                rider.last.reward = self.task.reward(action, broken, rider.cells);
+                self.controls.push((rider.agent(), action));
+            }
+        }
+        self.city.tick(&self.controls)?;
+        self.steps += 1;
+        for rider in self.riders.iter_mut().filter(|rider| rider.running) {
+            let arrived = self.city.agents()[rider.agent()].at_goal();
+            let last = &mut rider.last;
+            last.success = arrived && last.broken.is_empty();
+            last.terminated = arrived || !last.broken.is_empty();
+            last.truncated = !last.terminated && self.steps >= self.horizon;
+            if last.truncated {
+                last.reward += self.task.config().reward.overtime;
+            }
+        }
+        self.look()?;
+        for rider in &mut self.riders {
+            rider.running &= !(rider.last.terminated || rider.last.truncated);
+        }
+        Ok(())
+    }
+
+    /// Writes the abstract observation of a rider: the true atoms as [`Observer::write`] does; if the configuration wants it, the cells
+    /// of its route divided by twice the side of the region.
+    ///
+    /// # Panics
+    /// If there is not room for [`PathTask::observation_width`] numbers.
+    pub fn observe(&self, rider: usize, out: &mut [f32]) {
+        let rider = &self.riders[rider];
+        rider.observer.write(out);
+        if self.task.config().route_length {
+            let region = self.task.region(self.city.split());
+            #[allow(clippy::cast_precision_loss)] // a share
+            let share = rider.cells as f32 / (2.0 * region as f32);
+            out[self.task.oracle().width()] = share;
+        }
+    }
+
+    /// Writes the exact observation of a rider, [`PathTask::points_shape`] numbers row by row; see [`Observer::write_points`].
+    pub fn observe_points(&self, rider: usize, out: &mut [f32]) {
+        (self.riders[rider].observer).write_points(&self.city, self.task.priority_scale, out);
+    }
+
+    /// How much of its route a rider has gone, from 0 to 1.
+    #[allow(clippy::cast_precision_loss)] // a share
+    pub fn progress(&self, rider: usize) -> f64 {
+        let agent = &self.city.agents()[self.riders[rider].agent()];
+        agent.position() as f64 / (agent.route().steps().max(1)) as f64
+    }
+}

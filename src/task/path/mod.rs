@@ -1,0 +1,150 @@
+//! Safe Path Following (SPF): an ego car drives its route by choosing a speed at every step, and must break no rule.
+//!
+//! ```text
+//! Scenario (task:) + World -> PathTask (immutable, shared) -> Env: reset, step -> Env, Env, ... in a VectorEnv
+//!                                                              ^
+//!                                               Episode, drawn or recorded (EpisodeSet)
+//! ```
+//!
+//! At every step the ego observes the true atoms about itself and a few entities in its view and takes an [action](crate::config::Speed).
+//! If a clause asks another action of it, the rule is broken and the episode ends with the penalty, undivided. Otherwise the step costs
+//! what its action costs, divided by four times the cells of the route. The episode ends too when the ego is at its goal; it is cut
+//! short at the horizon, at the price of overtime.
+//!
+//! `metrics` sums up what a policy did over many episodes.
+
+mod env;
+mod episode;
+
+pub use env::{Egos, Env, Rider, Step};
+pub use episode::{Episode, EpisodeAgent, OracleRun};
+
+use crate::config::{PathTaskConfig, Speed, Split, ViolationsPer};
+use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
+use crate::engine::provenance::Teller;
+use crate::sim::{Observer, Oracle, World};
+use std::sync::Arc;
+
+/// Safe Path Following in one world. Immutable, shared by all environments over it.
+pub struct PathTask {
+    oracle: Arc<Oracle>,
+    config: PathTaskConfig,
+    /// For each demand of the oracle: its short name, and the reward for breaking it.
+    demands: Vec<(String, f64)>,
+    /// The greatest priority number there can be.
+    priority_scale: f32,
+}
+
+impl PathTask {
+    /// The task of the world's configuration. `sources` are those that rules and configuration were loaded from.
+    ///
+    /// # Errors
+    /// `missing-key` if the configuration has no task, `invalid-value` if it names a clause that no rule has.
+    pub fn new(world: Arc<World>, sources: &Sources) -> Result<PathTask, Vec<Diagnostic>> {
+        let scenario = &world.scenario;
+        let Some(config) = scenario.task.clone() else {
+            let message = format!("the configuration `{}` has no `task`", scenario.name);
+            let fault = Diagnostic::new(Code::MissingKey, message);
+            return Err(vec![
+                fault.help("give it one, for example `task: configs/tasks/expert.yaml`"),
+            ]);
+        };
+        let oracle = Oracle::new(Arc::clone(&world), config.entities as usize).map_err(|fault| vec![fault])?;
+        let teller = Teller::new(world.program.rules(), &world.program.rules().symbols, sources);
+        let labels: Vec<String> = oracle
+            .demands()
+            .iter()
+            .map(|demand| teller.label(demand.clause))
+            .collect();
+        let unknown = config
+            .reward
+            .clauses
+            .iter()
+            .filter(|(label, _)| !labels.contains(&label.value));
+        let faults: Vec<Diagnostic> = unknown
+            .map(|(label, _)| {
+                let message = format!("no clause that asks an action is called `{}`", label.value);
+                let fault = Diagnostic::new(Code::InvalidValue, message).at(label.span, "a reward for breaking it");
+                match did_you_mean(&label.value, labels.iter().map(String::as_str)) {
+                    Some(near) => fault.help(format!("did you mean `{near}`?")),
+                    None => fault.help(format!("they are called: {}", labels.join(", "))),
+                }
+            })
+            .collect();
+        if !faults.is_empty() {
+            return Err(faults);
+        }
+        let reward = |label: &str| {
+            let own = config.reward.clauses.iter().find(|(given, _)| given.value == label);
+            own.map_or(config.reward.violation, |(_, reward)| *reward)
+        };
+        let demands = labels.iter().map(|label| (label.clone(), reward(label))).collect();
+        let of_sets =
+            (scenario.splits.iter()).flat_map(|(_, set)| set.entries().map(|group| group.priority.unsigned_abs()));
+        let of_egos = config.ego.iter().flat_map(|ego| ego.priority);
+        #[allow(clippy::cast_precision_loss)] // a scale
+        let priority_scale = of_sets.chain(of_egos).max().unwrap_or(1).max(1) as f32;
+        Ok(PathTask {
+            oracle: Arc::new(oracle),
+            demands,
+            priority_scale,
+            config,
+        })
+    }
+
+    /// The city and its rules.
+    pub fn world(&self) -> &Arc<World> {
+        self.oracle.world()
+    }
+
+    /// What decides and judges.
+    pub fn oracle(&self) -> &Arc<Oracle> {
+        &self.oracle
+    }
+
+    /// The configuration of the task.
+    pub fn config(&self) -> &PathTaskConfig {
+        &self.config
+    }
+
+    /// The short name of a clause that can be broken, by its position in [`Oracle::demands`]: `S2`, or `file:line` if it has none.
+    pub fn label(&self, demand: usize) -> &str {
+        &self.demands[demand].0
+    }
+
+    /// How many numbers the abstract observation has: the true atoms, and the length of the route if the configuration wants it.
+    pub fn observation_width(&self) -> usize {
+        self.oracle.width() + usize::from(self.config.route_length)
+    }
+
+    /// The shape of the exact observation: how many points, and how many numbers each has.
+    pub fn points_shape(&self) -> [usize; 2] {
+        [self.config.points as usize, Observer::point_width(&self.oracle)]
+    }
+
+    /// The reward of a step: for the clauses it breaks, by their positions in [`Oracle::demands`], or else for its action on a route of
+    /// so many cells.
+    pub fn reward(&self, action: Speed, broken: &[usize], cells: usize) -> f64 {
+        if broken.is_empty() {
+            #[allow(clippy::cast_precision_loss)] // a route has fewer than 2^32 cells
+            return self.config.reward.actions[action as usize] / (4.0 * cells as f64);
+        }
+        let of = |demand: &usize| self.demands[*demand].1;
+        match self.config.reward.violations_per {
+            ViolationsPer::Clause => broken.iter().map(of).sum(),
+            ViolationsPer::Action => {
+                let demands = self.oracle.demands();
+                let of_action = |speed| broken.iter().filter(move |&&demand| demands[demand].action == speed);
+                let worst = |speed| of_action(speed).map(of).reduce(f64::min);
+                Speed::ALL.into_iter().filter_map(worst).sum()
+            }
+        }
+    }
+
+    /// The side of the region of a split in cells: the number of rows of the map if it has none.
+    fn region(&self, split: Split) -> u32 {
+        let set = self.world().scenario.agent_set(split);
+        let region = set.and_then(|set| set.region).map(|region| region.value);
+        region.unwrap_or_else(|| self.world().map().rows().unsigned_abs())
+    }
+}
