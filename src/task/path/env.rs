@@ -203,6 +203,11 @@ impl Env {
         Ok(())
     }
 
+    /// Allows the episode that has begun another number of steps, at least 1.
+    pub fn set_horizon(&mut self, steps: u32) {
+        self.horizon = steps.max(1);
+    }
+
     fn begin(&mut self, seed: u64, agents: Vec<Agent>) -> Result<(), Diagnostic> {
         self.episode.seed = seed;
         self.episode.oracle = None;

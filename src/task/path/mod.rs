@@ -11,13 +11,17 @@
 //! what its action costs, divided by four times the cells of the route. The episode ends too when the ego is at its goal; it is cut
 //! short at the horizon, at the price of overtime.
 //!
-//! `metrics` sums up what a policy did over many episodes.
+//! [`rollout`] lets a policy drive an episode, [`summarise`] says how well it did over many: the rates and the score of the paper.
 
 mod env;
 mod episode;
+mod metrics;
+mod rollout;
 
 pub use env::{Egos, Env, Rider, Step};
-pub use episode::{Episode, EpisodeAgent, OracleRun};
+pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
+pub use metrics::{ActionRate, Rate, Score, Summary, summarise};
+pub use rollout::{Policy, Rollout, make_episodes, rollout};
 
 use crate::config::{PathTaskConfig, Speed, Split, ViolationsPer};
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
