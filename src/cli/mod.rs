@@ -25,6 +25,7 @@ use crate::lang::{Inputs, Rules, Texts};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, Parser, Subcommand};
 use std::io::{self, IsTerminal, Write};
+use std::num::NonZeroUsize;
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -311,12 +312,16 @@ fn load_city(
     Ok((scenario, program, entry))
 }
 
-/// How many threads are meant; 0 is one for each core.
-fn threads(given: u16) -> usize {
-    match given {
-        0 => std::thread::available_parallelism().map_or(1, usize::from),
-        given => given.into(),
-    }
+/// More threads are not started, on however many cores: each takes memory, and some thousands more than a system gives.
+const THREADS_MAX: usize = 1024;
+
+/// Parses a number of threads; 0 is one for each core.
+fn threads(text: &str) -> Result<NonZeroUsize, String> {
+    let count = text.parse().ok().filter(|&count: &usize| count <= THREADS_MAX);
+    let count =
+        count.ok_or_else(|| format!("expected a whole number from 0 to {THREADS_MAX}; 0 is one for each core"))?;
+    let cores = || std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
+    Ok(NonZeroUsize::new(count).unwrap_or_else(cores))
 }
 
 /// Reads a run configuration and all its parts.

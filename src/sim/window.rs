@@ -1,10 +1,10 @@
 //! Some entities of a city and what relates them, as bits for the dense executor. Facts about pairs are computed where a rule asks
 //! for them, from whole numbers; [`super::ground`] has the definitions, and tests compare the two.
 
-use super::ground::{Chance, Entity, binary, side};
+use super::ground::{Chance, Entity, binary, is_far_enough, is_near_enough, side};
 use super::infer::Draws;
 use super::vocabulary::Vocabulary;
-use crate::city::{Cell, CityMap, Heading, Junction, view_reach};
+use crate::city::{Cell, CityMap, Heading, Junction, View, view_reach};
 use crate::config::{AgentKind, Definition};
 use crate::engine::dense::{Axis, Dense, Frame, Input, List, Pairs, Set, and, first, is_empty, members, without};
 
@@ -171,17 +171,10 @@ impl Relation {
     fn new(predicate: usize, definition: &Definition) -> Relation {
         match *definition {
             Definition::Sees => Relation::Sees,
-            Definition::Distance {
-                above,
-                at_least,
-                below,
-                at_most,
-            } => {
+            Definition::Distance { .. } => {
                 // Both bounds are monotone in the distance, and the distance in its square.
-                let near = |d: f64| below.is_none_or(|bound| d < bound) && at_most.is_none_or(|bound| d <= bound);
-                let far = |d: f64| above.is_none_or(|bound| d > bound) && at_least.is_none_or(|bound| d >= bound);
-                let least = first_square(far);
-                let most = first_square(|d| !near(d)) - 1;
+                let least = first_square(|d| is_far_enough(definition, d));
+                let most = first_square(|d| !is_near_enough(definition, d)) - 1;
                 let reach = most.max(0).isqrt().min(i64::from(FARTHEST));
                 Relation::Distance {
                     least,
@@ -485,11 +478,7 @@ impl<const W: usize> Scene<'_, W> {
     fn holds(&self, relation: &Relation, first: usize, second: usize) -> bool {
         let (x, y) = (&self.bodies[first], &self.bodies[second]);
         match *relation {
-            Relation::Sees => {
-                let [up, down, left, right] = self.view(x);
-                let (rows, cols) = (y.at.row - x.at.row, y.at.col - x.at.col);
-                first == second || (-up..=down).contains(&rows) && (-left..=right).contains(&cols)
-            }
+            Relation::Sees => first == second || View::around(x.at, self.view(x)).contains(y.at),
             _ if first == second => false,
             Relation::Distance { least, most, .. } => (least..=most).contains(&square(x.at, y.at)),
             Relation::HigherPriority => x.priority < y.priority,
