@@ -254,6 +254,9 @@ pub(super) fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crat
 
 /// Reads the facts of every input relation. All faulty files are told in one run.
 pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
+    if !folder.is_dir() {
+        return Err(Failure::file("read facts from", folder, "there is no such folder"));
+    }
     let program = session.program().clone();
     let mut faults = Vec::new();
     for (id, relation) in relations(&program) {

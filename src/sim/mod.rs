@@ -19,7 +19,7 @@ mod width;
 mod window;
 mod world;
 
-pub use conflict::{ENTITIES_MAX, Example, Finding, Overlap, SCENES_MAX, conflicts};
+pub use conflict::{Cut, ENTITIES_MAX, Example, Finding, Overlap, SCENES_MAX, conflicts};
 pub use coverage::{ClauseCoverage, Coverage};
 pub use deadlock::{Standstill, Wait, standstill, waits};
 pub use executor::{CROWD_MAX, Executor, WHOLE_MAX};
