@@ -1228,10 +1228,21 @@ fn query_reads_the_columns_it_is_told_to() {
     );
 }
 
-/// What a measurement says, by key.
+/// What a measurement says, by key. Each is explained in README.
 fn measured(output: &Output) -> Value {
     assert_eq!(code(output), 0, "{}", err(output));
-    serde_json::from_str(&out(output)).unwrap()
+    let told: Value = serde_json::from_str(&out(output)).unwrap();
+    let readme = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
+    let (_, keys) = readme
+        .split_once("### What `bench` prints")
+        .expect("README has the keys");
+    let (keys, _) = keys.split_once("\n## ").expect("README goes on");
+    for key in told.as_object().unwrap().keys() {
+        let unit = key.trim_end_matches("_per_cpu_s").trim_end_matches("_per_s");
+        let known = |name: &str| keys.contains(&format!("`{name}`"));
+        assert!(known(key) || known(unit), "README does not say what `{key}` is");
+    }
+    told
 }
 
 #[test]
@@ -1267,7 +1278,7 @@ fn bench_measures_what_it_is_asked_for() {
             &["--threads is for `bench tick|env|scale` only"],
         );
     }
-    assert_eq!(measured(&bench(&["infer"]))["states"].as_f64(), Some(64.0));
+    assert_eq!(measured(&bench(&["infer"]))["states"], 64);
     fails(
         &bench(&["ground", "--agents", "300"]),
         2,

@@ -331,7 +331,7 @@ impl<'a> Bench<'a> {
                     Phase::Move => "share_move",
                     Phase::Note => "share_note",
                 };
-                more.push((name, part.as_secs_f64() / sum.as_secs_f64().max(1e-12)));
+                more.push((name, json!(part.as_secs_f64() / sum.as_secs_f64().max(1e-12))));
             }
         }
         self.tell("ticks", timed, &more)
@@ -376,7 +376,7 @@ impl<'a> Bench<'a> {
             )
         })?;
         let timed = evaluate(self.arguments.seconds, &dense, &moments, count)?;
-        self.tell("evaluations", timed, &[("states", count_of(&moments))])
+        self.tell("evaluations", timed, &[("states", json!(moments.len()))])
     }
 
     /// Facts about states of the city that are so many ticks apart, as `make` has them. It tells how many bytes they take.
@@ -413,7 +413,7 @@ impl<'a> Bench<'a> {
             }
             Ok(())
         })?;
-        self.tell("evaluations", timed, &[("states", count_of(&moments))])
+        self.tell("evaluations", timed, &[("states", json!(moments.len()))])
     }
 
     fn ground(&mut self) -> Result<(), Failure> {
@@ -435,13 +435,12 @@ impl<'a> Bench<'a> {
             });
             Ok(())
         })?;
-        #[allow(clippy::cast_precision_loss)]
-        self.tell("groundings", timed, &[("facts", facts as f64)])
+        self.tell("groundings", timed, &[("facts", json!(facts))])
     }
 
     /// Prints a result. `unit` is what was done again and again.
     #[allow(clippy::cast_precision_loss)]
-    fn tell(&self, unit: &str, timed: Timed, more: &[(&str, f64)]) -> Result<(), Failure> {
+    fn tell(&self, unit: &str, timed: Timed, more: &[(&str, Value)]) -> Result<(), Failure> {
         let agents = self.agents();
         let mut result = json!({
             "what": self.arguments.what.name(),
@@ -466,8 +465,8 @@ impl<'a> Bench<'a> {
             let per_agent = peak_memory().map(|bytes| bytes as f64 / agents as f64);
             set("peak_bytes_per_agent".to_owned(), json!(per_agent));
         }
-        for &(key, value) in more {
-            set(key.to_owned(), json!(value));
+        for (key, value) in more {
+            set((*key).to_owned(), value.clone());
         }
         print(&result, self.arguments.json)
     }
@@ -555,12 +554,6 @@ fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, pat
         "ns_per_evaluation": timed.nanoseconds(1),
     });
     print(&result, arguments.json)
-}
-
-/// How many, as figures are told.
-#[allow(clippy::cast_precision_loss)] // some dozens
-fn count_of<T>(list: &[T]) -> f64 {
-    list.len() as f64
 }
 
 /// Prints an object: in one line, or a line for each key.
