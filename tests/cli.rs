@@ -1275,7 +1275,7 @@ fn bench_measures_what_it_is_asked_for() {
         fails(
             &bench(&[what, "--threads", "2"]),
             2,
-            &["--threads is for `bench tick|env|scale` only"],
+            &["--threads is for `bench tick|scale` only"],
         );
     }
     assert_eq!(measured(&bench(&["infer"]))["states"], 64);
@@ -1290,6 +1290,54 @@ fn bench_measures_what_it_is_asked_for() {
         &["leave out --executor relational"],
     );
     fails(&bench(&["infer", "--agents", "5000"]), 2, &["4096", "--agents"]);
+    let told = measured(&bench(&["env"]));
+    assert!(told["what"] == "env" && told["steps"].as_u64() > Some(0), "{told}");
+    fails(
+        &bench(&["env", "--config", "vap-easy"]),
+        1,
+        &["has no `task`", "tasks/expert.yaml"],
+    );
+}
+
+/// Making a set writes what the repository has, showing it tells how the oracle fares, and nothing half done is left behind.
+#[test]
+fn episodes_are_made_checked_and_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("mine.jsonl");
+    let episodes = |arguments: &[&str]| logicity(&[&["episodes"], arguments].concat());
+    let output = file.to_str().unwrap();
+    let made = ok(&episodes(&[
+        "make", "--config", "easy", "--split", "val", "--output", output,
+    ]));
+    let shipped = fs::read_to_string(root().join("configs/episodes/easy-val.jsonl")).unwrap();
+    assert!(fs::read_to_string(&file).unwrap() == shipped, "made with seed 0");
+    let hash = made.rsplit(' ').next().unwrap().trim();
+    assert!(ok(&episodes(&["check", "--config", "easy", "--split", "val"])).contains(hash));
+    let shown = ok(&episodes(&["show", "--config", "easy", "--split", "val", "--json"]));
+    let shown: Value = serde_json::from_str(&shown).unwrap();
+    assert_eq!(
+        (&shown["hash"], &shown["oracle"]["tsr"]["value"]),
+        (&hash.into(), &1.0.into())
+    );
+    assert!(shown["random"]["tsr"]["value"].as_f64() < Some(0.3));
+    assert!(ok(&episodes(&["show", "--config", "easy", "--episode", "3"])).contains("Pedestrian_2"));
+    fails(
+        &episodes(&["show", "--config", "easy", "--episode", "100"]),
+        2,
+        &["numbered from 0 to 99"],
+    );
+    fails(&episodes(&["check", "--config", "vap-easy"]), 1, &["has no `task`"]);
+    fails(
+        &episodes(&["make", "--config", "easy", "--output", "/nowhere/x.jsonl"]),
+        2,
+        &["/nowhere/x.jsonl"],
+    );
+    // Other rules, and the oracle does otherwise.
+    fails(
+        &episodes(&["check", "--config", "easy", "--rules", "rules/expert.dl"]),
+        1,
+        &["error"],
+    );
 }
 
 #[test]

@@ -6,10 +6,11 @@ use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::Program;
 use crate::engine::dense::{BitFacts, Counting, Dense, Frame};
 use crate::files;
-use crate::rng::Seed;
+use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{
     CROWD_MAX, Executor, Facts, Inference, Phase, Settings, Simulation, WHOLE_MAX, Width, World, in_words,
 };
+use crate::task::path::{Egos, Env, PathTask};
 use serde_json::{Value, json};
 use std::hint::black_box;
 use std::io::{self, Write};
@@ -57,8 +58,8 @@ impl What {
 #[derive(clap::Args)]
 pub struct Arguments {
     /// infer: the rules alone, facts ready as bits (dense) or as rows that change (relational). ground: all facts that the rules can
-    /// ask for. tick: a city, placed afresh after the ticks of the configuration. env: a city whose first agent is controlled, placed afresh every episode. scale: cities of 1000 agents
-    /// up to --agents
+    /// ask for. tick: a city, placed afresh after the ticks of the configuration. env: episodes of the configuration's task
+    /// under a random policy, observations written. scale: cities of 1000 agents up to --agents
     #[arg(value_parser = one_of(&What::ALL, What::name))]
     what: What,
     /// Configuration of the city
@@ -80,7 +81,7 @@ pub struct Arguments {
     /// What evaluates the rules
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
-    /// For tick, env and scale: threads for a city of many agents, 1 unless given; 0 is one for each core
+    /// For tick and scale: threads for a city of many agents, 1 unless given; 0 is one for each core
     #[arg(long, value_parser = threads, allow_negative_numbers = true, conflicts_with = "scenes")]
     threads: Option<NonZeroUsize>,
     /// How long each measurement takes, in seconds
@@ -210,8 +211,11 @@ fn peak_memory() -> Option<u64> {
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let misplaced = |option: &str, of: &str| Err(Failure::Usage(format!("{option} is for `bench {of}` only")));
-    if arguments.threads.is_some() && matches!(arguments.what, What::Infer | What::Ground) {
-        return misplaced("--threads", "tick|env|scale");
+    if arguments.threads.is_some() && !matches!(arguments.what, What::Tick | What::Scale) {
+        return misplaced("--threads", "tick|scale");
+    }
+    if arguments.executor != Executor::Auto && arguments.what == What::Env {
+        return misplaced("--executor", "infer|ground|tick|scale");
     }
     if arguments.breakdown && arguments.what != What::Tick {
         return misplaced("--breakdown", "tick");
@@ -241,7 +245,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         What::Infer => bench.infer(),
         What::Ground => bench.ground(),
         What::Tick | What::Scale => bench.tick(bench.world.scenario.ticks, arguments.breakdown),
-        What::Env => bench.env(),
+        What::Env => bench.env(sources),
     }
 }
 
@@ -337,15 +341,19 @@ impl<'a> Bench<'a> {
         self.tell("ticks", timed, &more)
     }
 
-    fn env(&mut self) -> Result<(), Failure> {
-        let (mut seed, length) = (self.arguments.seed, u64::from(self.world.scenario.ticks));
+    /// Episodes of the task, one after another, the first car driven at random.
+    fn env(&mut self, sources: &Sources) -> Result<(), Failure> {
+        let task = Arc::new(PathTask::new(Arc::clone(&self.world), sources)?);
+        let mut observation = vec![0.0; task.observation_width()];
+        let mut env = Env::new(task, self.arguments.split, Egos::First)?;
+        let mut stream = Seed(self.arguments.seed).stream(Purpose::Policy, 0, 0);
         let timed = Timed::run(self.arguments.seconds, |times| {
             for _ in 0..times {
-                if self.simulation.now() == length {
-                    seed = seed.wrapping_add(1);
-                    self.simulation = Self::place(self.arguments, &self.world, seed)?;
+                if !env.riders()[0].is_running() {
+                    env.reset(stream.random())?;
                 }
-                self.simulation.tick(&[(0, Speed::Normal)])?;
+                env.observe(0, &mut observation);
+                env.step(&[Speed::ALL[stream.random_range(0..Speed::ALL.len())]])?;
             }
             Ok(())
         })?;
