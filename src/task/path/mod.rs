@@ -15,9 +15,11 @@
 
 mod env;
 mod episode;
+mod vector;
 
 pub use env::{Egos, Env, Rider, Step};
 pub use episode::{Episode, EpisodeAgent, OracleRun};
+pub use vector::{Autoreset, Begin, EpisodeSource, Info, Member, Outcome, VectorEnv, View};
 
 use crate::config::{PathTaskConfig, Speed, Split, ViolationsPer};
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
