@@ -6,6 +6,7 @@
 mod bench;
 mod check;
 mod diff;
+mod episodes;
 mod explain;
 mod fmt;
 mod infer;
@@ -54,6 +55,8 @@ enum Command {
     Infer(infer::Arguments),
     /// Tell why an agent did what it did in a run, or why it did not do something else
     Explain(explain::Arguments),
+    /// Make, check or show recorded episodes of Safe Path Following
+    Episodes(episodes::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
     /// Time the rules, a tick, an episode, or cities of up to a million agents
@@ -134,6 +137,7 @@ pub fn main() -> ExitCode {
         Command::Repl(arguments) => repl::run(&arguments, &mut sources),
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
+        Command::Episodes(arguments) => episodes::run(&arguments, &mut sources),
         Command::Lsp(arguments) => lsp::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
         Command::Bench(arguments) => bench::run(&arguments, &mut sources),

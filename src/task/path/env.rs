@@ -203,6 +203,11 @@ impl Env {
         Ok(())
     }
 
+    /// Allows the episode that has begun another number of steps, at least 1.
+    pub fn set_horizon(&mut self, steps: u32) {
+        self.horizon = steps.max(1);
+    }
+
     fn begin(&mut self, seed: u64, agents: Vec<Agent>) -> Result<(), Diagnostic> {
         self.episode.seed = seed;
         self.episode.oracle = None;
@@ -272,7 +277,7 @@ impl Env {
     }
 
     /// Writes the abstract observation of a rider: the true atoms as [`Observer::write`] does; if the configuration wants it, the cells
-    /// of its route divided by twice the side of the region.
+    /// of its route divided by twice the side of the region, at most 1.
     ///
     /// # Panics
     /// If there is not room for [`PathTask::observation_width`] numbers.
@@ -283,7 +288,7 @@ impl Env {
             let region = self.task.region(self.city.split());
             #[allow(clippy::cast_precision_loss)] // a share
             let share = rider.cells as f32 / (2.0 * region as f32);
-            out[self.task.oracle().width()] = share;
+            out[self.task.oracle().width()] = share.min(1.0);
         }
     }
 

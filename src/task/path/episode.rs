@@ -1,9 +1,37 @@
-//! Episodes: how a city begins.
+//! Episodes: how a city begins; and files of them.
+//!
+//! A file of episodes has JSON lines. The first is a header: `episodes` (`"logicity"`), `version`, the names of `config` and `split`, the
+//! `seed` the set was made from, and the `agents` in list order with `id`, `concepts` and `priority`. Every other line is an episode:
+//! `seed`, `trips` (for each agent row and column of its start and of its goal), `changes` (agents that are otherwise than the header
+//! has them, by name) and `oracle` (`steps`, `return`, and `constrained`: how many steps rules asked an action, by action).
 
+use super::PathTask;
 use crate::city::{Agent, Cell, Router};
-use crate::config::{AgentConfig, AgentName};
-use crate::diag::{Code, Diagnostic};
+use crate::config::{AgentConfig, AgentKind, AgentName, Speed, Split};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use crate::files::ReadError;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::path::Path;
 use std::sync::Arc;
+
+/// Version of the format of files; it grows when a reader of the old one would misread the new one.
+const VERSION: u32 = 1;
+
+/// Episodes that everybody is measured on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EpisodeSet {
+    /// Name of the configuration they are for.
+    pub config: String,
+    /// The split whose agents they have.
+    pub split: Split,
+    /// What they were made from.
+    pub seed: u64,
+    /// The episodes.
+    pub episodes: Vec<Episode>,
+}
 
 /// How an episode begins, and what the oracle made of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,18 +93,17 @@ impl Episode {
 
     /// The agents at their starts, which must be named as these are.
     pub(super) fn place(&self, router: &Router, like: &[Agent]) -> Result<Vec<Agent>, Diagnostic> {
-        let fault = |message: String| Diagnostic::new(Code::InvalidEpisode, message);
         if self.agents.len() != like.len() {
             let message = format!(
                 "the episode has {} agents, the split has {}",
                 self.agents.len(),
                 like.len()
             );
-            return Err(fault(message));
+            return Err(invalid(message));
         }
         let agents = self.agents.iter().zip(like).map(|(agent, like)| {
             if agent.name != like.name() {
-                return Err(fault(format!(
+                return Err(invalid(format!(
                     "the episode has {} where {} is",
                     agent.name,
                     like.name()
@@ -88,7 +115,7 @@ impl Episode {
                     format!("[{}, {}]", start.row, start.col),
                     format!("[{}, {}]", goal.row, goal.col),
                 );
-                fault(format!("{} cannot go from {from} to {to}", agent.name))
+                invalid(format!("{} cannot go from {from} to {to}", agent.name))
                     .help("cars start and arrive at kerb cells of traffic streets, pedestrians on sidewalks")
             })?;
             let config = AgentConfig {
@@ -99,5 +126,269 @@ impl Episode {
             Ok(Agent::new(&config, route))
         });
         agents.collect()
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    episodes: String,
+    version: u32,
+    config: String,
+    split: String,
+    seed: u64,
+    agents: Vec<HeaderAgent>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct HeaderAgent {
+    id: String,
+    #[serde(flatten)]
+    is: Character,
+}
+
+/// What an agent is.
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
+struct Character {
+    concepts: Arc<[String]>,
+    priority: i32,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Line {
+    seed: u64,
+    trips: Vec<[i32; 4]>,
+    #[serde(default)]
+    changes: BTreeMap<String, Character>,
+    #[serde(default)]
+    oracle: Option<LineOracle>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct LineOracle {
+    steps: u32,
+    #[serde(rename = "return")]
+    total: f64,
+    #[serde(default)]
+    constrained: BTreeMap<String, u32>,
+}
+
+fn invalid(message: impl Into<String>) -> Diagnostic {
+    Diagnostic::new(Code::InvalidEpisode, message)
+}
+
+/// The name that is written so.
+fn agent_name(text: &str) -> Result<AgentName, Diagnostic> {
+    let named = |kind: AgentKind| {
+        let number = text.strip_prefix(kind.name())?.strip_prefix('_')?.parse().ok()?;
+        Some(AgentName { kind, number }).filter(|name| name.to_string() == text)
+    };
+    let found = AgentKind::ALL.into_iter().find_map(named);
+    found.ok_or_else(|| {
+        invalid(format!(
+            "`{text}` is not the name of an agent, such as `Car_1` or `Pedestrian_3`"
+        ))
+    })
+}
+
+impl EpisodeSet {
+    /// Loads the recorded episodes of a split, from the file that the configuration of a task names. The text is added to `sources`.
+    ///
+    /// # Errors
+    /// `missing-key` if the configuration names no file, `missing-file` if it cannot be read, `invalid-episode` for a faulty one or one of
+    /// another split.
+    pub fn load(
+        task: &PathTask,
+        split: Split,
+        sources: &mut Sources,
+        read: &dyn Fn(&Path) -> Result<String, ReadError>,
+    ) -> Result<EpisodeSet, Diagnostic> {
+        let config = task.config();
+        let Some(file) = &config.episodes[split as usize] else {
+            let message = format!("the task names no file of episodes for the split `{}`", split.name());
+            let fault = Diagnostic::new(Code::MissingKey, message).at(config.span, "in this task");
+            return Err(fault.help(format!(
+                "`episodes: {{{}: FILE}}` names one, `logicity episodes make` makes it",
+                split.name()
+            )));
+        };
+        let (path, name) = (&file.value, file.value.display());
+        let text = read(path).map_err(|error| {
+            let fault = Diagnostic::new(Code::MissingFile, format!("cannot read the episodes `{name}`: {error}"));
+            fault
+                .at(file.span, "named here")
+                .help("`logicity episodes make` makes them")
+        })?;
+        let source = sources.add(name.to_string(), text);
+        let set = EpisodeSet::read(sources, source)?;
+        if set.split != split {
+            let message = format!("episodes of the split `{}`, not `{}`", set.split.name(), split.name());
+            return Err(invalid(message).at(file.span, "named here"));
+        }
+        Ok(set)
+    }
+
+    /// Reads a file of episodes.
+    ///
+    /// # Errors
+    /// `invalid-episode` with its line and column. Whether the episodes fit a city is asked when they begin.
+    pub fn read(sources: &Sources, source: SourceId) -> Result<EpisodeSet, Diagnostic> {
+        let text = sources.text(source);
+        let mut at = 0;
+        let mut lines = text.split_inclusive('\n').map(|line| {
+            let start = at;
+            at += line.len();
+            (start, line.trim_end())
+        });
+        let (start, first) = lines.next().unwrap_or((0, ""));
+        let header: Header = parse(first, source, start, "the header of a file of episodes")?;
+        let here = |fault: Diagnostic| fault.at(Span::new(source, start..start + first.len()), "in this header");
+        if header.episodes != "logicity" || header.version != VERSION {
+            let (of, version) = (&header.episodes, header.version);
+            let message =
+                format!("episodes of `{of}`, version {version}; this program reads `logicity`, version {VERSION}");
+            return Err(here(invalid(message)));
+        }
+        let split = Split::ALL.into_iter().find(|split| split.name() == header.split);
+        let split = split.ok_or_else(|| here(invalid(format!("`{}` is not a split", header.split))))?;
+        let agent = |agent: &HeaderAgent| Ok((agent_name(&agent.id)?, agent.is.clone()));
+        let agents: Vec<(AgentName, Character)> = header
+            .agents
+            .iter()
+            .map(agent)
+            .collect::<Result<_, _>>()
+            .map_err(here)?;
+        let mut episodes = Vec::new();
+        for (start, text) in lines.filter(|(_, line)| !line.is_empty()) {
+            let line: Line = parse(text, source, start, "an episode")?;
+            let here = |fault: Diagnostic| fault.at(Span::new(source, start..start + text.len()), "in this episode");
+            episodes.push(line.read(&agents).map_err(here)?);
+        }
+        if episodes.is_empty() {
+            return Err(here(invalid("there are no episodes")).help("`logicity episodes make` makes some"));
+        }
+        Ok(EpisodeSet {
+            config: header.config,
+            split,
+            seed: header.seed,
+            episodes,
+        })
+    }
+
+    /// Writes a file of episodes.
+    ///
+    /// # Errors
+    /// Whatever `out` reports.
+    ///
+    /// # Panics
+    /// If there are no episodes, or their agents are named otherwise.
+    pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
+        let first = self.episodes.first().expect("at least one episode");
+        let character = |agent: &EpisodeAgent| Character {
+            concepts: Arc::clone(&agent.concepts),
+            priority: agent.priority,
+        };
+        let agent = |agent: &EpisodeAgent| HeaderAgent {
+            id: agent.name.to_string(),
+            is: character(agent),
+        };
+        let header = Header {
+            episodes: "logicity".to_owned(),
+            version: VERSION,
+            config: self.config.clone(),
+            split: self.split.name().to_owned(),
+            seed: self.seed,
+            agents: first.agents.iter().map(agent).collect(),
+        };
+        writeln!(out, "{}", serde_json::to_string(&header)?)?;
+        for episode in &self.episodes {
+            let agents = || episode.agents.iter().zip(&first.agents);
+            assert!(
+                episode.agents.len() == first.agents.len() && agents().all(|(agent, usual)| agent.name == usual.name)
+            );
+            let changed = agents().filter(|(agent, usual)| character(agent) != character(usual));
+            let line = Line {
+                seed: episode.seed,
+                trips: (episode.agents.iter())
+                    .map(|agent| [agent.start.row, agent.start.col, agent.goal.row, agent.goal.col])
+                    .collect(),
+                changes: changed
+                    .map(|(agent, _)| (agent.name.to_string(), character(agent)))
+                    .collect(),
+                oracle: episode.oracle.as_ref().map(|oracle| LineOracle {
+                    steps: oracle.steps,
+                    total: oracle.total,
+                    constrained: (Speed::ALL.into_iter().zip(oracle.constrained))
+                        .filter(|(_, steps)| *steps > 0)
+                        .map(|(action, steps)| (action.name().to_owned(), steps))
+                        .collect(),
+                }),
+            };
+            writeln!(out, "{}", serde_json::to_string(&line)?)?;
+        }
+        Ok(())
+    }
+
+    /// SHA-256 of the file, in hexadecimal: names this very set of episodes in results.
+    pub fn hash(&self) -> String {
+        let mut text = Vec::new();
+        self.write(&mut text).expect("memory does not fail");
+        format!("{:x}", Sha256::digest(text))
+    }
+}
+
+/// Reads a line that starts at a place of a source.
+fn parse<'t, T: Deserialize<'t>>(line: &'t str, source: SourceId, start: usize, what: &str) -> Result<T, Diagnostic> {
+    serde_json::from_str(line).map_err(|error| {
+        // Columns of bytes from 1; 0 if nothing was read.
+        let at = start + error.column().saturating_sub(1).min(line.len());
+        let at = (start..=at)
+            .rev()
+            .find(|at| line.is_char_boundary(at - start))
+            .unwrap_or(start);
+        invalid(format!("not {what}: {error}")).at(Span::new(source, at..start + line.len()), "here")
+    })
+}
+
+impl Line {
+    fn read(self, usual: &[(AgentName, Character)]) -> Result<Episode, Diagnostic> {
+        if self.trips.len() != usual.len() {
+            let message = format!("{} trips of {} agents", self.trips.len(), usual.len());
+            return Err(invalid(message));
+        }
+        if let Some(unknown) = self
+            .changes
+            .keys()
+            .find(|name| usual.iter().all(|(known, _)| known.to_string() != **name))
+        {
+            return Err(invalid(format!("the header has no agent `{unknown}`")));
+        }
+        let agent = |((name, usual), &[row, col, goal_row, goal_col]): (&(AgentName, Character), &[i32; 4])| {
+            let is = self.changes.get(&name.to_string()).unwrap_or(usual);
+            EpisodeAgent {
+                name: *name,
+                concepts: Arc::clone(&is.concepts),
+                priority: is.priority,
+                start: Cell::new(row, col),
+                goal: Cell::new(goal_row, goal_col),
+            }
+        };
+        let oracle = self.oracle.as_ref().map(|oracle| {
+            let mut constrained = [0; 4];
+            for (name, steps) in &oracle.constrained {
+                let action = Speed::ALL.into_iter().find(|action| action.name() == name);
+                let action = action.ok_or_else(|| invalid(format!("`{name}` is not an action")))?;
+                constrained[action as usize] = *steps;
+            }
+            Ok::<_, Diagnostic>(OracleRun {
+                steps: oracle.steps,
+                total: oracle.total,
+                constrained,
+            })
+        });
+        Ok(Episode {
+            seed: self.seed,
+            agents: usual.iter().zip(&self.trips).map(agent).collect(),
+            oracle: oracle.transpose()?,
+        })
     }
 }

@@ -11,14 +11,21 @@
 //! what its action costs, divided by four times the cells of the route. The episode ends too when the ego is at its goal; it is cut
 //! short at the horizon, at the price of overtime.
 //!
-//! `metrics` sums up what a policy did over many episodes.
+//! [`rollout`] lets a policy drive an episode, [`summarise`] says how well it did over many: the rates and the score of the paper.
+//! A [`VectorEnv`] is many environments that take a step together; [`explain`] tells why the rules want what they want.
 
 mod env;
 mod episode;
+mod explain;
+mod metrics;
+mod rollout;
 mod vector;
 
 pub use env::{Egos, Env, Rider, Step};
-pub use episode::{Episode, EpisodeAgent, OracleRun};
+pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
+pub use explain::{describe, explain};
+pub use metrics::{ActionRate, Rate, Score, Summary, summarise};
+pub use rollout::{Policy, Rollout, make_episodes, rollout};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, Member, Outcome, VectorEnv, View};
 
 use crate::config::{PathTaskConfig, Speed, Split, ViolationsPer};

@@ -191,6 +191,11 @@ impl Member {
         &mut self.env
     }
 
+    /// Its episodes.
+    pub fn source(&self) -> &EpisodeSource {
+        &self.source
+    }
+
     /// What came of the last step.
     pub fn outcome(&self) -> Outcome {
         self.outcome
@@ -319,6 +324,11 @@ impl VectorEnv {
     /// The same, to ask for the facts of a moment.
     pub fn members_mut(&mut self) -> &mut [Member] {
         &mut self.members
+    }
+
+    /// Numbers of an observation.
+    pub fn width(&self) -> usize {
+        self.width
     }
 
     /// When the next episode begins.

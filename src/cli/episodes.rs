@@ -1,0 +1,314 @@
+//! `logicity episodes`
+
+use super::{Failure, load_city, one_of};
+use crate::config::{Speed, Split};
+use crate::diag::{Code, Diagnostic, Sources};
+use crate::files::{self, Output};
+use crate::rng::{Purpose, RngExt, Seed};
+use crate::sim::World;
+use crate::task::path::{Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, make_episodes, rollout, summarise};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(clap::Subcommand)]
+enum What {
+    /// Draw episodes that the oracle solves, every kind of ego equally often, and write them to a file
+    Make(Make),
+    /// Drive recorded episodes again: the oracle must reach the goal as recorded
+    Check(Which),
+    /// Print recorded episodes, a line each, and how the oracle and a random policy do on them
+    Show(Show),
+}
+
+#[derive(clap::Args)]
+struct Which {
+    /// Configuration with a task
+    #[arg(long, default_value = "configs/expert.yaml")]
+    config: PathBuf,
+    /// Which split
+    #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test")]
+    split: Split,
+    /// Rule file instead of the configuration's
+    #[arg(long)]
+    rules: Option<PathBuf>,
+}
+
+#[derive(clap::Args)]
+struct Make {
+    #[command(flatten)]
+    which: Which,
+    /// How many; 40 for val and 100 otherwise unless given
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100_000), allow_negative_numbers = true)]
+    count: Option<u32>,
+    /// What they are drawn from
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    seed: u64,
+    /// The file to write; the one that the configuration names unless given
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+}
+
+#[derive(clap::Args)]
+struct Show {
+    #[command(flatten)]
+    which: Which,
+    /// All about one episode: its number, from 0
+    #[arg(long)]
+    episode: Option<usize>,
+    /// One JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Makes, checks or shows episodes.
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    match &arguments.what {
+        What::Make(make) => make.run(sources),
+        What::Check(which) => which.check(sources),
+        What::Show(show) => show.run(sources),
+    }
+}
+
+impl Which {
+    fn task(&self, sources: &mut Sources) -> Result<Arc<PathTask>, Failure> {
+        let (scenario, program, _) = load_city(sources, &self.config, self.rules.as_deref())?;
+        let world = World::new(scenario, program)?;
+        Ok(Arc::new(PathTask::new(Arc::new(world), sources)?))
+    }
+
+    /// The task, its recorded episodes, and a city for them.
+    fn load(&self, sources: &mut Sources) -> Result<(Env, EpisodeSet), Failure> {
+        let task = self.task(sources)?;
+        let set = EpisodeSet::load(&task, self.split, sources, &files::read_or_builtin)?;
+        Ok((Env::new(task, self.split, Egos::First)?, set))
+    }
+
+    fn check(&self, sources: &mut Sources) -> Result<(), Failure> {
+        let (mut env, set) = self.load(sources)?;
+        let mut faults = Vec::new();
+        for (number, episode) in set.episodes.iter().enumerate() {
+            let of = |fault: Diagnostic| {
+                fault.note(format!("in episode {number} of `{}`, {}", set.config, set.split.name()))
+            };
+            if let Err(fault) = env.reset_to(episode) {
+                faults.push(of(fault));
+                continue;
+            }
+            let done = rollout(&mut env, Policy::Oracle)?;
+            if let Some(difference) = differs(episode, &done) {
+                faults.push(of(Diagnostic::new(Code::InvalidEpisode, difference)));
+            }
+        }
+        if !faults.is_empty() {
+            return Err(faults.into());
+        }
+        let (count, hash) = (set.episodes.len(), set.hash());
+        writeln!(
+            io::stdout(),
+            "{count} episodes are as recorded: {} {} {hash}",
+            set.config,
+            set.split.name()
+        )?;
+        Ok(())
+    }
+}
+
+/// How an episode went otherwise than recorded.
+fn differs(episode: &Episode, done: &Rollout) -> Option<String> {
+    let Some(oracle) = &episode.oracle else {
+        return Some("what the oracle makes of the episode is not recorded".to_owned());
+    };
+    if !done.success {
+        return Some(format!(
+            "the oracle does not reach the goal within {} steps",
+            done.steps
+        ));
+    }
+    let close = (done.total - oracle.total).abs() <= 1e-9;
+    let same = done.steps == oracle.steps && close && done.constrained == oracle.constrained;
+    (!same).then(|| {
+        format!(
+            "the oracle takes {} steps with return {}, recorded are {} and {}; constrained steps {:?}, recorded {:?}",
+            done.steps, done.total, oracle.steps, oracle.total, done.constrained, oracle.constrained
+        )
+    })
+}
+
+impl Make {
+    fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
+        let (task, split) = (self.which.task(sources)?, self.which.split);
+        let usual = if split == Split::Val { 40 } else { 100 };
+        let count = self.count.unwrap_or(usual) as usize;
+        let named = task.config().episodes[split as usize]
+            .as_ref()
+            .map(|file| file.value.clone());
+        let path = match self.output.clone().or(named) {
+            Some(path) if path.starts_with(files::BUILTIN_FOLDER) => {
+                return Err(Failure::Usage(
+                    "the configuration is built in: name the file to write with `--output`".into(),
+                ));
+            }
+            Some(path) => path,
+            None => {
+                return Err(Failure::Usage(
+                    "the configuration names no file of episodes for this split: name one with `--output`".into(),
+                ));
+            }
+        };
+        let bar = ProgressBar::new(count as u64).with_style(
+            ProgressStyle::with_template("{bar:30} episode {pos} of {len}, {eta} left").expect("a valid template"),
+        );
+        let set = make_episodes(&task, split, count, self.seed, |found| bar.set_position(found as u64))?;
+        bar.finish_and_clear();
+        let fail = |error| Failure::file("write", &path, error);
+        let mut out = Output::create(&path).map_err(fail)?;
+        set.write(&mut out).map_err(fail)?;
+        out.finish().map_err(fail)?;
+        writeln!(
+            io::stdout(),
+            "{count} episodes written to {}: {}",
+            path.display(),
+            set.hash()
+        )?;
+        Ok(())
+    }
+}
+
+/// So often the random policy drives every episode.
+const RANDOM_RUNS: u8 = 10;
+
+impl Show {
+    fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
+        let (mut env, set) = self.which.load(sources)?;
+        if let Some(number) = self.episode {
+            let count = set.episodes.len();
+            let episode = set.episodes.get(number).ok_or_else(|| {
+                Failure::Usage(format!(
+                    "there is no episode {number}: they are numbered from 0 to {}",
+                    count - 1
+                ))
+            })?;
+            return Ok(one(&mut env, episode)?);
+        }
+        let (mut oracle, mut random, mut returns) = (Vec::new(), Vec::new(), Vec::new());
+        for episode in &set.episodes {
+            env.reset_to(episode)?;
+            oracle.push(rollout(&mut env, Policy::Oracle)?);
+            let mut total = 0.0;
+            for run in 0..RANDOM_RUNS {
+                env.reset_to(episode)?;
+                let seed = Seed(episode.seed)
+                    .stream(Purpose::Policy, run.into(), u64::MAX)
+                    .random();
+                let done = rollout(&mut env, Policy::Random(Seed(seed)))?;
+                total += done.total;
+                random.push(done);
+            }
+            returns.push(total / f64::from(RANDOM_RUNS));
+        }
+        let task = env.task();
+        let repeated: Vec<f64> = returns
+            .iter()
+            .flat_map(|&mean| std::iter::repeat_n(mean, RANDOM_RUNS.into()))
+            .collect();
+        let (wanted, drawn) = (
+            summarise(task, &oracle, Some(&returns)),
+            summarise(task, &random, Some(&repeated)),
+        );
+        let mut out = io::stdout().lock();
+        if self.json {
+            let all = json!({
+                "config": set.config, "split": set.split.name(), "seed": set.seed, "hash": set.hash(),
+                "episodes": set.episodes.len(), "oracle": wanted, "random": drawn,
+            });
+            writeln!(out, "{all}")?;
+            return Ok(());
+        }
+        writeln!(
+            out,
+            "{:>7} {:20} {:>8} {:>5} {:>5} {:>7}  {}",
+            "episode", "ego", "priority", "cells", "steps", "return", "asked"
+        )?;
+        for (number, (episode, done)) in set.episodes.iter().zip(&oracle).enumerate() {
+            env.reset_to(episode)?;
+            let ego = &episode.agents[env.riders()[0].agent()];
+            let (carried, cells) = (ego.concepts.join("+"), env.riders()[0].cells());
+            let (steps, total) = (done.steps, done.total);
+            writeln!(
+                out,
+                "{number:>7} {carried:20} {:>8} {cells:>5} {steps:>5} {total:>7.3}  {}",
+                ego.priority,
+                asked(done.constrained)
+            )?;
+        }
+        writeln!(out)?;
+        writeln!(
+            out,
+            "{:8} {:>18} {:>18} {:>22} {:>7} {:>6}",
+            "policy", "TSR", "DSR", "Score", "return", "steps"
+        )?;
+        for (name, summary) in [("oracle", &wanted), ("random", &drawn)] {
+            let rate = |rate: crate::task::path::Rate| format!("{:.2} [{:.2}, {:.2}]", rate.value, rate.low, rate.high);
+            let score = summary.score.map_or_else(String::new, |score| {
+                format!("{:.2} [{:.2}, {:.2}]", score.value, score.low, score.high)
+            });
+            let (total, steps) = (summary.mean_return.value, summary.mean_steps);
+            let (tsr, dsr) = (rate(summary.tsr), rate(summary.dsr));
+            writeln!(
+                out,
+                "{name:8} {tsr:>18} {dsr:>18} {score:>22} {total:>7.2} {steps:>6.1}"
+            )?;
+        }
+        writeln!(out, "{} {} {}", set.config, set.split.name(), set.hash())?;
+        Ok(())
+    }
+}
+
+/// `Stop 3, Fast 1`
+fn asked(constrained: [u32; 4]) -> String {
+    let asked = Speed::ALL.iter().zip(constrained).filter(|(_, steps)| *steps > 0);
+    let words: Vec<String> = asked
+        .map(|(action, steps)| format!("{} {steps}", action.name()))
+        .collect();
+    words.join(", ")
+}
+
+/// Prints all about one episode.
+fn one(env: &mut Env, episode: &Episode) -> Result<(), Failure> {
+    env.reset_to(episode)?;
+    let mut out = io::stdout().lock();
+    writeln!(out, "seed {}, at most {} steps", episode.seed, env.horizon())?;
+    if let Some(oracle) = &episode.oracle {
+        let (steps, total) = (oracle.steps, oracle.total);
+        writeln!(
+            out,
+            "oracle: {steps} steps, return {total:.4}, asked: {}",
+            asked(oracle.constrained)
+        )?;
+    }
+    let place = |cell: crate::city::Cell| format!("[{}, {}]", cell.row, cell.col);
+    writeln!(
+        out,
+        "{:14} {:20} {:>8} {:>10} {:>10} {:>5}",
+        "agent", "concepts", "priority", "start", "goal", "cells"
+    )?;
+    for (agent, driven) in episode.agents.iter().zip(env.city().agents()) {
+        let (name, carried) = (agent.name.to_string(), agent.concepts.join("+"));
+        let (start, goal, cells) = (place(agent.start), place(agent.goal), driven.route().steps() + 1);
+        writeln!(
+            out,
+            "{name:14} {carried:20} {:>8} {start:>10} {goal:>10} {cells:>5}",
+            agent.priority
+        )?;
+    }
+    Ok(())
+}
