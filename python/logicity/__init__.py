@@ -19,7 +19,10 @@ from ._logicity import __version__
 if TYPE_CHECKING:
     from typing import NotRequired  # Python 3.11; only annotations use it
 
+    from .parallel import SPFParallelEnv
+
 __all__ = [
+    "MODES",
     "Agent",
     "Answer",
     "Diagnostic",
@@ -31,7 +34,19 @@ __all__ = [
     "SymbolicScene",
     "__version__",
     "check",
+    "parallel_env",
 ]
+
+#: The modes of Safe Path Following as environments are named, and their configurations.
+MODES = {
+    "Easy": "easy",
+    "Medium": "medium",
+    "Hard": "hard",
+    "Expert": "expert",
+    "TransferEasy": "transfer-easy",
+    "TransferMedium": "transfer-medium",
+    "TransferHard": "transfer-hard",
+}
 
 Action = Literal["Slow", "Normal", "Fast", "Stop"]
 
@@ -169,17 +184,18 @@ class Inference:
             raise _input_error(error) from None
 
 
+def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
+    """Make a `ParallelEnv` of PettingZoo in which every car is driven: a `logicity.parallel.SPFParallelEnv`.
+
+    `arguments` are its other parameters. Needs `pip install 'logicity[pettingzoo]'`.
+    """
+    from .parallel import SPFParallelEnv
+
+    return SPFParallelEnv(config, **arguments)
+
+
 def _register() -> None:
-    modes = {
-        "Easy": "easy",
-        "Medium": "medium",
-        "Hard": "hard",
-        "Expert": "expert",
-        "TransferEasy": "transfer-easy",
-        "TransferMedium": "transfer-medium",
-        "TransferHard": "transfer-hard",
-    }
-    for mode, config in modes.items():
+    for mode, config in MODES.items():
         gymnasium.register(
             f"logicity/SPF-{mode}-v0",
             entry_point="logicity.envs:SPFEnv",
