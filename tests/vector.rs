@@ -1,23 +1,16 @@
 //! Many environments that take a step together: each goes as it would alone.
 
-use logicity::config::{Speed, Split, load_scenario};
+mod shipped_world;
+
+use logicity::config::{Speed, Split};
 use logicity::diag::Sources;
-use logicity::engine::Program;
-use logicity::files::{read_or_builtin, read_text};
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::sim::World;
 use logicity::task::path::{Autoreset, Begin, Egos, Env, EpisodeSource, Info, PathTask, VectorEnv, View};
-use std::path::Path;
 use std::sync::Arc;
 
 fn task(config: &str) -> Arc<PathTask> {
-    let mut sources = Sources::new();
-    let scenario = load_scenario(&mut sources, Path::new(config), &read_text).expect("it is built in");
-    let text = read_or_builtin(&scenario.rules.value).unwrap();
-    let entry = sources.add(scenario.rules.value.display().to_string(), text);
-    let (program, faults) = Program::load(&mut sources, entry, &read_or_builtin);
-    let world = World::new(scenario, program.unwrap_or_else(|| panic!("{faults:?}"))).expect("they fit");
-    Arc::new(PathTask::new(Arc::new(world), &sources).unwrap_or_else(|faults| panic!("{faults:?}")))
+    let world = shipped_world::world(config, None, |_| ());
+    Arc::new(PathTask::new(world, &Sources::new()).unwrap_or_else(|faults| panic!("{faults:?}")))
 }
 
 /// An environment alone, and what it was shown last.

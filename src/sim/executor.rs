@@ -231,7 +231,8 @@ impl Crowd {
             [] => Counting::Off,
             _ => Counting::Each,
         };
-        let dense = compile(&world.program, &world.vocabulary, counting)?;
+        let plan = world.plan(counting)?;
+        let dense = &plan.dense;
         let sees = world.vocabulary.predicates[world.vocabulary.sees].relation;
         let in_tiles = dense.is_local() && sees.is_some_and(|sees| dense.is_guarded_by(sees));
         let width = Width::of(agents.len());
@@ -249,7 +250,7 @@ impl Crowd {
             actions.iter().any(|(_, action)| *action == head)
         };
         let mut reading = Reading {
-            grounder: Grounder::new(dense, vocabulary, world.scenario.view),
+            grounder: Grounder::new(plan),
             clauses: clauses.iter().map(|clause| (*clause, of_action(clause))).collect(),
             actions,
         };

@@ -458,17 +458,27 @@ impl Observer {
     /// Computes the facts about the observed entities.
     fn compute(&mut self, chance: &impl Chance) {
         let (oracle, bodies) = (&*self.oracle, &self.bodies);
-        let collect = |holds: &dyn Fn(&Body) -> bool| {
+        let unary = &mut self.atoms.unary;
+        unary.fill(0);
+        for (entity, body) in bodies.iter().enumerate() {
+            let of = &self.steady[body.agent as usize * self.words..][..self.words];
+            for predicate in of
+                .iter()
+                .enumerate()
+                .flat_map(|(word, bits)| members(&[*bits]).map(move |bit| 64 * word + bit))
+            {
+                unary[predicate] |= 1 << entity;
+            }
+        }
+        let collect = |holds: fn(&Body) -> bool| {
             let entities = bodies.iter().enumerate();
             entities.fold(0, |set, (entity, body)| set | u64::from(holds(body)) << entity)
         };
         for (predicate, how) in oracle.how.iter().enumerate() {
             match how {
-                How::Steady(_) => self.atoms.unary[predicate] = collect(&|body| self.is_steadily(body, predicate)),
-                How::AtIntersection => {
-                    self.atoms.unary[predicate] = collect(&|body| body.junction.is_at(body.kind));
-                }
-                How::InIntersection => self.atoms.unary[predicate] = collect(&|body| body.junction.is_inside()),
+                How::Steady(_) => {}
+                How::AtIntersection => unary[predicate] = collect(|body| body.junction.is_at(body.kind)),
+                How::InIntersection => unary[predicate] = collect(|body| body.junction.is_inside()),
                 How::Pair(relation) => {
                     for (first, x) in bodies.iter().enumerate() {
                         let mut row = 0;
