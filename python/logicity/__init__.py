@@ -7,7 +7,11 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, cast
+
+import gymnasium
 
 from . import _logicity
 from ._logicity import __version__
@@ -15,7 +19,10 @@ from ._logicity import __version__
 if TYPE_CHECKING:
     from typing import NotRequired  # Python 3.11; only annotations use it
 
+    from .parallel import SPFParallelEnv
+
 __all__ = [
+    "MODES",
     "Agent",
     "Answer",
     "Diagnostic",
@@ -27,7 +34,19 @@ __all__ = [
     "SymbolicScene",
     "__version__",
     "check",
+    "parallel_env",
 ]
+
+#: The modes of Safe Path Following as environments are named, and their configurations.
+MODES = {
+    "Easy": "easy",
+    "Medium": "medium",
+    "Hard": "hard",
+    "Expert": "expert",
+    "TransferEasy": "transfer-easy",
+    "TransferMedium": "transfer-medium",
+    "TransferHard": "transfer-hard",
+}
 
 Action = Literal["Slow", "Normal", "Fast", "Stop"]
 
@@ -117,6 +136,15 @@ def _input_error(error: _logicity.InputError) -> InputError:
     return InputError(message, json.loads(diagnostics))
 
 
+@contextmanager
+def _told() -> Iterator[None]:
+    """Raise faults of the input as `InputError`."""
+    try:
+        yield
+    except _logicity.InputError as error:
+        raise _input_error(error) from None
+
+
 def check(text: str, name: str = "<text>") -> list[Diagnostic]:
     """Find all faults and warnings of a rule text.
 
@@ -154,3 +182,26 @@ class Inference:
             return cast(Answer, json.loads(self._inference.answer(json.dumps(scene))))
         except _logicity.InputError as error:
             raise _input_error(error) from None
+
+
+def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
+    """Make a `ParallelEnv` of PettingZoo in which every car is driven: a `logicity.parallel.SPFParallelEnv`.
+
+    `arguments` are its other parameters. Needs `pip install 'logicity[pettingzoo]'`.
+    """
+    from .parallel import SPFParallelEnv
+
+    return SPFParallelEnv(config, **arguments)
+
+
+def _register() -> None:
+    for mode, config in MODES.items():
+        gymnasium.register(
+            f"logicity/SPF-{mode}-v0",
+            entry_point="logicity.envs:SPFEnv",
+            vector_entry_point="logicity.envs:SPFVectorEnv",
+            kwargs={"config": config},
+        )
+
+
+_register()

@@ -231,7 +231,8 @@ impl Crowd {
             [] => Counting::Off,
             _ => Counting::Each,
         };
-        let dense = compile(&world.program, &world.vocabulary, counting)?;
+        let plan = world.plan(counting)?;
+        let dense = &plan.dense;
         let sees = world.vocabulary.predicates[world.vocabulary.sees].relation;
         let in_tiles = dense.is_local() && sees.is_some_and(|sees| dense.is_guarded_by(sees));
         let width = Width::of(agents.len());
@@ -249,7 +250,7 @@ impl Crowd {
             actions.iter().any(|(_, action)| *action == head)
         };
         let mut reading = Reading {
-            grounder: Grounder::new(dense, vocabulary, world.scenario.view),
+            grounder: Grounder::new(plan),
             clauses: clauses.iter().map(|clause| (*clause, of_action(clause))).collect(),
             actions,
         };
@@ -326,7 +327,7 @@ fn bodies(grounder: &mut Grounder, map: &CityMap, agents: &[Agent]) -> Vec<Body>
 }
 
 /// A whole city in one window.
-trait OneWindow: Send {
+trait OneWindow: Send + Sync {
     fn restart(&mut self, grounder: &Grounder, map: &CityMap, bodies: Vec<Body>);
     fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions);
     fn follow(&mut self, grounder: &Grounder, map: &CityMap, agents: &[Agent]);

@@ -17,9 +17,9 @@ use super::world::World;
 use crate::city::{Agent, Cell, View};
 use crate::config::{Definition, Speed};
 use crate::diag::Diagnostic;
-use crate::engine::Program;
 use crate::engine::dense::{Axis, Counting, Dense, Frame, Input, List, Pairs, Set, first, has, members};
-use crate::lang::{self, ClauseId, Literal, RelId, Rules};
+use crate::engine::{Program, Session};
+use crate::lang::{self, ClauseId, Literal, RelId, Rules, Value};
 use std::sync::Arc;
 
 /// The most entities that are observed.
@@ -458,17 +458,27 @@ impl Observer {
     /// Computes the facts about the observed entities.
     fn compute(&mut self, chance: &impl Chance) {
         let (oracle, bodies) = (&*self.oracle, &self.bodies);
-        let collect = |holds: &dyn Fn(&Body) -> bool| {
+        let unary = &mut self.atoms.unary;
+        unary.fill(0);
+        for (entity, body) in bodies.iter().enumerate() {
+            let of = &self.steady[body.agent as usize * self.words..][..self.words];
+            for predicate in of
+                .iter()
+                .enumerate()
+                .flat_map(|(word, bits)| members(&[*bits]).map(move |bit| 64 * word + bit))
+            {
+                unary[predicate] |= 1 << entity;
+            }
+        }
+        let collect = |holds: fn(&Body) -> bool| {
             let entities = bodies.iter().enumerate();
             entities.fold(0, |set, (entity, body)| set | u64::from(holds(body)) << entity)
         };
         for (predicate, how) in oracle.how.iter().enumerate() {
             match how {
-                How::Steady(_) => self.atoms.unary[predicate] = collect(&|body| self.is_steadily(body, predicate)),
-                How::AtIntersection => {
-                    self.atoms.unary[predicate] = collect(&|body| body.junction.is_at(body.kind));
-                }
-                How::InIntersection => self.atoms.unary[predicate] = collect(&|body| body.junction.is_inside()),
+                How::Steady(_) => {}
+                How::AtIntersection => unary[predicate] = collect(|body| body.junction.is_at(body.kind)),
+                How::InIntersection => unary[predicate] = collect(|body| body.junction.is_inside()),
                 How::Pair(relation) => {
                     for (first, x) in bodies.iter().enumerate() {
                         let mut row = 0;
@@ -582,6 +592,20 @@ impl Observer {
                 .map(move |agents| (predicate, agents))
                 .collect::<Vec<_>>()
         })
+    }
+
+    /// A session with the observed facts and what the rules derive from them, and the value that stands for the ego in it.
+    ///
+    /// # Errors
+    /// `limit-exceeded` for rules that derive too much.
+    pub fn session(&self, city: &Simulation) -> Result<(Session, Value), Diagnostic> {
+        let world = &self.oracle.world;
+        let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
+        let mut state = GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str));
+        let observed = Observed::new(&self.atoms, &self.bodies, city);
+        (state.set(&observed.facts(self.oracle.how.len()))).map_err(|error| error.diagnostic(world.program.rules()))?;
+        let (session, values) = state.into_parts();
+        Ok((session, values[self.ego]))
     }
 
     /// The actions that the rules derive for the ego before the default.

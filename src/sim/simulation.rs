@@ -42,7 +42,7 @@ impl Default for Settings {
 pub struct Simulation {
     world: Arc<World>,
     split: Split,
-    places: Places,
+    places: Arc<Places>,
     seed: Seed,
     /// How many ticks have passed.
     tick: u64,
@@ -144,11 +144,7 @@ impl Simulation {
             let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
             Diagnostic::new(Code::UnknownSplit, message).help(format!("it has: {}", known.join(", ")))
         })?;
-        let places = Places::new(
-            &world.router,
-            set.region.map(|region| region.value),
-            set.trip.map(|trip| trip.value),
-        );
+        let places = world.places(split, set);
         let agents = place_agents(set, &world.router, &places, seed)?;
         let rules = world.program.rules();
         let counted = |clause: &ClauseId| {
@@ -400,7 +396,7 @@ impl Simulation {
         let vocabulary = &world.vocabulary;
         let surroundings = Surroundings {
             router: &world.router,
-            places,
+            places: &*places,
             seed: self.seed,
             tick: self.tick,
         };

@@ -8,6 +8,7 @@ use crate::city::{Agent, Cell, CityMap, Heading, Junction, View, view_reach};
 use crate::config::{AgentKind, Definition};
 use crate::engine::dense::{Axis, Dense, Frame, Input, List, Pairs, Set, and, first, is_empty, members, without};
 use std::collections::BTreeMap;
+use std::ops::Deref;
 use std::sync::Arc;
 
 /// What the predicates can see of an agent.
@@ -105,23 +106,38 @@ struct Asked {
     axis: Axis,
 }
 
-/// How everything that a dense program asks for is computed.
-#[derive(Clone, Debug)]
-pub(super) struct Grounder {
+/// How everything that a dense program asks for is computed. Cities of one world share it, which keeps it in the cache when many of them
+/// take turns.
+#[derive(Debug)]
+pub(super) struct Plan {
     pub dense: Dense,
     inputs: Vec<Unary>,
     lists: Vec<Asked>,
     /// The inputs of which what an agent is decides.
     steady: Vec<(usize, Definition)>,
-    /// The classes of agents that are known.
-    known: BTreeMap<(AgentKind, Arc<[String]>), u32>,
-    /// By class: the inputs that hold of its members.
-    classes: Vec<Vec<usize>>,
     /// How far an agent without a heading sees, and one with each.
     views: [Reach; 5],
 }
 
-impl Grounder {
+/// A plan, and what the agents of a city are.
+#[derive(Clone, Debug)]
+pub(super) struct Grounder {
+    plan: Arc<Plan>,
+    /// The classes of agents that are known.
+    known: BTreeMap<(AgentKind, Arc<[String]>), u32>,
+    /// By class: the inputs that hold of its members.
+    classes: Vec<Vec<usize>>,
+}
+
+impl Deref for Grounder {
+    type Target = Plan;
+
+    fn deref(&self) -> &Plan {
+        &self.plan
+    }
+}
+
+impl Plan {
     /// `dense` must ask only for predicates of the vocabulary.
     pub fn new(dense: Dense, vocabulary: &Vocabulary, view: u32) -> Self {
         // What is not a predicate of the vocabulary is one that no clause derives: binding has refused all others.
@@ -159,33 +175,40 @@ impl Grounder {
             })
             .filter(|(_, definition)| definition.is_steady())
             .collect();
-        Grounder {
+        Plan {
             inputs,
             lists,
             steady,
-            known: BTreeMap::new(),
-            classes: Vec::new(),
             views: views(view),
             dense,
         }
     }
 
-    /// The class of agents of this kind that carry these concepts.
-    pub fn class_of(&mut self, kind: AgentKind, concepts: &Arc<[String]>) -> u32 {
-        let next = u32::try_from(self.known.len()).expect("fewer classes than agents");
-        *(self.known.entry((kind, Arc::clone(concepts)))).or_insert_with(|| {
-            let holds = self
-                .steady
-                .iter()
-                .filter(|(_, definition)| holds_of(definition, kind, concepts));
-            self.classes.push(holds.map(|(input, _)| *input).collect());
-            next
-        })
-    }
-
     /// How far anybody sees.
     pub fn farthest_view(&self) -> i32 {
         self.views.iter().flatten().copied().max().unwrap_or(0)
+    }
+}
+
+impl Grounder {
+    /// No agents are known.
+    pub fn new(plan: Arc<Plan>) -> Self {
+        Grounder {
+            plan,
+            known: BTreeMap::new(),
+            classes: Vec::new(),
+        }
+    }
+
+    /// The class of agents of this kind that carry these concepts.
+    pub fn class_of(&mut self, kind: AgentKind, concepts: &Arc<[String]>) -> u32 {
+        let Grounder { plan, known, classes } = self;
+        let next = u32::try_from(known.len()).expect("fewer classes than agents");
+        *(known.entry((kind, Arc::clone(concepts)))).or_insert_with(|| {
+            let holds = (plan.steady.iter()).filter(|(_, definition)| holds_of(definition, kind, concepts));
+            classes.push(holds.map(|(input, _)| *input).collect());
+            next
+        })
     }
 }
 

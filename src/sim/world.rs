@@ -2,12 +2,13 @@
 
 use super::executor::compile;
 use super::vocabulary::Vocabulary;
-use crate::city::{CityMap, Router};
-use crate::config::Scenario;
+use super::window::Plan;
+use crate::city::{CityMap, Places, Router};
+use crate::config::{AgentSet, Scenario, Split};
 use crate::diag::Diagnostic;
 use crate::engine::Program;
 use crate::engine::dense::{Counting, Dense};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// A scenario made ready: immutable, shared by every simulation over it.
 #[derive(Debug)]
@@ -20,6 +21,10 @@ pub struct World {
     pub vocabulary: Vocabulary,
     /// The map and the routes on it.
     pub router: Router,
+    /// What all cities of a split need to place agents, made with the first one.
+    places: [OnceLock<Arc<Places>>; 3],
+    /// What all cities that count no firings need to decide, made with the first one.
+    plan: OnceLock<Arc<Plan>>,
 }
 
 impl World {
@@ -35,6 +40,33 @@ impl World {
             scenario,
             program,
             vocabulary,
+            places: Default::default(),
+            plan: OnceLock::new(),
+        })
+    }
+
+    /// Where the agents of a split start and arrive; `set` are those.
+    pub(super) fn places(&self, split: Split, set: &AgentSet) -> Arc<Places> {
+        let make = || {
+            let [region, trip] = [&set.region, &set.trip].map(|cells| cells.as_ref().map(|cells| cells.value));
+            Arc::new(Places::new(&self.router, region, trip))
+        };
+        Arc::clone(self.places[split as usize].get_or_init(make))
+    }
+
+    /// How cities decide by the dense executor.
+    ///
+    /// # Errors
+    /// As [`World::compile`].
+    pub(super) fn plan(&self, counting: Counting) -> Result<Arc<Plan>, Diagnostic> {
+        if let (Counting::Off, Some(plan)) = (counting, self.plan.get()) {
+            return Ok(Arc::clone(plan));
+        }
+        let plan = Plan::new(self.compile(counting)?, &self.vocabulary, self.scenario.view);
+        let plan = Arc::new(plan);
+        Ok(match counting {
+            Counting::Off => Arc::clone(self.plan.get_or_init(|| plan)),
+            _ => plan,
         })
     }
 

@@ -12,16 +12,21 @@
 //! short at the horizon, at the price of overtime.
 //!
 //! [`rollout`] lets a policy drive an episode, [`summarise`] says how well it did over many: the rates and the score of the paper.
+//! A [`VectorEnv`] is many environments that take a step together; [`explain`] tells why the rules want what they want.
 
 mod env;
 mod episode;
+mod explain;
 mod metrics;
 mod rollout;
+mod vector;
 
 pub use env::{Egos, Env, Rider, Step};
 pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
+pub use explain::{describe, explain};
 pub use metrics::{ActionRate, Rate, Score, Summary, summarise};
 pub use rollout::{Policy, Rollout, make_episodes, rollout};
+pub use vector::{Autoreset, Begin, EpisodeSource, Info, Member, Outcome, VectorEnv, View};
 
 use crate::config::{PathTaskConfig, Speed, Split, ViolationsPer};
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
