@@ -95,6 +95,8 @@ struct Asked {
 pub(super) struct Grounder {
     pub dense: Dense,
     inputs: Vec<Unary>,
+    /// The inputs that depend on the cell where an agent is.
+    placed: Vec<usize>,
     lists: Vec<Asked>,
     /// By class: the inputs that hold of its members.
     classes: Vec<Vec<usize>>,
@@ -111,7 +113,7 @@ impl Grounder {
             let position = predicates.position(|predicate| predicate.relation == Some(relation))?;
             Some((position, &vocabulary.predicates[position].definition))
         };
-        let inputs = (dense.inputs().iter())
+        let inputs: Vec<Unary> = (dense.inputs().iter())
             .map(|&input| match input {
                 Input::Unary(relation) => match find(relation) {
                     Some((_, Definition::AtIntersection)) => Unary::AtIntersection,
@@ -145,7 +147,9 @@ impl Grounder {
             (0..dense.inputs().len()).filter(holds).collect()
         };
         let reach = |heading| view_reach(heading, view).map(|cells| cells.min(FARTHEST));
+        let placed = |&input: &usize| matches!(inputs[input], Unary::AtIntersection | Unary::InIntersection);
         Grounder {
+            placed: (0..inputs.len()).filter(placed).collect(),
             inputs,
             lists,
             classes: classes.iter().map(holds_of).collect(),
@@ -388,13 +392,12 @@ impl<const W: usize> Window<W> {
     /// Sets what depends on the cell where an entity is.
     fn look(&mut self, grounder: &Grounder, entity: usize) {
         let body = &self.bodies[entity];
-        for (set, how) in self.inputs.iter_mut().zip(&grounder.inputs) {
-            let holds = match how {
-                Unary::AtIntersection => body.junction.is_at(body.kind),
+        for &input in &grounder.placed {
+            let holds = match grounder.inputs[input] {
                 Unary::InIntersection => body.junction.is_inside(),
-                Unary::Class | Unary::Always | Unary::Never => continue,
+                _ => body.junction.is_at(body.kind),
             };
-            let word = &mut set[entity / 64];
+            let word = &mut self.inputs[input][entity / 64];
             *word = *word & !(1 << (entity % 64)) | u64::from(holds) << (entity % 64);
         }
     }
