@@ -197,7 +197,7 @@ impl Show {
                     count - 1
                 ))
             })?;
-            return Ok(one(&mut env, episode)?);
+            return one(&mut env, episode);
         }
         let (mut oracle, mut random, mut returns) = (Vec::new(), Vec::new(), Vec::new());
         for episode in &set.episodes {
@@ -235,8 +235,8 @@ impl Show {
         }
         writeln!(
             out,
-            "{:>7} {:20} {:>8} {:>5} {:>5} {:>7}  {}",
-            "episode", "ego", "priority", "cells", "steps", "return", "asked"
+            "{:>7} {:20} {:>8} {:>5} {:>5} {:>7}  asked",
+            "episode", "ego", "priority", "cells", "steps", "return"
         )?;
         for (number, (episode, done)) in set.episodes.iter().zip(&oracle).enumerate() {
             env.reset_to(episode)?;

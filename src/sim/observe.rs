@@ -129,8 +129,8 @@ fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<Demand> {
     };
     let demand = |(position, clause): (u32, &lang::Clause)| {
         let action = action_of(clause.head.relation)?;
-        let asks = !clause.body.is_empty() && !(action == vocabulary.default_action() && is_default(clause));
-        asks.then_some(Demand {
+        let default = action == vocabulary.default_action() && is_default(clause);
+        (!clause.body.is_empty() && !default).then_some(Demand {
             clause: ClauseId(position),
             action,
         })

@@ -174,12 +174,12 @@ impl Env {
             let sum: f64 = ego.concepts.iter().map(|(weight, _)| weight).sum();
             let mut left = stream.random::<f64>() * sum;
             // Rounding may leave a little after the last one, which must not be one of weight 0.
-            let possible = ego.concepts.iter().filter(|(weight, _)| *weight > 0.0);
+            let mut possible = ego.concepts.iter().filter(|(weight, _)| *weight > 0.0);
             let drawn = possible.clone().find(|(weight, _)| {
                 left -= weight;
                 left < 0.0
             });
-            let (_, concepts) = drawn.or(possible.last()).expect("a weight is not 0");
+            let (_, concepts) = drawn.or(possible.next_back()).expect("a weight is not 0");
             agents[first].concepts = Arc::clone(concepts);
         }
         self.horizon = self.task.config().horizon;
