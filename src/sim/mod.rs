@@ -15,6 +15,7 @@ mod scene;
 mod simulation;
 mod trace;
 mod vocabulary;
+mod why;
 mod window;
 mod world;
 
@@ -29,4 +30,5 @@ pub use scene::MAX_ENTITIES;
 pub use simulation::{AgentTick, Batch, Moment, Phase, Settings, Simulation, TickReport};
 pub use trace::{TRACE_VERSION, TraceWriter, hash_sources};
 pub use vocabulary::{Actions, Predicate, Vocabulary};
+pub use why::{Account, Decision};
 pub use world::World;
