@@ -14,6 +14,7 @@ use logicity::sim::{Executor, Inference, Settings, Simulation, World};
 use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// The world of a mode.
 fn world(mode: &str) -> Arc<World> {
@@ -181,5 +182,10 @@ fn moves(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(city, tick, infer, rules, route, moves);
+criterion_group! {
+    name = city;
+    // Long enough for figures that agree within some percent, and all of `cargo bench` takes minutes.
+    config = Criterion::default().warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(3));
+    targets = tick, infer, rules, route, moves
+}
 criterion_main!(city);

@@ -11,6 +11,7 @@ use datafrog::{Iteration, Relation};
 use logicity::engine::{Program, Session, naive};
 use logicity::lang::{RelId, Value};
 use std::hint::black_box;
+use std::time::Duration;
 use written_program::program;
 
 const TRANSITIVE: &str = ".decl Edge(x: number, y: number)
@@ -320,5 +321,10 @@ fn large_texts(c: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, fixpoints, ticks, large_city, large_texts);
+criterion_group! {
+    name = benches;
+    // Long enough for figures that agree within some percent, and all of `cargo bench` takes minutes.
+    config = Criterion::default().warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(3));
+    targets = fixpoints, ticks, large_city, large_texts
+}
 criterion_main!(benches);

@@ -117,3 +117,12 @@ proptest! {
         any_input::rows(&bytes);
     }
 }
+
+/// Found by fuzzing: more faults than are told.
+#[test]
+fn rows_with_more_faults_than_are_told_are_refused() {
+    let bytes: Vec<u8> = std::iter::once(0)
+        .chain(b"x\n".repeat(2 * logicity::diag::MAX_FAULTS))
+        .collect();
+    any_input::rows(&bytes);
+}

@@ -304,15 +304,7 @@ impl Crowd {
     pub fn follow(&mut self, map: &CityMap, agents: &[Agent]) {
         match &mut self.shape {
             Shape::One(one) => one.follow(&self.reading.grounder, map, agents),
-            Shape::Tiles(tiles) => {
-                let follow = |(body, agent): (&mut Body, &Agent)| body.shift(map, agent.cell, agent.heading);
-                match tiles.workers.len() {
-                    1 => tiles.bodies.iter_mut().zip(agents).for_each(follow),
-                    _ => (tiles.bodies.par_iter_mut().with_min_len(4096))
-                        .zip(agents)
-                        .for_each(follow),
-                }
-            }
+            Shape::Tiles(tiles) => tiles.follow(map, agents),
         }
     }
 }
@@ -376,11 +368,12 @@ impl<const W: usize> OneWindow for One<W> {
 
 /// A city in tiles. For each tile the agents in it are decided about, in a window that has all they can see.
 struct Tiles {
-    /// In the order of the list of agents.
+    /// By bins, row by row. Between ticks it may be that bodies have left their bins: but they do not go far, so that sorting them again
+    /// reads and writes memory nearly in order.
     bodies: Vec<Body>,
-    /// The same by bins, row by row.
+    /// Where they are sorted to.
     sorted: Vec<Body>,
-    /// Where each bin begins in `sorted`, and where the last one ends.
+    /// Where each bin begins in `bodies`, and where the last one ends.
     bins: Vec<u32>,
     /// Bins along both axes.
     size: [i32; 2],
@@ -413,6 +406,12 @@ struct Area {
 }
 
 impl Area {
+    const EMPTY: Area = Area {
+        first: Cell::new(0, 0),
+        rows: 0,
+        cols: 0,
+    };
+
     fn contains(&self, cell: Cell) -> bool {
         let (row, col) = (cell.row - self.first.row, cell.col - self.first.col);
         (0..self.rows).contains(&row) && (0..self.cols).contains(&col)
@@ -454,7 +453,7 @@ impl Tiles {
         (cell.row / BIN * self.size[1] + cell.col / BIN) as usize
     }
 
-    /// Sorts the bodies into bins, in the order of the list within each.
+    /// Sorts the bodies into bins.
     fn sort(&mut self) {
         let mut bins = std::mem::take(&mut self.bins);
         bins.fill(0);
@@ -466,13 +465,25 @@ impl Tiles {
             end += *bin;
             *bin = end;
         }
-        for at in (0..self.bodies.len()).rev() {
-            let body = self.bodies[at];
+        for body in self.bodies.iter().rev() {
             let place = &mut bins[self.bin(body.at)];
             *place -= 1;
-            self.sorted[*place as usize] = body;
+            self.sorted[*place as usize] = *body;
         }
         self.bins = bins;
+        std::mem::swap(&mut self.bodies, &mut self.sorted);
+    }
+
+    /// Takes note of where the agents are.
+    fn follow(&mut self, map: &CityMap, agents: &[Agent]) {
+        let follow = |body: &mut Body| {
+            let agent = &agents[body.agent as usize];
+            body.shift(map, agent.cell, agent.heading);
+        };
+        match self.workers.len() {
+            1 => self.bodies.iter_mut().for_each(follow),
+            _ => self.bodies.par_iter_mut().with_min_len(4096).for_each(follow),
+        }
     }
 
     fn decide(
@@ -534,7 +545,7 @@ impl Tiles {
     ) -> Result<(), Diagnostic> {
         let found = &mut worker.found;
         found.clear();
-        self.gather(tile, found);
+        self.gather(tile, Area::EMPTY, found);
         if found.is_empty() {
             return Ok(());
         }
@@ -549,7 +560,7 @@ impl Tiles {
             ..window
         };
         let egos = found.len();
-        self.gather_around(window, tile, found);
+        self.gather(window, tile, found);
         let evaluate = Evaluate {
             reading,
             draws,
@@ -589,17 +600,8 @@ impl Tiles {
         Ok(())
     }
 
-    /// Adds the bodies in an area.
-    fn gather(&self, area: Area, found: &mut Vec<Body>) {
-        self.each_in(area, |body| {
-            if area.contains(body.at) {
-                found.push(*body);
-            }
-        });
-    }
-
     /// Adds the bodies in `area` that are not in `hole`.
-    fn gather_around(&self, area: Area, hole: Area, found: &mut Vec<Body>) {
+    fn gather(&self, area: Area, hole: Area, found: &mut Vec<Body>) {
         self.each_in(area, |body| {
             if area.contains(body.at) && !hole.contains(body.at) {
                 found.push(*body);
@@ -618,7 +620,7 @@ impl Tiles {
             let [start, end] = cols.map(|col| row * self.size[1] + col);
             if start <= end {
                 let (start, end) = (self.bins[start as usize], self.bins[end as usize + 1]);
-                self.sorted[start as usize..end as usize].iter().for_each(&mut each);
+                self.bodies[start as usize..end as usize].iter().for_each(&mut each);
             }
         }
     }

@@ -112,6 +112,8 @@ struct Asked {
 pub(super) struct Plan {
     pub dense: Dense,
     inputs: Vec<Unary>,
+    /// The inputs that depend on the cell where an agent is.
+    placed: Vec<usize>,
     lists: Vec<Asked>,
     /// The inputs of which what an agent is decides.
     steady: Vec<(usize, Definition)>,
@@ -146,7 +148,7 @@ impl Plan {
             let position = predicates.position(|predicate| predicate.relation == Some(relation))?;
             Some((position, &vocabulary.predicates[position].definition))
         };
-        let inputs = (dense.inputs().iter())
+        let inputs: Vec<Unary> = (dense.inputs().iter())
             .map(|&input| match input {
                 Input::Unary(relation) => match find(relation) {
                     Some((_, Definition::AtIntersection)) => Unary::AtIntersection,
@@ -175,7 +177,9 @@ impl Plan {
             })
             .filter(|(_, definition)| definition.is_steady())
             .collect();
+        let placed = |&input: &usize| matches!(inputs[input], Unary::AtIntersection | Unary::InIntersection);
         Plan {
+            placed: (0..inputs.len()).filter(placed).collect(),
             inputs,
             lists,
             steady,
@@ -443,13 +447,12 @@ impl<const W: usize> Window<W> {
     /// Sets what depends on the cell where an entity is.
     fn look(&mut self, grounder: &Grounder, entity: usize) {
         let body = &self.bodies[entity];
-        for (set, how) in self.inputs.iter_mut().zip(&grounder.inputs) {
-            let holds = match how {
-                Unary::AtIntersection => body.junction.is_at(body.kind),
+        for &input in &grounder.placed {
+            let holds = match grounder.inputs[input] {
                 Unary::InIntersection => body.junction.is_inside(),
-                Unary::Class | Unary::Always | Unary::Never => continue,
+                _ => body.junction.is_at(body.kind),
             };
-            let word = &mut set[entity / 64];
+            let word = &mut self.inputs[input][entity / 64];
             *word = *word & !(1 << (entity % 64)) | u64::from(holds) << (entity % 64);
         }
     }

@@ -1,6 +1,6 @@
 //! Which strata the dense executor can take.
 
-use super::compile::Dense;
+use super::program::Dense;
 use crate::diag::Span;
 use crate::lang::{Atom, BaseType, Comparison, Literal, RelId, Rules, Stratum, Term};
 use std::fmt;

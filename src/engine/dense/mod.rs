@@ -17,9 +17,15 @@
 //! in the facts is an entity.
 
 mod analyse;
+mod body;
 mod compile;
+mod facts;
+mod program;
 mod run;
+mod sets;
 
 pub use analyse::{Choice, Reason, choose};
-pub use compile::{Axis, Counting, Dense, Input, List};
-pub use run::{BitFacts, Frame, Pairs, Set, and, first, has, is_empty, members, without};
+pub use facts::BitFacts;
+pub use program::{Axis, Counting, Dense, Input, List};
+pub use run::{Frame, Pairs};
+pub use sets::{Set, and, first, has, is_empty, members, without};

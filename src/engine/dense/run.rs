@@ -1,92 +1,8 @@
 //! Running a [`Dense`] program.
 
-use super::compile::{Axis, Combination, Dense, Input, List, Lists, Op, Place, Range, Step};
+use super::program::{Any, Axis, Demand, Dense, Op, Place, Range, Rare, Reg, Step};
+use super::sets::{Set, and, first, has, is_empty, members, only, or, without};
 use crate::lang::{ClauseId, RelId};
-
-/// A set of entities: entity `i` is bit `i % 64` of word `i / 64`. Holds up to `64 * W` entities.
-pub type Set<const W: usize> = [u64; W];
-
-/// The set with one member.
-fn only<const W: usize>(entity: usize) -> Set<W> {
-    let mut set = [0; W];
-    set[entity / 64] = 1 << (entity % 64);
-    set
-}
-
-/// Whether the entity is in the set.
-pub fn has<const W: usize>(set: &Set<W>, entity: usize) -> bool {
-    set[entity / 64] >> (entity % 64) & 1 != 0
-}
-
-/// The first `count` entities.
-pub fn first<const W: usize>(count: usize) -> Set<W> {
-    std::array::from_fn(|word| match count.saturating_sub(word * 64) {
-        0 => 0,
-        1..64 => (1 << (count % 64)) - 1,
-        _ => u64::MAX,
-    })
-}
-
-/// The members of both.
-#[inline(always)]
-pub fn and<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
-    let mut at = 0;
-    while at < W {
-        left[at] &= right[at];
-        at += 1;
-    }
-    left
-}
-
-/// The members of `left` that are not in `right`.
-#[inline(always)]
-pub fn without<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
-    let mut at = 0;
-    while at < W {
-        left[at] &= !right[at];
-        at += 1;
-    }
-    left
-}
-
-#[inline(always)]
-fn or<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
-    let mut at = 0;
-    while at < W {
-        left[at] |= right[at];
-        at += 1;
-    }
-    left
-}
-
-/// Whether the set has no members.
-#[inline(always)]
-pub fn is_empty<const W: usize>(set: &Set<W>) -> bool {
-    let mut all = 0;
-    let mut at = 0;
-    while at < W {
-        all |= set[at];
-        at += 1;
-    }
-    all == 0
-}
-
-/// The entities of a set in ascending order.
-pub fn members<const W: usize>(set: &Set<W>) -> impl Iterator<Item = usize> + use<W> {
-    let mut rest = *set;
-    let mut word = 0;
-    std::iter::from_fn(move || {
-        while word < W {
-            if rest[word] != 0 {
-                let bit = rest[word].trailing_zeros() as usize;
-                rest[word] &= rest[word] - 1;
-                return Some(word * 64 + bit);
-            }
-            word += 1;
-        }
-        None
-    })
-}
 
 /// Where facts about pairs come from.
 pub trait Pairs<const W: usize> {
@@ -113,46 +29,73 @@ pub trait Pairs<const W: usize> {
     }
 }
 
-/// [`Pairs::any`] for a number of lists that is known at run time.
-#[inline]
-fn any<const W: usize>(pairs: &impl Pairs<W>, lists: Lists, demand: Set<W>, among: Set<W>) -> Set<W> {
-    let [first, second, third] = lists.lists.map(usize::from);
-    match lists.count {
-        0 => demand,
-        1 => pairs.any([first], demand, among),
-        2 => pairs.any([first, second], demand, among),
-        _ => pairs.any([first, second, third], demand, among),
+/// A program with so many sets at most runs faster.
+const FEW: usize = 256;
+
+/// The sets of a frame while a program runs.
+trait Sets<const W: usize>: AsRef<[Set<W>]> {
+    fn get(&self, set: Reg) -> &Set<W>;
+    fn get_mut(&mut self, set: Reg) -> &mut Set<W>;
+}
+
+impl<const W: usize> Sets<W> for [Set<W>] {
+    #[inline(always)]
+    fn get(&self, set: Reg) -> &Set<W> {
+        &self[set.index()]
+    }
+
+    #[inline(always)]
+    fn get_mut(&mut self, set: Reg) -> &mut Set<W> {
+        &mut self[set.index()]
     }
 }
 
-/// Makes combinations of sets.
-#[inline]
-fn combine<const W: usize>(sets: &mut [Set<W>], combinations: &[Combination]) {
-    for &Combination {
-        dst,
-        left,
-        right,
-        flips,
-    } in combinations
-    {
-        let (left, right) = (sets[left.index()], sets[right.index()]);
-        let [flip_left, flip_right, flip] = flips;
-        let dst = &mut sets[dst.index()];
-        let mut word = 0;
-        while word < W {
-            dst[word] = (left[word] ^ flip_left) & (right[word] ^ flip_right) ^ flip;
-            word += 1;
-        }
+// As many as there are numbers of one byte, so that the number of a set need not be compared with theirs.
+impl<const W: usize> Sets<W> for [Set<W>; FEW] {
+    #[inline(always)]
+    fn get(&self, set: Reg) -> &Set<W> {
+        &self[set.index() % FEW]
+    }
+
+    #[inline(always)]
+    fn get_mut(&mut self, set: Reg) -> &mut Set<W> {
+        &mut self[set.index() % FEW]
+    }
+}
+
+impl Demand {
+    /// Who is asked about.
+    #[inline(always)]
+    fn of<const W: usize>(&self, sets: &(impl Sets<W> + ?Sized)) -> Set<W> {
+        without(and(*sets.get(self.left), sets.get(self.right)), sets.get(self.dst))
+    }
+}
+
+#[inline(always)]
+fn add_any<const W: usize, const N: usize>(
+    sets: &mut (impl Sets<W> + ?Sized),
+    demand: &Demand,
+    search: &Any<N>,
+    pairs: &impl Pairs<W>,
+) {
+    let (asked, among) = (demand.of(sets), *sets.get(search.among));
+    if !is_empty(&asked) && !is_empty(&among) {
+        let found = match N {
+            0 => asked,
+            _ => pairs.any(search.lists.map(usize::from), asked, among),
+        };
+        let dst = sets.get_mut(demand.dst);
+        *dst = or(*dst, &found);
     }
 }
 
 /// The sets a [`Dense`] program reads and writes, for one universe.
 #[derive(Clone, Debug)]
 pub struct Frame<const W: usize> {
-    count: usize,
-    sets: Vec<Set<W>>,
+    pub(super) count: usize,
+    pub(super) sets: Vec<Set<W>>,
     /// Whether a steady input has changed since what follows from it was computed.
-    unsettled: bool,
+    pub(super) unsettled: bool,
     /// Rows of derived predicates with two columns, `count` for each.
     rows: Vec<Set<W>>,
 }
@@ -165,7 +108,7 @@ impl<const W: usize> Frame<W> {
     pub fn new(program: &Dense, count: usize) -> Self {
         let mut frame = Frame {
             count: 0,
-            sets: Vec::new(),
+            sets: vec![[0; W]; program.set_count.max(FEW)],
             unsettled: true,
             rows: Vec::new(),
         };
@@ -173,20 +116,20 @@ impl<const W: usize> Frame<W> {
         frame
     }
 
-    /// Makes it one for another universe; all inputs are empty. Allocates only if it is larger than every one before.
+    /// Makes it one for another universe, under the same program; all inputs are empty. Allocates only if it is larger than every one
+    /// before.
     ///
     /// # Panics
     /// If a set does not hold so many.
     pub fn reset(&mut self, program: &Dense, count: usize) {
         assert!(count <= 64 * W, "{count} entities in sets of {}", 64 * W);
         self.count = count;
-        self.sets.clear();
-        self.sets.resize(program.set_count(), [0; W]);
+        self.sets[..program.set_count].fill([0; W]);
         self.rows.clear();
-        self.rows.resize(program.row_lists() * count, [0; W]);
+        self.rows.resize(program.row_lists * count, [0; W]);
         self.unsettled = true;
-        self.sets[Dense::ALL] = first(count);
-        self.sets[Dense::EGOS] = first(count);
+        self.sets[Reg::ALL.index()] = first(count);
+        self.sets[Reg::EGOS.index()] = first(count);
     }
 
     /// How many entities there are.
@@ -197,98 +140,41 @@ impl<const W: usize> Frame<W> {
     /// Decides only about these entities: heads whose first argument is another are left out. Only for programs that are
     /// [local](Dense::is_local); for others the answer would be wrong.
     pub fn set_egos(&mut self, egos: Set<W>) {
-        let egos = and(egos, &self.sets[Dense::ALL]);
-        self.unsettled |= self.sets[Dense::EGOS] != egos;
-        self.sets[Dense::EGOS] = egos;
+        let egos = and(egos, &self.sets[Reg::ALL.index()]);
+        let old = &mut self.sets[Reg::EGOS.index()];
+        self.unsettled |= *old != egos;
+        *old = egos;
     }
 
     /// Sets an input: the entities of which it holds. `input` is a position in [`Dense::inputs`].
     pub fn set_input(&mut self, program: &Dense, input: usize, set: Set<W>) {
-        let old = &mut self.sets[Dense::FIRST_INPUT + input];
+        let old = &mut self.sets[Reg::INPUTS.index() + input];
         self.unsettled |= input >= program.restless && *old != set;
         *old = set;
     }
 
     /// Evaluates the program.
     pub fn run(&mut self, program: &Dense, pairs: &impl Pairs<W>) {
-        for &head in &program.heads {
-            self.sets[head.index()] = [0; W];
+        let Frame {
+            count,
+            sets,
+            unsettled,
+            rows,
+        } = self;
+        for set in &program.cleared {
+            sets[set.index()] = [0; W];
         }
-        if !self.rows.is_empty() {
-            self.rows.fill([0; W]);
+        if !rows.is_empty() {
+            rows.fill([0; W]);
         }
-        if self.unsettled {
-            combine(&mut self.sets, &program.settling);
-            self.unsettled = false;
+        let mut execute = |ops: &[Op]| match sets.first_chunk_mut::<FEW>() {
+            Some(few) if program.set_count <= FEW => execute(program, ops, few, rows, *count, pairs),
+            _ => execute(program, ops, &mut sets[..], rows, *count, pairs),
+        };
+        if std::mem::take(unsettled) {
+            execute(&program.settling);
         }
-        self.execute(program, pairs);
-    }
-
-    #[inline]
-    fn execute(&mut self, program: &Dense, pairs: &impl Pairs<W>) {
-        // As a local the list stays in registers.
-        let mut sets = std::mem::take(&mut self.sets);
-        for op in &program.ops {
-            match *op {
-                Op::Combine(range) => combine(&mut sets, program.combinations(range)),
-                Op::Any {
-                    dst,
-                    demand,
-                    among,
-                    lists,
-                } => {
-                    let (demand, among) = (sets[demand.index()], sets[among.index()]);
-                    sets[dst.index()] = match is_empty(&demand) || is_empty(&among) {
-                        true => [0; W],
-                        false => any(pairs, lists, demand, among),
-                    };
-                }
-                Op::AddAny {
-                    dst,
-                    left,
-                    right,
-                    among,
-                    lists,
-                } => {
-                    let known = sets[dst.index()];
-                    let demand = without(and(sets[left.index()], &sets[right.index()]), &known);
-                    let among = sets[among.index()];
-                    if !is_empty(&demand) && !is_empty(&among) {
-                        sets[dst.index()] = or(known, &any(pairs, lists, demand, among));
-                    }
-                }
-                Op::Exists { dst, demand, steps } => {
-                    sets[dst.index()] = self.search(program, &sets, pairs).exists(sets[demand.index()], steps);
-                }
-                Op::Rows { dst, demand, steps } => {
-                    let (steps, demand) = (program.steps(steps), sets[demand.index()]);
-                    if is_empty(&sets[steps[0].among.index()]) {
-                        continue;
-                    }
-                    for ego in members(&demand) {
-                        let set = self.search(program, &sets, pairs).values(ego, steps);
-                        let row = dst * self.count + ego;
-                        self.rows[row] = or(self.rows[row], &set);
-                    }
-                }
-                Op::OrRows { dst, from } => {
-                    for at in 0..self.count {
-                        let dst = dst * self.count + at;
-                        self.rows[dst] = or(self.rows[dst], &self.rows[from * self.count + at]);
-                    }
-                }
-                Op::Diagonal { dst, rows } => {
-                    let mut set = [0; W];
-                    for at in 0..self.count {
-                        if has(&self.rows[rows * self.count + at], at) {
-                            set[at / 64] |= 1 << (at % 64);
-                        }
-                    }
-                    sets[dst.index()] = set;
-                }
-            }
-        }
-        self.sets = sets;
+        execute(&program.ops);
     }
 
     /// Of which entities a predicate with one column holds; `None` if the program does not derive it.
@@ -319,15 +205,96 @@ impl<const W: usize> Frame<W> {
         let rows = &self.rows[list * self.count..(list + 1) * self.count];
         Some(rows.iter().map(size).sum())
     }
+}
 
-    fn search<'a, P>(&'a self, program: &'a Dense, sets: &'a [Set<W>], pairs: &'a P) -> Search<'a, W, P> {
-        Search {
-            program,
-            sets,
-            rows: &self.rows,
-            count: self.count,
-            pairs,
+/// Runs operations of the program one after the other.
+fn execute<const W: usize>(
+    program: &Dense,
+    ops: &[Op],
+    sets: &mut (impl Sets<W> + ?Sized),
+    rows: &mut [Set<W>],
+    count: usize,
+    pairs: &impl Pairs<W>,
+) {
+    for op in ops {
+        match op {
+            Op::Both { dst, left, right } => *sets.get_mut(*dst) = and(*sets.get(*left), sets.get(*right)),
+            Op::Without { dst, left, right } => *sets.get_mut(*dst) = without(*sets.get(*left), sets.get(*right)),
+            Op::Add { dst, left, right } => {
+                let set = and(*sets.get(*left), sets.get(*right));
+                let dst = sets.get_mut(*dst);
+                *dst = or(*dst, &set);
+            }
+            Op::Any0(demand, search) => add_any(sets, demand, search, pairs),
+            Op::Any1(demand, search) => add_any(sets, demand, search, pairs),
+            Op::Any2(demand, search) => add_any(sets, demand, search, pairs),
+            Op::Any3(demand, search) => add_any(sets, demand, search, pairs),
+            Op::Exists(demand, steps) => {
+                let asked = demand.of(sets);
+                if !is_empty(&asked) {
+                    let found = search(program, sets, rows, count, pairs).exists(asked, *steps);
+                    let dst = sets.get_mut(demand.dst);
+                    *dst = or(*dst, &found);
+                }
+            }
+            Op::Rare(op) => execute_rare(program, op, sets, rows, count, pairs),
         }
+    }
+}
+
+// Apart, so that the usual operations find what they need in registers.
+#[inline(never)]
+fn execute_rare<const W: usize>(
+    program: &Dense,
+    op: &Rare,
+    sets: &mut (impl Sets<W> + ?Sized),
+    rows: &mut [Set<W>],
+    count: usize,
+    pairs: &impl Pairs<W>,
+) {
+    match op {
+        Rare::Rows { dst, demand, steps } => {
+            let (steps, demand) = (program.steps(*steps), *sets.get(*demand));
+            if is_empty(sets.get(steps[0].among)) {
+                return;
+            }
+            for ego in members(&demand) {
+                let set = search(program, sets, rows, count, pairs).values(ego, steps);
+                let row = dst * count + ego;
+                rows[row] = or(rows[row], &set);
+            }
+        }
+        Rare::OrRows { dst, from } => {
+            for at in 0..count {
+                let dst = dst * count + at;
+                rows[dst] = or(rows[dst], &rows[from * count + at]);
+            }
+        }
+        Rare::Diagonal { dst, rows: list } => {
+            let mut set = [0; W];
+            for at in 0..count {
+                if has(&rows[list * count + at], at) {
+                    set[at / 64] |= 1 << (at % 64);
+                }
+            }
+            *sets.get_mut(*dst) = set;
+        }
+    }
+}
+
+fn search<'a, const W: usize, P>(
+    program: &'a Dense,
+    sets: &'a (impl Sets<W> + ?Sized),
+    rows: &'a [Set<W>],
+    count: usize,
+    pairs: &'a P,
+) -> Search<'a, W, P> {
+    Search {
+        program,
+        sets: sets.as_ref(),
+        rows,
+        count,
+        pairs,
     }
 }
 
@@ -345,10 +312,11 @@ type Bound = [usize; Dense::VARIABLES_MAX + 1];
 
 impl<const W: usize, P: Pairs<W>> Search<'_, W, P> {
     /// Those of `demand` for which values of all steps exist.
+    #[inline(never)]
     fn exists(&self, demand: Set<W>, steps: Range) -> Set<W> {
         let mut found = [0; W];
         let steps = self.program.steps(steps);
-        if is_empty(&demand) || is_empty(&self.sets[steps[0].among.index()]) {
+        if is_empty(&self.sets[steps[0].among.index()]) {
             return found;
         }
         for ego in members(&demand) {
@@ -419,112 +387,4 @@ impl<const W: usize, P: Pairs<W>> Search<'_, W, P> {
         }
         set
     }
-}
-
-/// Facts of all predicates that a program reads, held as bits.
-#[derive(Clone, Debug)]
-pub struct BitFacts<const W: usize> {
-    count: usize,
-    inputs: Vec<Set<W>>,
-    /// For each list one block for each word of a set: the rows of the entities that have their bits in that word.
-    lists: Vec<[Set<W>; 64]>,
-}
-
-impl<const W: usize> BitFacts<W> {
-    /// No facts about `count` entities.
-    pub fn new(program: &Dense, count: usize) -> Self {
-        BitFacts {
-            count,
-            inputs: vec![[0; W]; program.inputs().len()],
-            lists: vec![[[0; W]; 64]; program.lists().len() * W],
-        }
-    }
-
-    /// Adds a fact: its predicate and the positions of its entities. Facts that the program does not read are passed over.
-    ///
-    /// # Panics
-    /// If there are fewer entities.
-    pub fn insert(&mut self, program: &Dense, relation: RelId, row: &[usize]) {
-        assert!(row.iter().all(|&entity| entity < self.count), "unknown entity");
-        for (&input, set) in program.inputs().iter().zip(&mut self.inputs) {
-            let holds = match (input, row) {
-                (Input::Unary(read), [_]) => read == relation,
-                (Input::Diagonal(read), [x, y]) => read == relation && x == y,
-                _ => false,
-            };
-            if holds {
-                set[row[0] / 64] |= 1 << (row[0] % 64);
-            }
-        }
-        if let &[x, y] = row {
-            for (position, list) in program.lists().iter().enumerate() {
-                let (at, member) = match *list {
-                    List(read, Axis::Second) if read == relation => (x, y),
-                    List(read, Axis::First) if read == relation => (y, x),
-                    List(..) => continue,
-                };
-                self.lists[position * W + at / 64][at % 64][member / 64] |= 1 << (member % 64);
-            }
-        }
-    }
-
-    /// Gives a frame for as many entities its inputs.
-    ///
-    /// # Panics
-    /// If the frame is for another number of entities.
-    pub fn load(&self, program: &Dense, frame: &mut Frame<W>) {
-        assert_eq!(self.count, frame.count);
-        let (restless, steady) = self.inputs.split_at(program.restless);
-        let (into, steady_into) = (frame.sets[Dense::FIRST_INPUT..]).split_at_mut(program.restless);
-        into.copy_from_slice(restless);
-        let steady_into = &mut steady_into[..steady.len()];
-        if steady_into != steady {
-            steady_into.copy_from_slice(steady);
-            frame.unsettled = true;
-        }
-    }
-}
-
-impl<const W: usize> Pairs<W> for BitFacts<W> {
-    #[inline]
-    fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
-        and(among, &self.lists[list * W + at / 64][at % 64])
-    }
-
-    #[inline]
-    fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
-        let mut found = [0; W];
-        let mut word = 0;
-        while word < W {
-            if demand[word] != 0 {
-                let rows = lists.map(|list| &self.lists[list * W + word]);
-                found[word] = of(demand[word], |at| {
-                    let mut set = among;
-                    let mut list = 0;
-                    while list < N {
-                        set = and(set, &rows[list][at]);
-                        list += 1;
-                    }
-                    !is_empty(&set)
-                });
-            }
-            word += 1;
-        }
-        found
-    }
-}
-
-/// Those of `members` for which it holds.
-#[inline(always)]
-fn of(members: u64, holds: impl Fn(usize) -> bool) -> u64 {
-    let mut found = 0;
-    let mut rest = members;
-    while rest != 0 {
-        let lowest = rest & rest.wrapping_neg();
-        let at = rest.trailing_zeros() as usize & 63;
-        // Without a branch: whether it holds is hard to guess.
-        found |= lowest & u64::from(holds(at)).wrapping_neg();
-        rest ^= lowest;
-    }
-    found
 }
