@@ -12,6 +12,7 @@ use proptest::prelude::*;
 use proptest::strategy::Strategy as _;
 use random_program::agree::{agrees, database};
 use random_program::{Genome, computing_genomes, genomes, recursive_genomes, sharing_genomes};
+use std::cell::Cell;
 use std::collections::BTreeSet;
 use written_program::program;
 
@@ -1267,4 +1268,55 @@ fn the_clause_that_derives_without_end_is_named() {
         assert!(matches!(head.terms[..], [lang::Term::Variable(_)]));
         assert_eq!(error.clause(), ClauseId(2));
     }
+}
+
+#[test]
+fn a_commit_ends_when_its_caller_says_so() {
+    // Without end in rounds, in one plan, and in the rows an aggregate looks at.
+    let counting = ".decl N(x: number) .decl Seed(x: number) .input Seed N(x) :- Seed(x). N(x + 1) :- N(x).";
+    let product =
+        ".decl A(x: number) .decl Seed(x: number) .input Seed A(x) :- Seed(x), x < 0. A(x) :- x = range(0, 1000).
+        .decl B(x: number) B(x) :- Seed(_), A(x), A(y), A(z), A(w), x + y + z + w < 0.";
+    let counted = ".decl A(x: number) .decl G(x: number, g: number) .decl Seed(x: number) .input Seed
+        A(x) :- x = range(0, 20000). G(x, 0) :- A(x).
+        .decl B(x: number) B(x) :- Seed(_), G(x, g), n = count : { G(_, g) }, n < 0.";
+    for (text, from) in [(counting, "N"), (product, "B"), (counted, "B")] {
+        for count in [1, 3] {
+            let mut session = program(text).session();
+            session.set_threads(eager(count)).unwrap();
+            session.commit().unwrap();
+            let before = session.rows(session.program().relation(from).unwrap()).count();
+            insert(&mut session, "Seed", &[&[7]]);
+            let asked = Cell::new(0);
+            let stop = || asked.replace(asked.get() + 1) >= 2;
+            let error = session.commit_until(&stop).unwrap_err();
+            let clause = &session.program().rules().clauses[error.clause().index()];
+            assert!(matches!(error, EvalError::Interrupted { .. }), "{error}");
+            assert_eq!(
+                session.program().rules().relations[clause.head.relation.index()].name,
+                from
+            );
+            assert_eq!(asked.get(), 3, "it is not asked again");
+            // As it was, with the change still noted, which can be taken back.
+            let relation = session.program().relation(from).unwrap();
+            assert_eq!(session.rows(relation).count(), before);
+            session.rollback();
+            assert!(session.commit_until(&|| true).unwrap().is_empty());
+        }
+    }
+}
+
+#[test]
+fn a_commit_that_nobody_ends_is_like_any_other() {
+    let text =
+        ".decl A(x: number) .decl B(x: number, y: number) A(x) :- x = range(0, 300). B(x, y) :- A(x), A(y), x < y.";
+    let (mut until, mut plain) = (program(text).session(), program(text).session());
+    let asked = Cell::new(0);
+    let delta = until.commit_until(&|| {
+        asked.set(asked.get() + 1);
+        false
+    });
+    assert_eq!(delta, plain.commit());
+    assert_eq!(until.work(), plain.work());
+    assert!(asked.get() > 0);
 }

@@ -22,7 +22,6 @@ from .envs import (
     Split,
     World,
     begin_of,
-    check_options,
     checked_render_mode,
     checked_seed,
     space_of,
@@ -75,9 +74,12 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observations], dict[str, dict[str, Any]]]:
-        """Begin an episode, see `SPFEnv.reset`; `options` may have `episode`, a mapping such as `episode`."""
+        """Begin an episode, see `SPFEnv.reset`.
+
+        `options` may have `episode`, a mapping such as the property of that name. Others mean nothing: PettingZoo has
+        environments take any.
+        """
         options = options or {}
-        check_options(options, ("episode",))
         if seed is not None or not self._seeded:
             if seed is not None or self._generator is None:
                 self._generator, _ = np_random(seed)

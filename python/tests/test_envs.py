@@ -136,7 +136,8 @@ def test_explain_and_render_speak_of_the_moment() -> None:
     env = SPFEnv(render_mode="rgb_array")
     _, info = env.reset(seed=1)
     name = ["Slow", "Normal", "Fast", "Stop"][info["oracle_action"]]
-    assert env.explain().startswith(f"Car_1: the rules want {name}")
+    first, *proof = env.explain().splitlines()
+    assert first.startswith("tick 0: Car_1 at [") and first.endswith(f": {name}") and proof
     before = env.render()
     assert before.dtype == np.uint8 and before.ndim == 3
     env.step(info["oracle_action"])
@@ -307,7 +308,7 @@ def test_a_batch_begins_given_episodes() -> None:
     single.reset(options={"episode": 7})
     assert envs.episode(0) == single.episode
     assert envs.episode(1)["oracle"] is None
-    assert "the rules want" in envs.explain(2)
+    assert envs.explain(2).startswith("tick 0: Car_1 at [")
 
 
 def test_wrong_use_of_a_batch_is_told() -> None:

@@ -40,7 +40,7 @@ def test_cars_that_have_ended_go_on_by_the_rules() -> None:
     assert "Car_7 at [" in env.render()
     env.reset(options={"episode": start})
     assert env.episode == start
-    assert env.explain("Car_2").startswith("Car_2: the rules want")
+    assert env.explain("Car_2").startswith("tick 0: Car_2 at [")
 
 
 def test_wrong_use_is_told() -> None:

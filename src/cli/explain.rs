@@ -2,12 +2,10 @@
 
 use super::Failure;
 use super::trace::TraceReader;
-use super::why;
+use crate::city::{Cell, Heading};
 use crate::config::Speed;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
-use crate::engine::provenance::{Explainer, Explanation, Teller};
-use crate::sim::{Replay, TraceTick};
-use serde_json::json;
+use crate::sim::{Decision, Replay, TraceTick};
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -94,21 +92,6 @@ fn find(trace: &mut TraceReader, number: Option<u64>) -> Result<TraceTick, Failu
     }
 }
 
-/// Why an action holds or does not.
-fn ask(
-    explainer: &mut Explainer<'_>,
-    replay: &Replay,
-    position: usize,
-    action: Speed,
-) -> Result<Option<Explanation>, Failure> {
-    let Some(relation) = replay.world().vocabulary.action(action) else {
-        return Ok(None);
-    };
-    let agent = replay.value(position);
-    let (_, explanation) = why::explain(explainer, replay.session(), relation, &[Some(agent)])?;
-    Ok(explanation)
-}
-
 fn tell(
     arguments: &Arguments,
     replay: &Replay,
@@ -116,80 +99,28 @@ fn tell(
     position: usize,
     sources: &Sources,
 ) -> Result<(), Failure> {
-    let session = replay.session();
-    let rules = session.program().rules();
     let state = &tick.agents[position];
-    let derived = replay.derived(position);
-    let vocabulary = &replay.world().vocabulary;
-
-    // Which actions to speak of: the one asked for; else those derived, the one taken first; else, if none was derived, all.
-    let taken = Speed::ALL.into_iter().find(|speed| speed.name() == state.action);
-    let by_rules = vocabulary.decide(derived);
-    let actions = match arguments.why_not {
-        Some(action) => vec![action],
-        None => vocabulary.telling(derived, |action| session.contains(action, &[replay.value(position)])),
-    };
-
-    let mut explainer = Explainer::new(session);
-    let teller = Teller::new(rules, session.symbols(), sources);
-    let mut explanations = Vec::new();
-    for action in actions {
-        explanations.push((action, ask(&mut explainer, replay, position, action)?));
-    }
-
-    let mut out = anstream::stdout();
-    if arguments.json {
-        let told: Vec<serde_json::Value> = (explanations.iter())
-            .map(|(action, explanation)| {
-                let mut entry = json!({ "action": action.name() });
-                if let Some(explanation) = explanation {
-                    entry["nodes"] = teller.json(explanation)["nodes"].take();
-                }
-                entry
-            })
-            .collect();
-        let line = json!({
-            "tick": tick.tick,
-            "agent": arguments.agent,
-            "at": state.at,
-            "heading": state.heading,
-            "derived": state.derived,
-            "action": state.action,
-            "explanations": told,
-        });
-        writeln!(out, "{line}")?;
-        return Ok(());
-    }
     let [row, col] = state.at;
-    let heading = state.heading.as_ref().map(|heading| format!(", heading {heading}"));
-    writeln!(
-        out,
-        "tick {}: {} at [{row}, {col}]{}: {}",
-        tick.tick,
-        arguments.agent,
-        heading.unwrap_or_default(),
-        state.action
-    )?;
-    if taken.is_some_and(|taken| taken != by_rules) {
-        writeln!(out, "the action came from outside; the rules say {}", by_rules.name())?;
-    } else if derived.len() > 1 {
-        let names: Vec<&str> = derived.iter().map(|speed| speed.name()).collect();
-        writeln!(
-            out,
-            "derived were {}; the first by the configured order was taken",
-            names.join(", ")
-        )?;
-    } else if derived.is_empty() && explanations.len() > 1 {
-        writeln!(out, "no action was derived, so the default was taken")?;
-    }
-    if let Some(action) = arguments.why_not.filter(|action| derived.contains(*action)) {
-        writeln!(out, "{} was derived, and this is why", action.name())?;
-    }
-    for (action, explanation) in &explanations {
-        match explanation {
-            Some(explanation) => write!(out, "\n{}", teller.tree(explanation))?,
-            None => writeln!(out, "\n{}: the rules do not mention it", action.name())?,
-        }
+    let invalid = |name: &String| {
+        let message = format!("`{name}` of `{}` is not an action", arguments.agent);
+        Diagnostic::new(Code::InvalidTrace, message)
+    };
+    let decision = Decision {
+        world: replay.world(),
+        session: replay.session(),
+        tick: tick.tick,
+        agent: arguments.agent.clone(),
+        value: replay.value(position),
+        at: Cell { row, col },
+        heading: state.heading.as_deref().and_then(Heading::from_name),
+        derived: replay.derived(position),
+        action: action(&state.action).map_err(|_| invalid(&state.action))?,
+    };
+    let account = (decision.account(arguments.why_not, &|| false)).map_err(Diagnostic::from)?;
+    let mut out = anstream::stdout();
+    match arguments.json {
+        true => writeln!(out, "{}", account.json(sources))?,
+        false => write!(out, "{}", account.text(sources))?,
     }
     Ok(())
 }

@@ -281,12 +281,14 @@ const MEMORY: &str = "expected a whole number of MiB, or one with a unit: 512K, 
 
 /// The fault of a commit, with what can be done about it.
 pub(super) fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
+    let fault = error.diagnostic(rules);
     let option = match error {
         EvalError::TooManyRows { .. } => "--max-rows",
         EvalError::TooManySteps { .. } => "--max-steps",
         EvalError::TooMuchMemory { .. } => "--max-memory",
+        EvalError::Interrupted { .. } => return fault,
     };
-    error.diagnostic(rules).note(format!("`{option}` allows more"))
+    fault.note(format!("`{option}` allows more"))
 }
 
 /// Reads, checks and plans a rule file. Warnings are returned beside the program.

@@ -2,7 +2,7 @@
 //! [`super::recursion`].
 
 use crate::engine::adapt::Basis;
-use crate::engine::join::{self, Effort, Output, Stop, View};
+use crate::engine::join::{self, Ask, Effort, Output, Stop, View};
 use crate::engine::noted::Noted;
 use crate::engine::plan::{Aim, IndexId, IndexSpec, Plan, Plans, Source, Step, StratumPlan, Version};
 use crate::engine::row::{Row, normalise};
@@ -54,6 +54,8 @@ pub(super) struct Orders<'a> {
     pub(super) workers: &'a Workers,
     /// Is told when a clause begins and ends.
     pub(super) watch: Option<&'a dyn Fn(Moment)>,
+    /// Whether to give the commit up. Asked on the calling thread.
+    pub(super) ask: Ask<'a>,
 }
 
 /// What a stratum may take of what is left.
@@ -162,6 +164,7 @@ pub(super) struct Meter<'a> {
     /// `None`: everything is done on the calling thread.
     workers: Option<&'a Workers>,
     watch: Option<&'a dyn Fn(Moment)>,
+    ask: Ask<'a>,
 }
 
 impl<'a> Meter<'a> {
@@ -174,6 +177,7 @@ impl<'a> Meter<'a> {
             rules: Vec::new(),
             workers,
             watch: orders.watch,
+            ask: orders.ask,
         }
     }
 
@@ -198,8 +202,8 @@ impl<'a> Meter<'a> {
         let tell = |moment| self.watch.iter().for_each(|watch| watch(moment));
         tell(Moment::Begin(clause));
         let result = match self.workers {
-            Some(workers) => workers.run(plan, views, symbols, &mut self.effort, out),
-            None => join::run(plan, views, symbols, &mut self.effort, out),
+            Some(workers) => workers.run(plan, views, (symbols, self.ask), &mut self.effort, out),
+            None => join::run(plan, views, (symbols, self.ask), &mut self.effort, out),
         };
         tell(Moment::End(clause));
         let position = self.rules.binary_search_by_key(&clause, |rule| rule.clause);
@@ -310,6 +314,7 @@ impl<const W: usize> State<W> {
                             limit: limits.bytes,
                             clause,
                         },
+                        Stop::Interrupted => EvalError::Interrupted { clause },
                     }
                 })?
             };
@@ -414,6 +419,7 @@ impl<const W: usize> State<W> {
                         }
                         return Ok(StratumWork::Maintained(meter.finish(rounds)));
                     }
+                    Err(failure @ (_, Stop::Interrupted)) => return Err(failure),
                     // Where it was stopped may depend on the number of threads. That it passed the budget does not.
                     Err(_) => given_up = budget,
                 }
@@ -438,7 +444,7 @@ impl<const W: usize> State<W> {
         };
         let (results, rounds, meter) = match attempt(workers) {
             // Which limit is passed first, and where, may depend on the number of threads.
-            Err(_) if several => attempt(None)?,
+            Err((_, stop)) if several && stop != Stop::Interrupted => attempt(None)?,
             result => result?,
         };
         *cost = Cost {
@@ -638,7 +644,7 @@ impl<const W: usize> Store for State<W> {
         if self.committed {
             let views: Vec<View<'_, W>> = self.complete_views(&self.plans, plan).collect();
             // What a clause derives is in its head's relation, which is within the limit: it cannot overflow.
-            let _ = join::run(plan, &views, symbols, &mut Effort::new(u64::MAX), &mut out);
+            let _ = join::run(plan, &views, (symbols, None), &mut Effort::new(u64::MAX), &mut out);
         }
         let arity = compiled.rules.relations[plan.head.index()].arity();
         out.take().iter().map(|row| row.0[..arity].to_vec()).collect()

@@ -94,7 +94,12 @@ pub(super) enum Stop {
     Budget,
     /// Rows, indexes or texts take more memory than allowed.
     Memory,
+    /// The caller will not wait longer.
+    Interrupted,
 }
+
+/// Is asked now and then whether to give an evaluation up.
+pub(super) type Ask<'a> = Option<&'a dyn Fn() -> bool>;
 
 /// What evaluations need besides their inputs, and how much they did.
 #[derive(Debug)]
@@ -104,17 +109,23 @@ pub(super) struct Effort {
     pub(super) looked_at: u64,
     /// More than this is too much.
     pub(super) budget: u64,
+    /// With more rows than this it is time to see whether to go on.
+    pause: u64,
     /// More bytes of texts than this are too much.
     pub(super) text_bytes: u64,
 }
 
 impl Effort {
+    /// So many rows are looked at between two questions whether to go on: a fraction of a millisecond.
+    const PAUSE: u64 = 1 << 14;
+
     /// None yet.
     pub(super) fn new(budget: u64) -> Self {
         Effort {
             slots: Vec::new(),
             looked_at: 0,
             budget,
+            pause: budget.min(Self::PAUSE),
             text_bytes: u64::MAX,
         }
     }
@@ -374,7 +385,7 @@ impl<const W: usize> Output<W> {
 pub(super) fn run<const W: usize>(
     plan: &Plan,
     views: &[View<'_, W>],
-    symbols: &Symbols,
+    (symbols, ask): (&Symbols, Ask<'_>),
     effort: &mut Effort,
     out: &mut Output<W>,
 ) -> Result<(), Stop> {
@@ -387,13 +398,15 @@ pub(super) fn run<const W: usize>(
         slots: &mut effort.slots,
         looked_at: effort.looked_at,
         budget: effort.budget,
+        pause: effort.pause,
+        ask,
         text_bytes: effort.text_bytes,
         patterns: None,
         cursors: Vec::new(),
         out,
     };
     let result = join.from(0, plan.steps.len());
-    effort.looked_at = join.looked_at;
+    (effort.looked_at, effort.pause) = (join.looked_at, join.pause);
     result?;
     // The last scan may have been the one that was too much.
     if effort.looked_at > effort.budget {
@@ -412,6 +425,8 @@ struct Join<'a, const W: usize> {
     slots: &'a mut [Value],
     looked_at: u64,
     budget: u64,
+    pause: u64,
+    ask: Ask<'a>,
     text_bytes: u64,
     /// Made when first needed.
     patterns: Option<Patterns>,
@@ -482,6 +497,9 @@ impl<const W: usize> Join<'_, W> {
                     let views = self.views;
                     let ranges = views[depth].batches().map(|batch| batch.range(&words[..key.len()]));
                     self.looked_at += ranges.map(|range| range.len() as u64).sum::<u64>();
+                    if self.looked_at > self.pause {
+                        self.pause()?;
+                    }
                     let rows = views[depth]
                         .batches()
                         .flat_map(|batch| batch.range(&words[..key.len()]));
@@ -498,6 +516,19 @@ impl<const W: usize> Join<'_, W> {
         }
     }
 
+    /// Whether to go on after so many rows.
+    #[cold]
+    fn pause(&mut self) -> Result<(), Stop> {
+        if self.looked_at > self.budget {
+            return Err(Stop::Budget);
+        }
+        if self.ask.is_some_and(|ask| ask()) {
+            return Err(Stop::Interrupted);
+        }
+        self.pause = self.budget.min(self.looked_at + Effort::PAUSE);
+        Ok(())
+    }
+
     #[inline]
     fn holds(&mut self, depth: usize, key: &[Slot]) -> bool {
         self.looked_at += 1;
@@ -511,8 +542,8 @@ impl<const W: usize> Join<'_, W> {
 
     /// Does a step that may go on several times, and those behind it to `end`; only until they succeed if `once` is set.
     fn branch(&mut self, step: &Step, depth: usize, (end, once): (usize, bool)) -> Result<bool, Stop> {
-        if self.looked_at > self.budget {
-            return Err(Stop::Budget);
+        if self.looked_at > self.pause {
+            self.pause()?;
         }
         match step {
             Step::Scan {

@@ -28,7 +28,7 @@ impl Default for Limits {
     }
 }
 
-/// Why a commit failed: what it takes is beyond [`Limits`].
+/// Why a commit failed: what it takes is beyond [`Limits`], or whoever asked for it will not wait longer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum EvalError {
     /// The derived relations together have more rows than allowed.
@@ -52,6 +52,11 @@ pub enum EvalError {
         /// A clause of the stratum where it was passed.
         clause: ClauseId,
     },
+    /// The caller put an end to it; see [`Session::commit_until`](super::Session::commit_until).
+    Interrupted {
+        /// The clause that was evaluated.
+        clause: ClauseId,
+    },
 }
 
 impl EvalError {
@@ -60,7 +65,8 @@ impl EvalError {
         match *self {
             EvalError::TooManyRows { clause, .. }
             | EvalError::TooManySteps { clause, .. }
-            | EvalError::TooMuchMemory { clause, .. } => clause,
+            | EvalError::TooMuchMemory { clause, .. }
+            | EvalError::Interrupted { clause } => clause,
         }
     }
 
@@ -93,6 +99,7 @@ impl fmt::Display for EvalError {
                 let (scale, unit) = fitting.next().expect("it is a whole number of bytes");
                 write!(f, "rows, indexes and texts take more than {} {unit}", limit >> scale)
             }
+            EvalError::Interrupted { .. } => write!(f, "the evaluation was interrupted"),
         }
     }
 }

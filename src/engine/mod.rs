@@ -341,21 +341,35 @@ impl Session {
     /// relation. If it fails, the session is as before the call, with the same changes noted; see
     /// [`rollback`](Session::rollback).
     pub fn commit(&mut self) -> Result<Delta, EvalError> {
-        self.commit_with(None)
+        self.commit_with(None, None)
     }
 
     /// The same, telling on the calling thread when the evaluation of a clause begins and ends. The engine reads no clock; whoever
     /// watches may.
     pub fn commit_watched(&mut self, watch: &dyn Fn(Moment)) -> Result<Delta, EvalError> {
-        self.commit_with(Some(watch))
+        self.commit_with(Some(watch), None)
     }
 
-    fn commit_with(&mut self, watch: Option<&dyn Fn(Moment)>) -> Result<Delta, EvalError> {
+    /// The same, given up when `stop` says so, which is asked on the calling thread: a few thousand times a second at most while
+    /// rules are evaluated, less often while rows are sorted.
+    ///
+    /// # Errors
+    /// [`EvalError::Interrupted`] if it was given up, with the session as after any commit that fails.
+    pub fn commit_until(&mut self, stop: &dyn Fn() -> bool) -> Result<Delta, EvalError> {
+        self.commit_with(None, Some(stop))
+    }
+
+    fn commit_with(
+        &mut self,
+        watch: Option<&dyn Fn(Moment)>,
+        ask: Option<&dyn Fn() -> bool>,
+    ) -> Result<Delta, EvalError> {
         let orders = Orders {
             strategy: self.strategy,
             limits: self.limits,
             workers: &self.workers,
             watch,
+            ask,
         };
         let known = self.symbols.len();
         match self.store.commit(&self.program.0, &self.symbols, orders) {

@@ -5,13 +5,15 @@
 //! logs are those of one thread. What is little work stays on the calling thread.
 
 use crate::engine::estimate::Shape;
-use crate::engine::join::{self, Effort, Output, Stop, View};
+use crate::engine::join::{self, Ask, Effort, Output, Stop, View};
 use crate::engine::plan::{Plan, Slot, Step};
 use crate::engine::row::{Batch, Row, gallop, normalise};
 use crate::symbol::Symbols;
 use rayon::slice::ParallelSliceMut;
 use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::Duration;
 
 /// How many threads evaluate, and what they are worth starting for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,6 +62,9 @@ struct Hand<const W: usize> {
 }
 
 impl Workers {
+    /// So often it is asked whether to go on.
+    const PAUSE: Duration = Duration::from_millis(10);
+
     /// Chunks for each thread, so that none waits long for the last one.
     const CHUNKS: usize = 16;
 
@@ -89,20 +94,20 @@ impl Workers {
         &self,
         plan: &Plan,
         views: &[View<'_, W>],
-        symbols: &Symbols,
+        (symbols, ask): (&Symbols, Ask<'_>),
         effort: &mut Effort,
         out: &mut Output<W>,
     ) -> Result<(), Stop> {
         if let Some(pool) = &self.pool {
             let chunks = self.split(plan, views, out.seen_bytes());
             if !chunks.is_empty() {
-                let hands = self.evaluate(pool, (plan, views, &chunks), symbols, effort, out);
+                let hands = self.evaluate(pool, (plan, views, &chunks), (symbols, ask), effort, out);
                 if let Some(result) = join_hands(hands, effort, out) {
                     return result;
                 }
             }
         }
-        join::run(plan, views, symbols, effort, out)
+        join::run(plan, views, (symbols, ask), effort, out)
     }
 
     /// Sorts and removes repetitions.
@@ -151,7 +156,7 @@ impl Workers {
         &self,
         pool: &rayon::ThreadPool,
         (plan, views, chunks): (&Plan, &[View<'_, W>], &[&[Row<W>]]),
-        symbols: &Symbols,
+        (symbols, ask): (&Symbols, Ask<'_>),
         effort: &Effort,
         out: &Output<W>,
     ) -> Vec<Hand<W>> {
@@ -162,22 +167,40 @@ impl Workers {
             result: Ok(()),
         };
         let mut hands: Vec<Hand<W>> = (0..count).map(|_| hand()).collect();
-        let (next, stopped) = (AtomicUsize::new(0), AtomicBool::new(false));
-        pool.scope(|scope| {
+        let (next, stopped, interrupted) = (AtomicUsize::new(0), AtomicBool::new(false), AtomicBool::new(false));
+        let (next, stopped, interrupted) = (&next, &stopped, &interrupted);
+        let (working, done) = mpsc::channel::<()>();
+        pool.in_place_scope(|scope| {
             for hand in &mut hands {
-                scope.spawn(|_| {
+                let working = working.clone();
+                scope.spawn(move |_| {
                     let mut views = views.to_vec();
+                    let give_up = || interrupted.load(Relaxed);
                     while let (Some(chunk), false) = (chunks.get(next.fetch_add(1, Relaxed)), stopped.load(Relaxed)) {
                         views[0] = View::of(Batch::plain(chunk));
-                        hand.result = join::run(plan, &views, symbols, &mut hand.effort, &mut hand.out);
+                        let (symbols, out) = ((symbols, Some(&give_up as _)), &mut hand.out);
+                        hand.result = join::run(plan, &views, symbols, &mut hand.effort, out);
                         if hand.result.is_err() {
                             stopped.store(true, Relaxed);
                         }
                     }
                     hand.out.settle();
+                    drop(working);
                 });
             }
+            drop(working);
+            // Nothing is sent; the channel closes when all are done.
+            while let (Some(ask), Err(RecvTimeoutError::Timeout)) = (ask, done.recv_timeout(Self::PAUSE)) {
+                if ask() {
+                    interrupted.store(true, Relaxed);
+                    break;
+                }
+            }
         });
+        if interrupted.load(Relaxed) {
+            // Also if all were done before they saw it.
+            hands[0].result = Err(Stop::Interrupted);
+        }
         hands
     }
 }
@@ -190,6 +213,9 @@ fn join_hands<const W: usize>(
     out: &mut Output<W>,
 ) -> Option<Result<(), Stop>> {
     let stopped = |with: Stop| hands.iter().any(|hand| hand.result == Err(with));
+    if stopped(Stop::Interrupted) {
+        return Some(Err(Stop::Interrupted));
+    }
     if stopped(Stop::Overflow) {
         return None;
     }
@@ -279,8 +305,8 @@ mod tests {
                 let run = |workers: &Workers, budget: u64, limit: usize| -> Result<Done, Stop> {
                     let (mut effort, mut out) = (Effort::new(budget), Output::new(limit));
                     // The second time most rows are known.
-                    workers.run(plan, &views, &symbols, &mut effort, &mut out)?;
-                    workers.run(plan, &views, &symbols, &mut effort, &mut out)?;
+                    workers.run(plan, &views, (&symbols, None), &mut effort, &mut out)?;
+                    workers.run(plan, &views, (&symbols, None), &mut effort, &mut out)?;
                     let pushed = out.pushed;
                     Ok((out.take_by(|rows| workers.normalise(rows)), pushed, effort.looked_at))
                 };

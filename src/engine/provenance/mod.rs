@@ -26,6 +26,7 @@ mod tell;
 
 pub use tell::Teller;
 
+use crate::diag::{Code, Diagnostic};
 use crate::engine::Session;
 use crate::lang::{ClauseId, Literal, RelId, Value};
 use search::{Binding, Search};
@@ -223,19 +224,30 @@ pub enum ExplainError {
         /// The limit.
         limit: u64,
     },
+    /// The caller put an end to it; see [`Explainer::stop_when`].
+    Interrupted,
 }
 
 impl fmt::Display for ExplainError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let ExplainError::TooMuchWork { limit } = self;
-        write!(
-            f,
-            "no explanation was found within {limit} steps; the facts are too many for this search"
-        )
+        match self {
+            ExplainError::TooMuchWork { limit } => write!(
+                f,
+                "no explanation was found within {limit} steps; the facts are too many for this search"
+            ),
+            ExplainError::Interrupted => write!(f, "the search for an explanation was interrupted"),
+        }
     }
 }
 
 impl std::error::Error for ExplainError {}
+
+/// Without a place: it is no text's fault.
+impl From<ExplainError> for Diagnostic {
+    fn from(error: ExplainError) -> Self {
+        Diagnostic::new(Code::LimitExceeded, error.to_string())
+    }
+}
 
 impl Session {
     /// Why a fact holds: a shortest proof down to inserted facts and facts of the text. `None` if it does not hold.
@@ -300,6 +312,29 @@ impl<'s> Explainer<'s> {
     /// Sets how many steps one question may take. A step is a row or a literal looked at; a million take well below a second.
     pub fn set_limit(&mut self, steps: u64) {
         self.limit = steps;
+    }
+
+    /// Gives a question up when `stop` says so, which is asked a few hundred times a second.
+    pub fn stop_when(&mut self, stop: &'s dyn Fn() -> bool) {
+        self.search.ask = Some(stop);
+    }
+
+    /// Why a row of that form holds, the first in order, or why none does: whatever is the case, which the first value tells.
+    ///
+    /// # Errors
+    /// If that is more work than the limit.
+    pub fn explain_either(
+        &mut self,
+        rel: RelId,
+        pattern: &[Option<Value>],
+    ) -> Result<(bool, Option<Explanation>), ExplainError> {
+        let fits = |row: &&[Value]| {
+            (pattern.iter().zip(*row)).all(|(wanted, value)| wanted.is_none_or(|wanted| wanted == *value))
+        };
+        match self.search.session.rows(rel).find(fits) {
+            Some(row) => Ok((true, self.explain(rel, row)?)),
+            None => Ok((false, self.explain_absence(rel, pattern)?)),
+        }
     }
 
     /// Why a fact holds. See [`Session::explain`].

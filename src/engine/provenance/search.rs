@@ -36,6 +36,9 @@ pub(super) struct Search<'s> {
     clauses: Vec<Vec<ClauseId>>,
     limit: Cell<u64>,
     left: Cell<u64>,
+    /// Whether to give up is asked now and then; once it is so, it stays so.
+    pub(super) ask: Option<&'s dyn Fn() -> bool>,
+    interrupted: Cell<bool>,
     patterns: RefCell<Patterns>,
     pub(super) heights: Heights,
 }
@@ -124,6 +127,8 @@ impl<'s> Search<'s> {
             clauses,
             limit: Cell::new(0),
             left: Cell::new(0),
+            ask: None,
+            interrupted: Cell::new(false),
             patterns: RefCell::default(),
             heights: Heights::new(rules),
         }
@@ -141,6 +146,7 @@ impl<'s> Search<'s> {
     pub(super) fn refill(&mut self, steps: u64) {
         self.limit.set(steps);
         self.left.set(steps);
+        self.interrupted.set(false);
     }
 
     /// How many steps are left.
@@ -155,11 +161,20 @@ impl<'s> Search<'s> {
 
     /// Counts a step.
     pub(super) fn step(&self) -> Result<(), ExplainError> {
+        /// So many steps are between two questions whether to go on.
+        const PAUSE: u64 = 1 << 14;
         match self.left.get().checked_sub(1) {
             Some(left) => {
                 self.left.set(left);
-                Ok(())
+                if left.is_multiple_of(PAUSE) && self.ask.is_some_and(|ask| ask()) {
+                    self.interrupted.set(true);
+                }
+                match self.interrupted.get() {
+                    true => Err(ExplainError::Interrupted),
+                    false => Ok(()),
+                }
             }
+            None if self.interrupted.get() => Err(ExplainError::Interrupted),
             None => Err(ExplainError::TooMuchWork {
                 limit: self.limit.get(),
             }),

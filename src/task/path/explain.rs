@@ -2,10 +2,8 @@
 
 use super::Env;
 use crate::city::Agent;
-use crate::config::Speed;
-use crate::diag::{Code, Diagnostic, Sources};
-use crate::engine::provenance::{ExplainError, Explainer, Teller};
-use std::fmt::Write;
+use crate::diag::{Diagnostic, Sources};
+use crate::sim::Decision;
 
 /// The state of a rider in a few lines: how far it has come, whom it observes, what is true of them, what the rules want of it.
 pub fn describe(env: &Env, rider: usize) -> String {
@@ -39,44 +37,26 @@ pub fn describe(env: &Env, rider: usize) -> String {
     )
 }
 
-/// Tells why the rules want an action of a rider, now: a proof, on the facts that it observes, of each action that they ask; or if they
-/// ask none, why. `sources` are those that the rules were loaded from.
+/// Tells why the rules want an action of a rider, now: on the facts that it observes, a proof of each action that they ask, or if they ask
+/// none, why. `sources` are those that the rules were loaded from.
 ///
 /// # Errors
 /// `limit-exceeded` for rules that derive too much, or proofs that take too long to find.
 pub fn explain(env: &Env, rider: usize, sources: &Sources) -> Result<String, Diagnostic> {
-    let (ego, world) = (&env.riders()[rider], env.task().world());
-    let (session, value) = ego.observer().session(env.city())?;
-    let vocabulary = &world.vocabulary;
-    let derived = ego.derived();
-    let actions = vocabulary.telling(derived, |action| session.contains(action, &[value]));
-
+    let ego = &env.riders()[rider];
     let agent = &env.city().agents()[ego.agent()];
-    let wanted = env.oracle_action(rider).name();
-    let mut out = format!("{}: the rules want {wanted}", agent.name());
-    let names: Vec<&str> = derived.iter().map(Speed::name).collect();
-    out += &match names.len() {
-        0 => ", the default: they ask nothing".to_owned(),
-        1 => String::new(),
-        _ => format!(", the first by the configured order of {}", names.join(", ")),
+    let (session, value) = ego.observer().session(env.city())?;
+    let decision = Decision {
+        world: env.task().world(),
+        session: &session,
+        tick: env.steps().into(),
+        agent: agent.name().to_string(),
+        value,
+        at: agent.cell,
+        heading: agent.heading,
+        derived: ego.derived(),
+        action: env.oracle_action(rider),
     };
-    out.push('\n');
-
-    let fault = |error: ExplainError| Diagnostic::new(Code::LimitExceeded, error.to_string());
-    let mut explainer = Explainer::new(&session);
-    let teller = Teller::new(world.program.rules(), session.symbols(), sources);
-    for action in actions {
-        let Some(relation) = vocabulary.action(action) else {
-            let _ = write!(out, "\n{}: the rules do not mention it\n", action.name());
-            continue;
-        };
-        let told = match session.contains(relation, &[value]) {
-            true => explainer.explain(relation, &[value]),
-            false => explainer.explain_absence(relation, &[Some(value)]),
-        };
-        if let Some(explanation) = told.map_err(fault)? {
-            let _ = write!(out, "\n{}", teller.tree(&explanation));
-        }
-    }
-    Ok(out)
+    let account = decision.account(None, &|| false).map_err(Diagnostic::from)?;
+    Ok(account.text(sources))
 }
