@@ -372,6 +372,7 @@ pub struct PyEnvironments {
 #[pymethods]
 impl PyEnvironments {
     #[new]
+    #[allow(clippy::too_many_arguments)] // those of the class in Python
     fn new(
         py: Python<'_>,
         task: Py<PyTask>,
