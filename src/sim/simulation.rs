@@ -5,6 +5,7 @@ use super::ground::{Entity, Facts, ground};
 use super::infer::{Draws, GroundState};
 use super::scene::MAX_ENTITIES;
 use super::vocabulary::Actions;
+use super::window::Position;
 use super::world::World;
 use crate::city::{Agent, Cell, Heading, Moved, Places, Reason, Surroundings, advance, place_agents};
 use crate::config::{Speed, Split};
@@ -50,6 +51,8 @@ pub struct Simulation {
     /// How many ticks have passed.
     tick: u64,
     agents: Vec<Agent>,
+    /// What moves change of each agent. Close together, since many agents are looked up in the order of where they are.
+    positions: Vec<Position>,
     /// Decides densely; `None` if `state` decides.
     crowd: Option<Crowd>,
     decisions: Decisions,
@@ -189,6 +192,7 @@ impl Simulation {
             seed,
             tick: 0,
             decisions: Decisions::new(agents.len(), to_count.len()),
+            positions: agents.iter().map(Position::of).collect(),
             agents,
             crowd,
             state: None,
@@ -300,10 +304,10 @@ impl Simulation {
         self.advance(controls);
         ended(Phase::Move);
         if let Some(crowd) = &mut self.crowd {
-            let (map, agents) = (self.world.map(), &self.agents);
+            let (map, positions) = (self.world.map(), &self.positions);
             match &self.threads {
-                Some(pool) => pool.install(|| crowd.follow(map, agents)),
-                None => crowd.follow(map, agents),
+                Some(pool) => pool.install(|| crowd.follow(map, positions)),
+                None => crowd.follow(map, positions),
             }
         }
         ended(Phase::Note);
@@ -319,6 +323,7 @@ impl Simulation {
             places,
             decisions,
             agents,
+            positions,
             report,
             ..
         } = self;
@@ -329,7 +334,7 @@ impl Simulation {
             seed: self.seed,
             tick: self.tick,
         };
-        let step = |index: usize, agent: &mut Agent, done: &mut AgentTick| {
+        let step = |index: usize, agent: &mut Agent, position: &mut Position, done: &mut AgentTick| {
             let derived = decisions.derived(index);
             let control = controls.iter().rev().find(|(controlled, _)| *controlled == index);
             let action = control.map_or_else(|| vocabulary.decide(derived), |(_, action)| *action);
@@ -339,17 +344,20 @@ impl Simulation {
                 action,
                 moved: advance(agent, index, action, &surroundings),
             };
+            *position = Position::of(agent);
         };
         match &self.threads {
             Some(pool) => pool.install(|| {
                 (agents.par_iter_mut().with_min_len(1024))
+                    .zip(positions)
                     .zip(&mut report.agents)
                     .enumerate()
-                    .for_each(|(index, (agent, done))| step(index, agent, done));
+                    .for_each(|(index, ((agent, position), done))| step(index, agent, position, done));
             }),
             None => {
-                for (index, (agent, done)) in agents.iter_mut().zip(&mut report.agents).enumerate() {
-                    step(index, agent, done);
+                let agents = agents.iter_mut().zip(positions).zip(&mut report.agents);
+                for (index, ((agent, position), done)) in agents.enumerate() {
+                    step(index, agent, position, done);
                 }
             }
         }

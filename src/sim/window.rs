@@ -4,7 +4,7 @@
 use super::ground::{Chance, Entity, binary, side};
 use super::infer::Draws;
 use super::vocabulary::Vocabulary;
-use crate::city::{Cell, CityMap, Heading, Junction, view_reach};
+use crate::city::{Agent, Cell, CityMap, Heading, Junction, view_reach};
 use crate::config::{AgentKind, Definition};
 use crate::engine::dense::{Axis, Dense, Frame, Input, List, Pairs, Set, and, first, is_empty, members, without};
 
@@ -23,13 +23,29 @@ pub(super) struct Body {
     pub junction: Junction,
 }
 
+/// What moves change of an agent.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Position {
+    pub cell: Cell,
+    pub heading: Option<Heading>,
+}
+
+impl Position {
+    pub fn of(agent: &Agent) -> Position {
+        Position {
+            cell: agent.cell,
+            heading: agent.heading,
+        }
+    }
+}
+
 impl Body {
     /// Takes note of a move.
-    pub fn shift(&mut self, map: &CityMap, to: Cell, heading: Option<Heading>) {
-        self.heading = heading;
-        if self.at != to {
-            self.at = to;
-            self.junction = map.junction(to);
+    pub fn shift(&mut self, map: &CityMap, to: Position) {
+        self.heading = to.heading;
+        if self.at != to.cell {
+            self.at = to.cell;
+            self.junction = map.junction(to.cell);
         }
     }
 }
@@ -403,12 +419,12 @@ impl<const W: usize> Window<W> {
     }
 
     /// Takes note of a move.
-    pub fn shift(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Cell, heading: Option<Heading>) {
+    pub fn shift(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Position) {
         let body = &mut self.bodies[entity];
         let from = body.at;
-        body.shift(map, to, heading);
-        if from != to {
-            self.place.shift(entity, from, to);
+        body.shift(map, to);
+        if from != to.cell {
+            self.place.shift(entity, from, to.cell);
             self.look(grounder, entity);
         }
     }
