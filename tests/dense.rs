@@ -33,6 +33,8 @@ struct Genome {
     /// Columns of each derived predicate, and its clauses.
     derived: Vec<(usize, Vec<ClauseGene>)>,
     scoped: bool,
+    /// Predicates before the others that are copies of a base predicate: a program with more than 256 sets runs by other code.
+    copies: usize,
     entities: usize,
     /// Of 16: how often a fact about one or two entities holds.
     density: u8,
@@ -52,13 +54,15 @@ fn genomes() -> impl Strategy<Value = Genome> {
     (
         prop::collection::vec(predicate, 1..5),
         any::<bool>(),
+        prop_oneof![4 => Just(0_usize), 1 => Just(256_usize)],
         entities,
         1..14_u8,
         any::<u64>(),
     )
-        .prop_map(|(derived, scoped, entities, density, seed)| Genome {
+        .prop_map(|(derived, scoped, copies, entities, density, seed)| Genome {
             derived,
             scoped,
+            copies,
             entities,
             density,
             seed,
@@ -80,6 +84,10 @@ impl Genome {
         }
         for (index, (arity, _)) in self.derived.iter().enumerate() {
             declare(&mut text, &format!("P{index}"), *arity);
+        }
+        for copy in 0..self.copies {
+            declare(&mut text, &format!("Copy{copy}"), 1);
+            writeln!(text, "Copy{copy}(x) :- {}(x).", ["A", "B", "C"][copy % 3]).unwrap();
         }
         if self.scoped {
             writeln!(text, ".scope G").unwrap();

@@ -4,7 +4,7 @@ use super::ground::Facts;
 use super::infer::Draws;
 use super::vocabulary::{Actions, Vocabulary};
 use super::width::{Width, in_words};
-use super::window::{Body, Grounder, Window};
+use super::window::{Body, Grounder, Position, Window};
 use super::world::World;
 use crate::city::{Agent, Cell, CityMap};
 use crate::config::Speed;
@@ -13,6 +13,7 @@ use crate::engine::Program;
 use crate::engine::dense::{BitFacts, Counting, Dense, Set, choose, has, members};
 use crate::lang::{ClauseId, RelId};
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
@@ -301,10 +302,10 @@ impl Crowd {
     }
 
     /// Takes note of where the agents are.
-    pub fn follow(&mut self, map: &CityMap, agents: &[Agent]) {
+    pub fn follow(&mut self, map: &CityMap, positions: &[Position]) {
         match &mut self.shape {
-            Shape::One(one) => one.follow(&self.reading.grounder, map, agents),
-            Shape::Tiles(tiles) => tiles.follow(map, agents),
+            Shape::One(one) => one.follow(&self.reading.grounder, map, positions),
+            Shape::Tiles(tiles) => tiles.follow(map, positions),
         }
     }
 }
@@ -322,7 +323,7 @@ fn bodies(grounder: &mut Grounder, map: &CityMap, agents: &[Agent]) -> Vec<Body>
 trait OneWindow: Send + Sync {
     fn restart(&mut self, grounder: &Grounder, map: &CityMap, bodies: Vec<Body>);
     fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions);
-    fn follow(&mut self, grounder: &Grounder, map: &CityMap, agents: &[Agent]);
+    fn follow(&mut self, grounder: &Grounder, map: &CityMap, positions: &[Position]);
     fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64;
 }
 
@@ -355,9 +356,9 @@ impl<const W: usize> OneWindow for One<W> {
         out.firings = firings;
     }
 
-    fn follow(&mut self, grounder: &Grounder, map: &CityMap, agents: &[Agent]) {
-        for (entity, agent) in agents.iter().enumerate() {
-            self.window.shift(grounder, map, entity, agent.cell, agent.heading);
+    fn follow(&mut self, grounder: &Grounder, map: &CityMap, positions: &[Position]) {
+        for (entity, position) in positions.iter().enumerate() {
+            self.window.shift(grounder, map, entity, *position);
         }
     }
 
@@ -377,7 +378,7 @@ struct Tiles {
     bins: Vec<u32>,
     /// Bins along both axes.
     size: [i32; 2],
-    /// Side of a tile in cells.
+    /// Side of a tile in cells: it consists of whole bins, also where it is cut into smaller ones.
     side: i32,
     view: i32,
     workers: Vec<Mutex<Worker>>,
@@ -406,16 +407,16 @@ struct Area {
 }
 
 impl Area {
-    const EMPTY: Area = Area {
-        first: Cell::new(0, 0),
-        rows: 0,
-        cols: 0,
-    };
-
     fn contains(&self, cell: Cell) -> bool {
         let (row, col) = (cell.row - self.first.row, cell.col - self.first.col);
         (0..self.rows).contains(&row) && (0..self.cols).contains(&col)
     }
+}
+
+/// A rectangle of bins.
+struct Bins {
+    rows: Range<i32>,
+    cols: Range<i32>,
 }
 
 impl Tiles {
@@ -475,11 +476,8 @@ impl Tiles {
     }
 
     /// Takes note of where the agents are.
-    fn follow(&mut self, map: &CityMap, agents: &[Agent]) {
-        let follow = |body: &mut Body| {
-            let agent = &agents[body.agent as usize];
-            body.shift(map, agent.cell, agent.heading);
-        };
+    fn follow(&mut self, map: &CityMap, positions: &[Position]) {
+        let follow = |body: &mut Body| body.shift(map, positions[body.agent as usize]);
         match self.workers.len() {
             1 => self.bodies.iter_mut().for_each(follow),
             _ => self.bodies.par_iter_mut().with_min_len(4096).for_each(follow),
@@ -545,22 +543,30 @@ impl Tiles {
     ) -> Result<(), Diagnostic> {
         let found = &mut worker.found;
         found.clear();
-        self.gather(tile, Area::EMPTY, found);
+        let inner = self.bins_of(tile);
+        for row in inner.rows.clone() {
+            found.extend_from_slice(self.run(row, inner.cols.clone()));
+        }
         if found.is_empty() {
             return Ok(());
         }
-        let window = Area {
-            first: Cell::new((tile.first.row - self.view).max(0), (tile.first.col - self.view).max(0)),
-            rows: (tile.first.row + tile.rows + self.view).min(map.rows()),
-            cols: (tile.first.col + tile.cols + self.view).min(map.cols()),
-        };
-        let window = Area {
-            rows: window.rows - window.first.row,
-            cols: window.cols - window.first.col,
-            ..window
-        };
         let egos = found.len();
-        self.gather(window, tile, found);
+        let first = Cell::new((tile.first.row - self.view).max(0), (tile.first.col - self.view).max(0));
+        let window = Area {
+            first,
+            rows: (tile.first.row + tile.rows + self.view).min(map.rows()) - first.row,
+            cols: (tile.first.col + tile.cols + self.view).min(map.cols()) - first.col,
+        };
+        let outer = self.bins_of(window);
+        for row in outer.rows {
+            let hole = match inner.rows.contains(&row) {
+                true => inner.cols.clone(),
+                false => outer.cols.start..outer.cols.start,
+            };
+            for cols in [outer.cols.start..hole.start, hole.end..outer.cols.end] {
+                found.extend(self.run(row, cols).iter().filter(|body| window.contains(body.at)));
+            }
+        }
         let evaluate = Evaluate {
             reading,
             draws,
@@ -600,29 +606,22 @@ impl Tiles {
         Ok(())
     }
 
-    /// Adds the bodies in `area` that are not in `hole`.
-    fn gather(&self, area: Area, hole: Area, found: &mut Vec<Body>) {
-        self.each_in(area, |body| {
-            if area.contains(body.at) && !hole.contains(body.at) {
-                found.push(*body);
-            }
-        });
+    /// The bins that an area touches.
+    fn bins_of(&self, area: Area) -> Bins {
+        let along = |first: i32, cells: i32, bins: i32| {
+            let end = ((first + cells + BIN - 1) / BIN).min(bins);
+            (first / BIN).min(end)..end
+        };
+        Bins {
+            rows: along(area.first.row, area.rows, self.size[0]),
+            cols: along(area.first.col, area.cols, self.size[1]),
+        }
     }
 
-    /// All bodies in the bins that an area touches.
-    fn each_in(&self, area: Area, mut each: impl FnMut(&Body)) {
-        let last = |at: i32, cells: i32, bins: i32| ((at + cells - 1) / BIN).min(bins - 1);
-        let (rows, cols) = (
-            area.first.row / BIN..=last(area.first.row, area.rows, self.size[0]),
-            [area.first.col / BIN, last(area.first.col, area.cols, self.size[1])],
-        );
-        for row in rows {
-            let [start, end] = cols.map(|col| row * self.size[1] + col);
-            if start <= end {
-                let (start, end) = (self.bins[start as usize], self.bins[end as usize + 1]);
-                self.bodies[start as usize..end as usize].iter().for_each(&mut each);
-            }
-        }
+    /// The bodies in adjacent bins of a row.
+    fn run(&self, row: i32, cols: Range<i32>) -> &[Body] {
+        let [start, end] = [cols.start, cols.end].map(|col| self.bins[(row * self.size[1] + col) as usize]);
+        &self.bodies[start as usize..end as usize]
     }
 }
 

@@ -5,6 +5,7 @@ use super::ground::{Entity, Facts, ground};
 use super::infer::{Draws, GroundState};
 use super::scene::MAX_ENTITIES;
 use super::vocabulary::Actions;
+use super::window::Position;
 use super::world::World;
 use crate::city::{Agent, Cell, Heading, Moved, Places, Reason, Surroundings, advance, place_agents};
 use crate::config::{Speed, Split};
@@ -47,6 +48,8 @@ pub struct Simulation {
     /// How many ticks have passed.
     tick: u64,
     agents: Vec<Agent>,
+    /// What moves change of each agent. Close together, since many agents are looked up in the order of where they are.
+    positions: Vec<Position>,
     /// Decides densely; `None` if `state` decides.
     crowd: Option<Crowd>,
     /// Why `state` decides, if that was not asked for.
@@ -193,6 +196,7 @@ impl Simulation {
             tick: 0,
             decisions: Decisions::new(agents.len(), to_count.len()),
             given: vec![None; agents.len()],
+            positions: agents.iter().map(Position::of).collect(),
             agents,
             crowd,
             fallback,
@@ -213,6 +217,7 @@ impl Simulation {
         let mut count = 0;
         for (position, agent) in agents.into_iter().enumerate() {
             assert!(agent.name() == self.agents[position].name(), "agents named otherwise");
+            self.positions[position] = Position::of(&agent);
             self.agents[position] = agent;
             count += 1;
         }
@@ -366,10 +371,10 @@ impl Simulation {
         self.advance(controls);
         ended(Phase::Move);
         if let Some(crowd) = &mut self.crowd {
-            let (map, agents) = (self.world.map(), &self.agents);
+            let (map, positions) = (self.world.map(), &self.positions);
             match &self.threads {
-                Some(pool) => pool.install(|| crowd.follow(map, agents)),
-                None => crowd.follow(map, agents),
+                Some(pool) => pool.install(|| crowd.follow(map, positions)),
+                None => crowd.follow(map, positions),
             }
         }
         ended(Phase::Note);
@@ -386,6 +391,7 @@ impl Simulation {
             decisions,
             agents,
             given,
+            positions,
             report,
             ..
         } = self;
@@ -400,7 +406,7 @@ impl Simulation {
             seed: self.seed,
             tick: self.tick,
         };
-        let step = |index: usize, agent: &mut Agent, done: &mut AgentTick| {
+        let step = |index: usize, agent: &mut Agent, position: &mut Position, done: &mut AgentTick| {
             let derived = decisions.derived(index);
             let action = controlled[index].unwrap_or_else(|| vocabulary.decide(derived));
             *done = AgentTick {
@@ -409,17 +415,20 @@ impl Simulation {
                 action,
                 moved: advance(agent, index, action, &surroundings),
             };
+            *position = Position::of(agent);
         };
         match &self.threads {
             Some(pool) => pool.install(|| {
                 (agents.par_iter_mut().with_min_len(1024))
+                    .zip(positions)
                     .zip(&mut report.agents)
                     .enumerate()
-                    .for_each(|(index, (agent, done))| step(index, agent, done));
+                    .for_each(|(index, ((agent, position), done))| step(index, agent, position, done));
             }),
             None => {
-                for (index, (agent, done)) in agents.iter_mut().zip(&mut report.agents).enumerate() {
-                    step(index, agent, done);
+                let agents = agents.iter_mut().zip(positions).zip(&mut report.agents);
+                for (index, ((agent, position), done)) in agents.enumerate() {
+                    step(index, agent, position, done);
                 }
             }
         }

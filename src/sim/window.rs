@@ -26,6 +26,22 @@ pub(super) struct Body {
     pub junction: Junction,
 }
 
+/// What moves change of an agent.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Position {
+    pub cell: Cell,
+    pub heading: Option<Heading>,
+}
+
+impl Position {
+    pub fn of(agent: &Agent) -> Position {
+        Position {
+            cell: agent.cell,
+            heading: agent.heading,
+        }
+    }
+}
+
 impl Body {
     /// Of an agent of the list. Its class is 0.
     pub fn new(map: &CityMap, position: usize, agent: &Agent) -> Self {
@@ -41,11 +57,11 @@ impl Body {
     }
 
     /// Takes note of a move.
-    pub fn shift(&mut self, map: &CityMap, to: Cell, heading: Option<Heading>) {
-        self.heading = heading;
-        if self.at != to {
-            self.at = to;
-            self.junction = map.junction(to);
+    pub fn shift(&mut self, map: &CityMap, to: Position) {
+        self.heading = to.heading;
+        if self.at != to.cell {
+            self.at = to.cell;
+            self.junction = map.junction(to.cell);
         }
     }
 }
@@ -458,12 +474,12 @@ impl<const W: usize> Window<W> {
     }
 
     /// Takes note of a move.
-    pub fn shift(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Cell, heading: Option<Heading>) {
+    pub fn shift(&mut self, grounder: &Grounder, map: &CityMap, entity: usize, to: Position) {
         let body = &mut self.bodies[entity];
         let from = body.at;
-        body.shift(map, to, heading);
-        if from != to {
-            self.place.shift(entity, from, to);
+        body.shift(map, to);
+        if from != to.cell {
+            self.place.shift(entity, from, to.cell);
             self.look(grounder, entity);
         }
     }

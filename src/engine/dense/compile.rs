@@ -2,7 +2,9 @@
 
 use super::analyse::Choice;
 use super::body::{Body, Lit, Property, Relates, Search, Seek};
-use super::program::*;
+use super::program::{
+    Any, Axis, Counting, Demand, Dense, Fired, Home, Input, List, Op, Place, Range, Rare, Reg, Step, Test,
+};
 use crate::lang::{ClauseId, Literal, RelId, Rules};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -314,7 +316,8 @@ impl<'a> Compiler<'a> {
     /// Adds those who are asked about and for whom a search succeeds.
     fn add_existing(&mut self, demand: Demand, search: &Search) {
         let steps = self.steps(search);
-        let op = (self.any(&steps).map(|op| op(demand)))
+        let op = self
+            .any(demand, &steps)
             .unwrap_or_else(|| Op::Exists(demand, Range::extend(&mut self.out.steps, steps)));
         self.out.ops.push(op);
     }
@@ -325,7 +328,7 @@ impl<'a> Compiler<'a> {
     }
 
     /// An operation of its own for a search with one step that asks a few given lists only.
-    fn any(&self, steps: &[Step]) -> Option<impl FnOnce(Demand) -> Op + use<>> {
+    fn any(&self, demand: Demand, steps: &[Step]) -> Option<Op> {
         let [Step { among, tests }] = *steps else {
             return None;
         };
@@ -334,24 +337,13 @@ impl<'a> Compiler<'a> {
             _ => None,
         };
         let lists: Vec<u16> = self.out.tests(tests).iter().map(list).collect::<Option<_>>()?;
-        (lists.len() <= 3).then_some(move |demand| match *lists {
-            [] => Op::Any0(demand, Any { among, lists: [] }),
-            [first] => Op::Any1(demand, Any { among, lists: [first] }),
-            [first, second] => Op::Any2(
-                demand,
-                Any {
-                    among,
-                    lists: [first, second],
-                },
-            ),
-            [first, second, third, ..] => Op::Any3(
-                demand,
-                Any {
-                    among,
-                    lists: [first, second, third],
-                },
-            ),
-        })
+        match *lists {
+            [] => Some(Op::Any0(demand, Any::new(among, []))),
+            [a] => Some(Op::Any1(demand, Any::new(among, [a]))),
+            [a, b] => Some(Op::Any2(demand, Any::new(among, [a, b]))),
+            [a, b, c] => Some(Op::Any3(demand, Any::new(among, [a, b, c]))),
+            _ => None,
+        }
     }
 
     /// The sets of what is asked of one variable. What clauses have in common comes first, so that it is put together once.

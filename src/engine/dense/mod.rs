@@ -11,10 +11,10 @@
 //!      facts: Frame::set_input, Pairs --------------> Frame::run --> Frame::set, Frame::row
 //! ```
 //!
-//! `analyse` decides which strata can be evaluated so and tells why others cannot; `compile` writes them as a short list of
-//! operations on numbered sets, in which what several clauses ask is asked once; `run` executes that list. Facts about pairs are asked of
-//! a [`Pairs`], which may hold them ([`BitFacts`]) or compute them when asked. Answers are those of [`super::naive`] if every symbol
-//! in the facts is an entity.
+//! `analyse` decides which strata can be evaluated so and tells why others cannot; `body` says what a clause asks of each variable;
+//! `compile` writes that as a `program`, a short list of operations on numbered sets, in which what several clauses ask is asked once;
+//! `run` executes the list. Facts about pairs are asked of a [`Pairs`], which may hold them ([`BitFacts`], in `facts`) or compute them when
+//! asked. Answers are those of [`super::naive`] if every symbol in the facts is an entity.
 
 mod analyse;
 mod body;

@@ -62,6 +62,12 @@ pub(super) struct Any<const N: usize> {
     pub lists: [u16; N],
 }
 
+impl<const N: usize> Any<N> {
+    pub fn new(among: Reg, lists: [u16; N]) -> Self {
+        Any { among, lists }
+    }
+}
+
 /// One operation.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Op {
