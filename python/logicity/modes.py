@@ -1,0 +1,43 @@
+"""The modes of Safe Path Following, registered as environments of gymnasium when the package is imported."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+
+if TYPE_CHECKING:
+    from .parallel import SPFParallelEnv
+
+__all__ = ["MODES", "parallel_env"]
+
+MODES = {
+    "Easy": "easy",
+    "Medium": "medium",
+    "Hard": "hard",
+    "Expert": "expert",
+    "TransferEasy": "transfer-easy",
+    "TransferMedium": "transfer-medium",
+    "TransferHard": "transfer-hard",
+}
+"""The modes as environments are named, `logicity/SPF-Easy-v0` and so on, and their configurations."""
+
+
+def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
+    """Make a `ParallelEnv` of PettingZoo in which every car is driven: a `logicity.parallel.SPFParallelEnv`.
+
+    `arguments` are its other parameters. Needs `pip install 'logicity[pettingzoo]'`.
+    """
+    from .parallel import SPFParallelEnv
+
+    return SPFParallelEnv(config, **arguments)
+
+
+for _mode, _config in MODES.items():
+    gymnasium.register(
+        f"logicity/SPF-{_mode}-v0",
+        entry_point="logicity.envs:SPFEnv",
+        vector_entry_point="logicity.envs:SPFVectorEnv",
+        kwargs={"config": _config},
+    )
