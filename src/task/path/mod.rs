@@ -11,15 +11,18 @@
 //! what its action costs, divided by four times the cells of the route. The episode ends too when the ego is at its goal; it is cut
 //! short at the horizon, at the price of overtime.
 //!
-//! [`rollout`] lets a policy drive an episode, [`summarise`] says how well it did over many: the rates and the score of the paper.
+//! [`rollout`] lets a policy drive an episode, an [`Exam`] lets one from outside drive a whole set, [`Baseline`] is how the random one does;
+//! [`summarise`] says how well a policy did over many episodes: the rates and the score of the paper.
 
 mod env;
 mod episode;
+mod evaluate;
 mod metrics;
 mod rollout;
 
 pub use env::{Egos, Env, Rider, Step};
 pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
+pub use evaluate::{Baseline, Exam, RANDOM_RUNS};
 pub use metrics::{ActionRate, Rate, Score, Summary, summarise};
 pub use rollout::{Policy, Rollout, make_episodes, rollout};
 
