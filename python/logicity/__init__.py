@@ -7,7 +7,11 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, cast
+
+import gymnasium
 
 from . import _logicity
 from ._logicity import __version__
@@ -117,6 +121,15 @@ def _input_error(error: _logicity.InputError) -> InputError:
     return InputError(message, json.loads(diagnostics))
 
 
+@contextmanager
+def _told() -> Iterator[None]:
+    """Raise faults of the input as `InputError`."""
+    try:
+        yield
+    except _logicity.InputError as error:
+        raise _input_error(error) from None
+
+
 def check(text: str, name: str = "<text>") -> list[Diagnostic]:
     """Find all faults and warnings of a rule text.
 
@@ -154,3 +167,25 @@ class Inference:
             return cast(Answer, json.loads(self._inference.answer(json.dumps(scene))))
         except _logicity.InputError as error:
             raise _input_error(error) from None
+
+
+def _register() -> None:
+    modes = {
+        "Easy": "easy",
+        "Medium": "medium",
+        "Hard": "hard",
+        "Expert": "expert",
+        "TransferEasy": "transfer-easy",
+        "TransferMedium": "transfer-medium",
+        "TransferHard": "transfer-hard",
+    }
+    for mode, config in modes.items():
+        gymnasium.register(
+            f"logicity/SPF-{mode}-v0",
+            entry_point="logicity.envs:SPFEnv",
+            vector_entry_point="logicity.envs:SPFVectorEnv",
+            kwargs={"config": config},
+        )
+
+
+_register()

@@ -125,15 +125,10 @@ fn tell(
     // Which actions to speak of: the one asked for; else those derived, the one taken first; else, if none was derived, all.
     let taken = Speed::ALL.into_iter().find(|speed| speed.name() == state.action);
     let by_rules = vocabulary.decide(derived);
-    let mut actions = match arguments.why_not {
+    let actions = match arguments.why_not {
         Some(action) => vec![action],
-        None if derived.is_empty() => match vocabulary.action(by_rules) {
-            Some(relation) if session.contains(relation, &[replay.value(position)]) => vec![by_rules],
-            _ => Speed::ALL.to_vec(),
-        },
-        None => derived.iter().collect(),
+        None => vocabulary.telling(derived, |action| session.contains(action, &[replay.value(position)])),
     };
-    actions.sort_by_key(|action| *action != by_rules);
 
     let mut explainer = Explainer::new(session);
     let teller = Teller::new(rules, session.symbols(), sources);

@@ -256,13 +256,9 @@ fn sprites<'a>(simulation: &'a Simulation, names: &'a [String]) -> Vec<Sprite<'a
     let decided = &simulation.report().agents;
     let agents = simulation.agents().iter().zip(names).enumerate();
     agents
-        .map(|(index, (agent, name))| Sprite {
-            name,
-            kind: agent.kind,
-            concepts: &agent.concepts,
-            at: agent.cell,
-            heading: agent.heading,
-            action: (simulation.now() > 0).then(|| decided[index].action),
+        .map(|(index, (agent, name))| {
+            let action = (simulation.now() > 0).then(|| decided[index].action);
+            Sprite::of(agent, name, action)
         })
         .collect()
 }

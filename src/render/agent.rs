@@ -2,7 +2,7 @@
 
 use super::canvas::Frame;
 use super::ink::Ink;
-use crate::city::{Cell, Heading};
+use crate::city::{Agent, Cell, Heading};
 use crate::config::{AgentKind, Speed};
 
 /// What a picture shows of an agent.
@@ -20,6 +20,20 @@ pub struct Sprite<'a> {
     pub heading: Option<Heading>,
     /// What it decided; `None` if nothing yet.
     pub action: Option<Speed>,
+}
+
+impl<'a> Sprite<'a> {
+    /// An agent as it is, its name, and what it decided.
+    pub fn of(agent: &'a Agent, name: &'a str, action: Option<Speed>) -> Sprite<'a> {
+        Sprite {
+            name,
+            kind: agent.kind,
+            concepts: &agent.concepts,
+            at: agent.cell,
+            heading: agent.heading,
+            action,
+        }
+    }
 }
 
 /// What tells agents apart besides the colour.

@@ -312,7 +312,7 @@ fn bodies(grounder: &mut Grounder, map: &CityMap, agents: &[Agent]) -> Vec<Body>
 }
 
 /// A whole city in one window.
-trait OneWindow: Send {
+trait OneWindow: Send + Sync {
     fn restart(&mut self, grounder: &Grounder, map: &CityMap, bodies: Vec<Body>);
     fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions);
     fn follow(&mut self, grounder: &Grounder, map: &CityMap, agents: &[Agent]);

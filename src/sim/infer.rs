@@ -473,6 +473,11 @@ impl GroundState {
         &self.session
     }
 
+    /// The session alone, and the values that stand for the entities.
+    pub fn into_parts(self) -> (Session, Vec<Value>) {
+        (self.session, self.entities)
+    }
+
     /// The value that stands for an entity.
     pub fn value(&self, entity: usize) -> Value {
         self.entities[entity]

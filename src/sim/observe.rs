@@ -17,9 +17,9 @@ use super::world::World;
 use crate::city::{Agent, Cell};
 use crate::config::{Definition, Speed};
 use crate::diag::Diagnostic;
-use crate::engine::Program;
 use crate::engine::dense::{Axis, Counting, Dense, Frame, Input, List, Pairs, Set, first, has, members};
-use crate::lang::{self, ClauseId, Literal, RelId, Rules};
+use crate::engine::{Program, Session};
+use crate::lang::{self, ClauseId, Literal, RelId, Rules, Value};
 use std::sync::Arc;
 
 /// The most entities that are observed.
@@ -583,6 +583,20 @@ impl Observer {
                 .map(move |agents| (predicate, agents))
                 .collect::<Vec<_>>()
         })
+    }
+
+    /// A session with the observed facts and what the rules derive from them, and the value that stands for the ego in it.
+    ///
+    /// # Errors
+    /// `limit-exceeded` for rules that derive too much.
+    pub fn session(&self, city: &Simulation) -> Result<(Session, Value), Diagnostic> {
+        let world = &self.oracle.world;
+        let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
+        let mut state = GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str));
+        let observed = Observed::new(&self.atoms, &self.bodies, city);
+        (state.set(&observed.facts(self.oracle.how.len()))).map_err(|error| error.diagnostic(world.program.rules()))?;
+        let (session, values) = state.into_parts();
+        Ok((session, values[self.ego]))
     }
 
     /// The actions that the rules derive for the ego before the default.

@@ -197,6 +197,19 @@ impl Vocabulary {
             false => derived,
         }
     }
+
+    /// The actions that tell why the rules decide as they do, the one taken first: those derived before the default; if there are none, the
+    /// default if it holds as a fact of its own, else all, since each is missing.
+    pub fn telling(&self, derived: Actions, holds: impl Fn(RelId) -> bool) -> Vec<Speed> {
+        let taken = self.decide(derived);
+        let mut actions = match derived.is_empty() {
+            false => derived.iter().collect(),
+            true if self.action(taken).is_some_and(holds) => vec![taken],
+            true => Speed::ALL.to_vec(),
+        };
+        actions.sort_by_key(|action| *action != taken);
+        actions
+    }
 }
 
 fn decisions(config: &ActionsConfig) -> [Speed; 16] {

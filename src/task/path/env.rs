@@ -277,7 +277,7 @@ impl Env {
     }
 
     /// Writes the abstract observation of a rider: the true atoms as [`Observer::write`] does; if the configuration wants it, the cells
-    /// of its route divided by twice the side of the region.
+    /// of its route divided by twice the side of the region, at most 1.
     ///
     /// # Panics
     /// If there is not room for [`PathTask::observation_width`] numbers.
@@ -288,7 +288,7 @@ impl Env {
             let region = self.task.region(self.city.split());
             #[allow(clippy::cast_precision_loss)] // a share
             let share = rider.cells as f32 / (2.0 * region as f32);
-            out[self.task.oracle().width()] = share;
+            out[self.task.oracle().width()] = share.min(1.0);
         }
     }
 

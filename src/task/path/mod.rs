@@ -12,19 +12,24 @@
 //! short at the horizon, at the price of overtime.
 //!
 //! [`rollout`] lets a policy drive an episode, an [`Exam`] lets one from outside drive a whole set, [`Baseline`] is how the random one does;
-//! [`summarise`] says how well a policy did over many episodes: the rates and the score of the paper.
+//! [`summarise`] says how well a policy did over many episodes: the rates and the score of the paper. A [`VectorEnv`] is many environments
+//! that take a step together; [`explain`] tells why the rules want what they want.
 
 mod env;
 mod episode;
 mod evaluate;
+mod explain;
 mod metrics;
 mod rollout;
+mod vector;
 
 pub use env::{Egos, Env, Rider, Step};
 pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
 pub use evaluate::{Baseline, Exam, RANDOM_RUNS};
+pub use explain::{describe, explain};
 pub use metrics::{ActionRate, Rate, Score, Summary, summarise};
 pub use rollout::{Policy, Rollout, make_episodes, rollout};
+pub use vector::{Autoreset, Begin, EpisodeSource, Info, Member, Outcome, VectorEnv, View};
 
 use crate::config::{PathTaskConfig, Speed, Split, ViolationsPer};
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};

@@ -1,0 +1,500 @@
+"""Safe Path Following as environments of gymnasium: `SPFEnv`, and `SPFVectorEnv`, many of them in one call.
+
+`import logicity` registers them, so that `gymnasium.make("logicity/SPF-Expert-v0")` and
+`gymnasium.make_vec("logicity/SPF-Expert-v0", num_envs=256)` make them.
+
+A car drives a route and must break no rule. Actions are 0 Slow, 1 Normal, 2 Fast and 3 Stop. An episode terminates at
+the goal or with the first rule broken, and is truncated at the horizon of the configuration.
+"""
+
+from __future__ import annotations
+
+import json
+import operator
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypedDict, cast
+
+import gymnasium
+import numpy as np
+from gymnasium.error import InvalidAction, ResetNeeded, UnsupportedMode
+from gymnasium.spaces import Box, Discrete
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from . import _input_error, _logicity, _told
+
+__all__ = ["EpisodeAgent", "EpisodeStart", "OracleRun", "SPFEnv", "SPFVectorEnv"]
+
+Observations = NDArray[np.float32]
+Split = Literal["train", "val", "test"]
+Kind = Literal["atoms", "points"]
+
+
+class EpisodeAgent(TypedDict):
+    """An agent as an episode begins; `start` and `goal` are [row, column] in cells."""
+
+    id: str
+    concepts: list[str]
+    priority: int
+    start: tuple[int, int]
+    goal: tuple[int, int]
+
+
+#: An episode under the oracle: its steps, the sum of its rewards, and by action in how many steps rules ask it.
+OracleRun = TypedDict("OracleRun", {"steps": int, "return": float, "constrained": dict[str, int]})
+
+
+class EpisodeStart(TypedDict):
+    """How an episode begins: its seed, less than 2**63, the agents in list order, the oracle's run if it is known."""
+
+    seed: int
+    agents: list[EpisodeAgent]
+    oracle: OracleRun | None
+
+
+class _World:
+    """What an environment is of: a configuration and what is changed of it."""
+
+    def __init__(
+        self,
+        config: str | os.PathLike[str],
+        rules: str | os.PathLike[str] | None,
+        overrides: Mapping[str, Any] | None,
+    ) -> None:
+        self.config = os.fspath(config)
+        self.rules = rules if rules is None else os.fspath(rules)
+        self.overrides = dict(overrides or {})
+        if "base" in self.overrides:
+            raise ValueError("overrides have no `base`: that is `config`")
+
+    def task(self, **more: Any) -> _logicity.Task:
+        """Load the task, with more overrides."""
+        over = {**self.overrides, **more}
+        text = None
+        if over:
+            base = Path(self.config)
+            bare = len(base.parts) == 1 and not base.suffix and not base.exists()
+            text = json.dumps({"base": f"configs/{base}.yaml" if bare else str(base), **over})
+        with _told():
+            return _logicity.Task(self.config, self.rules, text)
+
+
+def _space(task: _logicity.Task, observation: Kind) -> Box:
+    shape = tuple(task.shape(observation))
+    return Box(0.0 if observation == "atoms" else -1.0, 1.0, shape, np.float32)
+
+
+def _checked_seed(seed: int | None, generator: np.random.Generator) -> int:
+    if seed is None:
+        return int(generator.integers(2**53))
+    if not 0 <= seed < 2**64:
+        raise gymnasium.error.Error(f"a seed is from 0 to 2**64 - 1, not {seed}")
+    return int(seed)
+
+
+def _elsewhere(options: Mapping[str, Any]) -> dict[str, Any]:
+    """What options of a reset change in the configuration."""
+    return {key: options[key] for key in ("map", "agents") if options.get(key) is not None}
+
+
+class SPFEnv(gymnasium.Env[Observations, np.int64]):
+    """Safe Path Following: one car is driven.
+
+    Observations are arrays of float32. `observation="atoms"` (default): 1 for each true atom about the car and the
+    first 4 others that it sees, shape (85,), (140,) or (205,) as the mode has predicates, and one more number from 0 to
+    1 if the configuration sets `task: {route_length: true}`. `observation="points"`: the exact state, a row for each
+    agent in the field of view, numbers from -1 to 1.
+
+    Parameters: `config` is a run configuration, a built-in name such as `expert` or a path; `split` the set of agents;
+    `rules` a rule file instead of the configuration's; `overrides` a mapping that is merged over the configuration,
+    for example `{"task": {"reward": {"overtime": -6}}}`. `episodes="recorded"` takes the episodes of the split's set, by
+    the seed, instead of drawing new ones. `atoms=True` puts `true_atoms` into `info`. `render_mode` is `rgb_array` or
+    `ansi`.
+
+    `info` has `oracle_action` (what the rules want now), `violations` (names of the clauses that the last action
+    broke, such as `S1`), `progress` (share of the route gone, 0 to 1), `success`, `steps` and `seed` (of the episode).
+
+    Raises `InputError` for a faulty configuration, rule file or episode, `OSError` for one that cannot be read,
+    `ValueError` for an unknown name.
+    """
+
+    metadata = {"render_modes": ["rgb_array", "ansi"], "render_fps": 10}
+
+    def __init__(
+        self,
+        config: str | os.PathLike[str] = "expert",
+        *,
+        split: Split = "train",
+        rules: str | os.PathLike[str] | None = None,
+        overrides: Mapping[str, Any] | None = None,
+        observation: Kind = "atoms",
+        episodes: Literal["drawn", "recorded"] = "drawn",
+        atoms: bool = False,
+        render_mode: str | None = None,
+    ) -> None:
+        """Load the configuration and the rules."""
+        self._world = _World(config, rules, overrides)
+        self._split, self._kind, self._atoms = split, observation, atoms
+        self._recorded = _is_recorded(episodes)
+        self.render_mode = _checked_render_mode(render_mode, self.metadata)
+        self._task = self._world.task()
+        self.observation_space = _space(self._task, observation)
+        self._shape = self.observation_space.shape
+        self.action_space = Discrete(4)
+        self._home = self._environments(self._task)
+        self._core = self._home
+        self._elsewhere: dict[str, Any] = {}
+        self._seeded = False
+        self._taken: list[int] | None = None
+
+    def _environments(self, task: _logicity.Task) -> _logicity.Environments:
+        with _told():
+            return _logicity.Environments(task, self._split, 1, "Disabled", self._kind, self._recorded, 1)
+
+    def _look(self) -> Observations:
+        return np.empty(self._shape, np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, dict[str, Any]]:
+        """Begin an episode.
+
+        `seed`, from 0 to 2**64 - 1, begins a new sequence of episodes; without one the next of the sequence follows.
+        `options`: `episode` is the number of a recorded episode of the split or a mapping such as `SPFEnv.episode`, and
+        then the sequence does not go on; `map` and `agents` replace those parts of the configuration for this episode.
+        """
+        super().reset(seed=seed)
+        options = options or {}
+        _check_options(options, ("episode", "map", "agents"))
+        if seed is not None or not self._seeded:
+            self._home.seed(0, _checked_seed(seed, self.np_random), 0)
+            self._seeded = True
+        self._move(_elsewhere(options))
+        observation = self._look()
+        self._taken = None
+        with _told():
+            self._core.reset([_begin(options.get("episode"))], observation)
+        if self._core is not self._home:
+            self._home.seed(0, *self._core.source(0))
+        self._taken = []
+        return observation, self._info(self._core.info(0))
+
+    def _move(self, elsewhere: dict[str, Any]) -> None:
+        """Go where the configuration is changed like this; the sequence of episodes comes along."""
+        if not elsewhere:
+            self._core, self._elsewhere = self._home, {}
+            return
+        if self._core is self._home or elsewhere != self._elsewhere:
+            task = self._world.task(**elsewhere)
+            if _space(task, self._kind) != self.observation_space:
+                raise ValueError("there, observations have another shape")
+            self._core, self._elsewhere = self._environments(task), elsewhere
+        self._core.seed(0, *self._home.source(0))
+
+    def _info(self, info: dict[str, Any]) -> dict[str, Any]:
+        if self._atoms:
+            info["true_atoms"] = self._core.atoms(0)
+        return info
+
+    def step(self, action: np.int64 | int) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
+        """Drive for a tick.
+
+        Raises `gymnasium.error.ResetNeeded` if no episode goes on, and `gymnasium.error.InvalidAction`.
+        """
+        if self._taken is None:
+            raise ResetNeeded("no episode has begun: `reset` begins one")
+        observation = self._look()
+        try:
+            number = operator.index(action)
+            reward, terminated, truncated, info = self._core.step_one(number, observation)
+        except (TypeError, OverflowError):
+            raise InvalidAction(f"{action!r} is no action: they are 0 Slow, 1 Normal, 2 Fast, 3 Stop") from None
+        except _logicity.InputError as error:
+            raise _input_error(error) from None
+        self._taken.append(number)
+        return observation, reward, terminated, truncated, self._info(info) if self._atoms else info
+
+    @property
+    def episode(self) -> EpisodeStart:
+        """How the episode began; `reset(options={"episode": ...})` begins it again."""
+        self._check_begun()
+        return cast(EpisodeStart, self._core.episode(0))
+
+    def _check_begun(self) -> None:
+        if self._taken is None:
+            raise ResetNeeded("no episode has begun: `reset` begins one")
+
+    def explain(self) -> str:
+        """Tell why the oracle would act as it would: proofs on the facts that the car observes now, in words."""
+        self._check_begun()
+        with _told():
+            return self._core.explain(0)
+
+    def render(self) -> Any:
+        """Draw the city: an array of uint8, shape (height, width, 3), or text in the mode `ansi`."""
+        if self.render_mode is None:
+            raise gymnasium.error.Error("no `render_mode` was chosen when the environment was made")
+        self._check_begun()
+        return _rendered(self._core, 0, self.render_mode)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Arguments, and the episode with the actions taken: with them everything is as it was."""
+        state = {key: value for key, value in self.__dict__.items() if key not in ("_task", "_home", "_core")}
+        state["_source"] = self._home.source(0)
+        state["_start"] = None if self._taken is None else self._core.episode(0)
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Begin the same episode and take the same actions."""
+        source, start, elsewhere = state.pop("_source"), state.pop("_start"), state.pop("_elsewhere")
+        self.__dict__.update(state)
+        self._task = self._world.task()
+        self._home = self._core = self._environments(self._task)
+        self._elsewhere = {}
+        self._home.seed(0, *source)
+        self._move(elsewhere)
+        if start is not None:
+            observation = self._look()
+            self._core.reset([start], observation)
+            for action in self._taken or []:
+                self._core.step_one(action, observation)
+
+
+def _is_recorded(episodes: str) -> bool:
+    if episodes not in ("drawn", "recorded"):
+        raise ValueError(f"episodes are `drawn` or `recorded`, not `{episodes}`")
+    return episodes == "recorded"
+
+
+def _checked_render_mode(mode: str | None, metadata: Mapping[str, Any]) -> str | None:
+    if mode is not None and mode not in metadata["render_modes"]:
+        raise UnsupportedMode(f"unknown render mode `{mode}`: it is one of {', '.join(metadata['render_modes'])}")
+    return mode
+
+
+def _check_options(options: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    for option in options:
+        if option not in known:
+            raise ValueError(f"unknown option `{option}`: they are {', '.join(known)}")
+
+
+def _begin(episode: Any) -> Any:
+    """What begins: the next episode, that of a number, or one that is given."""
+    if episode is None:
+        return True
+    if isinstance(episode, Mapping):
+        return dict(episode)
+    try:
+        number = operator.index(episode)
+    except TypeError:
+        number = -1
+    if isinstance(episode, bool) or number < 0:
+        raise ValueError(f"an episode is a number from 0 or a mapping, not {episode!r}")
+    return number
+
+
+def _rendered(core: _logicity.Environments, at: int, mode: str) -> Any:
+    return core.picture(at) if mode == "rgb_array" else core.text(at)
+
+
+class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
+    """Many environments of Safe Path Following that take a step in one call.
+
+    Environment i goes as an `SPFEnv` with its seed would. With `reset(seed=s)` its seed is s + i.
+
+    Parameters are those of `SPFEnv`, and: `num_envs`; `autoreset_mode`, an `AutoresetMode` or its name; `num_threads`
+    that share the work of a step; `copy=False` gives the same array of observations again and again, which is faster,
+    but what was kept of the last step is overwritten.
+
+    Observations have shape (num_envs, ...), rewards are float64, `terminated` and `truncated` bool, each of shape
+    (num_envs,). `infos` has an array for each key of `SPFEnv`'s `info`, and its mask under `_key`. In the mode SameStep
+    `final_obs` and `final_info` tell how episodes ended.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "ansi"], "render_fps": 10}
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        config: str | os.PathLike[str] = "expert",
+        *,
+        split: Split = "train",
+        rules: str | os.PathLike[str] | None = None,
+        overrides: Mapping[str, Any] | None = None,
+        observation: Kind = "atoms",
+        episodes: Literal["drawn", "recorded"] = "drawn",
+        atoms: bool = False,
+        render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        num_threads: int = 1,
+        copy: bool = True,
+    ) -> None:
+        """Load the configuration and the rules."""
+        super().__init__()
+        if num_envs < 1 or num_threads < 1:
+            raise ValueError(f"{num_envs} environments on {num_threads} threads: both are at least 1")
+        self.num_envs = num_envs
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.render_mode = _checked_render_mode(render_mode, self.metadata)
+        self._atoms, self.copy = atoms, copy
+        task = _World(config, rules, overrides).task()
+        self.single_observation_space = _space(task, observation)
+        self.single_action_space = Discrete(4)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        recorded = _is_recorded(episodes)
+        with _told():
+            self._core = _logicity.Environments(
+                task, split, num_envs, self.autoreset_mode.value, observation, recorded, num_threads
+            )
+        self._observations = np.zeros((num_envs, *(self.single_observation_space.shape or ())), np.float32)
+        self._seeded = np.zeros(num_envs, np.bool_)
+        self._unbroken = np.empty(num_envs, object)
+        self._unbroken.fill(())
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Begin episodes.
+
+        `seed` begins new sequences of episodes: one number s gives environment i the seed s + i; a list has one for
+        each, where `None` goes on with the sequence. `options`: `reset_mask`, an array of bool, which environments
+        begin (default: all); `episode`, as for `SPFEnv`, for all of them, or `episodes`, a list with one for each.
+        """
+        options = dict(options or {})
+        _check_options(options, ("reset_mask", "episode", "episodes"))
+        mask = self._mask(options)
+        seeds: list[int | None]
+        if seed is None:
+            seeds = [None] * self.num_envs
+        elif isinstance(seed, (int, np.integer)):
+            self._np_random, self._np_random_seed = np_random(int(seed))
+            seeds = [int(seed) + at for at in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+            if len(seeds) != self.num_envs:
+                raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
+        chosen = options.get("episodes", [options.get("episode")] * self.num_envs)
+        if len(chosen) != self.num_envs:
+            raise ValueError(f"{len(chosen)} episodes for {self.num_envs} environments")
+        begin = [bool(begins) and _begin(episode) for begins, episode in zip(mask, chosen, strict=True)]
+        for at in np.flatnonzero(mask):
+            given = seeds[at]
+            if given is not None or not self._seeded[at]:
+                self._core.seed(int(at), _checked_seed(given, self.np_random), 0)
+                self._seeded[at] = True
+        with _told():
+            self._core.reset(begin, self._observations)
+        infos: dict[str, Any] = {}
+        for at in np.flatnonzero(mask):
+            info = self._core.info(int(at))
+            if self._atoms:
+                info["true_atoms"] = self._core.atoms(int(at))
+            infos = self._add_info(infos, info, int(at))
+        return self._shown(), infos
+
+    def _shown(self) -> Observations:
+        return self._observations.copy() if self.copy else self._observations
+
+    def _mask(self, options: Mapping[str, Any]) -> NDArray[np.bool_]:
+        mask = options.get("reset_mask")
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+            raise TypeError("`reset_mask` is an array of bool")
+        if mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(f"`reset_mask` has shape ({self.num_envs},) and names at least one environment")
+        return mask
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Drive all cars for a tick; `actions` are whole numbers, shape (num_envs,).
+
+        Raises `gymnasium.error.ResetNeeded` if an environment has no episode that goes on, and
+        `gymnasium.error.InvalidAction`; then nobody has moved.
+        """
+        count = self.num_envs
+        given = np.asarray(actions)
+        if given.shape != (count,) or given.dtype.kind not in "iu":
+            raise InvalidAction(f"actions are whole numbers of shape ({count},), not {given.dtype} of {given.shape}")
+        rewards = np.empty(count, np.float64)
+        terminated, truncated = np.empty(count, np.bool_), np.empty(count, np.bool_)
+        columns = _columns(count)
+        numbers = np.ascontiguousarray(given, np.int64)
+        try:
+            broken = self._core.step(numbers, self._observations, (rewards, terminated, truncated), columns)
+        except _logicity.InputError as error:
+            raise _input_error(error) from None
+        infos = self._infos(columns, broken)
+        if self._atoms:
+            infos["true_atoms"] = atoms = np.empty(count, object)
+            for at in range(count):
+                atoms[at] = self._core.atoms(at)
+            infos["_true_atoms"] = np.ones(count, np.bool_)
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and (terminated.any() or truncated.any()):
+            self._tell_ends(infos)
+        return self._shown(), rewards, terminated, truncated, infos
+
+    def _infos(self, columns: _Columns, broken: list[tuple[int, tuple[str, ...]]]) -> dict[str, Any]:
+        infos: dict[str, Any] = dict(zip(_COLUMNS, columns, strict=True))
+        infos["violations"] = violations = self._unbroken.copy()
+        for at, labels in broken:
+            violations[at] = labels
+        for key in tuple(infos):
+            infos["_" + key] = np.ones(self.num_envs, np.bool_)
+        return infos
+
+    def _tell_ends(self, infos: dict[str, Any]) -> None:
+        """Put in how episodes ended whose environments have gone on."""
+        count = self.num_envs
+        columns = _columns(count)
+        ends = self._core.ended(columns)
+        info: dict[str, Any] = dict(zip(_COLUMNS, columns, strict=True))
+        info["violations"] = violations = np.empty(count, object)
+        infos["final_obs"] = observations = np.empty(count, object)
+        mask = np.zeros(count, np.bool_)
+        shape = self.single_observation_space.shape
+        for at, observation, labels in ends:
+            observations[at], violations[at], mask[at] = observation.reshape(shape), labels, True
+        for key in tuple(info):
+            info["_" + key] = mask.copy()
+        infos["final_info"], infos["_final_info"], infos["_final_obs"] = info, mask.copy(), mask
+
+    def episode(self, at: int) -> EpisodeStart:
+        """How the episode of an environment began."""
+        return cast(EpisodeStart, self._core.episode(at))
+
+    def explain(self, at: int) -> str:
+        """Tell why the oracle of an environment would act as it would, as `SPFEnv.explain` does."""
+        with _told():
+            return self._core.explain(at)
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Draw all cities, see `SPFEnv.render`."""
+        if self.render_mode is None:
+            raise gymnasium.error.Error("no `render_mode` was chosen when the environments were made")
+        return tuple(_rendered(self._core, at, self.render_mode) for at in range(self.num_envs))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Refuse: what goes to another process are the arguments."""
+        raise TypeError("an SPFVectorEnv cannot be pickled or copied: make another with the same arguments")
+
+
+_Columns = tuple[
+    NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]
+]
+_COLUMNS = ("oracle_action", "progress", "success", "steps", "seed")
+
+
+def _columns(count: int) -> _Columns:
+    return (
+        np.zeros(count, np.int64),
+        np.zeros(count, np.float64),
+        np.zeros(count, np.bool_),
+        np.zeros(count, np.int64),
+        np.zeros(count, np.int64),
+    )
