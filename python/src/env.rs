@@ -25,8 +25,8 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 /// Safe Path Following in one world: what environments share.
 #[pyclass(frozen, name = "Task")]
 pub struct PyTask {
-    task: Arc<PathTask>,
-    sources: Mutex<Sources>,
+    pub(crate) task: Arc<PathTask>,
+    pub(crate) sources: Mutex<Sources>,
     /// Names of the clauses that can be broken.
     labels: Vec<Py<PyString>>,
     recorded: [OnceLock<Arc<[Episode]>>; 3],
@@ -42,11 +42,11 @@ fn named<T: Copy>(kind: &str, name: &str, values: &[T], name_of: impl Fn(T) -> &
     })
 }
 
-fn split_named(name: &str) -> PyResult<Split> {
+pub(crate) fn split_named(name: &str) -> PyResult<Split> {
     named("split", name, &Split::ALL, Split::name)
 }
 
-fn view_named(name: &str) -> PyResult<View> {
+pub(crate) fn view_named(name: &str) -> PyResult<View> {
     named("observation", name, &[View::Atoms, View::Points], |view| match view {
         View::Atoms => "atoms",
         View::Points => "points",
@@ -71,7 +71,7 @@ fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
     }
 }
 
-fn speed(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Speed> {
+pub(crate) fn speed(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Speed> {
     let known = usize::try_from(action).ok().and_then(|action| Speed::ALL.get(action));
     known.copied().ok_or_else(|| {
         let message = format!(
@@ -222,7 +222,7 @@ impl PyTask {
 }
 
 impl PyTask {
-    fn error(&self, fault: Diagnostic) -> PyErr {
+    pub(crate) fn error(&self, fault: Diagnostic) -> PyErr {
         let sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
         input_error(&[fault], &sources)
     }

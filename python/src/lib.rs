@@ -2,6 +2,7 @@
 //! it in types.
 
 mod env;
+mod evaluate;
 
 use logicity::config::{Scenario, load_scenario};
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
@@ -107,5 +108,8 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyInference>()?;
     module.add_class::<env::PyTask>()?;
     module.add_class::<env::PyEnvironments>()?;
-    module.add_class::<env::PyCars>()
+    module.add_class::<env::PyCars>()?;
+    module.add_class::<evaluate::PyBaseline>()?;
+    module.add_class::<evaluate::PyExam>()?;
+    module.add_function(wrap_pyfunction!(evaluate::describe, module)?)
 }
