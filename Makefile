@@ -7,7 +7,7 @@ SOLVERS := .venv-solvers
 FUZZ_TARGETS := parse check query evaluate config scene rows
 FUZZ_SECONDS := 600
 
-.PHONY: test lint rust doc python solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test lint rust doc python python-all solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint rust doc python
 
@@ -28,11 +28,16 @@ python: $(VENV)/bin/python
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check './python[test]'
 	$(VENV)/bin/ruff check python
 	$(VENV)/bin/ruff format --check python
-	$(VENV)/bin/mypy --strict python/logicity python/tests
+	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches
 	$(VENV)/bin/python -m pytest -q python/tests
 
-$(VENV)/bin/python:
-	$(PYTHON) -m venv $(VENV) || { echo "on Debian: apt-get install python3-venv"; exit 1; }
+# The same with Stable-Baselines3, whose tests are skipped above: it brings torch, some gigabytes.
+python-all: $(VENV)-all/bin/python
+	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check './python[test,train]'
+	$(VENV)-all/bin/python -m pytest -q python/tests
+
+$(VENV)/bin/python $(VENV)-all/bin/python: %/bin/python:
+	$(PYTHON) -m venv $* || { echo "on Debian: apt-get install python3-venv"; exit 1; }
 
 # Not part of `make test`: z3 and clingo beside our program, by benches/solvers; SOLVERS_OPTIONS are options of its compare.py.
 solvers: $(SOLVERS)/installed

@@ -1,35 +1,30 @@
 //! The city: a tick of the simulation, and the inference of one scene.
 
+#[path = "../tests/shipped_world/mod.rs"]
+mod shipped_world;
+
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use logicity::city::{CityMap, Places, Router, Surroundings, advance, place_agents};
 use logicity::config::{AgentKind, Located, Speed, Split, load_scenario};
 use logicity::diag::Sources;
-use logicity::engine::Program;
-use logicity::engine::dense::{BitFacts, Counting, Dense, Frame, choose, has};
-use logicity::files::{read_or_builtin, read_text};
-use logicity::lang;
+use logicity::engine::dense::{BitFacts, Counting, Frame, has};
+use logicity::files::read_text;
 use logicity::rng::{Purpose, Seed};
 use logicity::sim::{Executor, Inference, Settings, Simulation, World};
 use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
 
-fn world(mode: &str) -> World {
-    let mut sources = Sources::new();
-    let scenario = load_scenario(&mut sources, Path::new(mode), &read_text).expect("a built-in configuration");
-    let text = read_or_builtin(&scenario.rules.value).expect("built-in rules");
-    let entry = sources.add(scenario.rules.value.display().to_string(), text);
-    let rules = lang::load(&mut sources, entry, &read_or_builtin)
-        .rules
-        .expect("clean rules");
-    World::new(scenario, Program::new(rules).expect("within limits")).expect("a city")
+/// The world of a mode.
+fn world(mode: &str) -> Arc<World> {
+    shipped_world::world(mode, None, |_| ())
 }
 
 /// Ticks of the test city of a mode; throughput is in decisions.
 fn tick(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("tick");
     for mode in ["easy", "expert"] {
-        let world = Arc::new(world(mode));
+        let world = world(mode);
         for executor in [Executor::Dense, Executor::Relational] {
             let settings = Settings {
                 executor,
@@ -48,7 +43,8 @@ fn tick(criterion: &mut Criterion) {
 
 /// One scene, from text to answer; throughput is in scenes.
 fn infer(criterion: &mut Criterion) {
-    let World { scenario, program, .. } = world("expert");
+    let world = world("expert");
+    let (scenario, program) = (world.scenario.clone(), world.program.clone());
     let mut inference = Inference::new(scenario, program, Seed(0), Executor::Auto, read_text).expect("rules fit");
     let mut sources = Sources::new();
     let scene = sources.add(
@@ -70,13 +66,8 @@ fn infer(criterion: &mut Criterion) {
 /// decisions.
 fn rules(criterion: &mut Criterion) {
     const WIDTH: usize = 1;
-    let world = Arc::new(world("expert"));
-    let rules = world.program.rules();
-    let steady = |relation| {
-        let mut predicates = world.vocabulary.predicates.iter();
-        predicates.any(|predicate| predicate.relation == Some(relation) && predicate.definition.is_steady())
-    };
-    let dense = Dense::new(rules, &choose(rules), Counting::Off, steady);
+    let world = world("expert");
+    let dense = world.compile(Counting::Off).expect("the rules of the paper are dense");
     let mut simulation =
         Simulation::new(Arc::clone(&world), Split::Test, Seed(1), Settings::default()).expect("agents placed");
     let count = simulation.agents().len();

@@ -411,7 +411,7 @@ proptest! {
     fn the_map_is_the_painted_one(map in maps()) {
         let painted = Painted::new(&map);
         let nodes: BTreeSet<Cell> = Router::new(map.clone(), Routing::Weighted).lanes().flat_map(|lane| [lane.start, lane.end]).collect();
-        let semantic = map.semantic(&[Cell::new(0, 1), Cell::new(-1, 0)]);
+        let semantic = map.semantic(&[Cell::new(0, 1), Cell::new(-1, 0)]).unwrap();
         prop_assert_eq!(semantic.dim(), (map.rows() as usize, map.cols() as usize, 10));
         for cell in cells(&map) {
             let place = (cell.row as usize, cell.col as usize);
@@ -652,6 +652,8 @@ fn agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
     set.repeat = 500;
     let map = CityMap::generate(&scenario.map).expect("a valid map");
     assert_eq!((map.rows(), map.cols()), (28_301, 28_301));
+    // As layers it would take 24 GiB.
+    assert_eq!(map.semantic(&[]).unwrap_err().code, Code::LimitExceeded);
     let router = Router::new(Arc::new(map), scenario.routing);
     let trip = set.trip.map(|trip| trip.value);
     let places = Places::new(&router, None, trip);

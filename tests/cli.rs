@@ -8,10 +8,14 @@ use std::process::{Command, Output, Stdio};
 
 /// Runs the program in the repository's folder.
 fn logicity<const N: usize>(arguments: [&str; N]) -> Output {
-    with_input(arguments, b"")
+    run(&arguments, b"")
 }
 
 fn with_input<const N: usize>(arguments: [&str; N], input: &[u8]) -> Output {
+    run(&arguments, input)
+}
+
+fn run(arguments: &[&str], input: &[u8]) -> Output {
     let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
         .args(arguments)
         .current_dir(env!("CARGO_MANIFEST_DIR"))
@@ -580,6 +584,29 @@ fn wrong_usage_exits_with_2() {
         &["row and column"],
     );
     fails(&logicity(["fly"]), 2, &["fly"]);
+    for command in [
+        ["run", "expert"],
+        ["bench", "tick"],
+        ["bench", "scale"],
+        ["query", "no/such.dl"],
+    ] {
+        for threads in ["65535", "1025", "-1", "many"] {
+            let [command, what] = command;
+            let output = logicity([command, what, "--threads", threads]);
+            fails(&output, 2, &["--threads", "expected a whole number from 0 to 1024"]);
+        }
+    }
+    fails(
+        &logicity(["infer", "--check-promises", "--executor", "dense"]),
+        2,
+        &["--check-promises", "--executor dense"],
+    );
+    let empty = write(folder.path(), "empty.dl", "");
+    fails(
+        &logicity(["query", &empty, "-F", "no/such"]),
+        2,
+        &["no/such", "no such folder"],
+    );
     for ticks in ["0", "-1", "1000000001", "many"] {
         fails(
             &logicity(["run", "expert", "--ticks", ticks, "--out", &inside]),
@@ -662,8 +689,23 @@ fn memory_is_given_in_mebibytes_or_with_a_unit() {
             &["expected a whole number of MiB, or one with a unit", "50M"],
         );
     }
+    for (little, told) in [
+        ("0", "more than 0 MiB"),
+        ("3K", "more than 3 KiB"),
+        ("20k", "more than 20 KiB"),
+    ] {
+        fails(&with("--max-memory", little), 1, &[told]);
+    }
     for option in ["--max-rows", "--max-steps"] {
-        fails(&with(option, "-1"), 2, &["expected a whole number from 0 on"]);
+        for wrong in ["-1", "", "K", "1.5K", "3 MiB", "99999999999999999999"] {
+            fails(
+                &with(option, wrong),
+                2,
+                &["expected a whole number from 0 on, or one with a unit"],
+            );
+        }
+        assert_eq!(code(&with(option, "1g")), 0);
+        fails(&with(option, "29K"), 1, &["limit-exceeded", "29000 rows"]);
     }
 }
 
@@ -1130,7 +1172,17 @@ fn cities_that_cannot_be_are_told() {
     let output = logicity(["run", &config(huge)]);
     fails(&output, 1, &["mine.yaml:2"]);
     let many = agents("[{priority: 1, count: 1000}]");
-    fails(&logicity(["run", &config(&many)]), 1, &["no-start-cell"]);
+    fails(
+        &logicity(["run", &config(&many)]),
+        1,
+        &["no-start-cell", "or fewer cars"],
+    );
+    let repeated = "region: ~\nagents: {test: {cars: [{priority: 1}], pedestrians: [], repeat: 100000}}\n";
+    fails(
+        &logicity(["run", &config(repeated)]),
+        1,
+        &["no-start-cell", "take a larger map, or a smaller `repeat`"],
+    );
     let map = "blocks: [30, 30]\nwidths: {street: 11, sidewalk: 5, building: 10, inner_sidewalk: 5}\n\
                buildings: {random: {seed: 1, weights: {House: 1, Garage: 1}}}\n";
     write(folder.path(), "big.yaml", map);
@@ -1174,4 +1226,194 @@ fn query_reads_the_columns_it_is_told_to() {
             "a.facts:3:4",
         ],
     );
+}
+
+/// What a measurement says, by key. Each is explained in README.
+fn measured(output: &Output) -> Value {
+    assert_eq!(code(output), 0, "{}", err(output));
+    let told: Value = serde_json::from_str(&out(output)).unwrap();
+    let readme = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
+    let (_, keys) = readme
+        .split_once("### What `bench` prints")
+        .expect("README has the keys");
+    let (keys, _) = keys.split_once("\n## ").expect("README goes on");
+    for key in told.as_object().unwrap().keys() {
+        let unit = key.trim_end_matches("_per_cpu_s").trim_end_matches("_per_s");
+        let known = |name: &str| keys.contains(&format!("`{name}`"));
+        assert!(known(key) || known(unit), "README does not say what `{key}` is");
+    }
+    told
+}
+
+#[test]
+fn bench_measures_what_it_is_asked_for() {
+    let bench = |arguments: &[&str]| {
+        let mut all = vec!["bench"];
+        all.extend(arguments);
+        all.extend(["--seconds", "0.05", "--json"]);
+        run(&all, b"")
+    };
+    // The list of 18 agents is repeated, however often the configuration repeats it.
+    for config in ["configs/metropolis.yaml", "configs/expert.yaml"] {
+        let told = measured(&bench(&["tick", "--config", config, "--agents", "300"]));
+        assert_eq!(
+            (&told["agents"], &told["threads"]),
+            (&306.into(), &1.into()),
+            "{config}"
+        );
+        assert!(told["ticks"].as_u64() > Some(0));
+    }
+    let several = |agents| measured(&bench(&["tick", "--agents", agents, "--threads", "2"]))["threads"].clone();
+    assert_eq!((several("18"), several("300")), (1.into(), 2.into()));
+    for what in ["infer", "ground"] {
+        let told = measured(&bench(&[what]));
+        assert_eq!(
+            (&told["agents"], &told["executor"]),
+            (&18.into(), &"dense".into()),
+            "{what}"
+        );
+        fails(
+            &bench(&[what, "--threads", "2"]),
+            2,
+            &["--threads is for `bench tick|scale` only"],
+        );
+    }
+    assert_eq!(measured(&bench(&["infer"]))["states"], 64);
+    fails(
+        &bench(&["ground", "--agents", "300"]),
+        2,
+        &["up to 256 agents", "306", "--agents"],
+    );
+    fails(
+        &bench(&["ground", "--executor", "relational"]),
+        2,
+        &["leave out --executor relational"],
+    );
+    fails(&bench(&["infer", "--agents", "5000"]), 2, &["4096", "--agents"]);
+    let told = measured(&bench(&["env"]));
+    assert!(told["what"] == "env" && told["steps"].as_u64() > Some(0), "{told}");
+    fails(
+        &bench(&["env", "--config", "vap-easy"]),
+        1,
+        &["has no `task`", "tasks/expert.yaml"],
+    );
+}
+
+/// Making a set writes what the repository has, showing it tells how the oracle fares, and nothing half done is left behind.
+#[test]
+fn episodes_are_made_checked_and_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("mine.jsonl");
+    let episodes = |arguments: &[&str]| run(&[&["episodes"], arguments].concat(), b"");
+    let ok = |output: &Output| {
+        assert_eq!(code(output), 0, "{}", err(output));
+        out(output)
+    };
+    let output = file.to_str().unwrap();
+    let made = ok(&episodes(&[
+        "make", "--config", "easy", "--split", "val", "--output", output,
+    ]));
+    let shipped = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/configs/episodes/easy-val.jsonl")).unwrap();
+    assert!(fs::read_to_string(&file).unwrap() == shipped, "made with seed 0");
+    let hash = made.rsplit(' ').next().unwrap().trim();
+    assert!(ok(&episodes(&["check", "--config", "easy", "--split", "val"])).contains(hash));
+    let shown = ok(&episodes(&["show", "--config", "easy", "--split", "val", "--json"]));
+    let shown: Value = serde_json::from_str(&shown).unwrap();
+    assert_eq!(
+        (&shown["hash"], &shown["oracle"]["tsr"]["value"]),
+        (&hash.into(), &1.0.into())
+    );
+    assert!(shown["random"]["tsr"]["value"].as_f64() < Some(0.3));
+    assert!(ok(&episodes(&["show", "--config", "easy", "--episode", "3"])).contains("Pedestrian_2"));
+    fails(
+        &episodes(&["show", "--config", "easy", "--episode", "100"]),
+        2,
+        &["numbered from 0 to 99"],
+    );
+    fails(&episodes(&["check", "--config", "vap-easy"]), 1, &["has no `task`"]);
+    fails(
+        &episodes(&["make", "--config", "easy", "--output", "/nowhere/x.jsonl"]),
+        2,
+        &["/nowhere/x.jsonl"],
+    );
+    // Other rules, and the oracle does otherwise.
+    fails(
+        &episodes(&["check", "--config", "easy", "--rules", "rules/expert.dl"]),
+        1,
+        &["error"],
+    );
+}
+
+#[test]
+fn bench_takes_scenes() {
+    let scene = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsCar":["e0"]}}"#;
+    let folder = tempfile::tempdir().unwrap();
+    let file = write(folder.path(), "scenes.jsonl", format!("{scene}\n\n{scene}\n"));
+    let bench = |file: &str, more: &[&str], input: &[u8]| {
+        let mut all = vec!["bench", "infer", "--seconds", "0.05", "--json", "--scenes", file];
+        all.extend(more);
+        run(&all, input)
+    };
+    let told = measured(&bench(&file, &[], b""));
+    assert_eq!((&told["scenes"], &told["entities"]), (&2.into(), &2.into()));
+    assert_eq!(measured(&bench("-", &[], scene.as_bytes()))["scenes"], 1);
+    for more in [["--agents", "20"], ["--split", "val"], ["--threads", "2"]] {
+        fails(&bench(&file, &more, b""), 2, &[more[0], "--scenes"]);
+    }
+    fails(&bench("-", &[], b" \n"), 1, &["invalid-scene", "no scene in `<stdin>`"]);
+    fails(&bench("-", &[], b"{}"), 1, &["invalid-scene", "<stdin>:1"]);
+    let names: Vec<String> = (0..65).map(|number| format!("\"e{number}\"")).collect();
+    let crowd = format!(r#"{{"entities":[{}],"ego":"e0"}}"#, names.join(","));
+    fails(
+        &bench("-", &[], crowd.as_bytes()),
+        1,
+        &["limit-exceeded", "65 entities, the limit is 64"],
+    );
+    // Rules with recursion are not for the dense executor, and no option would change that.
+    let rules = write(
+        folder.path(),
+        "far.dl",
+        ".include \"vocabulary.dl\"\n.decl Far(x: agent, y: agent)\nFar(X, Y) :- NextTo(X, Y).\n\
+         Far(X, Z) :- Far(X, Y), NextTo(Y, Z).\nStop(X) :- Far(X, Y), IsBus(Y).\n",
+    );
+    let config = write(
+        folder.path(),
+        "far.yaml",
+        format!(
+            "base: {}/configs/expert.yaml\nrules: {rules}\n",
+            env!("CARGO_MANIFEST_DIR")
+        ),
+    );
+    let output = bench(&file, &["--config", &config], b"");
+    fails(
+        &output,
+        1,
+        &[
+            "a predicate depends on itself",
+            "--scenes times the dense executor only",
+        ],
+    );
+    assert!(!err(&output).contains("--executor auto"), "{}", err(&output));
+}
+
+#[test]
+fn the_summary_names_the_executor() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "far.dl",
+        ".include \"vocabulary.dl\"\n.decl Far(x: agent, y: agent)\nFar(X, Y) :- NextTo(X, Y).\n\
+         Far(X, Z) :- Far(X, Y), NextTo(Y, Z).\nStop(X) :- Far(X, Y), IsBus(Y).\n",
+    );
+    let summary = |more: &[&str]| {
+        let mut all = vec!["run", "expert", "--ticks", "2", "--no-trace"];
+        all.extend(more);
+        let output = run(&all, b"");
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        out(&output)
+    };
+    assert!(summary(&["--threads", "2"]).contains("\ndense executor, 1 thread\n"));
+    assert!(summary(&["--executor", "relational"]).contains("\nrelational executor, 1 thread\n"));
+    let reason = "relational executor, 1 thread: the dense executor cannot evaluate these rules, because a predicate";
+    assert!(summary(&["--rules", &rules]).contains(reason));
 }

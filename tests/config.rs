@@ -341,7 +341,8 @@ fn the_hash_is_of_the_content_and_not_of_files_places_or_names() {
             .all(|hash| modes.iter().filter(|other| *other == hash).count() == 1)
     );
     // The rules have a hash of their own.
-    assert_eq!(load(Path::new("hard")).hash, load(Path::new("transfer-hard")).hash);
+    let ruled = good(&[("main.yaml", "base: configs/hard.yaml\nrules: rules/transfer-hard.dl\n")]);
+    assert_eq!(load(Path::new("hard")).hash, ruled.hash);
 }
 
 #[test]
@@ -454,7 +455,7 @@ fn built_in_files_are_the_files_of_the_folders() {
                 walk(&path, files);
             } else if path
                 .extension()
-                .is_some_and(|extension| extension == "dl" || extension == "yaml")
+                .is_some_and(|extension| extension == "dl" || extension == "yaml" || extension == "jsonl")
             {
                 let path = path.strip_prefix(ROOT).expect("under the root");
                 files.push(path.to_str().expect("UTF-8").replace('\\', "/"));

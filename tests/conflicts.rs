@@ -5,7 +5,7 @@ mod written_program;
 use logicity::config::Speed;
 use logicity::engine::Program;
 use logicity::lang::{RelId, Value};
-use logicity::sim::{ENTITIES_MAX, Example, Finding, conflicts};
+use logicity::sim::{Cut, ENTITIES_MAX, Example, Finding, conflicts};
 use std::path::Path;
 use written_program::program;
 
@@ -179,7 +179,18 @@ fn constants_and_comparisons_are_respected() {
         r#"{"entities":["Car_1","e1"],"ego":"Car_1","facts":{"IsBus":["e1"],"IsCar":["Car_1"],"NextTo":[["Car_1","e1"]]}}"#
     );
     let never = "Stop(X) :- IsCar(X), X = \"Car_1\". Slow(X) :- IsCar(X), X = \"Car_2\".";
-    assert_eq!(finding(&rules(never), both), Finding::NotFound { scenes: 0, all: true });
+    let none = |cut: &[Cut]| Finding::NotFound {
+        scenes: 0,
+        cut: cut.iter().copied().collect(),
+    };
+    assert_eq!(finding(&rules(never), both), none(&[]));
+    let constants =
+        r#"Stop(X) :- NextTo(X, "a"), NextTo(X, "b"), NextTo(X, "c"), NextTo(X, "d"). Slow(X) :- IsCar(X)."#;
+    assert_eq!(finding(&rules(constants), both), none(&[Cut::Constants]));
+    let numbers = ".decl age(x: agent, n: number) .input age Stop(X) :- age(X, 5). Slow(X) :- IsCar(X).";
+    assert_eq!(finding(&rules(numbers), both), none(&[Cut::NotEntities]));
+    let computed = "Stop(X) :- IsCar(X), 5 = strlen(X). Slow(X) :- IsCar(X).";
+    assert_eq!(finding(&rules(computed), both), none(&[Cut::Beyond]));
     let many =
         "Stop(X) :- LeftOf(A, X), LeftOf(B, X), LeftOf(C, X), LeftOf(D, X), A < B, B < C, C < D, Not(LeftOf(X, X)).
         Slow(X) :- IsCar(X).";
@@ -239,15 +250,16 @@ fn a_brute_force_agrees() {
 
 #[test]
 fn hostile_rules_end_soon() {
+    let cut = |text: &str| match finding(text, [Speed::Slow, Speed::Stop]) {
+        Finding::NotFound { cut, .. } => Vec::from_iter(cut),
+        other => panic!("{other:?}"),
+    };
     let wide: Vec<String> = (0..60).map(|at| format!("LeftOf(X, Y{at})")).collect();
     let wide = wide.join(", ");
     let text = rules(&format!(
         "Stop(X) :- {wide}, Not(LeftOf(X, Y1)), X != Y1. Slow(X) :- {wide}, X != Y2."
     ));
-    assert!(matches!(
-        finding(&text, [Speed::Slow, Speed::Stop]),
-        Finding::NotFound { all: false, .. }
-    ));
+    assert_eq!(cut(&text), [Cut::Many]);
     let deep: Vec<String> = (0..60)
         .map(|at| format!(".decl p{at}(x: agent) p{at}(X) :- p{}(X). p{at}(X) :- q(X).", at + 1))
         .collect();
@@ -256,8 +268,5 @@ fn hostile_rules_end_soon() {
          Stop(X) :- p0(X), Not(IsCar(X)). Slow(X) :- p0(X).",
         deep.join("\n")
     ));
-    assert!(matches!(
-        finding(&text, [Speed::Slow, Speed::Stop]),
-        Finding::NotFound { all: false, .. }
-    ));
+    assert_eq!(cut(&text), [Cut::Deep]);
 }

@@ -127,6 +127,17 @@ fn traces_fail_as_their_fixtures_say() {
 }
 
 #[test]
+fn episodes_fail_as_their_fixture_says() {
+    let path = fixtures().join("invalid-episode/main.yaml");
+    let output = logicity(&["episodes", "check", "--config", path.to_str().unwrap()]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    for part in ["error[invalid-episode]: 1 trip of 2 agents", "short.jsonl:3:1"] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+}
+
+#[test]
 fn facts_that_break_promises_are_refused() {
     let folder = fixtures().join("broken-promise");
     let folder = folder.to_str().unwrap();

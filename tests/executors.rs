@@ -1,12 +1,11 @@
 //! The executors against each other: whatever evaluates the rules, on however many threads, a city goes the same way.
 
-use logicity::config::{Building, Buildings, Scenario, Speed, Split, load_scenario};
-use logicity::diag::Sources;
-use logicity::engine::Program;
+mod shipped_world;
+
+use logicity::config::{Building, Buildings, Scenario, Speed, Split};
 use logicity::rng::Seed;
 use logicity::sim::{Batch, CROWD_MAX, Executor, Settings, Simulation, World};
-use logicity::{files, lang};
-use std::path::Path;
+use shipped_world::world;
 use std::sync::Arc;
 
 const MODES: [&str; 9] = [
@@ -20,23 +19,6 @@ const MODES: [&str; 9] = [
     "vap-easy",
     "vap-hard",
 ];
-
-/// A world of a built-in configuration, changed by `edit`; with its rules, or those of `text`.
-fn world(mode: &str, text: Option<&str>, edit: impl FnOnce(&mut Scenario)) -> Arc<World> {
-    let mut sources = Sources::new();
-    let mut scenario = load_scenario(&mut sources, Path::new(mode), &files::read_or_builtin).unwrap();
-    edit(&mut scenario);
-    let entry = match text {
-        Some(text) => sources.add("test.dl", text),
-        None => {
-            let rules = &scenario.rules.value;
-            sources.add(rules.display().to_string(), files::read_or_builtin(rules).unwrap())
-        }
-    };
-    let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
-    let program = Program::new(loaded.rules.expect("clean rules")).unwrap();
-    Arc::new(World::new(scenario, program).unwrap())
-}
 
 /// Every agent of the test split `times` times, anywhere on the map.
 fn multiply(scenario: &mut Scenario, times: u32) {
@@ -121,6 +103,78 @@ fn a_batch_goes_as_single_cities_do() {
     }
 }
 
+/// A given action replaces the decided one, the last of several for an agent, in one tick; whatever the number of threads.
+#[test]
+fn controls_replace_decisions() {
+    let world = world("expert", None, |scenario| multiply(scenario, 20));
+    for threads in [1, 3] {
+        let (mut free, mut led) = (
+            simulation(&world, Executor::Dense, threads),
+            simulation(&world, Executor::Dense, threads),
+        );
+        assert_eq!(led.threads(), threads);
+        let count = led.agents().len();
+        for tick in 0..10 {
+            // Both begin every tick alike, so only the action given can differ.
+            let decided = free.tick(&[]).unwrap().clone();
+            let given = [
+                (count - 1, Speed::Fast),
+                (tick, Speed::Slow),
+                (count - 1, decided.agents[count - 1].action),
+                (tick, decided.agents[tick].action),
+            ];
+            assert_eq!(led.tick(&given).unwrap().agents, decided.agents, "tick {tick}");
+        }
+        let decided = free.tick(&[]).unwrap().agents.clone();
+        let stops: Vec<_> = (0..count).step_by(2).map(|agent| (agent, Speed::Stop)).collect();
+        for (agent, done) in led.tick(&stops).unwrap().agents.iter().enumerate() {
+            match agent % 2 {
+                0 => assert_eq!((done.action, done.moved.from), (Speed::Stop, done.moved.to)),
+                _ => assert_eq!(*done, decided[agent]),
+            }
+        }
+        // Nothing is given from one tick to the next.
+        let rested = led.tick(&[]).unwrap();
+        assert!(rested.agents.iter().any(|done| done.action != Speed::Stop));
+    }
+}
+
+/// A control of nobody is refused before anything happens; the other cities of a batch go on.
+#[test]
+fn controls_of_nobody_are_refused() {
+    let world = world("easy", None, |_| ());
+    let mut city = simulation(&world, Executor::Dense, 1);
+    let count = city.agents().len();
+    let before: Vec<_> = city.agents().iter().map(|agent| agent.cell).collect();
+    let fault = city.tick(&[(0, Speed::Fast), (count, Speed::Stop)]).unwrap_err();
+    assert!(
+        fault.message.contains(&format!("no agent {count} to control")),
+        "{}",
+        fault.message
+    );
+    assert!(city.now() == 0 && city.agents().iter().map(|agent| agent.cell).eq(before));
+    let mut alone = simulation(&world, Executor::Dense, 1);
+    assert_eq!(
+        city.tick(&[]).unwrap().agents,
+        alone.tick(&[]).unwrap().agents,
+        "the good control of a bad list is forgotten"
+    );
+
+    for threads in [1, 3] {
+        let cities = (0..4).map(|_| simulation(&world, Executor::Dense, 1)).collect();
+        let mut batch = Batch::new(cities, threads).unwrap();
+        let nobody = [[(count + 1, Speed::Stop)], [(count + 2, Speed::Stop)]];
+        let fault = batch.tick(|city| match city {
+            1 => &nobody[0],
+            3 => &nobody[1],
+            _ => &[],
+        });
+        assert!(fault.unwrap_err().message.contains(&format!("agent {}", count + 1)));
+        let times: Vec<u64> = batch.cities().iter().map(Simulation::now).collect();
+        assert_eq!(times, [1, 0, 1, 0]);
+    }
+}
+
 /// More agents than one window takes: tiles, on one thread and on three.
 #[test]
 fn a_crowd_goes_the_same_way_in_tiles() {
@@ -179,6 +233,17 @@ fn crowds_have_a_limit() {
         };
         scenario.view = 1000;
     });
+    // Several tiles are too crowded; the same one is told whatever the threads do.
+    let told = |threads| {
+        simulation(&crowd, Executor::Dense, threads)
+            .tick(&[])
+            .unwrap_err()
+            .message
+    };
+    let first = told(1);
+    for threads in [2, 3, 4] {
+        assert_eq!(told(threads), first);
+    }
     let mut crowd = simulation(&crowd, Executor::Dense, 2);
     let before: Vec<_> = crowd.agents().iter().map(|agent| agent.cell).collect();
     let fault = crowd.tick(&[]).unwrap_err();
@@ -244,11 +309,11 @@ fn rules_that_are_not_dense_are_told() {
         executor: Executor::Dense,
         ..Settings::default()
     };
-    let Err(fault) = Simulation::new(world, Split::Test, Seed(5), settings) else {
+    let Err(fault) = Simulation::new(Arc::clone(&world), Split::Test, Seed(5), settings) else {
         panic!("recursive rules are not dense")
     };
-    assert_eq!(
-        fault.message,
-        "the dense executor cannot evaluate these rules, because a predicate depends on itself"
-    );
+    let reason = "the dense executor cannot evaluate these rules, because a predicate depends on itself";
+    assert_eq!(fault.message, reason);
+    assert_eq!(simulation(&world, Executor::Auto, 1).fallback(), Some(reason));
+    assert_eq!(simulation(&world, Executor::Relational, 1).fallback(), None);
 }

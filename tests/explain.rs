@@ -2,23 +2,22 @@
 //! fail is false.
 
 mod random_program;
+mod shipped_world;
 mod written_program;
 
-use logicity::config::{Speed, Split, load_scenario};
+use logicity::config::{Speed, Split};
 use logicity::diag::Sources;
 use logicity::engine::provenance::{
     ExplainError, Explainer, Explanation, FailureKind, Node, Obstacle, Origin, Premise, Reason, Teller,
 };
 use logicity::engine::{Program, Session, naive};
-use logicity::files;
-use logicity::lang::{self, Atom, ClauseId, Literal, RelId, Rules, Term, Value};
+use logicity::lang::{Atom, ClauseId, Literal, RelId, Rules, Term, Value};
 use logicity::rng::Seed;
-use logicity::sim::{Settings, Simulation, World};
+use logicity::sim::{Settings, Simulation};
 use proptest::prelude::*;
 use random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, recursive_genomes};
+use shipped_world::world;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
-use std::sync::Arc;
 use written_program::program;
 
 fn database(session: &Session) -> naive::Database {
@@ -661,14 +660,7 @@ Not(a(3)): no clause of a holds
 
 /// The simulation of a configuration.
 fn city(config: &str) -> Simulation {
-    let mut sources = Sources::new();
-    let scenario = load_scenario(&mut sources, Path::new(config), &files::read_or_builtin).unwrap();
-    let rules = &scenario.rules.value;
-    let entry = sources.add(rules.display().to_string(), files::read_or_builtin(rules).unwrap());
-    let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
-    let program = Program::new(loaded.rules.unwrap()).unwrap();
-    let world = World::new(scenario, program).unwrap();
-    Simulation::new(Arc::new(world), Split::Test, Seed(0), Settings::default()).unwrap()
+    Simulation::new(world(config, None, |_| ()), Split::Test, Seed(0), Settings::default()).unwrap()
 }
 
 /// For every decision of the paper's expert city: the proof of each derived action can be replayed and its leaves alone suffice

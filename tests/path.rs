@@ -3,15 +3,16 @@
 mod recorded_cases;
 
 use flate2::read::GzDecoder;
-use logicity::city::{Agent, Cell, Heading};
-use logicity::config::{AgentConfig, AgentKind, Speed, Split, load_scenario};
-use logicity::diag::Sources;
-use logicity::engine::{Program, naive};
+use logicity::city::{Agent, Cell, Heading, field_of_view};
+use logicity::config::{AgentConfig, Speed, Split, load_scenario};
+use logicity::diag::{Code, Diagnostic, Sources};
+use logicity::engine::Program;
 use logicity::files::{read_or_builtin, read_text};
-use logicity::lang::{ClauseId, Literal, Value};
+use logicity::lang::{Literal, Rules, Term};
 use logicity::rng::Seed;
-use logicity::sim::{Actions, Chance, Entity, Observer, Settings, Simulation, World, ground};
-use logicity::task::path::{Egos, Env, PathTask};
+use logicity::sim::{Chance, Entity, Observer, Settings, Simulation, World, ground};
+use logicity::task::path::{Egos, Env, EpisodeSet, PathTask, Policy, rollout};
+use proptest::prelude::*;
 use serde_json::Value as Json;
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -165,5 +166,482 @@ impl Chance for Recorded<'_> {
             .sum();
         let place = |agent| self.entities.iter().position(|&entity| entity == agent).unwrap();
         self.ones.contains(&(base + n * place(first) + place(second)))
+    }
+}
+
+/// Facts about what one agent observes, straight from the definitions.
+struct Plain {
+    entities: Vec<usize>,
+    facts: BTreeSet<(String, Vec<usize>)>,
+}
+
+/// Draws as a simulation does: only predicates with a chance ask, and the observer's answer is trusted for those.
+struct Trusted<'a>(&'a BTreeSet<(usize, Vec<usize>)>);
+
+impl Chance for Trusted<'_> {
+    fn happens(&self, predicate: usize, first: usize, second: usize, _: f64) -> bool {
+        self.0.contains(&(predicate, vec![first, second]))
+    }
+}
+
+impl Plain {
+    fn new(city: &Simulation, ego: usize, most: usize, drawn: &BTreeSet<(usize, Vec<usize>)>) -> Plain {
+        let world = city.world();
+        let agents = city.agents();
+        let field = field_of_view(agents[ego].cell, agents[ego].heading, world.scenario.view, world.map());
+        let others = (0..agents.len()).filter(|&other| other != ego && field.contains(agents[other].cell));
+        let entities: Vec<usize> = std::iter::once(ego).chain(others).take(most).collect();
+        let all: Vec<Entity<'_>> = agents
+            .iter()
+            .map(|agent| Entity {
+                kind: agent.kind,
+                concepts: &agent.concepts,
+                priority: agent.priority,
+                at: agent.cell,
+                heading: agent.heading,
+            })
+            .collect();
+        let vocabulary = &world.vocabulary;
+        let facts = ground(
+            vocabulary,
+            world.map(),
+            world.scenario.view,
+            &all,
+            &Trusted(drawn),
+            |_| false,
+        );
+        let mut known = BTreeSet::new();
+        for (predicate, rows) in vocabulary.predicates.iter().zip(&facts.rows) {
+            for row in rows {
+                let row: Vec<usize> = row[..predicate.arity].iter().map(|&agent| agent as usize).collect();
+                if row.iter().all(|agent| entities.contains(agent)) {
+                    known.insert((predicate.name.clone(), row));
+                }
+            }
+        }
+        Plain { entities, facts: known }
+    }
+
+    /// Whether a body holds for the ego, trying all entities for all variables. Actions hold as `given`.
+    fn holds(&self, rules: &Rules, clause: usize, given: Speed) -> bool {
+        let clause = &rules.clauses[clause];
+        let mut values = vec![self.entities[0]; clause.variables.len()];
+        let head = match clause.head.terms[0] {
+            Term::Variable(variable) => variable.index(),
+            ref other => panic!("{other:?}"),
+        };
+        self.some(rules, &clause.body, &mut values, 0, head, given)
+    }
+
+    fn some(
+        &self,
+        rules: &Rules,
+        body: &[Literal],
+        values: &mut Vec<usize>,
+        next: usize,
+        head: usize,
+        given: Speed,
+    ) -> bool {
+        if next == values.len() {
+            return body.iter().all(|literal| self.is_true(rules, literal, values, given));
+        }
+        if next == head {
+            return self.some(rules, body, values, next + 1, head, given);
+        }
+        self.entities.iter().any(|&entity| {
+            values[next] = entity;
+            self.some(rules, body, values, next + 1, head, given)
+        })
+    }
+
+    fn is_true(&self, rules: &Rules, literal: &Literal, values: &[usize], given: Speed) -> bool {
+        let atom = literal.atom().expect("rules of the city");
+        let name = &rules.relations[atom.relation.index()].name;
+        let term = |term: &Term| match term {
+            Term::Variable(variable) => values[variable.index()],
+            other => panic!("{other:?}"),
+        };
+        let row: Vec<usize> = atom.terms.iter().map(term).collect();
+        let holds = match Speed::ALL.iter().any(|speed| speed.name() == name) {
+            true => row[0] == self.entities[0] && given.name() == name,
+            false => self.facts.contains(&(name.clone(), row)),
+        };
+        holds != matches!(literal, Literal::Negative(_))
+    }
+
+    /// What is derived for the ego: strata in their order, so that each negation looks at what is finished.
+    fn derived(&self, rules: &Rules) -> BTreeSet<&'static str> {
+        let mut actions: BTreeSet<&'static str> = BTreeSet::new();
+        for stratum in &rules.strata {
+            let before = actions.clone();
+            for clause in &stratum.clauses {
+                let body = &rules.clauses[clause.index()].body;
+                let head = &rules.relations[rules.clauses[clause.index()].head.relation.index()].name;
+                let open = body.iter().all(|literal| {
+                    let name = literal
+                        .atom()
+                        .map_or("", |atom| &rules.relations[atom.relation.index()].name);
+                    !Speed::ALL.iter().any(|speed| speed.name() == name) || !before.contains(name)
+                });
+                // Without any action given every negated one holds, which `open` has looked after.
+                let quiet: Vec<Literal> = body
+                    .iter()
+                    .filter(|literal| {
+                        let name = literal
+                            .atom()
+                            .map_or("", |atom| &rules.relations[atom.relation.index()].name);
+                        !Speed::ALL.iter().any(|speed| speed.name() == name)
+                    })
+                    .cloned()
+                    .collect();
+                let clause = &rules.clauses[clause.index()];
+                let mut values = vec![self.entities[0]; clause.variables.len()];
+                let Term::Variable(variable) = clause.head.terms[0] else {
+                    panic!("a head without a variable")
+                };
+                if open && self.some(rules, &quiet, &mut values, 0, variable.index(), Speed::Stop) {
+                    actions.extend(Speed::ALL.iter().map(|speed| speed.name()).filter(|name| name == head));
+                }
+            }
+        }
+        actions
+    }
+}
+
+/// Rules that mean the same and that the dense executor cannot take.
+fn relational(task: &PathTask) -> String {
+    let rules = task
+        .world()
+        .scenario
+        .rules
+        .value
+        .file_name()
+        .unwrap()
+        .to_str()
+        .unwrap()
+        .to_owned();
+    format!(".include \"rules/{rules}\"\nStop(X) :- IsCar(X), IsPedestrian(X), IsCar(Y), X != Y.\n")
+}
+
+/// Observations, wanted actions and broken clauses are those of the definitions, by either executor, for any agent as the ego.
+#[test]
+fn observers_agree_with_the_definitions() {
+    for mode in MODES {
+        let plain_task = task(mode);
+        let other = task_of(mode, Some(&relational(&plain_task)));
+        let world = plain_task.world();
+        let rules = world.program.rules();
+        let n = plain_task.oracle().entities();
+        let mut seen = [0; 4];
+        for seed in 0..3 {
+            let mut city = Simulation::new(Arc::clone(world), Split::Test, Seed(seed), Settings::default()).unwrap();
+            let egos = 0..city.agents().len();
+            let observers = |task: &PathTask| -> Vec<Observer> {
+                egos.clone()
+                    .map(|ego| Observer::new(Arc::clone(task.oracle()), ego))
+                    .collect()
+            };
+            let mut pairs: Vec<(Observer, Observer)> =
+                observers(&plain_task).into_iter().zip(observers(&other)).collect();
+            for (dense, slow) in &mut pairs {
+                dense.begin(&city);
+                slow.begin(&city);
+            }
+            for _ in 0..12 {
+                for (ego, (dense, slow)) in pairs.iter_mut().enumerate() {
+                    dense.look(&city);
+                    slow.look(&city);
+                    let atoms: BTreeSet<(usize, Vec<usize>)> = dense.atoms().collect();
+                    assert_eq!(atoms, slow.atoms().collect());
+                    let plain = Plain::new(&city, ego, n, &atoms);
+                    assert_eq!(dense.entities().collect::<Vec<_>>(), plain.entities);
+                    let name = |predicate: usize| world.vocabulary.predicates[predicate].name.clone();
+                    let named: BTreeSet<_> = atoms
+                        .into_iter()
+                        .map(|(predicate, row)| (name(predicate), row))
+                        .collect();
+                    let expected: BTreeSet<_> =
+                        plain.facts.iter().filter(|(name, _)| name != "Sees").cloned().collect();
+                    assert_eq!(named, expected, "{mode} seed {seed} ego {ego}");
+
+                    let derived = dense.derived(&city).unwrap();
+                    assert_eq!(derived, slow.derived(&city).unwrap());
+                    let mut expected = plain.derived(rules);
+                    if expected.len() == 1 {
+                        expected.remove("Normal");
+                    }
+                    assert_eq!(
+                        derived.iter().map(Speed::name).collect::<BTreeSet<_>>(),
+                        expected,
+                        "{mode} {seed} {ego}"
+                    );
+                    for action in Speed::ALL {
+                        let broken = dense.broken(&city, action).unwrap().to_vec();
+                        let demands = plain_task.oracle().demands().iter().enumerate();
+                        let expected: Vec<usize> = demands
+                            .filter(|(_, demand)| {
+                                demand.action != action && plain.holds(rules, demand.clause.index(), action)
+                            })
+                            .map(|(position, _)| position)
+                            .collect();
+                        assert_eq!(broken, expected, "{mode} seed {seed} ego {ego} {action:?}");
+                        // The clauses of the included file come first.
+                        assert_eq!(broken, slow.broken(&city, action).unwrap());
+                        seen[action as usize] += broken.len();
+                    }
+                }
+                city.tick(&[]).unwrap();
+            }
+        }
+        assert!(seen.iter().any(|broken| *broken > 0), "{mode} breaks nothing");
+    }
+}
+
+/// The recorded episodes of all modes and splits are solved by the oracle as recorded, and break no rule.
+#[test]
+fn recorded_episodes() {
+    for mode in MODES {
+        let task = task(mode);
+        for split in Split::ALL {
+            let mut sources = Sources::new();
+            let set = EpisodeSet::load(&task, split, &mut sources, &read_or_builtin)
+                .unwrap_or_else(|fault| panic!("{fault:?}"));
+            assert_eq!(set.config, mode);
+            assert_eq!(set.episodes.len(), if split == Split::Val { 40 } else { 100 });
+            let mut env = Env::new(Arc::clone(&task), split, Egos::First).unwrap();
+            let mut asked = [0; 4];
+            for (number, episode) in set.episodes.iter().enumerate() {
+                env.reset_to(episode).unwrap();
+                let done = rollout(&mut env, Policy::Oracle).unwrap();
+                let oracle = episode.oracle.as_ref().unwrap();
+                let context = format!("{mode} {} {number}", split.name());
+                assert!(
+                    done.success && done.broken.is_empty() && done.constrained.iter().any(|steps| *steps > 0),
+                    "{context}"
+                );
+                assert_eq!(
+                    (done.steps, done.constrained),
+                    (oracle.steps, oracle.constrained),
+                    "{context}"
+                );
+                assert!((done.total - oracle.total).abs() < 1e-9, "{context}");
+                assert_eq!(env.horizon(), 2 * oracle.steps);
+                for (asked, steps) in asked.iter_mut().zip(done.constrained) {
+                    *asked += usize::from(steps > 0);
+                }
+            }
+            let of = |action: Speed| task.oracle().demands().iter().any(|demand| demand.action == action);
+            for action in Speed::ALL.into_iter().filter(|action| of(*action)) {
+                assert!(
+                    asked[action as usize] >= 6,
+                    "{mode} {}: {action:?} is asked in {asked:?}",
+                    split.name()
+                );
+            }
+        }
+    }
+}
+
+/// What a step tells, for comparison.
+fn told(env: &Env) -> (Vec<f32>, f64, bool, bool) {
+    let mut out = vec![0.0; env.task().observation_width()];
+    env.observe(0, &mut out);
+    let last = env.riders()[0].last();
+    (out, last.reward, last.terminated, last.truncated)
+}
+
+#[test]
+fn an_episode_can_be_begun_again() {
+    let task = task("expert");
+    let mut env = Env::new(Arc::clone(&task), Split::Train, Egos::First).unwrap();
+    let mut other = Env::new(task, Split::Train, Egos::First).unwrap();
+    for seed in 0..40 {
+        env.reset(seed).unwrap();
+        other.reset(seed + 1).unwrap();
+        let episode = env.episode().clone();
+        other.reset_to(&episode).unwrap();
+        assert_eq!((other.episode(), other.horizon()), (&episode, env.horizon()));
+        for step in 0..60 {
+            assert_eq!(told(&env), told(&other), "seed {seed} step {step}");
+            if !env.riders()[0].is_running() {
+                break;
+            }
+            let action = if step % 7 == 3 {
+                Speed::Slow
+            } else {
+                env.oracle_action(0)
+            };
+            env.step(&[action]).unwrap();
+            other.step(&[action]).unwrap();
+        }
+    }
+}
+
+#[test]
+fn the_horizon_cuts_an_episode_short() {
+    let mut env = Env::new(task("easy"), Split::Train, Egos::First).unwrap();
+    env.reset(1).unwrap();
+    let cells = env.riders()[0].cells();
+    env.set_horizon(9);
+    let done = rollout(&mut env, Policy::Always(Speed::Stop)).unwrap();
+    assert!(done.truncated && !done.success && done.broken.is_empty());
+    assert_eq!(done.steps, 9);
+    #[allow(clippy::cast_precision_loss)]
+    let expected = 9.0 * -5.0 / (4.0 * cells as f64) - 3.0;
+    assert!((done.total - expected).abs() < 1e-12, "{} {expected}", done.total);
+}
+
+#[test]
+fn every_car_can_be_driven() {
+    let task = task("expert");
+    let mut env = Env::new(Arc::clone(&task), Split::Test, Egos::Cars).unwrap();
+    env.reset(3).unwrap();
+    assert_eq!(env.riders().len(), 10);
+    let mut ended = 0;
+    for _ in 0..200 {
+        let running: Vec<bool> = env.riders().iter().map(|rider| rider.is_running()).collect();
+        let actions: Vec<Speed> = (0..10)
+            .map(|rider| {
+                if rider == 2 {
+                    Speed::Fast
+                } else {
+                    env.oracle_action(rider)
+                }
+            })
+            .collect();
+        env.step(&actions).unwrap();
+        for (rider, was) in env.riders().iter().zip(running) {
+            assert!(was || !rider.is_running());
+            let mut alone = Observer::new(Arc::clone(task.oracle()), rider.agent());
+            if rider.is_running() {
+                alone.begin(env.city());
+                alone.look(env.city());
+                assert!(alone.atoms().eq(rider.observer().atoms()));
+            }
+        }
+        ended = env.riders().iter().filter(|rider| !rider.is_running()).count();
+    }
+    assert!(ended > 3, "{ended} have ended");
+    assert!(!env.riders()[2].last().success, "racing breaks a rule");
+}
+
+/// The fault of a configuration made of `text`.
+fn fault_of(text: &str) -> Diagnostic {
+    let mut sources = Sources::new();
+    let read = |path: &Path| match path.to_str() {
+        Some("mine.yaml") => Ok(text.to_owned()),
+        _ => Err(logicity::files::ReadError::NotFound),
+    };
+    let scenario = match load_scenario(&mut sources, Path::new("mine.yaml"), &read) {
+        Ok(scenario) => scenario,
+        Err(faults) => return faults.into_iter().next().unwrap(),
+    };
+    let rules = read_or_builtin(&scenario.rules.value).unwrap();
+    let entry = sources.add("expert.dl", rules);
+    let (program, _) = Program::load(&mut sources, entry, &read_or_builtin);
+    let world = World::new(scenario, program.unwrap()).unwrap();
+    let Err(faults) = PathTask::new(Arc::new(world), &sources) else {
+        panic!("no fault in {text}")
+    };
+    faults.into_iter().next().unwrap()
+}
+
+#[test]
+fn faulty_tasks_are_told() {
+    let fault = |task: &str| fault_of(&format!("base: configs/expert.yaml\ntask: {task}\n"));
+    assert_eq!(fault("~").code, Code::MissingKey);
+    assert_eq!(fault("{entities: 0}").code, Code::InvalidValue);
+    assert_eq!(fault("{reward: {violation: .nan}}").code, Code::InvalidValue);
+    assert_eq!(fault("{reward: {violations_per: rule}}").code, Code::InvalidValue);
+    assert_eq!(fault("{horison: 3}").code, Code::UnknownKey);
+    assert_eq!(fault("{ego: {concepts: [{weight: 0}]}}").code, Code::InvalidValue);
+    assert_eq!(
+        fault("{ego: {concepts: [{weight: 1, concepts: [old]}]}}").code,
+        Code::InvalidValue
+    );
+    let unknown = fault("{reward: {clauses: {S17: -1}}}");
+    assert_eq!(unknown.code, Code::InvalidValue);
+    assert!(
+        unknown.primary.is_some() && unknown.help[0].contains("S1"),
+        "{unknown:?}"
+    );
+}
+
+#[test]
+fn clauses_can_have_weights_of_their_own() {
+    let text = "base: configs/expert.yaml\ntask: {reward: {violations_per: PER, clauses: {S1: -20, S7: -1}}}\n";
+    for (per, expected) in [
+        ("action", [-20.0, -5.0, -1.0, -25.0]),
+        ("clause", [-26.0, -5.0, -1.0, -25.0]),
+    ] {
+        let mut sources = Sources::new();
+        let read = |path: &Path| match path.to_str() {
+            Some("mine.yaml") => Ok(text.replace("PER", per)),
+            _ => Err(logicity::files::ReadError::NotFound),
+        };
+        let scenario = load_scenario(&mut sources, Path::new("mine.yaml"), &read).unwrap();
+        let entry = sources.add("expert.dl", read_or_builtin(&scenario.rules.value).unwrap());
+        let (program, _) = Program::load(&mut sources, entry, &read_or_builtin);
+        let world = World::new(scenario, program.unwrap()).unwrap();
+        let task = PathTask::new(Arc::new(world), &sources).unwrap();
+        let demand = |label: &str| (0..).find(|&demand| task.label(demand) == label).unwrap();
+        let [s1, s2, s7, l1] = ["S1", "S2", "S7", "L1"].map(demand);
+        let rewards =
+            [vec![s1, s2, s7], vec![s2], vec![s7], vec![s1, l1]].map(|broken| task.reward(Speed::Normal, &broken, 10));
+        assert_eq!(rewards, expected, "{per}");
+        assert_eq!(task.reward(Speed::Stop, &[], 10), -3.0 / 40.0);
+    }
+}
+
+fn set_of(text: &str) -> Result<EpisodeSet, Diagnostic> {
+    let mut sources = Sources::new();
+    let source = sources.add("mine.jsonl", text);
+    EpisodeSet::read(&sources, source)
+}
+
+#[test]
+fn faulty_episodes_are_told() {
+    let header = r#"{"episodes":"logicity","version":1,"config":"x","split":"test","seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#;
+    let good = format!("{header}\n{{\"seed\":1,\"trips\":[[46,20,56,64]]}}\n");
+    assert_eq!(set_of(&good).unwrap().episodes.len(), 1);
+    let bad = [
+        String::new(),
+        "{}".to_owned(),
+        header.to_owned(),
+        header.replace("Car_1", "Car_01"),
+        header.replace("test", "tset"),
+        header.replace("\"version\":1", "\"version\":2"),
+        good.replace("[46,20,56,64]", ""),
+        good.replace("[46,20,56,64]", "[46,20,56]"),
+        good.replace("\"seed\":1,", ""),
+        good.replace(
+            "\"seed\":1,",
+            "\"seed\":1,\"changes\":{\"Car_2\":{\"concepts\":[],\"priority\":1}},",
+        ),
+        good.replace(
+            "\"seed\":1,",
+            "\"seed\":1,\"oracle\":{\"steps\":1,\"return\":0,\"constrained\":{\"Halt\":1}},",
+        ),
+    ];
+    for text in bad {
+        let fault = set_of(&text).expect_err(&text);
+        assert_eq!(fault.code, Code::InvalidEpisode, "{text}");
+        assert!(fault.primary.is_some(), "{text}");
+    }
+}
+
+proptest! {
+    /// Any text at all is read or refused, and what is written is read the same.
+    #[test]
+    fn episodes_are_read_as_they_are_written(text in ".{0,200}", seed in 0u64..1000) {
+        let _ = set_of(&text);
+        let mut env = Env::new(task("easy"), Split::Val, Egos::First).unwrap();
+        env.reset(seed).unwrap();
+        let set = EpisodeSet { config: "easy".into(), split: Split::Val, seed, episodes: vec![env.episode().clone()] };
+        let mut written = Vec::new();
+        set.write(&mut written).unwrap();
+        let text = String::from_utf8(written).unwrap();
+        prop_assert_eq!(&set_of(&text).unwrap(), &set);
+        prop_assert_eq!(set_of(&text).unwrap().hash(), set.hash());
     }
 }

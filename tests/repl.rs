@@ -220,6 +220,7 @@ fn faults_point_into_what_was_typed_and_change_nothing() {
         ),
         (".show Nobody", "error[unknown-predicate]", "<input 6>:1:7"),
         (".hlep", "error[syntax]: no command `.hlep`", "<input 6>:1:1"),
+        (".foo", "there are `.load`, `.reload`, `.facts`", "<input 6>:1:1"),
         (".dcl A(x: number)", "error[syntax]: unknown directive", "<input 6>:1:1"),
         (
             "Path(x, y) :- Edge(x, y), !Path(y, x).",

@@ -19,19 +19,44 @@ from ._logicity import __version__
 if TYPE_CHECKING:
     from typing import NotRequired  # Python 3.11; only annotations use it
 
+    from .parallel import SPFParallelEnv
+
 __all__ = [
+    "ENVIRONMENTS",
+    "MODES",
     "Agent",
     "Answer",
+    "Benchmark",
+    "Demonstrations",
     "Diagnostic",
     "EgoAnswer",
+    "EpisodeRecord",
+    "Evaluation",
     "Inference",
     "InputError",
+    "Interval",
     "Label",
+    "Policy",
     "Scene",
     "SymbolicScene",
+    "Trajectory",
     "__version__",
     "check",
+    "demonstrations",
+    "evaluate",
+    "parallel_env",
 ]
+
+#: The modes of Safe Path Following as environments are named, and their configurations.
+MODES = {
+    "Easy": "easy",
+    "Medium": "medium",
+    "Hard": "hard",
+    "Expert": "expert",
+    "TransferEasy": "transfer-easy",
+    "TransferMedium": "transfer-medium",
+    "TransferHard": "transfer-hard",
+}
 
 Action = Literal["Slow", "Normal", "Fast", "Stop"]
 
@@ -169,17 +194,18 @@ class Inference:
             raise _input_error(error) from None
 
 
+def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
+    """Make a `ParallelEnv` of PettingZoo in which every car is driven: a `logicity.parallel.SPFParallelEnv`.
+
+    `arguments` are its other parameters. Needs `pip install 'logicity[pettingzoo]'`.
+    """
+    from .parallel import SPFParallelEnv
+
+    return SPFParallelEnv(config, **arguments)
+
+
 def _register() -> None:
-    modes = {
-        "Easy": "easy",
-        "Medium": "medium",
-        "Hard": "hard",
-        "Expert": "expert",
-        "TransferEasy": "transfer-easy",
-        "TransferMedium": "transfer-medium",
-        "TransferHard": "transfer-hard",
-    }
-    for mode, config in modes.items():
+    for mode, config in MODES.items():
         gymnasium.register(
             f"logicity/SPF-{mode}-v0",
             entry_point="logicity.envs:SPFEnv",
@@ -189,3 +215,7 @@ def _register() -> None:
 
 
 _register()
+
+# They use what is above, and environments that are registered.
+from .evaluation import ENVIRONMENTS, Benchmark, EpisodeRecord, Evaluation, Interval, Policy, evaluate  # noqa: E402
+from .offline import Demonstrations, Trajectory, demonstrations  # noqa: E402

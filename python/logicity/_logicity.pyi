@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 __version__: str
 
-_Columns = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]
+_Columns = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.int64], NDArray[np.uint64]]
 
 class InputError(ValueError): ...
 

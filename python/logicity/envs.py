@@ -19,7 +19,7 @@ from typing import Any, Literal, TypedDict, cast
 import gymnasium
 import numpy as np
 from gymnasium.error import InvalidAction, ResetNeeded, UnsupportedMode
-from gymnasium.spaces import Box, Discrete
+from gymnasium.spaces import Box, Discrete, Space
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _input_error, _logicity, _told
 
-__all__ = ["EpisodeAgent", "EpisodeStart", "OracleRun", "SPFEnv", "SPFVectorEnv"]
+__all__ = ["EpisodeAgent", "EpisodeStart", "Kind", "Observations", "OracleRun", "SPFEnv", "SPFVectorEnv", "Split"]
 
 Observations = NDArray[np.float32]
 Split = Literal["train", "val", "test"]
@@ -49,14 +49,14 @@ OracleRun = TypedDict("OracleRun", {"steps": int, "return": float, "constrained"
 
 
 class EpisodeStart(TypedDict):
-    """How an episode begins: its seed, less than 2**63, the agents in list order, the oracle's run if it is known."""
+    """How an episode begins: its seed, less than 2**64, the agents in list order, the oracle's run if it is known."""
 
     seed: int
     agents: list[EpisodeAgent]
     oracle: OracleRun | None
 
 
-class _World:
+class World:
     """What an environment is of: a configuration and what is changed of it."""
 
     def __init__(
@@ -65,6 +65,7 @@ class _World:
         rules: str | os.PathLike[str] | None,
         overrides: Mapping[str, Any] | None,
     ) -> None:
+        """Keep the arguments, see `SPFEnv`."""
         self.config = os.fspath(config)
         self.rules = rules if rules is None else os.fspath(rules)
         self.overrides = dict(overrides or {})
@@ -83,12 +84,14 @@ class _World:
             return _logicity.Task(self.config, self.rules, text)
 
 
-def _space(task: _logicity.Task, observation: Kind) -> Box:
+def space_of(task: _logicity.Task, observation: Kind) -> Box:
+    """Return the space of observations of that kind."""
     shape = tuple(task.shape(observation))
     return Box(0.0 if observation == "atoms" else -1.0, 1.0, shape, np.float32)
 
 
-def _checked_seed(seed: int | None, generator: np.random.Generator) -> int:
+def checked_seed(seed: int | None, generator: np.random.Generator) -> int:
+    """Return the seed of a sequence of episodes: the given one if it can be, or one from the generator."""
     if seed is None:
         return int(generator.integers(2**53))
     if not 0 <= seed < 2**64:
@@ -111,12 +114,13 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
 
     Parameters: `config` is a run configuration, a built-in name such as `expert` or a path; `split` the set of agents;
     `rules` a rule file instead of the configuration's; `overrides` a mapping that is merged over the configuration,
-    for example `{"task": {"reward": {"overtime": -6}}}`. `episodes="recorded"` takes the episodes of the split's set, by
-    the seed, instead of drawing new ones. `atoms=True` puts `true_atoms` into `info`. `render_mode` is `rgb_array` or
-    `ansi`.
+    for example `{"task": {"reward": {"overtime": -6}}}`. `episodes="recorded"` takes episodes of the split's set, by
+    the seed, instead of drawing new ones. `atoms=True` puts `true_atoms` into `info`, texts such as `IsTiro(Car_1)`.
+    `render_mode` is `rgb_array` or `ansi`.
 
     `info` has `oracle_action` (what the rules want now), `violations` (names of the clauses that the last action
-    broke, such as `S1`), `progress` (share of the route gone, 0 to 1), `success`, `steps` and `seed` (of the episode).
+    broke, such as `S1`), `progress` (share of the route gone, 0 to 1), `success`, `steps` and `seed` (of the episode, a
+    numpy.uint64).
 
     Raises `InputError` for a faulty configuration, rule file or episode, `OSError` for one that cannot be read,
     `ValueError` for an unknown name.
@@ -137,13 +141,13 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         render_mode: str | None = None,
     ) -> None:
         """Load the configuration and the rules."""
-        self._world = _World(config, rules, overrides)
+        self._world = World(config, rules, overrides)
         self._split, self._kind, self._atoms = split, observation, atoms
         self._recorded = _is_recorded(episodes)
-        self.render_mode = _checked_render_mode(render_mode, self.metadata)
+        self.render_mode = checked_render_mode(render_mode, self.metadata)
         self._task = self._world.task()
-        self.observation_space = _space(self._task, observation)
-        self._shape = self.observation_space.shape
+        space = space_of(self._task, observation)
+        self.observation_space, self._shape = cast(Space[Observations], space), space.shape
         self.action_space = Discrete(4)
         self._home = self._environments(self._task)
         self._core = self._home
@@ -158,7 +162,9 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
     def _look(self) -> Observations:
         return np.empty(self._shape, np.float32)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, Any]]:
         """Begin an episode.
 
         `seed`, from 0 to 2**64 - 1, begins a new sequence of episodes; without one the next of the sequence follows.
@@ -167,15 +173,15 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         """
         super().reset(seed=seed)
         options = options or {}
-        _check_options(options, ("episode", "map", "agents"))
+        check_options(options, ("episode", "map", "agents"))
         if seed is not None or not self._seeded:
-            self._home.seed(0, _checked_seed(seed, self.np_random), 0)
+            self._home.seed(0, checked_seed(seed, self.np_random), 0)
             self._seeded = True
         self._move(_elsewhere(options))
         observation = self._look()
         self._taken = None
         with _told():
-            self._core.reset([_begin(options.get("episode"))], observation)
+            self._core.reset([begin_of(options.get("episode"))], observation)
         if self._core is not self._home:
             self._home.seed(0, *self._core.source(0))
         self._taken = []
@@ -188,12 +194,14 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
             return
         if self._core is self._home or elsewhere != self._elsewhere:
             task = self._world.task(**elsewhere)
-            if _space(task, self._kind) != self.observation_space:
+            if space_of(task, self._kind) != self.observation_space:
                 raise ValueError("there, observations have another shape")
             self._core, self._elsewhere = self._environments(task), elsewhere
         self._core.seed(0, *self._home.source(0))
 
     def _info(self, info: dict[str, Any]) -> dict[str, Any]:
+        # A type that holds any seed where gymnasium puts it into an array, which a whole number of Python would not.
+        info["seed"] = np.uint64(info["seed"])
         if self._atoms:
             info["true_atoms"] = self._core.atoms(0)
         return info
@@ -214,7 +222,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         except _logicity.InputError as error:
             raise _input_error(error) from None
         self._taken.append(number)
-        return observation, reward, terminated, truncated, self._info(info) if self._atoms else info
+        return observation, reward, terminated, truncated, self._info(info)
 
     @property
     def episode(self) -> EpisodeStart:
@@ -268,20 +276,22 @@ def _is_recorded(episodes: str) -> bool:
     return episodes == "recorded"
 
 
-def _checked_render_mode(mode: str | None, metadata: Mapping[str, Any]) -> str | None:
+def checked_render_mode(mode: str | None, metadata: Mapping[str, Any]) -> str | None:
+    """Return the mode if there is one of this name."""
     if mode is not None and mode not in metadata["render_modes"]:
         raise UnsupportedMode(f"unknown render mode `{mode}`: it is one of {', '.join(metadata['render_modes'])}")
     return mode
 
 
-def _check_options(options: Mapping[str, Any], known: tuple[str, ...]) -> None:
+def check_options(options: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    """Refuse options of a reset that are not known."""
     for option in options:
         if option not in known:
             raise ValueError(f"unknown option `{option}`: they are {', '.join(known)}")
 
 
-def _begin(episode: Any) -> Any:
-    """What begins: the next episode, that of a number, or one that is given."""
+def begin_of(episode: Any) -> Any:
+    """Return what begins: the next episode (`True`), that of a number, or one that is given."""
     if episode is None:
         return True
     if isinstance(episode, Mapping):
@@ -338,10 +348,10 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.render_mode = _checked_render_mode(render_mode, self.metadata)
+        self.render_mode = checked_render_mode(render_mode, self.metadata)
         self._atoms, self.copy = atoms, copy
-        task = _World(config, rules, overrides).task()
-        self.single_observation_space = _space(task, observation)
+        task = World(config, rules, overrides).task()
+        self.single_observation_space = space_of(task, observation)
         self.single_action_space = Discrete(4)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -365,7 +375,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         begin (default: all); `episode`, as for `SPFEnv`, for all of them, or `episodes`, a list with one for each.
         """
         options = dict(options or {})
-        _check_options(options, ("reset_mask", "episode", "episodes"))
+        check_options(options, ("reset_mask", "episode", "episodes"))
         mask = self._mask(options)
         seeds: list[int | None]
         if seed is None:
@@ -380,17 +390,18 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         chosen = options.get("episodes", [options.get("episode")] * self.num_envs)
         if len(chosen) != self.num_envs:
             raise ValueError(f"{len(chosen)} episodes for {self.num_envs} environments")
-        begin = [bool(begins) and _begin(episode) for begins, episode in zip(mask, chosen, strict=True)]
+        begin = [bool(begins) and begin_of(episode) for begins, episode in zip(mask, chosen, strict=True)]
         for at in np.flatnonzero(mask):
             given = seeds[at]
             if given is not None or not self._seeded[at]:
-                self._core.seed(int(at), _checked_seed(given, self.np_random), 0)
+                self._core.seed(int(at), checked_seed(given, self.np_random), 0)
                 self._seeded[at] = True
         with _told():
             self._core.reset(begin, self._observations)
         infos: dict[str, Any] = {}
         for at in np.flatnonzero(mask):
             info = self._core.info(int(at))
+            info["seed"] = np.uint64(info["seed"])
             if self._atoms:
                 info["true_atoms"] = self._core.atoms(int(at))
             infos = self._add_info(infos, info, int(at))
@@ -484,9 +495,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         raise TypeError("an SPFVectorEnv cannot be pickled or copied: make another with the same arguments")
 
 
-_Columns = tuple[
-    NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]
-]
+_Columns = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.int64], NDArray[np.uint64]]
 _COLUMNS = ("oracle_action", "progress", "success", "steps", "seed")
 
 
@@ -496,5 +505,5 @@ def _columns(count: int) -> _Columns:
         np.zeros(count, np.float64),
         np.zeros(count, np.bool_),
         np.zeros(count, np.int64),
-        np.zeros(count, np.int64),
+        np.zeros(count, np.uint64),
     )

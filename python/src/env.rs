@@ -177,9 +177,6 @@ impl PyEpisode {
                 constrained,
             })
         };
-        if self.seed >= 1 << 63 {
-            return Err(PyValueError::new_err("the seed of an episode is less than 2**63"));
-        }
         Ok(Episode {
             seed: self.seed,
             agents: self.agents.into_iter().map(agent).collect::<PyResult<_>>()?,
@@ -317,7 +314,7 @@ type Columns<'py> = (
     PyReadwriteArray1<'py, f64>,
     PyReadwriteArray1<'py, bool>,
     PyReadwriteArray1<'py, i64>,
-    PyReadwriteArray1<'py, i64>,
+    PyReadwriteArray1<'py, u64>,
 );
 
 /// What came of a step: rewards, and whether episodes ended or were cut short.
@@ -357,7 +354,7 @@ fn tell<'a>(columns: &mut Columns<'_>, count: usize, infos: impl Iterator<Item =
         progress[at] = info.progress;
         success[at] = info.success;
         steps[at] = i64::from(info.steps);
-        seeds[at] = info.seed.cast_signed();
+        seeds[at] = info.seed;
     }
     Ok(())
 }

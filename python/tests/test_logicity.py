@@ -70,4 +70,4 @@ def test_a_missing_file_is_an_os_error() -> None:
 
 def test_the_stubs_name_what_the_module_has() -> None:
     public = {name for name, _ in inspect.getmembers(logicity._logicity) if not name.startswith("__")}
-    assert public == {"Inference", "InputError", "check"}
+    assert public == {"Cars", "Environments", "Inference", "InputError", "Task", "check"}

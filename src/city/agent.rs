@@ -192,10 +192,15 @@ fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Di
         within(set)
     );
     let span = set.region.map_or(set.span, |region| region.span);
+    let larger = set.region.map_or("map", |_| "region or map");
+    let fewer = match set.repeat {
+        0 | 1 => format!("fewer {plural}"),
+        _ => "a smaller `repeat`".to_owned(),
+    };
     Err(Diagnostic::new(Code::NoStartCell, message)
         .at(span, "too small for these agents")
         .note(beside)
-        .help(format!("take a larger region or map, or fewer {plural}")))
+        .help(format!("take a larger {larger}, or {fewer}")))
 }
 
 /// `no-route`: an agent that can go nowhere from its start.

@@ -2,6 +2,7 @@
 
 use super::Cell;
 use crate::config::{AgentKind, Building, Widths};
+use crate::diag::{Code, Diagnostic};
 use ndarray::Array3;
 use std::ops::Range;
 
@@ -30,6 +31,9 @@ pub const STATIC_LAYERS: [&str; 8] = [
     "store",
     "gas station",
 ];
+
+/// The most values of a [`CityMap::semantic`]: 1 GiB of them.
+pub const SEMANTIC_MAX: usize = 1 << 28;
 
 /// Where everything lies on a map of equal blocks. Both axes follow the same pattern: street 0, block 0, street 1, block 1, ...,
 /// the last street. An axis is meant wherever only one number is given.
@@ -478,9 +482,20 @@ impl CityMap {
     /// The layered semantic map of the paper, W x H x (B + N), of shape (rows, columns, 8 + number of agents). Each value is 0
     /// or 1. Layers 0 to 7 are the static ones of [`STATIC_LAYERS`], of which a cell has at most one; layer 8 + i is 1 in the
     /// cell of agent i and 0 elsewhere (0 everywhere for an agent off the map).
-    pub fn semantic(&self, agents: &[Cell]) -> Array3<f32> {
+    ///
+    /// # Errors
+    /// `limit-exceeded` for more than [`SEMANTIC_MAX`] values.
+    pub fn semantic(&self, agents: &[Cell]) -> Result<Array3<f32>, Diagnostic> {
         let statics = STATIC_LAYERS.len();
         let shape = (self.rows.len(), self.cols.len(), statics + agents.len());
+        let cells = self.rows.len().checked_mul(self.cols.len());
+        let values = cells.and_then(|cells| cells.checked_mul(shape.2));
+        if values.is_none_or(|values| values > SEMANTIC_MAX) {
+            let (rows, cols, layers) = shape;
+            let message = format!("a semantic map of {rows} x {cols} cells and {layers} layers takes too much memory");
+            let limit = format!("the limit is {SEMANTIC_MAX} values; take a smaller map or fewer agents");
+            return Err(Diagnostic::new(Code::LimitExceeded, message).help(limit));
+        }
         let mut layers = Array3::zeros(shape);
         let cells = (0..self.rows()).flat_map(|row| (0..self.cols()).map(move |col| Cell::new(row, col)));
         for (cell, mut values) in cells.zip(layers.lanes_mut(ndarray::Axis(2))) {
@@ -504,7 +519,7 @@ impl CityMap {
                 *value = 1.0;
             }
         }
-        layers
+        Ok(layers)
     }
 
     /// Where a cell lies with respect to intersections; nowhere off the map. Two bytes and an entry of a small table are looked up.

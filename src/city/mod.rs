@@ -18,7 +18,7 @@ mod walk;
 
 pub use agent::{Agent, Rest, place_agents};
 pub use grid::{Cell, Heading};
-pub use map::{CityMap, Ground, Junction, Layout, STATIC_LAYERS};
+pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use motion::{Moved, Reason, Surroundings, advance, possible_cells, speed_cells};
 pub use places::Places;
 pub use roads::{Lane, NoRoute, Router};

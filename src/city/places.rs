@@ -31,7 +31,7 @@ pub struct Places {
 
 /// Rows and columns of cells.
 #[derive(Clone, Debug, Default)]
-struct Window {
+struct Extent {
     rows: Range<i32>,
     cols: Range<i32>,
 }
@@ -45,10 +45,10 @@ struct Pattern {
     cols: Vec<(Vec<Range<i32>>, usize)>,
 }
 
-/// The places in a window, numbered row by row.
+/// The places in an extent, numbered row by row.
 #[derive(Clone, Debug, Default)]
 struct Numbering {
-    window: Window,
+    extent: Extent,
     bands: Vec<Band>,
     count: usize,
 }
@@ -185,36 +185,36 @@ struct OfKind<'p> {
     pattern: &'p Pattern,
 }
 
-/// The places of one kind in a window.
+/// The places of one kind in an extent.
 #[derive(Clone, Copy)]
-struct View<'p> {
+struct Selection<'p> {
     of: OfKind<'p>,
     numbering: &'p Numbering,
 }
 
 impl Numbering {
-    fn new(of: OfKind<'_>, window: Window) -> Self {
+    fn new(of: OfKind<'_>, extent: Extent) -> Self {
         let layout = &of.map.layout;
-        let near = blocks_near(layout, &window.cols, layout.blocks()[1]);
+        let near = blocks_near(layout, &extent.cols, layout.blocks()[1]);
         let mut numbering = Numbering {
             bands: Vec::new(),
             count: 0,
-            window,
+            extent,
         };
-        for block_row in blocks_near(layout, &numbering.window.rows, layout.blocks()[0]) {
+        for block_row in blocks_near(layout, &numbering.extent.rows, layout.blocks()[0]) {
             let first = layout.block_start(block_row);
             for (band, rows) in of.pattern.bands.iter().enumerate() {
-                let rows = overlap(&(first + rows.start..first + rows.end), &numbering.window.rows);
+                let rows = overlap(&(first + rows.start..first + rows.end), &numbering.extent.rows);
                 if rows.is_empty() {
                     continue;
                 }
-                let view = View {
+                let selection = Selection {
                     of,
                     numbering: &numbering,
                 };
                 let in_row = near
                     .clone()
-                    .map(|block_col| view.in_block(block_row, block_col, band))
+                    .map(|block_col| selection.in_block(block_row, block_col, band))
                     .sum();
                 let band = Band {
                     rows,
@@ -231,26 +231,26 @@ impl Numbering {
     }
 }
 
-impl View<'_> {
-    /// The columns in each row of a band of a block, whether they are in the window or not, from the block's first; and how many.
+impl Selection<'_> {
+    /// The columns in each row of a band of a block, whether they are in the extent or not, from the block's first; and how many.
     fn cols(&self, block_row: i32, block_col: i32, band: usize) -> &(Vec<Range<i32>>, usize) {
         let block = block_row * self.of.map.layout.blocks()[1] + block_col;
         let set = usize::from(self.of.starts[block as usize]);
         &self.of.pattern.cols[set * self.of.pattern.bands.len() + band]
     }
 
-    /// The columns of those that are in the window.
+    /// The columns of those that are in the extent.
     fn runs(&self, block_row: i32, block_col: i32, band: usize) -> impl Iterator<Item = Range<i32>> {
         let first = self.of.map.layout.block_start(block_col);
         (self.cols(block_row, block_col, band).0.iter())
-            .map(move |cols| overlap(&(first + cols.start..first + cols.end), &self.numbering.window.cols))
+            .map(move |cols| overlap(&(first + cols.start..first + cols.end), &self.numbering.extent.cols))
     }
 
-    /// How many places in each row of a band of a block are in the window.
+    /// How many places in each row of a band of a block are in the extent.
     fn in_block(&self, block_row: i32, block_col: i32, band: usize) -> usize {
         let first = self.of.map.layout.block_start(block_col) - 1;
-        let window = &self.numbering.window.cols;
-        if window.start <= first && first + self.of.map.layout.block_side() + 2 <= window.end {
+        let extent = &self.numbering.extent.cols;
+        if extent.start <= first && first + self.of.map.layout.block_side() + 2 <= extent.end {
             return self.cols(block_row, block_col, band).1;
         }
         self.runs(block_row, block_col, band).map(|cols| cols.len()).sum()
@@ -259,7 +259,7 @@ impl View<'_> {
     fn blocks_across(&self) -> Range<i32> {
         blocks_near(
             &self.of.map.layout,
-            &self.numbering.window.cols,
+            &self.numbering.extent.cols,
             self.of.map.layout.blocks()[1],
         )
     }
@@ -287,7 +287,7 @@ impl View<'_> {
         None
     }
 
-    /// The number of a cell; `None` if it is no place in the window.
+    /// The number of a cell; `None` if it is no place in the extent.
     fn number(&self, cell: Cell) -> Option<usize> {
         let bands = &self.numbering.bands;
         let band = bands[..bands.partition_point(|band| band.rows.start <= cell.row)].last()?;
@@ -334,7 +334,7 @@ impl View<'_> {
         };
         let count = self.numbering.count - own;
         (count > 0).then_some(Goals {
-            view: *self,
+            selection: *self,
             count,
             without,
         })
@@ -343,7 +343,7 @@ impl View<'_> {
 
 /// The places that an agent may go to, numbered in the same order.
 struct Goals<'p> {
-    view: View<'p>,
+    selection: Selection<'p>,
     count: usize,
     without: Without,
 }
@@ -366,24 +366,26 @@ impl Goals<'_> {
     fn nth(&self, number: usize) -> Option<Cell> {
         match &self.without {
             Without::Place(own) => self
-                .view
+                .selection
                 .nth(number + usize::from(own.is_some_and(|own| own <= number))),
             Without::Block { bands, block_col, own } => {
                 let mut left = number;
-                for (place, band) in self.view.numbering.bands[bands.clone()].iter().enumerate() {
+                for (place, band) in self.selection.numbering.bands[bands.clone()].iter().enumerate() {
                     if place == 0 {
                         let Some(inside) = number.checked_sub(band.before) else {
-                            return self.view.nth(number);
+                            return self.selection.nth(number);
                         };
                         left = inside;
                     }
-                    let in_row = band.in_row - self.view.in_block(band.block_row, *block_col, band.band);
+                    let in_row = band.in_row - self.selection.in_block(band.block_row, *block_col, band.band);
                     if left < in_row * band.rows.len() {
-                        return self.view.in_band(band, left / in_row, left % in_row, Some(*block_col));
+                        return self
+                            .selection
+                            .in_band(band, left / in_row, left % in_row, Some(*block_col));
                     }
                     left -= in_row * band.rows.len();
                 }
-                self.view.nth(number + own)
+                self.selection.nth(number + own)
             }
         }
     }
@@ -396,7 +398,7 @@ impl Places {
         let map = router.map();
         let cells = |cells: u32| i32::try_from(cells).unwrap_or(i32::MAX);
         let limit = region.map_or(i32::MAX, cells);
-        let window = Window {
+        let extent = Extent {
             rows: 0..map.rows().min(limit),
             cols: 0..map.cols().min(limit),
         };
@@ -408,7 +410,7 @@ impl Places {
             trip: trip.map(cells),
             map: Arc::clone(map),
         };
-        places.all = AgentKind::ALL.map(|kind| Numbering::new(places.of(kind), window.clone()));
+        places.all = AgentKind::ALL.map(|kind| Numbering::new(places.of(kind), extent.clone()));
         places
     }
 
@@ -421,13 +423,13 @@ impl Places {
         }
     }
 
-    fn all(&self, kind: AgentKind) -> View<'_> {
-        self.view(kind, None)
+    fn all(&self, kind: AgentKind) -> Selection<'_> {
+        self.selection(kind, None)
     }
 
     /// The places in `near`, or in the whole region.
-    fn view<'p>(&'p self, kind: AgentKind, near: Option<&'p Numbering>) -> View<'p> {
-        View {
+    fn selection<'p>(&'p self, kind: AgentKind, near: Option<&'p Numbering>) -> Selection<'p> {
+        Selection {
             of: self.of(kind),
             numbering: near.unwrap_or(&self.all[kind as usize]),
         }
@@ -461,8 +463,8 @@ impl Places {
         stream: &mut impl Rng,
     ) -> Result<Route, NoRoute> {
         let near = self.near(kind, start);
-        let view = self.view(kind, near.as_ref());
-        let goals = view.goals(start).ok_or(NoRoute::Goal)?;
+        let selection = self.selection(kind, near.as_ref());
+        let goals = selection.goals(start).ok_or(NoRoute::Goal)?;
         let mut failure = NoRoute::Unconnected;
         for _ in 0..GOAL_DRAWS {
             let goal = goals.nth(stream.random_range(0..goals.count)).ok_or(NoRoute::Goal)?;
@@ -479,19 +481,19 @@ impl Places {
     fn near(&self, kind: AgentKind, start: Cell) -> Option<Numbering> {
         let trip = self.trip?;
         let around = |at: i32| at.saturating_sub(trip)..at.saturating_add(trip).saturating_add(1);
-        let all = &self.all[kind as usize].window;
-        let window = Window {
+        let all = &self.all[kind as usize].extent;
+        let extent = Extent {
             rows: overlap(&around(start.row), &all.rows),
             cols: overlap(&around(start.col), &all.cols),
         };
-        Some(Numbering::new(self.of(kind), window))
+        Some(Numbering::new(self.of(kind), extent))
     }
 
     /// The goals that [`Places::draw_route`] draws from, row by row.
     pub fn goals(&self, kind: AgentKind, start: Cell) -> Vec<Cell> {
         let near = self.near(kind, start);
-        let view = self.view(kind, near.as_ref());
-        let goals = view.goals(start);
+        let selection = self.selection(kind, near.as_ref());
+        let goals = selection.goals(start);
         goals.map_or_else(Vec::new, |goals| {
             (0..goals.count).filter_map(|number| goals.nth(number)).collect()
         })

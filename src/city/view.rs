@@ -12,6 +12,14 @@ pub struct View {
 }
 
 impl View {
+    /// What is at most so many cells [up, down, left, right] of a cell.
+    pub fn around(at: Cell, [up, down, left, right]: [i32; 4]) -> View {
+        View {
+            first: Cell::new(at.row.saturating_sub(up), at.col.saturating_sub(left)),
+            last: Cell::new(at.row.saturating_add(down), at.col.saturating_add(right)),
+        }
+    }
+
     /// Whether the cell is in view.
     pub fn contains(&self, cell: Cell) -> bool {
         (self.first.row..=self.last.row).contains(&cell.row) && (self.first.col..=self.last.col).contains(&cell.col)
@@ -34,13 +42,10 @@ pub fn view_reach(heading: Option<Heading>, half_width: u32) -> [i32; 4] {
 
 /// The field of view of an agent, see [`view_reach`]. It ends where the world ends.
 pub fn field_of_view(at: Cell, heading: Option<Heading>, half_width: u32, map: &CityMap) -> View {
-    let [up, down, left, right] = view_reach(heading, half_width);
+    let View { first, last } = View::around(at, view_reach(heading, half_width));
     View {
-        first: Cell::new(at.row.saturating_sub(up).max(0), at.col.saturating_sub(left).max(0)),
-        last: Cell::new(
-            at.row.saturating_add(down).min(map.rows() - 1),
-            at.col.saturating_add(right).min(map.cols() - 1),
-        ),
+        first: Cell::new(first.row.max(0), first.col.max(0)),
+        last: Cell::new(last.row.min(map.rows() - 1), last.col.min(map.cols() - 1)),
     }
 }
 

@@ -1,24 +1,31 @@
 //! `logicity bench`: how fast rules are evaluated and cities go, on this machine.
 
-use super::{Failure, load_city, one_of};
+use super::{Failure, load_city, one_of, threads};
 use crate::config::{AgentSet, Building, Buildings, MapConfig, Scenario, Speed, Split};
-use crate::diag::Sources;
+use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::Program;
 use crate::engine::dense::{BitFacts, Counting, Dense, Frame};
-use crate::files::{self, ReadError};
-use crate::rng::Seed;
-use crate::sim::{CROWD_MAX, Executor, Inference, Phase, Settings, Simulation, World};
+use crate::files;
+use crate::rng::{Purpose, RngExt, Seed};
+use crate::sim::{
+    CROWD_MAX, Executor, Facts, Inference, Phase, Settings, Simulation, WHOLE_MAX, Width, World, in_words,
+};
+use crate::task::path::{Egos, Env, PathTask};
 use serde_json::{Value, json};
 use std::hint::black_box;
-use std::io::Write;
+use std::io::{self, Write};
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// States on which the rules alone are timed.
+/// States on which the rules alone are timed, if they do not take more memory together than that: 256 MiB.
 const MOMENTS: usize = 64;
+const MOMENTS_BYTES: usize = 1 << 28;
 /// Ticks from one of them to the next.
 const BETWEEN: usize = 7;
+/// The most entities in a scene: as many as one word has bits.
+const SCENE_MAX: usize = Width::One.entities();
 /// So many ticks of a city of `scale` are timed before it is placed afresh.
 const SCALE_TICKS: u32 = 50;
 /// The sizes of cities that `scale` goes through.
@@ -51,33 +58,40 @@ impl What {
 #[derive(clap::Args)]
 pub struct Arguments {
     /// infer: the rules alone, facts ready as bits (dense) or as rows that change (relational). ground: all facts that the rules can
-    /// ask for. tick: a city, placed afresh after the ticks of the configuration. env: a city whose first agent is controlled, placed afresh every episode. scale: cities of 1000 agents
-    /// up to --agents
+    /// ask for. tick: a city, placed afresh after the ticks of the configuration. env: episodes of the configuration's task
+    /// under a random policy, observations written. scale: cities of 1000 agents up to --agents
     #[arg(value_parser = one_of(&What::ALL, What::name))]
     what: What,
     /// Configuration of the city
     #[arg(long, default_value = "configs/expert.yaml")]
     config: PathBuf,
     /// Which agent set of the configuration
-    #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test")]
+    #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test", conflicts_with = "scenes")]
     split: Split,
-    /// So many agents at least, the set of the configuration many times over, on a map that grows with them; goals lie as far away as
-    /// the region of the configuration is wide. For scale the largest city, 1000000 unless given
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000), allow_negative_numbers = true)]
+    /// So many agents, rounded up to whole copies of the configuration's list of agents (its `repeat` is left aside), on a map of a
+    /// size that leaves them as dense; goals lie as far away as the region of the configuration is wide. For scale the largest city,
+    /// 1000000 unless given
+    #[arg(
+        long,
+        value_parser = clap::value_parser!(u32).range(1..=1_000_000),
+        allow_negative_numbers = true,
+        conflicts_with = "scenes"
+    )]
     agents: Option<u32>,
     /// What evaluates the rules
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
-    /// Threads for a city of many agents; 0 is one for each core
-    #[arg(long, default_value_t = 1, allow_negative_numbers = true)]
-    threads: u16,
+    /// For tick and scale: threads for a city of many agents, 1 unless given; 0 is one for each core
+    #[arg(long, value_parser = threads, allow_negative_numbers = true, conflicts_with = "scenes")]
+    threads: Option<NonZeroUsize>,
     /// How long each measurement takes, in seconds
     #[arg(long, value_parser = seconds, default_value = "3", allow_negative_numbers = true)]
     seconds: Duration,
     /// Seed of the city
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
-    /// For infer: evaluate these scenes, one JSON object a line as `logicity infer` takes them, instead of states of the city
+    /// For infer: evaluate these scenes, one JSON object a line as `logicity infer` takes them, instead of states of the city; `-` is
+    /// standard input. Always by the dense executor
     #[arg(long, value_name = "FILE")]
     scenes: Option<PathBuf>,
     /// For tick: also tell where the time goes
@@ -197,6 +211,12 @@ fn peak_memory() -> Option<u64> {
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let misplaced = |option: &str, of: &str| Err(Failure::Usage(format!("{option} is for `bench {of}` only")));
+    if arguments.threads.is_some() && !matches!(arguments.what, What::Tick | What::Scale) {
+        return misplaced("--threads", "tick|scale");
+    }
+    if arguments.executor != Executor::Auto && arguments.what == What::Env {
+        return misplaced("--executor", "infer|ground|tick|scale");
+    }
     if arguments.breakdown && arguments.what != What::Tick {
         return misplaced("--breakdown", "tick");
     }
@@ -225,7 +245,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         What::Infer => bench.infer(),
         What::Ground => bench.ground(),
         What::Tick | What::Scale => bench.tick(bench.world.scenario.ticks, arguments.breakdown),
-        What::Env => bench.env(),
+        What::Env => bench.env(sources),
     }
 }
 
@@ -260,7 +280,7 @@ impl<'a> Bench<'a> {
         let settings = Settings {
             executor: arguments.executor,
             count_firings: false,
-            threads: super::threads(arguments.threads),
+            threads: arguments.threads.map_or(1, NonZeroUsize::get),
         };
         Ok(Simulation::new(
             Arc::clone(world),
@@ -315,73 +335,83 @@ impl<'a> Bench<'a> {
                     Phase::Move => "share_move",
                     Phase::Note => "share_note",
                 };
-                more.push((name, part.as_secs_f64() / sum.as_secs_f64().max(1e-12)));
+                more.push((name, json!(part.as_secs_f64() / sum.as_secs_f64().max(1e-12))));
             }
         }
         self.tell("ticks", timed, &more)
     }
 
-    fn env(&mut self) -> Result<(), Failure> {
-        let (mut seed, length) = (self.arguments.seed, u64::from(self.world.scenario.ticks));
+    /// Episodes of the task, one after another, the first car driven at random.
+    fn env(&mut self, sources: &Sources) -> Result<(), Failure> {
+        let task = Arc::new(PathTask::new(Arc::clone(&self.world), sources)?);
+        let mut observation = vec![0.0; task.observation_width()];
+        let mut env = Env::new(task, self.arguments.split, Egos::First)?;
+        let mut stream = Seed(self.arguments.seed).stream(Purpose::Policy, 0, 0);
         let timed = Timed::run(self.arguments.seconds, |times| {
             for _ in 0..times {
-                if self.simulation.now() == length {
-                    seed = seed.wrapping_add(1);
-                    self.simulation = Self::place(self.arguments, &self.world, seed)?;
+                if !env.riders()[0].is_running() {
+                    env.reset(stream.random())?;
                 }
-                self.simulation.tick(&[(0, Speed::Normal)])?;
+                env.observe(0, &mut observation);
+                env.step(&[Speed::ALL[stream.random_range(0..Speed::ALL.len())]])?;
             }
             Ok(())
         })?;
         self.tell("steps", timed, &[])
     }
 
-    /// The rules for the dense executor.
-    fn dense(&self) -> Result<Dense, Failure> {
-        (self.world.compile(Counting::Off)).map_err(|reason| {
-            Failure::Usage(format!(
-                "the dense executor cannot evaluate these rules, because {reason}"
-            ))
-        })
-    }
-
     fn infer(&mut self) -> Result<(), Failure> {
         if self.simulation.executor() == Executor::Relational {
             return self.infer_relational();
         }
-        match self.agents() {
-            0..=64 => self.infer_dense::<1>(),
-            65..=256 => self.infer_dense::<4>(),
-            257..=CROWD_MAX => self.infer_dense::<{ CROWD_MAX / 64 }>(),
-            many => Err(Failure::Usage(format!(
-                "the facts about {many} agents are not kept as bits all at once; the limit is {CROWD_MAX}"
-            ))),
-        }
+        let many = self.agents();
+        let width = Width::of(many).ok_or_else(|| {
+            Failure::Usage(format!(
+                "the facts about {many} agents are not kept as bits all at once: the limit is {CROWD_MAX}; take fewer by --agents"
+            ))
+        })?;
+        in_words!(width, W => self.infer_dense::<W>())
     }
 
     fn infer_dense<const W: usize>(&mut self) -> Result<(), Failure> {
-        let (dense, count) = (self.dense()?, self.agents());
-        let mut moments: Vec<BitFacts<W>> = Vec::new();
-        let vocabulary = &self.world.vocabulary;
-        for _ in 0..MOMENTS {
-            for _ in 0..BETWEEN {
+        let (world, count) = (Arc::clone(&self.world), self.agents());
+        let dense = world.compile(Counting::Off)?;
+        let sets = dense.inputs().len() + dense.lists().len() * 64 * W;
+        let moments: Vec<BitFacts<W>> = self.moments(BETWEEN, |facts| {
+            (
+                facts.to_bits(&world.vocabulary, &dense, count),
+                sets * size_of::<[u64; W]>(),
+            )
+        })?;
+        let timed = evaluate(self.arguments.seconds, &dense, &moments, count)?;
+        self.tell("evaluations", timed, &[("states", json!(moments.len()))])
+    }
+
+    /// Facts about states of the city that are so many ticks apart, as `make` has them. It tells how many bytes they take.
+    fn moments<T>(&mut self, between: usize, make: impl Fn(Facts) -> (T, usize)) -> Result<Vec<T>, Failure> {
+        let (mut moments, mut bytes) = (Vec::new(), 0);
+        while moments.len() < MOMENTS {
+            for _ in 0..between {
                 self.simulation.tick(&[])?;
             }
-            let facts = self.simulation.facts(|predicate| vocabulary.is_read(predicate));
-            moments.push(facts.to_bits(vocabulary, &dense, count));
+            let vocabulary = &self.world.vocabulary;
+            let (moment, size) = make(self.simulation.facts(|predicate| vocabulary.is_read(predicate)));
+            bytes += size;
+            // Of one state alone no evaluation would be another than the one before.
+            if bytes > MOMENTS_BYTES && moments.len() >= 2 {
+                break;
+            }
+            moments.push(moment);
         }
-        let timed = evaluate(self.arguments.seconds, &dense, &moments, count)?;
-        self.tell("evaluations", timed, &[])
+        Ok(moments)
     }
 
     /// From one state to the next by differences, and to the first from the last.
     fn infer_relational(&mut self) -> Result<(), Failure> {
-        let mut moments = Vec::new();
-        let vocabulary = &self.world.vocabulary;
-        for _ in 0..MOMENTS {
-            self.simulation.tick(&[])?;
-            moments.push(self.simulation.facts(|predicate| vocabulary.is_read(predicate)));
-        }
+        let moments = self.moments(1, |facts| {
+            let rows: usize = facts.rows.iter().map(Vec::len).sum();
+            (facts, rows * size_of::<[u32; 2]>())
+        })?;
         let simulation = &mut self.simulation;
         let mut next = 0;
         let timed = Timed::run(self.arguments.seconds, |times| {
@@ -391,15 +421,21 @@ impl<'a> Bench<'a> {
             }
             Ok(())
         })?;
-        self.tell("evaluations", timed, &[])
+        self.tell("evaluations", timed, &[("states", json!(moments.len()))])
     }
 
     fn ground(&mut self) -> Result<(), Failure> {
         let simulation = &mut self.simulation;
         let Some(facts) = simulation.count_facts() else {
-            return Err(Failure::Usage(
-                "facts are computed as bits only where the dense executor looks at a whole city at once".to_owned(),
-            ));
+            let what = "facts are computed as bits where the dense executor looks at a whole city at once";
+            let agents = simulation.agents().len();
+            return Err(Failure::Usage(match (simulation.executor(), simulation.fallback()) {
+                (Executor::Dense, _) => {
+                    format!("{what}: up to {WHOLE_MAX} agents, and here are {agents}; take fewer by --agents")
+                }
+                (_, Some(reason)) => format!("{what}, but {reason}"),
+                (_, None) => format!("{what}; leave out --executor relational"),
+            }));
         };
         let timed = Timed::run(self.arguments.seconds, |times| {
             (0..times).for_each(|_| {
@@ -407,20 +443,19 @@ impl<'a> Bench<'a> {
             });
             Ok(())
         })?;
-        #[allow(clippy::cast_precision_loss)]
-        self.tell("groundings", timed, &[("facts", facts as f64)])
+        self.tell("groundings", timed, &[("facts", json!(facts))])
     }
 
     /// Prints a result. `unit` is what was done again and again.
     #[allow(clippy::cast_precision_loss)]
-    fn tell(&self, unit: &str, timed: Timed, more: &[(&str, f64)]) -> Result<(), Failure> {
+    fn tell(&self, unit: &str, timed: Timed, more: &[(&str, Value)]) -> Result<(), Failure> {
         let agents = self.agents();
         let mut result = json!({
             "what": self.arguments.what.name(),
             "config": self.world.scenario.name,
             "map": self.world.map().name,
             "agents": agents,
-            "threads": super::threads(self.arguments.threads),
+            "threads": self.simulation.threads(),
             "executor": self.simulation.executor().name(),
             "seconds": timed.wall.as_secs_f64(),
         });
@@ -438,8 +473,8 @@ impl<'a> Bench<'a> {
             let per_agent = peak_memory().map(|bytes| bytes as f64 / agents as f64);
             set("peak_bytes_per_agent".to_owned(), json!(per_agent));
         }
-        for &(key, value) in more {
-            set(key.to_owned(), json!(value));
+        for (key, value) in more {
+            set((*key).to_owned(), value.clone());
         }
         print(&result, self.arguments.json)
     }
@@ -475,34 +510,41 @@ fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, pat
         scenario,
         program,
         Seed(arguments.seed),
-        Executor::Dense,
+        Executor::Auto,
         files::read_text,
     )?;
-    let dense = inference.compile().map_err(Failure::Usage)?;
-    let text = files::read_text(path).map_err(|error| match error {
-        ReadError::NotFound => Failure::file("read", path, "there is no such file"),
-        other => Failure::file("read", path, other),
+    let dense = inference.compile().map_err(|fault| {
+        fault.help("--scenes times the dense executor only; `logicity infer` decides scenes by either")
     })?;
+    let from = if path == Path::new("-") {
+        "<stdin>".to_owned()
+    } else {
+        path.display().to_string()
+    };
+    let text = match path == Path::new("-") {
+        true => files::read_from(io::stdin().lock()),
+        false => files::read_text(path),
+    };
+    let text = text.map_err(|error| Failure::file("read", path, error))?;
     let mut scenes = Vec::new();
     for (number, line) in (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty()) {
         let mut sources = Sources::new();
-        let source = sources.add_from(path.display().to_string(), line, number);
-        let scene = inference.ground(&sources, source).map_err(|faults| {
+        let source = sources.add_from(from.as_str(), line, number);
+        let scene = inference.ground(&sources, source).and_then(|scene| {
+            let count = scene.names.len();
+            if count <= SCENE_MAX {
+                return Ok(scene);
+            }
+            let message = format!("line {number} of `{from}` has {count} entities, the limit is {SCENE_MAX}");
+            Err(vec![Diagnostic::new(Code::LimitExceeded, message)])
+        });
+        scenes.push(scene.map_err(|faults| {
             super::report(&faults, &sources);
             Failure::Told
-        })?;
-        let count = scene.names.len();
-        if count > 64 {
-            let message = format!(
-                "line {number} of `{}` has {count} entities, the limit is 64",
-                path.display()
-            );
-            return Err(Failure::Usage(message));
-        }
-        scenes.push(scene);
+        })?);
     }
     let Some(most) = scenes.iter().map(|scene| scene.names.len()).max() else {
-        return Err(Failure::Usage(format!("there is no scene in `{}`", path.display())));
+        return Err(Diagnostic::new(Code::InvalidScene, format!("there is no scene in `{from}`")).into());
     };
     let moments: Vec<BitFacts<1>> = (scenes.iter())
         .map(|scene| scene.facts.to_bits(inference.vocabulary(), &dense, most))
@@ -548,7 +590,7 @@ fn print(result: &Value, as_json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Makes the agent set of a split so many times as large that it has that many agents, and the map so large that they are as dense
+/// Repeats the list of agents of a split so often that there are that many agents, and makes the map so large that they are as dense
 /// as before: in the region where they start and have their goals, if there is one, else on the whole map.
 fn grow(scenario: &mut Scenario, split: Split, agents: u32) {
     let period = {
@@ -563,10 +605,9 @@ fn grow(scenario: &mut Scenario, split: Split, agents: u32) {
         || f64::from(scenario.map.blocks.value[0].min(scenario.map.blocks.value[1]) * period),
         |region| f64::from(region.value),
     );
-    let once = set.len().max(1);
-    let repeat = (agents as usize).div_ceil(once);
-    #[allow(clippy::cast_precision_loss)]
-    let blocks = side * (repeat as f64).sqrt() / f64::from(period);
+    let once = (set.len() / set.repeat.max(1) as usize).max(1);
+    let repeat = u32::try_from((agents as usize).div_ceil(once)).expect("at most a million agents");
+    let blocks = side * (f64::from(repeat) / f64::from(set.repeat.max(1))).sqrt() / f64::from(period);
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most a million agents
     let blocks = (blocks.ceil() as u32).clamp(2, 1000);
     let AgentSet {
@@ -575,7 +616,7 @@ fn grow(scenario: &mut Scenario, split: Split, agents: u32) {
         trip,
         ..
     } = set;
-    *times = times.saturating_mul(u32::try_from(repeat).expect("at most a million agents"));
+    *times = repeat;
     if trip.is_none() {
         *trip = *region;
     }

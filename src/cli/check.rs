@@ -233,10 +233,12 @@ fn tell_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sour
                 writeln!(out, "    {first} by {a}\n    {second} by {b}")?;
                 told = true;
             }
-            Finding::NotFound { scenes, all } => {
-                let bound = if *all { "" } else { "; the search was cut short" };
-                let bound = format!("{scenes} scenes of up to {ENTITIES_MAX} agents{bound}");
+            Finding::NotFound { scenes, cut } => {
+                let bound = format!("{scenes} scenes of up to {ENTITIES_MAX} agents");
                 writeln!(out, "  conflicts: none found for {first} and {second} in {bound}")?;
+                for cut in cut {
+                    writeln!(out, "    these are not all, since {}", cut.reason())?;
+                }
                 told = true;
             }
         }
@@ -259,9 +261,13 @@ fn overlaps_json(overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> serd
                 "clauses": clauses.map(|clause| teller.clause_json(clause)),
                 "scene": scene.to_json(),
             }),
-            Finding::NotFound { scenes, all } => {
-                json!({ "actions": actions, "finding": "not-found", "scenes": scenes, "all": all })
-            }
+            Finding::NotFound { scenes, cut } => json!({
+                "actions": actions,
+                "finding": "not-found",
+                "scenes": scenes,
+                "all": cut.is_empty(),
+                "because": cut.iter().map(|cut| cut.reason()).collect::<Vec<_>>(),
+            }),
         }
     });
     told.collect()

@@ -30,7 +30,7 @@ pub struct Arguments {
     /// What evaluates the rules; answers are the same with each
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
-    /// Refuse scenes whose facts are not as the rules promise (`.disjoint`, `.implies`, ..)
+    /// Refuse scenes whose facts are not as the rules promise (`.disjoint`, `.implies`, ..). The relational executor then decides
     #[arg(long)]
     check_promises: bool,
     /// Where to write the answers; standard output unless given
@@ -39,6 +39,12 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    if arguments.check_promises && arguments.executor == Executor::Dense {
+        return Err(Failure::Usage(
+            "--check-promises looks at facts as the relational executor has them; leave out --executor dense"
+                .to_owned(),
+        ));
+    }
     let (scenario, program, _) = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
     let mut inference = Inference::new(
         scenario,

@@ -26,6 +26,7 @@ use crate::lang::{Inputs, Rules, Texts};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, Parser, Subcommand};
 use std::io::{self, IsTerminal, Write};
+use std::num::NonZeroUsize;
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -217,10 +218,11 @@ fn read(path: &Path) -> Result<String, Failure> {
 /// What an evaluation may take.
 #[derive(clap::Args)]
 struct LimitOptions {
-    /// Stop with an error if the rules derive more rows: a hundred millions unless given, at the prompt of `repl` a million
+    /// Stop with an error if the rules derive more rows, as 20000, 20K, 50M or 1G (thousands, millions, thousand millions): a hundred
+    /// millions unless given, at the prompt of `repl` a million
     #[arg(long, value_name = "COUNT", value_parser = count_of::<usize>, allow_negative_numbers = true)]
     max_rows: Option<usize>,
-    /// Stop with an error if more rows have to be looked at: a hundred thousand millions unless given
+    /// Stop with an error if more rows have to be looked at, given like --max-rows: a hundred thousand millions unless given
     #[arg(long, value_name = "COUNT", value_parser = count_of::<u64>, allow_negative_numbers = true)]
     max_steps: Option<u64>,
     /// Stop with an error if rows, indexes and texts take more memory: in MiB, or with a unit: K, M, G, T or KiB, MiB, GiB, TiB (all
@@ -240,22 +242,38 @@ impl LimitOptions {
     }
 }
 
-fn count_of<N: std::str::FromStr>(text: &str) -> Result<N, String> {
-    text.parse().map_err(|_| "expected a whole number from 0 on".to_owned())
+/// A number, or one of thousands, millions and so on.
+fn count_of<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
+    let wrong = || "expected a whole number from 0 on, or one with a unit: 20K, 50M, 1G, 1T".to_owned();
+    let (number, unit) = with_unit(text).ok_or_else(wrong)?;
+    let scale: u64 = match unit.as_str() {
+        "" => 1,
+        "k" => 1_000,
+        "m" => 1_000_000,
+        "g" => 1_000_000_000,
+        "t" => 1_000_000_000_000,
+        _ => return Err(wrong()),
+    };
+    N::try_from(number.saturating_mul(scale)).map_err(|_| wrong())
+}
+
+/// A whole number and what follows it, in small letters.
+fn with_unit(text: &str) -> Option<(u64, String)> {
+    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    Some((number.parse().ok()?, unit.trim_start().to_ascii_lowercase()))
 }
 
 /// Bytes: a number of mebibytes, or one with a unit.
 fn memory(text: &str) -> Result<u64, String> {
-    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let scale = match unit.trim_start().to_ascii_lowercase().as_str() {
+    let (number, unit) = with_unit(text).ok_or(MEMORY)?;
+    let scale = match unit.as_str() {
         "k" | "kib" => 10,
         "" | "m" | "mib" => 20,
         "g" | "gib" => 30,
         "t" | "tib" => 40,
         _ => return Err(MEMORY.to_owned()),
     };
-    let number: u64 = number.parse().map_err(|_| MEMORY.to_owned())?;
     Ok(number.saturating_mul(1 << scale))
 }
 
@@ -315,12 +333,16 @@ fn load_city(
     Ok((scenario, program, entry))
 }
 
-/// How many threads are meant; 0 is one for each core.
-fn threads(given: u16) -> usize {
-    match given {
-        0 => std::thread::available_parallelism().map_or(1, usize::from),
-        given => given.into(),
-    }
+/// More threads are not started, on however many cores: each takes memory, and some thousands more than a system gives.
+const THREADS_MAX: usize = 1024;
+
+/// Parses a number of threads; 0 is one for each core.
+fn threads(text: &str) -> Result<NonZeroUsize, String> {
+    let count = text.parse().ok().filter(|&count: &usize| count <= THREADS_MAX);
+    let count =
+        count.ok_or_else(|| format!("expected a whole number from 0 to {THREADS_MAX}; 0 is one for each core"))?;
+    let cores = || std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
+    Ok(NonZeroUsize::new(count).unwrap_or_else(cores))
 }
 
 /// Reads a run configuration and all its parts.

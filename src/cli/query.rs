@@ -42,8 +42,8 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     /// Evaluate on so many threads; 0 is one for each core. The answers and their order are the same
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(..=1024))]
-    threads: u16,
+    #[arg(long, value_name = "N", value_parser = super::threads, default_value = "1", allow_negative_numbers = true)]
+    threads: NonZeroUsize,
     #[command(flatten)]
     limits: LimitOptions,
 }
@@ -53,10 +53,6 @@ impl Arguments {
     fn question(&self) -> Option<(&str, &'static str, Question)> {
         let holds = self.explain.as_deref().map(|fact| (fact, "--explain", Question::Holds));
         holds.or_else(|| Some((self.why_not.as_deref()?, "--why-not", Question::Fails)))
-    }
-
-    fn threads(&self) -> Threads {
-        NonZeroUsize::new(self.threads.into()).map_or_else(Threads::all, Threads::new)
     }
 }
 
@@ -85,7 +81,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
     let mut session = program.session();
     session.set_limits(arguments.limits.limits(Limits::default()));
-    (session.set_threads(arguments.threads()))
+    (session.set_threads(Threads::new(arguments.threads)))
         .map_err(|error| Failure::Usage(format!("cannot start {} threads: {error}", arguments.threads)))?;
     load_inputs(
         arguments.facts.as_deref().unwrap_or(Path::new(".")),
@@ -258,6 +254,9 @@ pub(super) fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crat
 
 /// Reads the facts of every input relation. All faulty files are told in one run.
 pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
+    if !folder.is_dir() {
+        return Err(Failure::file("read facts from", folder, "there is no such folder"));
+    }
     let program = session.program().clone();
     let mut faults = Vec::new();
     for (id, relation) in relations(&program) {

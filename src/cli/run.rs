@@ -16,6 +16,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -49,15 +50,15 @@ pub struct Arguments {
     /// Rule file instead of the configuration's
     #[arg(long)]
     rules: Option<PathBuf>,
-    /// Look at every tick whether the facts are as the rules promise (`.disjoint`, `.implies`, ..); exit code 1 if they are not
+    /// Look at every tick, which then takes as long as with the relational executor, whether the facts are as the rules promise (`.disjoint`, `.implies`, ..); exit code 1 if they are not
     #[arg(long)]
     check_promises: bool,
     /// What evaluates the rules; runs are the same with each
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
     /// Threads for a city of many agents; 0 is one for each core. Runs are the same with any number
-    #[arg(long, default_value_t = 1, allow_negative_numbers = true)]
-    threads: u16,
+    #[arg(long, value_parser = super::threads, default_value = "1", allow_negative_numbers = true)]
+    threads: NonZeroUsize,
     /// Write the trace only
     #[arg(long)]
     no_pictures: bool,
@@ -94,7 +95,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         Settings {
             executor: arguments.executor,
             count_firings: true,
-            threads: super::threads(arguments.threads),
+            threads: arguments.threads.get(),
         },
     )?;
 
@@ -325,6 +326,17 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
         agents.len() - cars,
         world.map().name,
         simulation.seed().0,
+    );
+    let threads = match simulation.threads() {
+        1 => "1 thread".to_owned(),
+        several => format!("{several} threads"),
+    };
+    let because = simulation.fallback().map(|reason| format!(": {reason}"));
+    let _ = writeln!(
+        text,
+        "{} executor, {threads}{}",
+        simulation.executor().name(),
+        because.unwrap_or_default()
     );
     let decisions = tally.ticks * agents.len() as u64;
     #[allow(clippy::cast_precision_loss)]

@@ -87,7 +87,11 @@ impl fmt::Display for EvalError {
             EvalError::TooManyRows { limit, .. } => write!(f, "the rules derive more than {limit} rows"),
             EvalError::TooManySteps { limit, .. } => write!(f, "the rules look at more than {limit} rows"),
             EvalError::TooMuchMemory { limit, .. } => {
-                write!(f, "rows, indexes and texts take more than {} MiB", limit >> 20)
+                // The largest unit of which it is a whole number.
+                let units = [(20, "MiB"), (10, "KiB"), (0, "bytes")].into_iter();
+                let mut fitting = units.filter(|(scale, _)| limit >> scale << scale == *limit);
+                let (scale, unit) = fitting.next().expect("it is a whole number of bytes");
+                write!(f, "rows, indexes and texts take more than {} {unit}", limit >> scale)
             }
         }
     }

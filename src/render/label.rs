@@ -15,22 +15,22 @@ const LONGEST: usize = 10;
 
 /// A rectangle in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Area {
+pub(super) struct PixelArea {
     pub(super) left: i32,
     pub(super) top: i32,
     pub(super) width: i32,
     pub(super) height: i32,
 }
 
-impl Area {
+impl PixelArea {
     /// The common part's size in square pixels.
-    pub(super) fn overlap(self, other: Area) -> i32 {
+    pub(super) fn overlap(self, other: PixelArea) -> i32 {
         let common =
             |a: i32, a_length: i32, b: i32, b_length: i32| ((a + a_length).min(b + b_length) - a.max(b)).max(0);
         common(self.left, self.width, other.left, other.width) * common(self.top, self.height, other.top, other.height)
     }
 
-    pub(super) fn contains(self, other: Area) -> bool {
+    pub(super) fn contains(self, other: PixelArea) -> bool {
         self.overlap(other) == other.width * other.height
     }
 }
@@ -62,8 +62,8 @@ pub(super) fn one_line(text: &str, most: usize) -> String {
 
 /// Finds room inside `bounds` for the label of each sprite, whose figure covers the area next to it. A label avoids
 /// figures if it can and other labels always: one without room is left out.
-pub(super) fn place(sprites: &[(Sprite<'_>, Area)], bounds: Area) -> Vec<(String, Area)> {
-    let mut placed: Vec<(String, Area)> = Vec::new();
+pub(super) fn place(sprites: &[(Sprite<'_>, PixelArea)], bounds: PixelArea) -> Vec<(String, PixelArea)> {
+    let mut placed: Vec<(String, PixelArea)> = Vec::new();
     for (sprite, figure) in sprites.iter().take(MOST) {
         let text = short(sprite);
         if text.is_empty() {
@@ -73,8 +73,8 @@ pub(super) fn place(sprites: &[(Sprite<'_>, Area)], bounds: Area) -> Vec<(String
         let (width, height) = (6 * text.chars().count() as i32 + 3, 11);
         let free = candidates(*figure, sprite.heading, width, height)
             .filter(|&area| bounds.contains(area) && placed.iter().all(|(_, other)| area.overlap(*other) == 0));
-        let covered = |area: Area| sprites.iter().map(|(_, figure)| area.overlap(*figure)).sum::<i32>();
-        let mut best: Option<(i32, Area)> = None;
+        let covered = |area: PixelArea| sprites.iter().map(|(_, figure)| area.overlap(*figure)).sum::<i32>();
+        let mut best: Option<(i32, PixelArea)> = None;
         for area in free {
             let cost = covered(area);
             if best.is_none_or(|(least, _)| cost < least) {
@@ -92,7 +92,7 @@ pub(super) fn place(sprites: &[(Sprite<'_>, Area)], bounds: Area) -> Vec<(String
 }
 
 /// Places around a figure, the best first: beside it but not behind it, then a little further off.
-fn candidates(figure: Area, heading: Option<Heading>, width: i32, height: i32) -> impl Iterator<Item = Area> {
+fn candidates(figure: PixelArea, heading: Option<Heading>, width: i32, height: i32) -> impl Iterator<Item = PixelArea> {
     [1, 6, 12].into_iter().flat_map(move |gap| {
         let (west, east) = (figure.left - gap - width, figure.left + figure.width + gap);
         let (ahead, behind) = if heading == Some(Heading::Left) {
@@ -115,7 +115,7 @@ fn candidates(figure: Area, heading: Option<Heading>, width: i32, height: i32) -
             (west, north),
             (west, south),
         ]
-        .map(|(left, top)| Area {
+        .map(|(left, top)| PixelArea {
             left,
             top,
             width,
@@ -125,10 +125,10 @@ fn candidates(figure: Area, heading: Option<Heading>, width: i32, height: i32) -
 }
 
 /// Draws placed labels.
-pub(super) fn draw(labels: &[(String, Area)], frame: &mut Frame) {
+pub(super) fn draw(labels: &[(String, PixelArea)], frame: &mut Frame) {
     for (
         text,
-        Area {
+        PixelArea {
             left,
             top,
             width,

@@ -4,7 +4,7 @@ use super::agent::{Size, Sprite, Wardrobe};
 use super::canvas::Frame;
 use super::ground::{self, Zoom};
 use super::ink::Ink;
-use super::label::{self, Area};
+use super::label::{self, PixelArea};
 use super::legend;
 use crate::city::{CityMap, Heading};
 use crate::config::AgentKind;
@@ -49,7 +49,7 @@ pub struct Painter {
     /// Rows and columns of the map.
     cells: (i32, i32),
     /// Where the map is in the picture.
-    map: Area,
+    map: PixelArea,
     /// Where the legend of the agents begins (left, top).
     agents: (i32, i32),
 }
@@ -65,7 +65,7 @@ impl Painter {
             return Err(EmptyMap);
         }
         let zoom = Zoom::fit(rows.max(cols));
-        let area = Area {
+        let area = PixelArea {
             left: MARGIN + RULER.0,
             top: STATUS + RULER.1,
             width: zoom.length(cols),
@@ -102,7 +102,7 @@ impl Painter {
         let mut frame = self.base.clone();
         let size = Size::for_cell(self.zoom.pixels);
         let wardrobe = Wardrobe::of(agents);
-        let mut drawn: Vec<(Sprite<'_>, Area)> = agents
+        let mut drawn: Vec<(Sprite<'_>, PixelArea)> = agents
             .iter()
             .filter_map(|sprite| Some((*sprite, self.area(sprite, size)?)))
             .collect();
@@ -136,12 +136,12 @@ impl Painter {
     }
 
     /// What an agent covers, without its dashes; `None` if it is off the map.
-    fn area(&self, sprite: &Sprite<'_>, size: Size) -> Option<Area> {
+    fn area(&self, sprite: &Sprite<'_>, size: Size) -> Option<PixelArea> {
         let on_map = (0..self.cells.0).contains(&sprite.at.row) && (0..self.cells.1).contains(&sprite.at.col);
         on_map.then(|| {
             let (x, y) = (self.zoom.middle(sprite.at.col), self.zoom.middle(sprite.at.row));
             let (right, down) = size.reach(sprite);
-            Area {
+            PixelArea {
                 left: self.map.left + x - right,
                 top: self.map.top + y - down,
                 width: 2 * right + 1,
@@ -152,7 +152,7 @@ impl Painter {
 }
 
 /// Row numbers left of the map and column numbers above it.
-fn rulers(frame: &mut Frame, zoom: Zoom, map: Area, (rows, cols): (i32, i32)) {
+fn rulers(frame: &mut Frame, zoom: Zoom, map: PixelArea, (rows, cols): (i32, i32)) {
     // Room for a number of five digits.
     let step = [10, 20, 50, 100, 200, 500, 1000, 2000, 5000]
         .into_iter()
@@ -242,7 +242,7 @@ mod tests {
                         continue;
                     }
                     changed += 1;
-                    let inside = |area: Area, more: i32| {
+                    let inside = |area: PixelArea, more: i32| {
                         (area.left - more..area.left + area.width + more).contains(&x)
                             && (area.top - more..area.top + area.height + more).contains(&y)
                     };
@@ -294,7 +294,7 @@ mod tests {
         let names: Vec<String> = (1..=400).map(|number| format!("Car_{number}")).collect();
         for spread in [1, 10, 149] {
             let size = Size::for_cell(painter.zoom.pixels);
-            let crowd: Vec<(Sprite<'_>, Area)> = names
+            let crowd: Vec<(Sprite<'_>, PixelArea)> = names
                 .iter()
                 .zip(0..)
                 .map(|(name, at)| car(name, Cell::new(at * 7 % spread, at * 13 % spread), Heading::Up))

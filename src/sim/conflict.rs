@@ -52,9 +52,39 @@ pub enum Finding {
     NotFound {
         /// How many were tried.
         scenes: usize,
-        /// Whether these are all of up to [`ENTITIES_MAX`] entities that this search knows of, and no bound cut it short.
-        all: bool,
+        /// Why these are not all of up to [`ENTITIES_MAX`] entities; empty if they are.
+        cut: BTreeSet<Cut>,
     },
+}
+
+/// What keeps the search from trying all scenes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Cut {
+    /// There are more pairs of clauses, ways to put scenes up, or scenes than are looked at.
+    Many,
+    /// Derived predicates rest on each other more deeply, or in more ways, than they are unfolded.
+    Deep,
+    /// A clause asks for more than facts about entities: expressions, aggregates, comparisons of texts.
+    Beyond,
+    /// A clause asks for facts with numbers, or of a predicate that is neither input nor derived.
+    NotEntities,
+    /// Clauses name more constants than there are entities besides the agent.
+    Constants,
+}
+
+impl Cut {
+    /// The reason, to go after "since".
+    pub fn reason(self) -> String {
+        match self {
+            Cut::Many => format!("there are more than {SCENES_MAX} scenes, or too many ways to put them up"),
+            Cut::Deep => "derived predicates rest on each other in too many ways".to_owned(),
+            Cut::Beyond => {
+                "clauses ask for more than facts: expressions, aggregates or comparisons of texts".to_owned()
+            }
+            Cut::NotEntities => "clauses ask for facts with numbers, or of predicates that are no `.input`".to_owned(),
+            Cut::Constants => "clauses name more constants than there is room for beside the agent".to_owned(),
+        }
+    }
 }
 
 /// A scene of entities and facts.
@@ -154,6 +184,8 @@ struct Search<'p> {
     guards: BTreeSet<RelId>,
     /// Literals that may still be looked at.
     left: usize,
+    /// What kept scenes of the pair of actions from being put up.
+    cut: BTreeSet<Cut>,
 }
 
 impl<'p> Search<'p> {
@@ -175,6 +207,7 @@ impl<'p> Search<'p> {
             session,
             guards,
             left: 0,
+            cut: BTreeSet::new(),
         }
     }
 
@@ -187,7 +220,7 @@ impl<'p> Search<'p> {
     fn pair(&mut self, one: &(RelId, Vec<ClauseId>), other: &(RelId, Vec<ClauseId>)) -> Finding {
         let mut candidates = BTreeSet::new();
         let mut excluded = true;
-        let mut all = true;
+        self.cut.clear();
         let mut pairs: Vec<[ClauseId; 2]> = Vec::new();
         'pairs: for &a in &one.1 {
             for &b in &other.1 {
@@ -196,7 +229,7 @@ impl<'p> Search<'p> {
                 }
                 excluded = false;
                 if pairs.len() == PAIRS_MAX {
-                    all = false;
+                    self.cut.insert(Cut::Many);
                     break 'pairs;
                 }
                 pairs.push([a, b]);
@@ -204,7 +237,7 @@ impl<'p> Search<'p> {
         }
         for &pair in &pairs {
             self.left = STEPS_MAX / pairs.len();
-            all &= self.candidates(pair, &mut candidates);
+            self.candidates(pair, &mut candidates);
         }
         if excluded {
             return Finding::Excluded;
@@ -212,7 +245,7 @@ impl<'p> Search<'p> {
         let mut scenes = 0;
         for candidate in &candidates {
             if scenes == SCENES_MAX {
-                all = false;
+                self.cut.insert(Cut::Many);
                 break;
             }
             scenes += 1;
@@ -220,7 +253,10 @@ impl<'p> Search<'p> {
                 return Finding::Together { clauses, scene };
             }
         }
-        Finding::NotFound { scenes, all }
+        Finding::NotFound {
+            scenes,
+            cut: std::mem::take(&mut self.cut),
+        }
     }
 
     /// Whether the clause asks that the action does not hold for its own agent.
@@ -230,8 +266,8 @@ impl<'p> Search<'p> {
         (clause.body.iter()).any(|literal| matches!(literal, Literal::Negative(atom) if same(atom)))
     }
 
-    /// Puts up the scenes of a pair of clauses; whether these are all.
-    fn candidates(&mut self, clauses: [ClauseId; 2], candidates: &mut BTreeSet<Candidate>) -> bool {
+    /// Puts up the scenes of a pair of clauses.
+    fn candidates(&mut self, clauses: [ClauseId; 2], candidates: &mut BTreeSet<Candidate>) {
         let mut body = Body {
             variables: 1,
             ..Body::default()
@@ -240,34 +276,36 @@ impl<'p> Search<'p> {
             let clause = &self.rules.clauses[clause.index()];
             body.add(clause, &[Place::Variable(0)], self.rules);
         }
-        let mut all = true;
         // Those with the fewest literals come first, since recursion has no end.
         let mut open = VecDeque::from(self.helped(&body));
         open.push_front(body);
         let mut closed = 0;
         while let Some(mut body) = open.pop_front() {
             if !self.step(body.positive.len()) {
-                return false;
+                self.cut.insert(Cut::Many);
+                return;
             }
             if body.beyond {
-                all = false;
+                self.cut.insert(Cut::Beyond);
                 continue;
             }
             let derived = |(rel, _): &(RelId, Vec<Place>)| self.rules.relations[rel.index()].derived;
             let Some(at) = body.positive.iter().position(derived) else {
                 closed += 1;
-                all &= self.identify(&body, candidates);
+                if let Err(cut) = self.identify(&body, candidates) {
+                    self.cut.insert(cut);
+                }
                 continue;
             };
             if body.unfolded == UNFOLD_MAX {
-                all = false;
+                self.cut.insert(Cut::Deep);
                 continue;
             }
             let (rel, places) = body.positive.remove(at);
             body.unfolded += 1;
             for clause in (self.rules.clauses.iter()).filter(|clause| clause.head.relation == rel) {
                 if open.len() + closed >= UNFOLDINGS_MAX {
-                    all = false;
+                    self.cut.insert(Cut::Deep);
                     break;
                 }
                 let mut unfolded = body.clone();
@@ -275,7 +313,6 @@ impl<'p> Search<'p> {
                 open.push_back(unfolded);
             }
         }
-        all
     }
 
     /// The body with one atom more, which keeps a clause of what it negates from holding: of `A :- Not(B)` and `B :- Not(C)`, with `C`.
@@ -303,14 +340,14 @@ impl<'p> Search<'p> {
         helped
     }
 
-    /// Lets the variables of a body stand for entities, in every way. Whether all ways were put up.
-    fn identify(&mut self, body: &Body, candidates: &mut BTreeSet<Candidate>) -> bool {
-        let Some(classes) = body.classes() else { return true };
+    /// Lets the variables of a body stand for entities, in every way, unless something keeps it from that.
+    fn identify(&mut self, body: &Body, candidates: &mut BTreeSet<Candidate>) -> Result<(), Cut> {
+        let Some(classes) = body.classes() else { return Ok(()) };
         let relations = || body.positive.iter().map(|(rel, _)| &self.rules.relations[rel.index()]);
         let numbers = |relation: &Relation| relation.columns.iter().any(|column| column.base != BaseType::Symbol);
         // Scenes have entities only, and facts of what is input only.
         if relations().any(|relation| numbers(relation) || !relation.input) {
-            return false;
+            return Err(Cut::NotEntities);
         }
         // Constants are entities of their own; the agent is entity 0.
         let mut constants: Vec<Option<Symbol>> = Vec::new();
@@ -332,13 +369,13 @@ impl<'p> Search<'p> {
             .collect();
         let free: Vec<usize> = free.into_iter().collect();
         if constants.len() > ENTITIES_MAX {
-            return false;
+            return Err(Cut::Constants);
         }
         // Each free class stands for an entity that is there already, or for the next new one.
         let mut choice = vec![0; free.len()];
         loop {
             if !self.step(body.positive.len() + body.negative.len()) {
-                return false;
+                return Err(Cut::Many);
             }
             let entity = |place: &Place| match place {
                 Place::Variable(variable) => {
@@ -357,7 +394,7 @@ impl<'p> Search<'p> {
             let mut at = choice.len();
             loop {
                 if at == 0 {
-                    return true;
+                    return Ok(());
                 }
                 at -= 1;
                 let known = choice[..at]

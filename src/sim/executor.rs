@@ -3,6 +3,7 @@
 use super::ground::Facts;
 use super::infer::Draws;
 use super::vocabulary::{Actions, Vocabulary};
+use super::width::{Width, in_words};
 use super::window::{Body, Grounder, Window};
 use super::world::World;
 use crate::city::{Agent, Cell, CityMap};
@@ -16,7 +17,9 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
 /// The most entities that are looked at together.
-pub const CROWD_MAX: usize = 64 * 64;
+pub const CROWD_MAX: usize = Width::SixtyFour.entities();
+/// A city of more agents is cut into tiles, if the rules let it, and may go on several threads.
+pub const WHOLE_MAX: usize = Width::Four.entities();
 
 /// About as many entities are in the window of a tile.
 const TILE_ENTITIES: f64 = 40.0;
@@ -46,25 +49,37 @@ impl Executor {
         }
     }
 
-    /// What the dense executor is made into, if it is to evaluate the rules and can. `make` tells why not, to go after "because".
+    /// What the dense executor is made into, if it is to evaluate the rules and can; else why the relational one does.
     ///
     /// # Errors
-    /// If it has to, and cannot.
-    pub(super) fn choose<T>(self, make: impl FnOnce() -> Result<T, String>) -> Result<Option<T>, Diagnostic> {
+    /// That of `make`, if the dense executor has to and cannot.
+    pub(super) fn choose<T>(self, make: impl FnOnce() -> Result<T, Diagnostic>) -> Result<Choice<T>, Diagnostic> {
         if self == Executor::Relational {
-            return Ok(None);
+            return Ok(Choice::Relational(None));
         }
         match make() {
-            Ok(made) => Ok(Some(made)),
-            Err(_) if self == Executor::Auto => Ok(None),
-            Err(reason) => {
-                let message = format!("the dense executor cannot evaluate these rules, because {reason}");
-                let fault = Diagnostic::new(Code::LimitExceeded, message);
+            Ok(made) => Ok(Choice::Dense(made)),
+            Err(fault) if self == Executor::Auto => Ok(Choice::Relational(Some(fault.message))),
+            Err(fault) => {
                 Err(fault
                     .help("`--executor auto` takes the relational one, for fewer agents, where the dense one cannot"))
             }
         }
     }
+}
+
+/// Which executor evaluates the rules.
+pub(super) enum Choice<T> {
+    /// The dense one, made into this.
+    Dense(T),
+    /// The relational one; if it was not asked for, why the dense one does not.
+    Relational(Option<String>),
+}
+
+/// That the dense executor cannot evaluate rules. `reason` goes after "because".
+fn not_dense(reason: &str) -> Diagnostic {
+    let message = format!("the dense executor cannot evaluate these rules, because {reason}");
+    Diagnostic::new(Code::LimitExceeded, message)
 }
 
 /// What the agents decided in a tick, before the default.
@@ -176,12 +191,12 @@ enum Shape {
 /// Compiles the rules for the dense executor.
 ///
 /// # Errors
-/// Why it cannot take them, to go after "because".
-pub(super) fn compile(program: &Program, vocabulary: &Vocabulary, counting: Counting) -> Result<Dense, String> {
+/// `limit-exceeded` if it cannot take them; the message tells why.
+pub(super) fn compile(program: &Program, vocabulary: &Vocabulary, counting: Counting) -> Result<Dense, Diagnostic> {
     let rules = program.rules();
     let choice = choose(rules);
     if let Some(reason) = choice.relational.iter().flatten().next() {
-        return Err(reason.show(rules));
+        return Err(not_dense(&reason.show(rules)));
     }
     let steady = |relation| {
         let mut predicates = vocabulary.predicates.iter();
@@ -209,8 +224,8 @@ impl Crowd {
     /// `clauses` are those to be counted; none, and nothing is counted.
     ///
     /// # Errors
-    /// Why the rules cannot be evaluated densely, to go after "because".
-    pub fn new(world: &World, agents: &[Agent], clauses: &[ClauseId], threads: usize) -> Result<Crowd, String> {
+    /// `limit-exceeded` if the rules cannot be evaluated densely for so many agents; the message tells why.
+    pub fn new(world: &World, agents: &[Agent], clauses: &[ClauseId], threads: usize) -> Result<Crowd, Diagnostic> {
         let rules = world.program.rules();
         let counting = match clauses {
             [] => Counting::Off,
@@ -219,10 +234,11 @@ impl Crowd {
         let dense = compile(&world.program, &world.vocabulary, counting)?;
         let sees = world.vocabulary.predicates[world.vocabulary.sees].relation;
         let in_tiles = dense.is_local() && sees.is_some_and(|sees| dense.is_guarded_by(sees));
-        if agents.len() > CROWD_MAX && !in_tiles {
-            return Err(format!(
+        let width = Width::of(agents.len());
+        if width.is_none() && !in_tiles {
+            return Err(not_dense(&format!(
                 "they look beyond the field of view, and there are more than {CROWD_MAX} agents"
-            ));
+            )));
         }
 
         let vocabulary: &Vocabulary = &world.vocabulary;
@@ -238,13 +254,11 @@ impl Crowd {
             actions,
         };
         let bodies = bodies(&mut reading.grounder, world.map(), agents);
-        let shape = match bodies.len() {
-            0..=64 => Shape::One(Box::new(One::<1>::new(&reading.grounder, world.map(), bodies))),
-            65..=128 => Shape::One(Box::new(One::<2>::new(&reading.grounder, world.map(), bodies))),
-            129..=256 => Shape::One(Box::new(One::<4>::new(&reading.grounder, world.map(), bodies))),
-            _ if in_tiles => Shape::Tiles(Box::new(Tiles::new(&reading.grounder, world.map(), bodies, threads))),
-            257..=1024 => Shape::One(Box::new(One::<16>::new(&reading.grounder, world.map(), bodies))),
-            _ => Shape::One(Box::new(One::<64>::new(&reading.grounder, world.map(), bodies))),
+        let shape = match width {
+            Some(width) if agents.len() <= WHOLE_MAX || !in_tiles => {
+                Shape::One(in_words!(width, W => Box::new(One::<W>::new(&reading.grounder, world.map(), bodies))))
+            }
+            _ => Shape::Tiles(Box::new(Tiles::new(&reading.grounder, world.map(), bodies, threads))),
         };
         Ok(Crowd { reading, shape })
     }
@@ -474,27 +488,31 @@ impl Tiles {
             firings.resize(out.firings.len(), 0);
         }
         let lines = |cells: i32| (cells + self.side - 1) / self.side;
-        let row_of_tiles = |row: i32| {
+        let fault_in_row = |row: i32| {
             // With one worker the thread may be anybody's, with several it is of the simulation's own pool.
             let thread = match self.workers.len() {
                 1 => 0,
                 _ => rayon::current_thread_index().unwrap_or(0),
             };
             let mut worker = self.workers[thread].lock().expect("no thread has panicked");
-            (0..lines(map.cols())).try_for_each(|col| {
+            (0..lines(map.cols())).find_map(|col| {
                 let tile = Area {
                     first: Cell::new(row * self.side, col * self.side),
                     rows: self.side,
                     cols: self.side,
                 };
-                self.decide_tile(tile, &mut worker, reading, map, draws, out)
+                self.decide_tile(tile, &mut worker, reading, map, draws, out).err()
             })
         };
-        let rows = 0..lines(map.rows());
-        match self.workers.len() {
-            1 => rows.into_iter().try_for_each(row_of_tiles),
-            _ => rows.into_par_iter().try_for_each(row_of_tiles),
-        }?;
+        // The first in the order of tiles is told, however many threads there are.
+        let mut rows = 0..lines(map.rows());
+        let fault = match self.workers.len() {
+            1 => rows.find_map(fault_in_row),
+            _ => rows.into_par_iter().find_map_first(fault_in_row),
+        };
+        if let Some(fault) = fault {
+            return Err(fault);
+        }
         for worker in &mut self.workers {
             let firings = &worker.get_mut().expect("no thread has panicked").firings;
             for (sum, fired) in out.firings.iter_mut().zip(firings) {
@@ -538,10 +556,10 @@ impl Tiles {
             window,
             egos,
         };
-        match found.len() {
-            0..=64 => evaluate.run(&mut worker.narrow, found, &mut worker.firings),
-            65..=128 => evaluate.run(&mut worker.pair, found, &mut worker.firings),
-            129..=256 => evaluate.run(&mut worker.wide, found, &mut worker.firings),
+        match Width::of(found.len()) {
+            Some(Width::One) => evaluate.run(&mut worker.narrow, found, &mut worker.firings),
+            Some(Width::Two) => evaluate.run(&mut worker.pair, found, &mut worker.firings),
+            Some(Width::Four) => evaluate.run(&mut worker.wide, found, &mut worker.firings),
             _ if tile.rows > BIN || tile.cols > BIN => {
                 // Where the city is crowded tiles are smaller.
                 let half = |cells: i32| (cells / 2 + BIN - 1) / BIN * BIN;
@@ -559,10 +577,10 @@ impl Tiles {
                     }
                 }
             }
-            257..=1024 => evaluate.run(&mut worker.wider, found, &mut worker.firings),
-            1025..=CROWD_MAX => evaluate.run(&mut worker.widest, found, &mut worker.firings),
-            many => {
-                let Cell { row, col } = tile.first;
+            Some(Width::Sixteen) => evaluate.run(&mut worker.wider, found, &mut worker.firings),
+            Some(Width::SixtyFour) => evaluate.run(&mut worker.widest, found, &mut worker.firings),
+            None => {
+                let (many, Cell { row, col }) = (found.len(), tile.first);
                 let message = format!("{many} agents around the cell [{row}, {col}], the limit is {CROWD_MAX}");
                 return Err(Diagnostic::new(Code::LimitExceeded, message).help("take a larger map or fewer agents"));
             }

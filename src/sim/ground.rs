@@ -96,17 +96,9 @@ pub(super) fn unary(definition: &Definition, map: &CityMap, x: &Entity<'_>) -> b
 /// The probability that a binary predicate holds of two different entities.
 pub(super) fn binary(definition: &Definition, x: &Entity<'_>, y: &Entity<'_>) -> f64 {
     let holds = match definition {
-        Definition::Distance {
-            above,
-            at_least,
-            below,
-            at_most,
-        } => {
+        Definition::Distance { .. } => {
             let d = x.at.distance(y.at);
-            above.is_none_or(|bound| d > bound)
-                && at_least.is_none_or(|bound| d >= bound)
-                && below.is_none_or(|bound| d < bound)
-                && at_most.is_none_or(|bound| d <= bound)
+            is_far_enough(definition, d) && is_near_enough(definition, d)
         }
         Definition::HigherPriority => x.priority < y.priority,
         Definition::LeftOf => side(x, y) > 0,
@@ -137,6 +129,22 @@ pub(super) fn binary(definition: &Definition, x: &Entity<'_>, y: &Entity<'_>) ->
         _ => unreachable!("a unary definition, or the field of view"),
     };
     f64::from(u8::from(holds))
+}
+
+/// Whether a distance is within the lower bounds of a predicate. What is not by distance has none.
+pub(super) fn is_far_enough(definition: &Definition, d: f64) -> bool {
+    let Definition::Distance { above, at_least, .. } = definition else {
+        return true;
+    };
+    above.is_none_or(|bound| d > bound) && at_least.is_none_or(|bound| d >= bound)
+}
+
+/// Whether a distance is within the upper bounds of a predicate. What is not by distance has none.
+pub(super) fn is_near_enough(definition: &Definition, d: f64) -> bool {
+    let Definition::Distance { below, at_most, .. } = definition else {
+        return true;
+    };
+    below.is_none_or(|bound| d < bound) && at_most.is_none_or(|bound| d <= bound)
 }
 
 /// Where x lies, seen along y's heading (dr, dc): positive left, negative right, zero straight or no heading. With

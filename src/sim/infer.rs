@@ -1,9 +1,10 @@
 //! Inference: what the rules decide in one scene.
 
-use super::executor::{CROWD_MAX, Executor, compile};
+use super::executor::{Choice, Executor, compile};
 use super::ground::{Chance, Entity, Facts, ground};
 use super::scene::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
 use super::vocabulary::{Actions, Vocabulary};
+use super::width::{Width, in_words};
 use crate::city::CityMap;
 use crate::config::{Definition, Scenario, Speed, load_map};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
@@ -113,9 +114,12 @@ impl Inference {
         read: impl Fn(&Path) -> Result<String, ReadError> + Send + Sync + 'static,
     ) -> Result<Self, Vec<Diagnostic>> {
         let vocabulary = Vocabulary::bind(&scenario, &program)?;
-        let dense = executor.choose(|| compile(&program, &vocabulary, Counting::Off));
+        let chosen = executor.choose(|| compile(&program, &vocabulary, Counting::Off));
         Ok(Inference {
-            dense: dense.map_err(|fault| vec![fault.at(scenario.rules.span, "these rules")])?,
+            dense: match chosen.map_err(|fault| vec![fault.at(scenario.rules.span, "these rules")])? {
+                Choice::Dense(dense) => Some(dense),
+                Choice::Relational(_) => None,
+            },
             vocabulary,
             scenario,
             program,
@@ -134,12 +138,14 @@ impl Inference {
     /// The rules for the dense executor.
     ///
     /// # Errors
-    /// Why it cannot evaluate them, to go after "because".
-    pub fn compile(&self) -> Result<Dense, String> {
+    /// `limit-exceeded` if it cannot evaluate them; the message tells why.
+    pub fn compile(&self) -> Result<Dense, Diagnostic> {
         compile(&self.program, &self.vocabulary, Counting::Off)
+            .map_err(|fault| fault.at(self.scenario.rules.span, "these rules"))
     }
 
-    /// From here on scenes are refused in which the facts are not as the rules promise. Answers rely on no promise either way.
+    /// From here on scenes are refused in which the facts are not as the rules promise. Answers rely on no promise either way. The
+    /// facts have to be those of a session for that, so the relational executor decides.
     pub fn check_promises(&mut self) {
         self.check_promises = true;
     }
@@ -284,11 +290,8 @@ impl Inference {
     /// The actions that hold for each ego.
     fn derive(&self, scene: &SceneFacts, names: &[&str]) -> Result<Vec<Actions>, Diagnostic> {
         if let (Some(dense), false) = (&self.dense, self.check_promises) {
-            return Ok(match names.len() {
-                0..=64 => self.derive_dense::<1>(dense, scene),
-                65..=256 => self.derive_dense::<4>(dense, scene),
-                _ => self.derive_dense::<{ CROWD_MAX / 64 }>(dense, scene),
-            });
+            let width = Width::of(names.len()).expect("a scene has fewer entities than the widest set");
+            return Ok(in_words!(width, W => self.derive_dense::<W>(dense, scene)));
         }
         let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
         state.set(&scene.facts)?;

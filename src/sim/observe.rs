@@ -14,7 +14,7 @@ use super::simulation::Simulation;
 use super::vocabulary::{Actions, Vocabulary};
 use super::window::{Body, Reach, Relation, holds_of, views};
 use super::world::World;
-use crate::city::{Agent, Cell};
+use crate::city::{Agent, Cell, View};
 use crate::config::{Definition, Speed};
 use crate::diag::Diagnostic;
 use crate::engine::dense::{Axis, Counting, Dense, Frame, Input, List, Pairs, Set, first, has, members};
@@ -214,9 +214,8 @@ impl Oracle {
     }
 
     fn sees(&self, ego: &Body, at: Cell) -> bool {
-        let [up, down, left, right] = self.views[ego.heading.map_or(0, |heading| heading as usize + 1)];
-        let (rows, cols) = (at.row - ego.at.row, at.col - ego.at.col);
-        (-up..=down).contains(&rows) && (-left..=right).contains(&cols)
+        let reach = self.views[ego.heading.map_or(0, |heading| heading as usize + 1)];
+        View::around(ego.at, reach).contains(at)
     }
 
     /// How many numbers [`Observer::write`] writes: for each predicate, `Sees` left out, one for each entity or pair of entities.

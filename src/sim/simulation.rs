@@ -1,6 +1,6 @@
 //! The tick: all agents decide on the same state, then all move.
 
-use super::executor::{Crowd, Decisions, Executor};
+use super::executor::{Choice, Crowd, Decisions, Executor, WHOLE_MAX};
 use super::ground::{Entity, Facts, ground};
 use super::infer::{Draws, GroundState};
 use super::scene::MAX_ENTITIES;
@@ -17,9 +17,6 @@ use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::sync::Arc;
 
-/// So many agents are decided about on one thread.
-const SMALL_CITY: usize = 256;
-
 /// How a [`Simulation`] works. Ticks are the same whatever is chosen.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
@@ -27,7 +24,7 @@ pub struct Settings {
     pub executor: Executor,
     /// Whether the firings of clauses are counted.
     pub count_firings: bool,
-    /// Threads for a city of more than 256 agents, at least 1; a smaller one has one.
+    /// Threads for a city of more than [`WHOLE_MAX`] agents, at least 1; a smaller one has one.
     pub threads: usize,
 }
 
@@ -52,7 +49,11 @@ pub struct Simulation {
     agents: Vec<Agent>,
     /// Decides densely; `None` if `state` decides.
     crowd: Option<Crowd>,
+    /// Why `state` decides, if that was not asked for.
+    fallback: Option<String>,
     decisions: Decisions,
+    /// For each agent the action it is given in the tick, if it is given one. Empty between ticks.
+    given: Vec<Option<Speed>>,
     /// The session with the facts on which a tick was decided, and the number of that tick. Made when it is needed first.
     state: Option<GroundState>,
     stated: Option<u64>,
@@ -160,23 +161,29 @@ impl Simulation {
             .collect();
         let to_count: &[ClauseId] = if settings.count_firings { &clauses } else { &[] };
         // Fewer agents are decided about faster than threads are woken.
-        let threads = match agents.len() > SMALL_CITY {
+        let threads = match agents.len() > WHOLE_MAX {
             true => settings.threads.max(1),
             false => 1,
         };
-        let crowd = (settings.executor)
+        let chosen = (settings.executor)
             .choose(|| Crowd::new(&world, &agents, to_count, threads))
             .map_err(|fault| fault.at(scenario.rules.span, "these rules"))?;
+        let (crowd, fallback) = match chosen {
+            Choice::Dense(crowd) => (Some(crowd), None),
+            Choice::Relational(reason) => (None, reason),
+        };
         if crowd.is_none() && agents.len() > MAX_ENTITIES {
             let message = format!(
                 "{} agents, the limit of the relational executor is {MAX_ENTITIES}",
                 agents.len()
             );
             let fault = Diagnostic::new(Code::LimitExceeded, message).at(set.span, "in this agent set");
-            return Err(fault.help(match settings.executor {
-                Executor::Relational => "let the executor be chosen: `--executor auto`",
-                _ => "`logicity check` tells which rules the dense executor cannot take, and why",
-            }));
+            return Err(match fallback {
+                None => fault.help("let the executor be chosen: `--executor auto`"),
+                Some(reason) => fault
+                    .note(reason)
+                    .help("`logicity check` tells which rules the dense executor cannot take, and why"),
+            });
         }
         let pool = start(threads)?;
         let report = TickReport {
@@ -189,8 +196,10 @@ impl Simulation {
             seed,
             tick: 0,
             decisions: Decisions::new(agents.len(), to_count.len()),
+            given: vec![None; agents.len()],
             agents,
             crowd,
+            fallback,
             state: None,
             stated: None,
             report,
@@ -265,7 +274,10 @@ impl Simulation {
     /// The layered semantic map of the present state; [`CityMap::semantic`] documents shape and layers.
     ///
     /// [`CityMap::semantic`]: crate::city::CityMap::semantic
-    pub fn semantic_map(&self) -> Array3<f32> {
+    ///
+    /// # Errors
+    /// As [`CityMap::semantic`].
+    pub fn semantic_map(&self) -> Result<Array3<f32>, Diagnostic> {
         let cells: Vec<Cell> = self.agents.iter().map(|agent| agent.cell).collect();
         self.world.map().semantic(&cells)
     }
@@ -288,6 +300,16 @@ impl Simulation {
         }
     }
 
+    /// Why the relational executor evaluates the rules although it was not asked for: a sentence without a full stop.
+    pub fn fallback(&self) -> Option<&str> {
+        self.fallback.as_deref()
+    }
+
+    /// On how many threads it goes.
+    pub fn threads(&self) -> usize {
+        self.threads.as_ref().map_or(1, ThreadPool::current_num_threads)
+    }
+
     /// The clauses whose firings can be counted, in the order of the text.
     pub fn clauses(&self) -> &[ClauseId] {
         &self.clauses
@@ -305,11 +327,12 @@ impl Simulation {
         self.decisions.fired(agent)
     }
 
-    /// Lets every agent decide and move. `controls` replaces the decision of the agents it names (by position in the list).
+    /// Lets every agent decide and move. `controls` replaces the decisions of the agents it names by their positions in the list; of
+    /// several for one agent the last counts.
     ///
     /// # Errors
-    /// `limit-exceeded` for rules that derive more than the relational executor allows, or too many agents in one place for the
-    /// dense one. The city is then as before.
+    /// `invalid-value` for a position that no agent has; `limit-exceeded` for rules that derive more than the relational executor
+    /// allows, or too many agents in one place for the dense one. The city is then as before.
     pub fn tick(&mut self, controls: &[(usize, Speed)]) -> Result<&TickReport, Diagnostic> {
         self.tick_watched(controls, |_| ())
     }
@@ -323,6 +346,11 @@ impl Simulation {
         controls: &[(usize, Speed)],
         mut ended: impl FnMut(Phase),
     ) -> Result<&TickReport, Diagnostic> {
+        let count = self.agents.len();
+        if let Some((position, _)) = controls.iter().find(|(position, _)| *position >= count) {
+            let message = format!("there is no agent {position} to control: there are {count}, counted from 0");
+            return Err(Diagnostic::new(Code::InvalidValue, message));
+        }
         let draws = Draws {
             seed: self.seed,
             time: self.tick,
@@ -361,9 +389,14 @@ impl Simulation {
             places,
             decisions,
             agents,
+            given,
             report,
             ..
         } = self;
+        for &(position, action) in controls {
+            given[position] = Some(action);
+        }
+        let controlled = &*given;
         let vocabulary = &world.vocabulary;
         let surroundings = Surroundings {
             router: &world.router,
@@ -373,8 +406,7 @@ impl Simulation {
         };
         let step = |index: usize, agent: &mut Agent, done: &mut AgentTick| {
             let derived = decisions.derived(index);
-            let control = controls.iter().rev().find(|(controlled, _)| *controlled == index);
-            let action = control.map_or_else(|| vocabulary.decide(derived), |(_, action)| *action);
+            let action = controlled[index].unwrap_or_else(|| vocabulary.decide(derived));
             *done = AgentTick {
                 heading: agent.heading,
                 derived: vocabulary.before_default(derived),
@@ -394,6 +426,9 @@ impl Simulation {
                     step(index, agent, done);
                 }
             }
+        }
+        for &(position, _) in controls {
+            given[position] = None;
         }
     }
 
@@ -545,12 +580,15 @@ impl Batch {
     /// # Errors
     /// As [`Simulation::tick`], of the first city that has one. The others have gone on.
     pub fn tick<'c>(&mut self, controls: impl Fn(usize) -> &'c [(usize, Speed)] + Sync) -> Result<(), Diagnostic> {
-        let step = |(position, city): (usize, &mut Simulation)| city.tick(controls(position)).map(|_| ());
-        let faults: Vec<Result<(), Diagnostic>> = match &self.threads {
-            Some(pool) => pool.install(|| self.cities.par_iter_mut().enumerate().map(step).collect()),
-            None => self.cities.iter_mut().enumerate().map(step).collect(),
+        let fault = |(position, city): (usize, &mut Simulation)| Some((position, city.tick(controls(position)).err()?));
+        let faults = match &self.threads {
+            Some(pool) => pool.install(|| {
+                let faults = self.cities.par_iter_mut().enumerate().filter_map(fault);
+                faults.min_by_key(|(position, _)| *position)
+            }),
+            None => (self.cities.iter_mut().enumerate().filter_map(fault)).min_by_key(|(position, _)| *position),
         };
-        faults.into_iter().collect()
+        faults.map_or(Ok(()), |(_, fault)| Err(fault))
     }
 }
 

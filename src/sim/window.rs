@@ -1,10 +1,10 @@
 //! Some entities of a city and what relates them, as bits for the dense executor. Facts about pairs are computed where a rule asks
 //! for them, from whole numbers; [`super::ground`] has the definitions, and tests compare the two.
 
-use super::ground::{Chance, Entity, binary, side};
+use super::ground::{Chance, Entity, binary, is_far_enough, is_near_enough, side};
 use super::infer::Draws;
 use super::vocabulary::Vocabulary;
-use crate::city::{Agent, Cell, CityMap, Heading, Junction, view_reach};
+use crate::city::{Agent, Cell, CityMap, Heading, Junction, View, view_reach};
 use crate::config::{AgentKind, Definition};
 use crate::engine::dense::{Axis, Dense, Frame, Input, List, Pairs, Set, and, first, is_empty, members, without};
 use std::collections::BTreeMap;
@@ -210,17 +210,10 @@ impl Relation {
     pub fn new(predicate: usize, definition: &Definition) -> Relation {
         match *definition {
             Definition::Sees => Relation::Sees,
-            Definition::Distance {
-                above,
-                at_least,
-                below,
-                at_most,
-            } => {
+            Definition::Distance { .. } => {
                 // Both bounds are monotone in the distance, and the distance in its square.
-                let near = |d: f64| below.is_none_or(|bound| d < bound) && at_most.is_none_or(|bound| d <= bound);
-                let far = |d: f64| above.is_none_or(|bound| d > bound) && at_least.is_none_or(|bound| d >= bound);
-                let least = first_square(far);
-                let most = first_square(|d| !near(d)) - 1;
+                let least = first_square(|d| is_far_enough(definition, d));
+                let most = first_square(|d| !is_near_enough(definition, d)) - 1;
                 let reach = most.max(0).isqrt().min(i64::from(FARTHEST));
                 Relation::Distance {
                     least,
@@ -533,9 +526,8 @@ impl Relation {
         let same = x.agent == y.agent;
         match *self {
             Relation::Sees => {
-                let [up, down, left, right] = views[x.heading.map_or(0, |heading| heading as usize + 1)];
-                let (rows, cols) = (y.at.row - x.at.row, y.at.col - x.at.col);
-                same || (-up..=down).contains(&rows) && (-left..=right).contains(&cols)
+                let reach = views[x.heading.map_or(0, |heading| heading as usize + 1)];
+                same || View::around(x.at, reach).contains(y.at)
             }
             _ if same => false,
             Relation::Distance { least, most, .. } => (least..=most).contains(&square(x.at, y.at)),

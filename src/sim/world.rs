@@ -41,8 +41,8 @@ impl World {
     /// The rules for the dense executor.
     ///
     /// # Errors
-    /// Why it cannot evaluate them, to go after "because".
-    pub fn compile(&self, counting: Counting) -> Result<Dense, String> {
+    /// `limit-exceeded` if it cannot evaluate them; the message tells why.
+    pub fn compile(&self, counting: Counting) -> Result<Dense, Diagnostic> {
         compile(&self.program, &self.vocabulary, counting)
     }
 

@@ -233,10 +233,14 @@ fn unknown(sources: &Sources, id: SourceId, text: &str) -> Option<Diagnostic> {
     if name.is_empty() || DIRECTIVES.contains(&name.as_str()) {
         return None;
     }
-    let near = did_you_mean(&name, DOTTED.iter().chain(WORDS).chain(DIRECTIVES).copied())?;
-    if DIRECTIVES.contains(&near) {
-        return None;
-    }
-    let dot = if WORDS.contains(&near) { "" } else { "." };
-    Some(fault(1 + name.len()).help(format!("did you mean `{dot}{near}`?")))
+    let help = match did_you_mean(&name, DOTTED.iter().chain(WORDS).chain(DIRECTIVES).copied()) {
+        Some(near) if DIRECTIVES.contains(&near) => return None,
+        Some(near) if WORDS.contains(&near) => format!("did you mean `{near}`?"),
+        Some(near) => format!("did you mean `.{near}`?"),
+        None => format!(
+            "there are `.{}`; directives are typed as in a file",
+            DOTTED.join("`, `.")
+        ),
+    };
+    Some(fault(1 + name.len()).help(help))
 }

@@ -9,8 +9,13 @@ use std::collections::{BTreeMap, BTreeSet};
 pub(super) struct Reg(u32);
 
 impl Reg {
+    /// All entities.
+    const ALL: Reg = Reg(0);
+    /// Those that are decided about.
+    const EGOS: Reg = Reg(1);
+
     #[inline]
-    pub fn index(self) -> usize {
+    pub const fn index(self) -> usize {
         self.0 as usize
     }
 }
@@ -196,9 +201,9 @@ enum Fired {
 
 impl Dense {
     /// All entities.
-    pub(super) const ALL: usize = 0;
+    pub(super) const ALL: usize = Reg::ALL.index();
     /// Those that are decided about.
-    pub(super) const EGOS: usize = 1;
+    pub(super) const EGOS: usize = Reg::EGOS.index();
     pub(super) const FIRST_INPUT: usize = 2;
     /// Variables that a search binds at a time, the head's included.
     pub(super) const VARIABLES_MAX: usize = 24;
@@ -705,7 +710,7 @@ impl<'a> Compiler<'a> {
     fn clause(&mut self, id: ClauseId, body: &Body) {
         let head = self.rules.clauses[id.index()].head.relation;
         let mut asked = self.ask(&body.properties(0));
-        asked.push(Asked::of(Reg(1)));
+        asked.push(Asked::of(Reg::EGOS));
         let mut own = Vec::new();
         for group in body.conditions() {
             let search = body.search(&group, None, &self.guards);
@@ -766,12 +771,12 @@ impl<'a> Compiler<'a> {
         }
         let users = self.shared[&search].clone();
         let demand = match users.iter().any(Vec::is_empty) {
-            true => Reg(1),
+            true => Reg::EGOS,
             false => {
                 let sets: Vec<Reg> = (users.iter())
                     .map(|asked| {
                         let mut asked = self.ask(asked);
-                        asked.push(Asked::of(Reg(1)));
+                        asked.push(Asked::of(Reg::EGOS));
                         self.combine(asked)
                     })
                     .collect();
@@ -905,7 +910,7 @@ impl<'a> Compiler<'a> {
                     properties: Vec::new(),
                     relations: vec![(Relates::By(relation, other), 0, true)],
                 }];
-                self.exists(Reg(0), &search)
+                self.exists(Reg::ALL, &search)
             }
         };
         self.known_properties.insert(property, set);
@@ -941,7 +946,7 @@ impl<'a> Compiler<'a> {
         // It begins with a set that holds, if only with that of all.
         let (first, rest) = match asked {
             [Asked { set, holds: true }, rest @ ..] => (*set, rest),
-            rest => (Reg(0), rest),
+            rest => (Reg::ALL, rest),
         };
         rest.iter()
             .fold(first, |made, asked| self.both(made, asked.set, asked.holds))

@@ -319,6 +319,7 @@ impl<const W: usize> Frame<W> {
         let rows = &self.rows[list * self.count..(list + 1) * self.count];
         Some(rows.iter().map(size).sum())
     }
+
     fn search<'a, P>(&'a self, program: &'a Dense, sets: &'a [Set<W>], pairs: &'a P) -> Search<'a, W, P> {
         Search {
             program,

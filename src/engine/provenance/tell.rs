@@ -276,6 +276,18 @@ impl<'a> Teller<'a> {
         bases
     }
 
+    /// The base type of what a literal computes.
+    fn computed_base(&self, clause: &Clause, literal: &Literal) -> BaseType {
+        match literal {
+            Literal::Compute {
+                to: Term::Variable(to), ..
+            } => self.bases(clause)[to.index()],
+            Literal::Compute { functor, base, .. } => result_base(*functor, *base).unwrap_or(*base),
+            Literal::Aggregate { op, base, .. } => aggregate_base(*op, *base),
+            _ => BaseType::Number,
+        }
+    }
+
     /// Title and place of a clause: the first line of its doc comment, else its text, and `file:line`.
     pub fn title(&self, clause: ClauseId) -> String {
         let clause = &self.rules.clauses[clause.index()];
@@ -431,20 +443,13 @@ impl<'a> Teller<'a> {
                 let arguments: Vec<String> = (arguments.iter().enumerate())
                     .map(|(at, term)| self.term(clause, term, argument_base(*functor, *base, at), binding))
                     .collect();
-                let to = match to {
-                    Term::Variable(variable) => self.term(clause, to, self.bases(clause)[variable.index()], binding),
-                    _ => self.term(clause, to, result_base(*functor, *base).unwrap_or(*base), binding),
-                };
+                let to = self.term(clause, to, self.computed_base(clause, literal), binding);
                 format!("{to} = {}", applied(*functor, &arguments))
             }
             Literal::Aggregate {
-                to,
-                op,
-                base,
-                atom,
-                column,
+                to, op, atom, column, ..
             } => {
-                let to = self.term(clause, to, aggregate_base(*op, *base), binding);
+                let to = self.term(clause, to, self.computed_base(clause, literal), binding);
                 let rows = self.atom(clause, atom, binding, depth);
                 let of = match column {
                     Some(column) => format!(" {}", self.column(atom.relation, *column)),
@@ -695,14 +700,7 @@ impl Drawing<'_> {
                     (FailureKind::Comparison { .. }, _) => (format!("{text} fails"), None),
                     (FailureKind::Computed { value: None }, _) => (format!("{text} fails: it has no value"), None),
                     (FailureKind::Computed { value: Some(value) }, _) => {
-                        let base = match literal {
-                            Literal::Compute {
-                                to: Term::Variable(to), ..
-                            } => self.teller.bases(clause)[to.index()],
-                            Literal::Compute { functor, base, .. } => result_base(*functor, *base).unwrap_or(*base),
-                            Literal::Aggregate { op, base, .. } => aggregate_base(*op, *base),
-                            _ => BaseType::Number,
-                        };
+                        let base = self.teller.computed_base(clause, literal);
                         (format!("{text} fails: it is {}", self.teller.value(*value, base)), None)
                     }
                 };

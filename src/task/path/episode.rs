@@ -352,7 +352,8 @@ fn parse<'t, T: Deserialize<'t>>(line: &'t str, source: SourceId, start: usize, 
 impl Line {
     fn read(self, usual: &[(AgentName, Character)]) -> Result<Episode, Diagnostic> {
         if self.trips.len() != usual.len() {
-            let message = format!("{} trips of {} agents", self.trips.len(), usual.len());
+            let plural = if self.trips.len() == 1 { "" } else { "s" };
+            let message = format!("{} trip{plural} of {} agents", self.trips.len(), usual.len());
             return Err(invalid(message));
         }
         if let Some(unknown) = self

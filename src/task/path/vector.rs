@@ -33,7 +33,7 @@ impl EpisodeSource {
         }
     }
 
-    /// The seed of the next episode, less than 2^53: any reader of JSON keeps it, and a signed integer holds it.
+    /// The seed of the next episode, less than 2^53: any reader of JSON keeps it.
     pub fn next_seed(&mut self) -> u64 {
         let mut stream = Seed(self.seed).stream(Purpose::Episode, self.begun, 0);
         self.begun += 1;

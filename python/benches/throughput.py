@@ -1,0 +1,93 @@
+"""Environment steps per CPU second with random actions, as a table: `python python/benches/throughput.py [MODE]`."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import time
+from collections.abc import Callable
+
+import gymnasium
+import numpy as np
+
+import logicity
+
+#: CPU seconds that each figure is measured for, at least.
+SECONDS = 3.0
+
+
+def rate(steps: int, step: Callable[[int], None]) -> float:
+    """Steps per CPU second, of all threads; a call of `step` takes so many."""
+    for call in range(20):
+        step(call)
+    begin, call = time.process_time(), 0
+    while (spent := time.process_time() - begin) < SECONDS:
+        for _ in range(20):
+            step(call)
+            call += 1
+    return call * steps / spent
+
+
+def single(mode: str) -> float:
+    """One environment as `gymnasium.make` gives it, without the wrapper that checks every call."""
+    env = gymnasium.make(f"logicity/SPF-{mode}-v0", disable_env_checker=True).unwrapped
+    actions = np.random.default_rng(0).integers(4, size=4096)
+    env.reset(seed=0)
+
+    def step(call: int) -> None:
+        _, _, terminated, truncated, _ = env.step(actions[call % 4096])
+        if terminated or truncated:
+            env.reset()
+
+    return rate(1, step)
+
+
+def vector(mode: str, count: int, threads: int, autoreset: str = "NextStep", copy: bool = True) -> float:
+    """Many environments in one call."""
+    envs = gymnasium.make_vec(
+        f"logicity/SPF-{mode}-v0", num_envs=count, num_threads=threads, autoreset_mode=autoreset, copy=copy
+    )
+    actions = np.random.default_rng(0).integers(4, size=(64, count))
+    envs.reset(seed=0)
+
+    def step(call: int) -> None:
+        envs.step(actions[call % 64])
+
+    return rate(count, step)
+
+
+def stable_baselines(mode: str, count: int) -> float:
+    """The adapter for Stable-Baselines3."""
+    from logicity.sb3 import make_vec_env
+
+    envs = make_vec_env(logicity.MODES[mode], count, seed=0, monitor=False)
+    actions = np.random.default_rng(0).integers(4, size=(64, count))
+    envs.reset()
+
+    def step(call: int) -> None:
+        envs.step(actions[call % 64])
+
+    return rate(count, step)
+
+
+def main() -> None:
+    """Print the table."""
+    mode = sys.argv[1] if len(sys.argv) > 1 else "Expert"
+    if mode not in logicity.MODES:
+        sys.exit(f"there is no mode {mode}: they are {', '.join(logicity.MODES)}")
+    print(f"| {mode}, random actions | steps per CPU second |\n|---|---|")
+    rows: list[tuple[str, Callable[[], float]]] = [
+        ("`make`, one environment", lambda: single(mode)),
+        ("`make_vec`, 256 environments, 1 thread", lambda: vector(mode, 256, 1)),
+        ("the same, observations in one buffer", lambda: vector(mode, 256, 1, copy=False)),
+        ("the same, SameStep", lambda: vector(mode, 256, 1, "SameStep")),
+        ("`make_vec`, 256 environments, 2 threads", lambda: vector(mode, 256, 2)),
+    ]
+    if importlib.util.find_spec("stable_baselines3"):
+        rows.append(("`sb3.make_vec_env`, 256 environments", lambda: stable_baselines(mode, 256)))
+    for name, measure in rows:
+        print(f"| {name} | {measure():,.0f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

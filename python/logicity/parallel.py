@@ -1,0 +1,158 @@
+"""Every car of a city driven: a `ParallelEnv` of PettingZoo. Needs `pip install 'logicity[pettingzoo]'`."""
+
+from __future__ import annotations
+
+import operator
+import os
+from collections.abc import Mapping
+from typing import Any, Literal, cast
+
+import gymnasium
+import numpy as np
+from gymnasium.error import InvalidAction, ResetNeeded
+from gymnasium.spaces import Box, Discrete
+from gymnasium.utils.seeding import np_random
+from pettingzoo import ParallelEnv
+
+from . import _input_error, _logicity, _told
+from .envs import (
+    EpisodeStart,
+    Kind,
+    Observations,
+    Split,
+    World,
+    begin_of,
+    check_options,
+    checked_render_mode,
+    checked_seed,
+    space_of,
+)
+
+__all__ = ["SPFParallelEnv"]
+
+
+class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
+    """Safe Path Following in which every car is an agent, named `Car_1`, `Car_2`, ...
+
+    Observations, actions, rewards and `info` of a car are those of `SPFEnv`. A car whose episode has ended goes on by
+    the rules; it is no longer in `agents`. Parameters are those of `SPFEnv`.
+    """
+
+    metadata: dict[str, Any] = {"name": "logicity_spf_v0", "render_modes": ["rgb_array", "ansi"], "render_fps": 10}
+
+    def __init__(
+        self,
+        config: str | os.PathLike[str] = "expert",
+        *,
+        split: Split = "train",
+        rules: str | os.PathLike[str] | None = None,
+        overrides: Mapping[str, Any] | None = None,
+        observation: Kind = "atoms",
+        render_mode: Literal["rgb_array", "ansi"] | None = None,
+    ) -> None:
+        """Load the configuration and the rules."""
+        self.render_mode = checked_render_mode(render_mode, self.metadata)
+        task = World(config, rules, overrides).task()
+        with _told():
+            self._cars = _logicity.Cars(task, split, observation)
+        self.possible_agents = self._cars.names()
+        self.agents: list[str] = []
+        self._place = {name: car for car, name in enumerate(self.possible_agents)}
+        # Distinct for each environment, so that seeding one's spaces leaves the others alone.
+        self.observation_spaces = {name: space_of(task, observation) for name in self.possible_agents}
+        self.action_spaces = {name: Discrete(4) for name in self.possible_agents}
+        self._generator: np.random.Generator | None = None
+        self._seeded = self._begun = False
+
+    def observation_space(self, agent: str) -> Box:
+        """Return the space of observations of a car, the same object each time."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Discrete:
+        """Return the space of actions of a car, the same object each time."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observations], dict[str, dict[str, Any]]]:
+        """Begin an episode, see `SPFEnv.reset`; `options` may have `episode`, a mapping such as `episode`."""
+        options = options or {}
+        check_options(options, ("episode",))
+        if seed is not None or not self._seeded:
+            if seed is not None or self._generator is None:
+                self._generator, _ = np_random(seed)
+            self._cars.seed(checked_seed(seed, self._generator))
+            self._seeded = True
+        episode = begin_of(options.get("episode"))
+        if not (episode is True or isinstance(episode, dict)):
+            raise ValueError("an episode with all cars driven is a mapping, not a number")
+        self.agents, self._begun = [], False
+        with _told():
+            self._cars.reset(None if episode is True else episode)
+        self.agents, self._begun = list(self.possible_agents), True
+        infos = {name: self._cars.outcome(self._place[name])[3] for name in self.agents}
+        return {name: self._look(name) for name in self.agents}, infos
+
+    def _look(self, name: str) -> Observations:
+        observation = np.empty(self.observation_space(name).shape, np.float32)
+        self._cars.observe(self._place[name], observation)
+        return observation
+
+    def step(
+        self, actions: dict[str, np.int64 | int]
+    ) -> tuple[dict[str, Observations], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Drive for a tick; `actions` has one for each of `agents`."""
+        if not self._begun:
+            raise ResetNeeded("no episode has begun: `reset` begins one")
+        live = self.agents
+        missing = [name for name in live if name not in actions]
+        strange = [str(name) for name in actions if name not in self._place]
+        if missing or strange:
+            raise InvalidAction(f"no action for {', '.join(missing)}" if missing else f"no car {', '.join(strange)}")
+        numbers = [0] * len(self.possible_agents)
+        try:
+            for name in live:
+                numbers[self._place[name]] = operator.index(actions[name])
+            self._cars.step(numbers)
+        except (TypeError, OverflowError):
+            raise InvalidAction("actions are 0 Slow, 1 Normal, 2 Fast, 3 Stop") from None
+        except _logicity.InputError as error:
+            raise _input_error(error) from None
+        outcomes = {name: self._cars.outcome(self._place[name]) for name in live}
+        self.agents = [name for name in live if not (outcomes[name][1] or outcomes[name][2])]
+        return (
+            {name: self._look(name) for name in live},
+            {name: outcome[0] for name, outcome in outcomes.items()},
+            {name: outcome[1] for name, outcome in outcomes.items()},
+            {name: outcome[2] for name, outcome in outcomes.items()},
+            {name: outcome[3] for name, outcome in outcomes.items()},
+        )
+
+    @property
+    def episode(self) -> EpisodeStart:
+        """How the episode began; `reset(options={"episode": ...})` begins it again."""
+        self._check_begun()
+        return cast(EpisodeStart, self._cars.episode())
+
+    def explain(self, agent: str) -> str:
+        """Tell why the rules want what they want of a car, as `SPFEnv.explain` does."""
+        self._check_begun()
+        with _told():
+            return self._cars.explain(self._place[agent])
+
+    def _check_begun(self) -> None:
+        if not self._begun:
+            raise ResetNeeded("no episode has begun: `reset` begins one")
+
+    def render(self) -> Any:
+        """Draw the city: an array of uint8, shape (height, width, 3), or text about all cars in the mode `ansi`."""
+        if self.render_mode is None:
+            raise gymnasium.error.Error("no `render_mode` was chosen when the environment was made")
+        self._check_begun()
+        if self.render_mode == "rgb_array":
+            return self._cars.picture()
+        return "\n".join(self._cars.text(car) for car in range(len(self.possible_agents)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Refuse: what goes to another process are the arguments."""
+        raise TypeError("an SPFParallelEnv cannot be pickled or copied: make another with the same arguments")

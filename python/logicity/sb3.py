@@ -1,0 +1,131 @@
+"""Environments for Stable-Baselines3. Needs `pip install 'logicity[train]'`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor
+
+from .envs import Observations, SPFVectorEnv, check_options
+
+__all__ = ["SPFVecEnv", "make_vec_env"]
+
+#: What `VecEnv` calls a choice of environments: one, several, or all.
+Indices = None | int | Sequence[int]
+
+
+class SPFVecEnv(VecEnv):
+    """Many environments of Safe Path Following as a `VecEnv`.
+
+    Rewards are float32. The `infos` of a step are dictionaries with the keys of `SPFEnv`'s `info`. An environment whose
+    episode ends begins the next one in the same step; its info is then that of the end and has `terminal_observation`,
+    `TimeLimit.truncated` and `is_success`. `set_options` takes `episode`, as `SPFEnv.reset` does.
+    """
+
+    def __init__(self, envs: SPFVectorEnv) -> None:
+        """Take environments whose autoreset mode is SameStep."""
+        if envs.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(f"the autoreset mode is SameStep, not {envs.autoreset_mode.value}")
+        self.envs = envs
+        self._actions: NDArray[Any] | None = None
+        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+
+    def reset(self) -> Observations:
+        """Begin episodes, with the seeds of `seed` and the options of `set_options` if they were called before."""
+        for options in self._options:
+            check_options(options, ("episode",))
+        episodes = [options.get("episode") for options in self._options]
+        observations, infos = self.envs.reset(seed=self._seeds, options={"episodes": episodes})
+        self.reset_infos = self._dictionaries(infos)
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Keep the actions, of shape (num_envs,), for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Take the step."""
+        if self._actions is None:
+            raise RuntimeError("`step_async` comes first")
+        actions, self._actions = self._actions, None
+        observations, rewards, terminated, truncated, infos = self.envs.step(actions)
+        dones = terminated | truncated
+        told = self._dictionaries(infos)
+        ended = np.flatnonzero(dones)
+        if len(ended):
+            last = self._dictionaries(infos["final_info"])
+            for at in ended.tolist():
+                told[at] = {
+                    **last[at],
+                    "terminal_observation": infos["final_obs"][at],
+                    "TimeLimit.truncated": bool(truncated[at]),
+                    "is_success": last[at]["success"],
+                }
+        return observations, rewards.astype(np.float32), dones, told
+
+    @staticmethod
+    def _dictionaries(infos: dict[str, Any]) -> list[dict[str, Any]]:
+        """Arrays by key to a dictionary for each environment."""
+        keys = [key for key in infos if not key.startswith(("_", "final_"))]
+        return [dict(zip(keys, row, strict=True)) for row in zip(*(infos[key].tolist() for key in keys), strict=True)]
+
+    def close(self) -> None:
+        """Close the environments."""
+        self.envs.close()
+
+    def _chosen(self, indices: Indices) -> list[int]:
+        return list(self._get_indices(indices))
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """Return an attribute, which all environments share; `episode` is each one's own."""
+        if attr_name == "episode":
+            return self.env_method("episode", indices=indices)
+        return [getattr(self.envs, attr_name) for _ in self._chosen(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Refuse: environments have no attributes of their own."""
+        raise AttributeError(f"`{attr_name}` cannot be set: make environments with other arguments")
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call `episode` or `explain` of environments."""
+        if method_name not in ("episode", "explain"):
+            raise AttributeError(f"`{method_name}` is no method of single environments: `episode` and `explain` are")
+        method = getattr(self.envs, method_name)
+        return [method(at, *method_args, **method_kwargs) for at in self._chosen(indices)]
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
+        """Nothing is wrapped."""
+        return [False for _ in self._chosen(indices)]
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """Draw all cities."""
+        return self.envs.render() or ()
+
+
+def make_vec_env(
+    config: str | os.PathLike[str] = "expert",
+    n_envs: int = 1,
+    seed: int | None = None,
+    *,
+    monitor: bool = True,
+    **arguments: Any,
+) -> VecEnv:
+    """Make environments for Stable-Baselines3.
+
+    `seed` is that of the first one, the others follow. `monitor=False` leaves out the `VecMonitor`, by which training
+    logs returns and lengths of episodes. `arguments` are other parameters of `SPFVectorEnv`, such as `split`,
+    `overrides` or `num_threads`.
+    """
+    envs = SPFVecEnv(SPFVectorEnv(n_envs, config, autoreset_mode=AutoresetMode.SAME_STEP, **arguments))
+    if seed is not None:
+        envs.seed(seed)
+    return VecMonitor(envs) if monitor else envs

@@ -1,0 +1,352 @@
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import InvalidAction, ResetNeeded, UnsupportedMode
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.utils.env_match import check_environments_match
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import logicity
+from logicity.envs import SPFEnv, SPFVectorEnv
+
+IDS = [f"logicity/SPF-{mode}-v0" for mode in logicity.MODES]
+WIDTHS = dict(zip(IDS, [85, 140, 205, 205, 205, 205, 205], strict=True))
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+@pytest.mark.parametrize("id", IDS)
+def test_gymnasium_has_nothing_to_say_against(id: str) -> None:
+    env = gymnasium.make(id)
+    check_env(env.unwrapped)
+    assert env.observation_space.shape == (WIDTHS[id],)
+    check_environments_match(env, gymnasium.make(id), 200)
+
+
+@pytest.mark.parametrize("observation", ["atoms", "points"])
+def test_options_keep_to_the_rules_of_gymnasium(observation: str) -> None:
+    options: dict[str, Any] = {"observation": observation, "atoms": True, "split": "val", "episodes": "recorded"}
+    overrides = {"task": {"route_length": True, "reward": {"overtime": -6}}}
+    env = gymnasium.make("logicity/SPF-Hard-v0", render_mode="ansi", overrides=overrides, **options)
+    check_env(env.unwrapped)
+    assert env.observation_space.shape == ((206,) if observation == "atoms" else (20, 19))
+
+
+def play(env: SPFEnv, steps: int, seed: int) -> list[Any]:
+    """Random steps and what came of them, beginning again at the end of each episode."""
+    generator = np.random.default_rng(seed)
+    told: list[Any] = []
+    for _ in range(steps):
+        told.append(env.step(int(generator.integers(4))))
+        if told[-1][2] or told[-1][3]:
+            told.append(env.reset())
+    return told
+
+
+def test_a_seed_gives_a_sequence_of_episodes() -> None:
+    a, b = SPFEnv(), SPFEnv()
+    assert data_equivalence(a.reset(seed=4), b.reset(seed=4), exact=True)
+    assert data_equivalence(play(a, 500, 0), play(b, 500, 0), exact=True)
+    seeds = {a.reset(seed=seed)[1]["seed"] for seed in range(20)}
+    assert len(seeds) == 20
+
+
+def test_the_oracle_drives_well() -> None:
+    env = SPFEnv("easy", split="test", episodes="recorded")
+    for episode in range(5):
+        _, info = env.reset(options={"episode": episode})
+        start = env.episode
+        total, done = 0.0, False
+        while not done:
+            _, reward, terminated, truncated, info = env.step(info["oracle_action"])
+            total, done = total + reward, terminated or truncated
+        assert info["success"] and info["progress"] == 1.0 and not info["violations"]
+        assert start["oracle"] is not None
+        assert info["steps"] == start["oracle"]["steps"]
+        assert total == pytest.approx(start["oracle"]["return"], abs=1e-9)
+
+
+def test_an_episode_can_be_begun_again() -> None:
+    env, other = SPFEnv("medium"), SPFEnv("medium")
+    first = env.reset(seed=9)
+    assert data_equivalence(first, other.reset(options={"episode": env.episode}), exact=True)
+    assert data_equivalence(play(env, 10, 1)[:5], play(other, 10, 1)[:5], exact=True)
+    # An episode that is given does not use up one of the sequence.
+    env.reset(seed=9)
+    following = env.reset()[1]["seed"]
+    env.reset(seed=9)
+    env.reset(options={"episode": other.episode})
+    assert env.reset()[1]["seed"] == following
+
+
+def test_an_end_is_an_end_and_a_time_limit_is_not() -> None:
+    env = SPFEnv("easy", overrides={"task": {"horizon": 3, "reward": {"overtime": -7}}})
+    ends = set()
+    for seed in range(60):
+        env.reset(seed=seed)
+        for step in range(3):
+            _, reward, terminated, truncated, info = env.step(1)
+            if terminated:
+                assert (reward <= -10) == bool(info["violations"])
+                assert info["success"] != bool(info["violations"])
+                ends.add("terminated")
+                break
+            assert truncated == (step == 2)
+            if truncated:
+                assert reward == -7 and not info["success"]
+                ends.add("truncated")
+    assert ends == {"terminated", "truncated"}
+
+
+def test_violations_have_the_names_of_clauses() -> None:
+    env, names = SPFEnv("expert"), set()
+    env.reset(seed=0)
+    for told in play(env, 3000, 0):
+        names.update(told[-1]["violations"])
+    assert {"S1", "S7", "L1", "F2"} <= names <= {f"{of}{at}" for of in "SLF" for at in range(1, 8)}
+
+
+def test_true_atoms_are_told_on_request() -> None:
+    env = SPFEnv("easy", atoms=True)
+    observation, info = env.reset(seed=2)
+    assert len(info["true_atoms"]) == observation.sum()
+    assert "IsCar(Car_1)" in info["true_atoms"]
+
+
+def test_another_map_and_other_agents_for_one_episode() -> None:
+    env = SPFEnv("easy")
+    env.reset(seed=3)
+    agents = {"train": {"cars": [{"priority": 1}, {"priority": 2}], "pedestrians": [{"count": 1}]}}
+    env.reset(options={"map": "configs/maps/random-8x8.yaml", "agents": agents})
+    there = env.episode
+    assert [agent["id"] for agent in there["agents"]] == ["Car_1", "Pedestrian_1", "Car_2"]
+    twin = copy.deepcopy(env)
+    assert data_equivalence(env.step(1), twin.step(1), exact=True)
+    assert len(env.reset()[1]) == 6
+    assert len(env.episode["agents"]) == 8
+
+
+def test_explain_and_render_speak_of_the_moment() -> None:
+    env = SPFEnv(render_mode="rgb_array")
+    _, info = env.reset(seed=1)
+    name = ["Slow", "Normal", "Fast", "Stop"][info["oracle_action"]]
+    assert env.explain().startswith(f"Car_1: the rules want {name}")
+    before = env.render()
+    assert before.dtype == np.uint8 and before.ndim == 3
+    env.step(info["oracle_action"])
+    assert (env.render() != before).any()
+    text = SPFEnv(render_mode="ansi")
+    text.reset(seed=1)
+    assert "Car_1 at [" in text.render()
+
+
+@pytest.mark.parametrize("way", ["copy", "pickle"])
+def test_a_copy_goes_on_alike(way: str) -> None:
+    env = SPFEnv("hard", atoms=True)
+    untouched = copy.deepcopy(env)
+    with pytest.raises(ResetNeeded):
+        untouched.step(0)
+    env.reset(seed=5)
+    play(env, 137, 2)
+    twin = copy.deepcopy(env) if way == "copy" else pickle.loads(pickle.dumps(env))
+    assert data_equivalence(play(env, 200, 3), play(twin, 200, 3), exact=True)
+    assert env.np_random.integers(1000) == twin.np_random.integers(1000)
+
+
+def test_wrong_use_is_told_in_the_words_of_gymnasium() -> None:
+    env = SPFEnv("easy")
+    for use in (lambda: env.step(0), env.explain, lambda: env.episode):
+        with pytest.raises(ResetNeeded):
+            use()
+    env.reset(seed=0)
+    for action in (4, -1, 2**70, float("nan"), 1.0, "1", None, np.zeros(2, int)):
+        with pytest.raises(InvalidAction):
+            env.step(action)  # type: ignore[arg-type]
+    assert env.step(np.int64(1))[4]["steps"] == 1
+    while not any(env.step(2)[2:4]):
+        pass
+    with pytest.raises(ResetNeeded):
+        env.step(1)
+    env.reset()
+    with pytest.raises(gymnasium.error.Error, match="render_mode"):
+        env.render()
+    with pytest.raises(gymnasium.error.Error):
+        env.reset(seed=-1)
+    with pytest.raises(gymnasium.error.Error):
+        env.reset(seed=2**64)
+
+
+def test_wrong_arguments_are_refused() -> None:
+    with pytest.raises(FileNotFoundError, match="did you mean `expert`"):
+        SPFEnv("expret")
+    with pytest.raises(ValueError, match="unknown split `dev`"):
+        SPFEnv(split="dev")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="unknown observation"):
+        SPFEnv(observation="pixels")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="drawn"):
+        SPFEnv(episodes="all")  # type: ignore[arg-type]
+    with pytest.raises(UnsupportedMode):
+        SPFEnv(render_mode="human")
+    with pytest.raises(ValueError, match="base"):
+        SPFEnv(overrides={"base": "easy"})
+    with pytest.raises(logicity.InputError) as caught:
+        SPFEnv(overrides={"task": {"horizn": 3}})
+    assert caught.value.diagnostics[0]["code"] == "unknown-key"
+    with pytest.raises(logicity.InputError):
+        SPFEnv("easy", overrides={"task": {"reward": {"clauses": {"S9": -1}}}})
+
+
+def test_a_faulty_rule_file_is_told_with_its_place(tmp_path: Any) -> None:
+    rules = tmp_path / "mine.dl"
+    rules.write_text('.include "vocabulary.dl"\nStop(X) :- IsCarr(X).\n')
+    with pytest.raises(logicity.InputError) as caught:
+        SPFEnv(rules=rules)
+    assert caught.value.diagnostics[0]["labels"][0]["line"] == 2
+    rules.write_text('.include "vocabulary.dl"\nStop(X) :- IsCar(X).\n')
+    env = SPFEnv(rules=rules)
+    assert env.reset(seed=0)[1]["oracle_action"] == 3
+
+
+def test_wrong_episodes_are_refused_and_the_environment_lives() -> None:
+    env = SPFEnv("easy")
+    env.reset(seed=0)
+    good = env.episode
+    for wrong in (-1, 1.5, True, "first"):
+        with pytest.raises(ValueError, match="an episode is"):
+            env.reset(options={"episode": wrong})
+    with pytest.raises(IndexError, match="no episode 1000"):
+        env.reset(options={"episode": 1000})
+    with pytest.raises(ValueError, match="unknown option"):
+        env.reset(options={"epsiode": 1})
+    with pytest.raises((KeyError, TypeError, ValueError)):
+        env.reset(options={"episode": {"seed": 1}})
+    agents = copy.deepcopy(good["agents"])
+    agents[0]["goal"] = (-1, 10**6)
+    with pytest.raises(logicity.InputError) as caught:
+        env.reset(options={"episode": {**good, "agents": agents}})
+    assert caught.value.diagnostics[0]["code"] == "invalid-episode"
+    with pytest.raises(ResetNeeded):
+        env.step(1)
+    with pytest.raises(logicity.InputError):
+        env.reset(options={"episode": {**good, "agents": good["agents"][:-1]}})
+    env.reset(options={"episode": good})
+    env.step(1)
+
+
+def singles(count: int, id: str, mode: AutoresetMode, **options: Any) -> SyncVectorEnv:
+    def make() -> gymnasium.Env[Any, Any]:
+        return gymnasium.make(id, **options)
+
+    return SyncVectorEnv([make] * count, autoreset_mode=mode)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize(
+    ("id", "threads", "options"),
+    [
+        ("logicity/SPF-Expert-v0", 1, {}),
+        ("logicity/SPF-Expert-v0", 3, {"split": "test", "episodes": "recorded"}),
+        ("logicity/SPF-Easy-v0", 2, {"observation": "points"}),
+    ],
+)
+def test_a_batch_is_as_many_singles(mode: AutoresetMode, id: str, threads: int, options: dict[str, Any]) -> None:
+    """About 10^5 steps over all cases: observations, rewards, ends and infos are those of gymnasium's own batch."""
+    count, steps = 16, 700
+    batch = gymnasium.make_vec(id, num_envs=count, autoreset_mode=mode, num_threads=threads, **options)
+    assert isinstance(batch, SPFVectorEnv) and batch.metadata["autoreset_mode"] is mode
+    alone = singles(count, id, mode, **options)
+    assert batch.observation_space == alone.observation_space and batch.action_space == alone.action_space
+    assert data_equivalence(batch.reset(seed=11), alone.reset(seed=11), exact=True)
+    generator, ends, done = np.random.default_rng(0), 0, np.zeros(count, np.bool_)
+    for _ in range(steps):
+        if mode is AutoresetMode.DISABLED and done.any():
+            told = [envs.reset(options={"reset_mask": done.copy()}) for envs in (batch, alone)]
+            assert data_equivalence(told[0], told[1], exact=True)
+        actions = generator.integers(4, size=count)
+        one, other = batch.step(actions), alone.step(actions)
+        for a, b in zip(one, other, strict=True):
+            assert data_equivalence(a, b, exact=True)
+        done = one[2] | one[3]
+        ends += int(done.sum())
+    assert ends > 100
+
+
+def test_the_order_of_environments_does_not_matter() -> None:
+    seeds = [5, 6, 7, 8, 9, 10]
+    order = np.array([3, 1, 5, 0, 2, 4])
+    a, b = (SPFVectorEnv(6, autoreset_mode="SameStep", num_threads=threads) for threads in (1, 4))
+    observations = a.reset(seed=seeds)[0], b.reset(seed=[seeds[at] for at in order])[0]
+    generator = np.random.default_rng(1)
+    for _ in range(300):
+        assert (observations[0][order] == observations[1]).all()
+        actions = generator.integers(4, size=6)
+        one, other = a.step(actions), b.step(actions[order])
+        observations = one[0], other[0]
+        for x, y in zip(one[1:4], other[1:4], strict=True):
+            assert (x[order] == y).all()
+
+
+def test_a_shared_buffer_is_an_opt_in() -> None:
+    for shared in (False, True):
+        envs = SPFVectorEnv(4, copy=not shared)
+        first, _ = envs.reset(seed=0)
+        second = envs.step(np.zeros(4, int))[0]
+        assert np.shares_memory(first, second) == shared
+
+
+def test_a_batch_begins_given_episodes() -> None:
+    envs = SPFVectorEnv(3, "easy", split="test")
+    envs.reset(seed=0, options={"episodes": [7, None, 8]})
+    single = SPFEnv("easy", split="test")
+    single.reset(options={"episode": 7})
+    assert envs.episode(0) == single.episode
+    assert envs.episode(1)["oracle"] is None
+    assert "the rules want" in envs.explain(2)
+
+
+def test_wrong_use_of_a_batch_is_told() -> None:
+    envs = SPFVectorEnv(3, "easy", autoreset_mode=AutoresetMode.DISABLED)
+    with pytest.raises(ResetNeeded, match="environment 0"):
+        envs.step(np.zeros(3, int))
+    envs.reset(seed=0)
+    nan = np.full(3, np.nan)
+    for actions in (
+        np.zeros(2, int),
+        np.zeros((3, 1), int),
+        np.zeros(3),
+        nan,
+        [0, 1, 4],
+        [0, -1, 0],
+        None,
+        [0, "1", 2],
+    ):
+        with pytest.raises(InvalidAction):
+            envs.step(actions)  # type: ignore[arg-type]
+    done = np.zeros(3, np.bool_)
+    while not done.any():
+        _, _, terminated, truncated, _ = envs.step([2, 2, 2])
+        done = terminated | truncated
+    with pytest.raises(ResetNeeded):
+        envs.step([1, 1, 1])
+    for mask, error in (
+        (np.zeros(3, np.bool_), ValueError),
+        (np.ones(2, np.bool_), ValueError),
+        ([True] * 3, TypeError),
+    ):
+        with pytest.raises(error):
+            envs.reset(options={"reset_mask": mask})
+    with pytest.raises(ValueError, match="2 seeds"):
+        envs.reset(seed=[1, 2])
+    for copied in (copy.deepcopy, pickle.dumps):
+        with pytest.raises(TypeError, match="cannot be pickled"):
+            copied(envs)
+    wrong: list[dict[str, Any]] = [{"num_envs": 0}, {"num_threads": 0}, {"autoreset_mode": "Never"}]
+    for arguments in wrong:
+        with pytest.raises(ValueError):
+            SPFVectorEnv(**arguments)

@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+
+import logicity
+from logicity.envs import SPFEnv, SPFVectorEnv
+
+pytest.importorskip("stable_baselines3", reason="needs the extra `train`: `make python-all` installs it")
+from stable_baselines3 import DQN  # noqa: E402
+from stable_baselines3.common.env_checker import check_env  # noqa: E402
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor  # noqa: E402
+
+from logicity.sb3 import SPFVecEnv, make_vec_env  # noqa: E402
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+@pytest.mark.parametrize("mode", list(logicity.MODES))
+def test_stable_baselines_has_nothing_to_say_against(mode: str) -> None:
+    check_env(gymnasium.make(f"logicity/SPF-{mode}-v0").unwrapped)
+
+
+def test_it_goes_as_the_wrapper_of_stable_baselines_would() -> None:
+    count = 5
+    ours = make_vec_env("hard", count, seed=3, monitor=False)
+    theirs = DummyVecEnv([lambda: SPFEnv("hard")] * count)
+    theirs.seed(3)
+    assert (ours.reset() == theirs.reset()).all()
+    generator, ends = np.random.default_rng(0), 0
+    for _ in range(400):
+        actions = generator.integers(4, size=count)
+        one, other = ours.step(actions), theirs.step(actions)
+        for a, b in zip(one[:3], other[:3], strict=True):
+            assert isinstance(a, np.ndarray) and isinstance(b, np.ndarray)
+            assert (a == b).all() and a.dtype == b.dtype
+        for info, expected, done in zip(one[3], other[3], one[2], strict=True):
+            if done:
+                assert (info.pop("terminal_observation") == expected.pop("terminal_observation")).all()
+                assert info.pop("is_success") == expected["success"]
+                ends += 1
+            else:
+                # The wrapper writes this key in every step.
+                expected.pop("TimeLimit.truncated")
+            assert info == expected
+    assert ends > 50
+
+
+def test_episodes_can_be_chosen() -> None:
+    envs = make_vec_env("easy", 2, monitor=False, split="test")
+    envs.set_options([{"episode": 3}, {"episode": 4}])
+    envs.reset()
+    single = SPFEnv("easy", split="test")
+    single.reset(options={"episode": 4})
+    assert envs.get_attr("episode", 1) == [single.episode]
+    assert len(envs.env_method("explain")) == 2
+
+
+def test_it_trains() -> None:
+    envs = make_vec_env("easy", 4, seed=0)
+    assert isinstance(envs, VecMonitor)
+    model = DQN("MlpPolicy", envs, learning_starts=100, seed=0)
+    model.learn(400)
+    assert model.ep_info_buffer
+
+
+def test_other_modes_are_refused() -> None:
+    with pytest.raises(ValueError, match="SameStep"):
+        SPFVecEnv(SPFVectorEnv(2, "easy"))
