@@ -37,7 +37,9 @@ def _parser() -> argparse.ArgumentParser:
 
     measure = commands.add_parser("evaluate", help="measure a policy on recorded episodes, as the paper does")
     measure.add_argument("--policy", required=True, help="oracle, random, or the .zip of a DQN, PPO or A2C model")
-    measure.add_argument("--modes", type=_modes, default="all", help=f"all (default), or any of {','.join(ENVIRONMENTS)}")
+    measure.add_argument(
+        "--modes", type=_modes, default="all", help=f"all (default), or any of {','.join(ENVIRONMENTS)}"
+    )
     measure.add_argument("--split", choices=("train", "val", "test"), default="test", help="default: test")
     measure.add_argument("--json", type=Path, metavar="FILE", help="write the results, episode by episode")
 

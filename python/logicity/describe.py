@@ -32,7 +32,15 @@ def _table(head: tuple[str, ...], rows: list[tuple[object, ...]]) -> str:
 
 
 def _environments(tasks: dict[str, Any]) -> str:
-    head = ("id", "agents train / val / test", "steps at most", "`atoms`", "`points`", "recorded train / val / test", "test set")
+    head = (
+        "id",
+        "agents train / val / test",
+        "steps at most",
+        "`atoms`",
+        "`points`",
+        "recorded train / val / test",
+        "test set",
+    )
     rows: list[tuple[object, ...]] = []
     for mode, task in tasks.items():
         splits = [task["splits"][split] for split in SPLITS]
@@ -50,7 +58,8 @@ def _environments(tasks: dict[str, Any]) -> str:
     patience = {task["patience"] for task in tasks.values()}
     told = " or ".join(str(number) for number in sorted(patience))
     return (
-        _table(head, rows) + f"\nRecorded episodes have at most {told} times the oracle's steps. The last column begins the SHA-256 "
+        _table(head, rows)
+        + f"\nRecorded episodes have at most {told} times the oracle's steps. The last column begins the SHA-256 "
         "of the set of test episodes.\n"
     )
 
@@ -70,9 +79,9 @@ def _rewards(tasks: dict[str, Any]) -> str:
         )
         rows.append((mode, *(f"{task['actions'][action]:g}" for action in ACTIONS), f"{task['overtime']:g}", broken))
     return (
-        "The four numbers of the actions are divided by four times the cells of the route. A step that breaks clauses is worth, instead "
-        "of that, the sum over the actions they ask of the worst of each, and ends the episode; so does the goal. Overtime is added to the "
-        "last step at the horizon.\n\n" + _table(head, rows)
+        "The four numbers of the actions are divided by four times the cells of the route. A step that breaks clauses "
+        "is worth, instead of that, the sum over the actions they ask of the worst of each, and ends the episode; so "
+        "does the goal. Overtime is added to the last step at the horizon.\n\n" + _table(head, rows)
     )
 
 
@@ -93,6 +102,6 @@ def _observations(tasks: dict[str, Any]) -> str:
             base += column["width"]
         told.append(f"{', '.join(modes)}:\n\n" + _table(("numbers", "atom", "at"), rows))
     return (
-        "Each number of `atoms` is 1 if an atom is true and else 0. Entity 0 is the ego, the others are what it sees; i and j count "
-        "from 0. Of entities that are not there nothing is true.\n\n" + "\n".join(told)
+        "Each number of `atoms` is 1 if an atom is true and else 0. Entity 0 is the ego, the others are what it sees; "
+        "i and j count from 0. Of entities that are not there nothing is true.\n\n" + "\n".join(told)
     )

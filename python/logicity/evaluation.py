@@ -1,7 +1,7 @@
 """How well a policy follows its path: the measures of the paper on recorded episodes.
 
-`evaluate` measures one policy once; a `Benchmark` measures many on the same episodes and drives the random policy, which every
-score is compared with, only once.
+`evaluate` measures one policy once; a `Benchmark` measures many on the same episodes and drives the random policy,
+which every score is compared with, only once.
 """
 
 from __future__ import annotations
@@ -70,8 +70,9 @@ class Interval:
 class EpisodeRecord:
     """How one episode went.
 
-    `episode` is its number in the set, from 0. `constrained` says in how many steps the rules asked an action, by the name of the
-    action; `violations` names the clauses that the last action broke. The random policy has ten records for each episode.
+    `episode` is its number in the set, from 0. `constrained` says in how many steps the rules asked an action, by the
+    name of the action; `violations` names the clauses that the last action broke. The random policy has ten records for
+    each episode.
     """
 
     episode: int
@@ -88,8 +89,10 @@ class Evaluation:
     """How well a policy did on a set of episodes. Rates are shares, 0 to 1; their intervals are Wilson's.
 
     - `tsr`: of all episodes, those that reach the goal in time without a rule broken.
-    - `dsr`: of all episodes, those in which the rules asked something at least once and were never broken, however they ended.
-    - `dsr_by_action`: of the episodes in which the rules asked the action, those in which no clause that asks it was broken.
+    - `dsr`: of all episodes, those in which the rules asked something at least once and were never broken, however they
+      ended.
+    - `dsr_by_action`: of the episodes in which the rules asked the action, those in which no clause that asks it was
+      broken.
     - `mean_return`: the undiscounted sum of rewards.
     - `score`: `mean_return` less that of the random policy on the same episodes, compared episode by episode.
     - `episodes_hash`: SHA-256 of the set of episodes. Only results with the same hash can be compared.
@@ -150,8 +153,8 @@ def load_task(
 class Benchmark:
     """Recorded episodes of a mode, on which policies are measured.
 
-    An episode has at most twice as many steps as the oracle took; all go on side by side, and what a policy says for one that has
-    ended counts for nothing.
+    An episode has at most twice as many steps as the oracle took; all go on side by side, and what a policy says for
+    one that has ended counts for nothing.
 
     Args:
         mode: one of `logicity.ENVIRONMENTS`, such as `"expert"`.
@@ -201,9 +204,10 @@ class Benchmark:
         """Let a policy drive every episode once, or the random policy ten times.
 
         Args:
-            policy: `"oracle"`, `"random"`, a model of Stable-Baselines3, or a function. A model predicts deterministically. A
-                function is given one observation and returns one action, 0 to 3.
-            batched: the function is given all observations, float32 of shape (episodes, ...), and returns an integer for each.
+            policy: `"oracle"`, `"random"`, a model of Stable-Baselines3, or a function. A model predicts
+                deterministically. A function is given one observation and returns one action, 0 to 3.
+            batched: the function is given all observations, float32 of shape (episodes, ...), and returns an integer
+                for each.
             name: what to call the policy in the result.
 
         Raises:
@@ -263,7 +267,9 @@ def _actor(policy: Policy, batched: bool, exam: _logicity.Exam) -> Callable[[Obs
     if predict is not None:
         return _predicting(cast(Predictor, policy))
     if not callable(policy):
-        raise TypeError(f"a policy is oracle, random, a model with `predict` or a function, not {type(policy).__name__}")
+        raise TypeError(
+            f"a policy is oracle, random, a model with `predict` or a function, not {type(policy).__name__}"
+        )
     function = policy
     if batched:
         return lambda observations, running: function(observations)
@@ -273,7 +279,9 @@ def _actor(policy: Policy, batched: bool, exam: _logicity.Exam) -> Callable[[Obs
         for at in np.flatnonzero(running):
             action = np.asarray(function(observations[at].copy()))
             if action.size != 1:
-                raise ValueError(f"a policy returns one action for an observation, not an array of shape {action.shape}")
+                raise ValueError(
+                    f"a policy returns one action for an observation, not an array of shape {action.shape}"
+                )
             actions[at] = _checked(action.reshape(1), 1)[0]
         return actions
 
@@ -298,7 +306,9 @@ def _predicting(model: Predictor) -> Callable[[Observations, NDArray[np.bool_]],
 def _checked(actions: Any, count: int) -> Actions:
     array = np.asarray(actions)
     if array.shape != (count,):
-        raise ValueError(f"a policy returns an action for each of {count} observations, not an array of shape {array.shape}")
+        raise ValueError(
+            f"a policy returns an action for each of {count} observations, not an array of shape {array.shape}"
+        )
     if not np.issubdtype(array.dtype, np.integer):
         raise TypeError(f"actions are integers, not {array.dtype}")
     return array.astype(np.int64)
@@ -335,7 +345,7 @@ def table(results: list[Evaluation]) -> str:
 
 
 def write_json(path: str | os.PathLike[str], value: Any) -> None:
-    """Write JSON under a temporary name beside `path`, then rename: a reader finds the old file or the whole new one."""
+    """Write JSON under a temporary name, then rename it: a reader finds the old file or the whole new one."""
     temporary = f"{os.fspath(path)}.{os.getpid()}.tmp"
     try:
         with open(temporary, "w", encoding="utf-8") as out:

@@ -1,7 +1,7 @@
 """What the oracle does, as data to learn from without an environment.
 
-`demonstrations` drives the recorded episodes of a split with the oracle. What it returns can be used as numpy arrays or be written as a
-Minari dataset, as the files of an inductive learner (Popper), or as a table (Parquet).
+`demonstrations` drives the recorded episodes of a split with the oracle. What it returns can be used as numpy arrays or
+be written as a Minari dataset, as the files of an inductive learner (Popper), or as a table (Parquet).
 """
 
 from __future__ import annotations
@@ -101,14 +101,16 @@ class Demonstrations(Sequence[Trajectory]):
         """One of them, or several."""
         return self._trajectories[index]
 
-    def to_minari(self, dataset_id: str | None = None) -> MinariDataset:
+    def to_minari(self, dataset_id: str | None = None, **metadata: Any) -> MinariDataset:
         """Make a Minari dataset of them, from which `recover_environment()` makes the environment again.
 
-        Minari keeps its datasets under the folder that the environment variable `MINARI_DATASETS_PATH` names. It reads the variable
-        when it is imported: set it before the first `import minari`, and before the first call of this method.
+        Minari keeps its datasets under the folder that the environment variable `MINARI_DATASETS_PATH` names, or else
+        in `~/.minari/datasets`; it has to be set when this is called.
 
         Args:
             dataset_id: its name; `logicity/spf-MODE/oracle-v0` unless given.
+            metadata: what else `minari.create_dataset_from_buffers` takes, such as `author`, `author_email` and
+                `code_permalink`, which Minari warns about if they are missing.
 
         Raises:
             ImportError: Minari is not installed; `pip install 'logicity[offline]'` installs it.
@@ -134,20 +136,24 @@ class Demonstrations(Sequence[Trajectory]):
             dataset_id or f"logicity/spf-{self.mode}/oracle-v0",
             buffer=buffers,
             env=self.env,
-            algorithm_name="oracle",
-            description=f"What the rules want in Safe Path Following, {self.mode} mode; episodes {self.episodes_hash}.",
-            requirements=["logicity"],
+            **{
+                "eval_env": ENVIRONMENTS[self.mode],
+                "algorithm_name": "oracle",
+                "description": f"What the rules want in {self.mode} mode; recorded episodes {self.episodes_hash}.",
+                "requirements": ["logicity"],
+                **metadata,
+            },
         )
 
     def to_popper(self, folder: str | os.PathLike[str], *, distinct: bool = False) -> list[Path]:
         """Write the files of inductive logic programming in the format of Popper.
 
-        For every action that the rules can ask there is a folder, named after it in lower case, with `bk.pl`, `exs.pl` and
-        `bias.pl`. A step is one example: positive if the oracle took the action, else negative. It is about the ego of
-        that step, `s7_e0` in step 7; `s7_e1` to `s7_e4` are what the ego sees. Facts are named as predicates are, `is_at_inter`
-        for `IsAtInter`. Popper does not learn negated literals, so of what is observed and false there is a fact
-        `not_is_at_inter`. `sees(s7_e0, s7_e1)` tells which entities belong to a step; a learned rule needs it to speak of another
-        entity that no other literal binds to the ego.
+        For every action that the rules can ask there is a folder, named after it in lower case, with `bk.pl`, `exs.pl`
+        and `bias.pl`. A step is one example: positive if the oracle took the action, else negative. It is about the ego
+        of that step, `s7_e0` in step 7; `s7_e1` to `s7_e4` are what the ego sees. Facts are named as predicates are,
+        `is_at_inter` for `IsAtInter`. Popper does not learn negated literals, so of what is observed and false there is
+        a fact `not_is_at_inter`. `sees(s7_e0, s7_e1)` tells which entities belong to a step; a learned rule needs it to
+        speak of another entity that no other literal binds to the ego.
 
         Args:
             folder: made if it is not there; each action's folder is replaced as a whole.
@@ -166,7 +172,8 @@ class Demonstrations(Sequence[Trajectory]):
         examples = list(self._examples(distinct))
         facts = [line for step, (observation, _) in enumerate(examples) for line in self._facts(step, observation)]
         arities = {name: len(entities) for name, entities in self.atoms}
-        predicates = {f"{sign}{_snake(name)}": arity for name, arity in arities.items() for sign in ("", "not_")} | {"sees": 2}
+        predicates = {"sees": 2}
+        predicates |= {f"{sign}{_snake(name)}": arity for name, arity in arities.items() for sign in ("", "not_")}
         # So that it is no error to ask a predicate without facts.
         facts += [f":- dynamic {name}/{arity}." for name, arity in predicates.items()]
         written = []
@@ -196,9 +203,9 @@ class Demonstrations(Sequence[Trajectory]):
                 yield observation, int(action)
 
     def _facts(self, step: int, observation: NDArray[np.float32]) -> Iterator[str]:
-        """What is true and what is false among the entities that are there: the ego, and those of which anything is true."""
+        """What is true and what is false of the ego and the entities of which anything is true."""
         true = observation[: len(self.atoms)] > 0.5
-        there = {0} | {entity for (_, entities), holds in zip(self.atoms, true, strict=True) if holds for entity in entities}
+        there = {0}.union(*(entities for (_, entities), holds in zip(self.atoms, true, strict=True) if holds))
         yield from (f"sees(s{step}_e0,s{step}_e{entity})." for entity in sorted(there))
         for (name, entities), holds in zip(self.atoms, true, strict=True):
             if there.issuperset(entities):
@@ -209,8 +216,8 @@ class Demonstrations(Sequence[Trajectory]):
         """Write a table with a row for each step, under a temporary name that becomes `path` when it is whole.
 
         Columns: `episode` (int32), `step` (int32), `observation` (fixed list of float32), `action` (int8), `reward`
-        (float64), `terminated`, `truncated` (bool), and what `info` tells of the observation. The metadata of the schema has
-        `mode`, `split`, `episodes_hash`, `actions` and, if the observations are atoms, `atoms`.
+        (float64), `terminated`, `truncated` (bool), and what `info` tells of the observation. The metadata of the
+        schema has `mode`, `split`, `episodes_hash`, `actions` and, if the observations are atoms, `atoms`.
 
         Raises:
             ImportError: pyarrow is not installed; `pip install 'logicity[offline]'` installs it.
@@ -307,7 +314,7 @@ def demonstrations(
 
 
 def _atoms(told: Mapping[str, Any]) -> Iterator[Atom]:
-    """What the numbers of an observation stand for, in their order; the length of the route, if it is there, is none."""
+    """What the numbers of an observation stand for; the length of the route, if it is there, is no atom."""
     for column in told["columns"]:
         for entities in itertools.product(range(told["entities"]), repeat=column["arity"]):
             yield column["predicate"], entities

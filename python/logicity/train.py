@@ -1,8 +1,8 @@
-"""Train DQN, PPO or A2C of Stable-Baselines3 as a configuration says; `pip install 'logicity[train]'` installs what it takes.
+"""Train DQN, PPO or A2C of Stable-Baselines3 as a configuration says. Needs `pip install 'logicity[train]'`.
 
-A run has a folder. While it trains, `checkpoint-STEPS` holds all that it takes to go on after a kill: the model, the replay buffer, what
-validation said. `best.zip` is the model that did best on the validation episodes, `tensorboard` has the curves, and `result.json`, written
-at the end, says how the best one does on the test episodes.
+A run has a folder. `checkpoint-STEPS` holds all that it takes to go on after a kill: the model, the replay buffer,
+the model that did best on the validation episodes so far, and what validation said. `tensorboard` has the curves. At
+the end there is the best model as `best.zip`, and `result.json` says how it does on the test episodes.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ class TrainConfig:
     """What a training run is.
 
     - `algorithm`: `dqn`, `ppo` or `a2c`; `settings` are arguments of its class in Stable-Baselines3.
-    - `mode`: whose rules and episodes; `overrides` change the task in training only: validation and test are the mode's own.
+    - `mode`: whose rules and episodes; `overrides` change the task in training only: validation and test are the mode's
+      own.
     - `network`: widths of the feature layers, each with ReLU, between the observation and the heads.
     - `envs`: how many environments are stepped together. `steps` counts the steps of all.
     - `seed`: of networks, exploration and episodes.
@@ -175,8 +176,8 @@ class Validation(BaseCallback):
             self.validate()
 
     def validate(self) -> None:
-        """Measure, keep the best, write a checkpoint."""
-        measured = self._benchmark.evaluate(self.model)  # type: ignore[arg-type]  # its observations may be dictionaries too
+        """Measure, and write a checkpoint."""
+        measured = self._benchmark.evaluate(self.model)
         self._state.steps = self.num_timesteps
         self._state.seconds = time.monotonic() - self._since
         point = {"steps": self.num_timesteps, "seconds": round(self._state.seconds, 1), **_figures(measured)}
@@ -186,10 +187,10 @@ class Validation(BaseCallback):
         best = self._state.best
         if best is None or _rank(point) > _rank(best):
             self._state.best = point
-            _save(self.model, self._run / "best.zip")
         self._checkpoint()
 
     def _checkpoint(self) -> None:
+        """Write all that it takes to go on, under a temporary name; then the older ones are not needed."""
         name = f"checkpoint-{self._state.steps:010}"
         temporary = self._run / f".{name}"
         shutil.rmtree(temporary, ignore_errors=True)
@@ -197,12 +198,13 @@ class Validation(BaseCallback):
         self.model.save(temporary / "model.zip")
         if isinstance(self.model, OffPolicyAlgorithm):
             self.model.save_replay_buffer(temporary / "replay.pkl")
-        write_json(temporary / "state.json", asdict(self._state))
         old = _checkpoints(self._run)
+        is_best = self._state.best is self._state.validations[-1]
+        shutil.copyfile(temporary / "model.zip" if is_best else old[-1] / "best.zip", temporary / "best.zip")
+        write_json(temporary / "state.json", asdict(self._state))
         temporary.rename(self._run / name)
         for folder in old:
-            if folder.name != name:
-                shutil.rmtree(folder)
+            shutil.rmtree(folder)
 
 
 def _rank(point: Mapping[str, Any]) -> tuple[float, float]:
@@ -212,12 +214,6 @@ def _rank(point: Mapping[str, Any]) -> tuple[float, float]:
 def _figures(measured: Evaluation) -> dict[str, Any]:
     told = measured.to_dict()
     return {name: told[name] for name in ("tsr", "dsr", "dsr_by_action", "score", "mean_return", "mean_steps")}
-
-
-def _save(model: BaseAlgorithm, path: Path) -> None:
-    temporary = path.with_name(f".{path.name}")
-    model.save(temporary)
-    temporary.replace(path)
 
 
 def _checkpoints(run: Path) -> list[Path]:
@@ -248,10 +244,10 @@ def load_model(path: str | os.PathLike[str]) -> BaseAlgorithm:
 def train(
     config: TrainConfig, run: str | os.PathLike[str], *, progress: bool = False, tensorboard: bool = True
 ) -> dict[str, Any]:
-    """Train, or go on where a killed run of the same configuration was checkpointed last; return what `result.json` has.
+    """Train, or go on from the last checkpoint of the same configuration; return what `result.json` has.
 
-    After a kill the episode that went on and the state of the random streams are lost, so the run goes on with other draws
-    than it would have had.
+    After a kill the episode that went on and the state of the random streams are lost, so the run goes on with other
+    draws than it would have had.
 
     Args:
         config: what to train.
@@ -263,7 +259,6 @@ def train(
         ValueError: the folder has another run, or a setting is none of the algorithm's.
     """
     run = Path(run)
-    run.mkdir(parents=True, exist_ok=True)
     _claim(run, config)
     torch.set_num_threads(config.threads)
     checkpoints = _checkpoints(run)
@@ -297,6 +292,7 @@ def train(
         )
     finally:
         env.close()
+    shutil.copyfile(_checkpoints(run)[-1] / "best.zip", run / "best.zip")
     result = _result(config, state, load_model(run / "best.zip"))
     write_json(run / "result.json", result)
     return result
@@ -304,6 +300,7 @@ def train(
 
 def _claim(run: Path, config: TrainConfig) -> None:
     """Note what a run is of; a folder has one run."""
+    run.mkdir(parents=True, exist_ok=True)
     note = run / "config.json"
     wanted = json.loads(json.dumps(asdict(config)))
     if not note.exists():
@@ -333,7 +330,7 @@ def _new_model(config: TrainConfig, env: VecEnv, log: str | None) -> BaseAlgorit
 
 
 def _result(config: TrainConfig, state: State, best: BaseAlgorithm) -> dict[str, Any]:
-    measured = Benchmark(config.mode, "test").evaluate(best, name=config.algorithm)  # type: ignore[arg-type]
+    measured = Benchmark(config.mode, "test").evaluate(best, name=config.algorithm)
     return {
         "config": asdict(config),
         "versions": {
