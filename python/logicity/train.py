@@ -92,7 +92,11 @@ class TrainConfig:
                 raise ValueError(f"`{name}` is a number from 1 on, not {getattr(self, name)!r}")
         if not isinstance(self.seed, int) or not 0 <= self.seed < 2**32:
             raise ValueError(f"`seed` is a number from 0 to 2**32 - 1, not {self.seed!r}")
-        if not self.network or not all(_is_count(width) for width in self.network):
+        if (
+            not isinstance(self.network, tuple)
+            or not self.network
+            or not all(_is_count(width) for width in self.network)
+        ):
             raise ValueError(f"`network` is a list of widths from 1 on, not {self.network!r}")
         for name in ("settings", "overrides"):
             if not isinstance(getattr(self, name), Mapping):

@@ -105,7 +105,7 @@ def test_a_killed_run_goes_on(algorithm: str, tmp_path: Path, monkeypatch: pytes
 
         monkeypatch.setattr(dqn, "load_replay_buffer", watch)
     result = train(short(algorithm), tmp_path)
-    assert result["validations"][0] == state["validations"][0] and result["steps"] == 512
+    assert result["validations"][0] == state["validations"][0] and 512 <= result["steps"] < 640
     # The step that was validated is not in the buffer yet.
     assert loaded == ([state["steps"] - 2] if algorithm == "dqn" else [])
     with pytest.raises(ValueError, match="another configuration"):
