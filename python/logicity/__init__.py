@@ -6,7 +6,8 @@ What to reach for:
 - what the rules decide in a scene: `infer`, or `Inference` for many scenes;
 - a city that runs: `Simulation`;
 - Datalog without a city: `Program` and `Session`;
-- a car to drive: `gymnasium.make("logicity/SPF-Expert-v0")`, see `logicity.envs`; every car: `parallel_env`.
+- a car to drive: `gymnasium.make("logicity/SPF-Expert-v0")`, see `logicity.envs`; every car: `parallel_env`;
+- how well a policy drives: `evaluate`, or `Benchmark` for many; what the oracle does, as data: `demonstrations`.
 
 Faulty input raises `InputError`, which has every fault with its place; input that is too large its subclass
 `LimitError`.
@@ -15,7 +16,9 @@ Faulty input raises `InputError`, which has every fault with its place; input th
 from ._logicity import __version__
 from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
 from .errors import InputError, LimitError
-from .modes import MODES, parallel_env
+from .evaluation import Benchmark, EpisodeRecord, Evaluation, Interval, Policy, evaluate
+from .modes import ENVIRONMENTS, MODES, parallel_env
+from .offline import Demonstrations, Trajectory, demonstrations
 from .rules import Change, Column, Explanation, Program, Relation, Rows, Session, check
 from .types import (
     Action,
@@ -36,6 +39,7 @@ from .types import (
 
 __all__ = [
     "ACTIONS",
+    "ENVIRONMENTS",
     "HEADINGS",
     "MODES",
     "REASONS",
@@ -43,20 +47,26 @@ __all__ = [
     "Agent",
     "AgentInfo",
     "Answer",
+    "Benchmark",
     "Change",
     "Clause",
     "ClauseWork",
     "Column",
     "Decision",
+    "Demonstrations",
     "Diagnostic",
     "EgoAnswer",
+    "EpisodeRecord",
+    "Evaluation",
     "Executor",
     "Explanation",
     "Heading",
     "Inference",
     "InputError",
+    "Interval",
     "Label",
     "LimitError",
+    "Policy",
     "Program",
     "Relation",
     "Rows",
@@ -67,8 +77,11 @@ __all__ = [
     "StratumWork",
     "SymbolicScene",
     "Tick",
+    "Trajectory",
     "__version__",
     "check",
+    "demonstrations",
+    "evaluate",
     "infer",
     "parallel_env",
 ]

@@ -10,7 +10,7 @@ import gymnasium
 if TYPE_CHECKING:
     from .parallel import SPFParallelEnv
 
-__all__ = ["MODES", "parallel_env"]
+__all__ = ["ENVIRONMENTS", "MODES", "parallel_env"]
 
 MODES = {
     "Easy": "easy",
@@ -23,6 +23,9 @@ MODES = {
 }
 """The modes as environments are named, `logicity/SPF-Easy-v0` and so on, and their configurations."""
 
+ENVIRONMENTS = {config: f"logicity/SPF-{mode}-v0" for mode, config in MODES.items()}
+"""What environments are registered as, by configuration: `logicity/SPF-Expert-v0` for `expert`."""
+
 
 def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
     """Make a `ParallelEnv` of PettingZoo in which every car is driven: a `logicity.parallel.SPFParallelEnv`.
@@ -34,9 +37,9 @@ def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) ->
     return SPFParallelEnv(config, **arguments)
 
 
-for _mode, _config in MODES.items():
+for _config, _name in ENVIRONMENTS.items():
     gymnasium.register(
-        f"logicity/SPF-{_mode}-v0",
+        _name,
         entry_point="logicity.envs:SPFEnv",
         vector_entry_point="logicity.envs:SPFVectorEnv",
         kwargs={"config": _config},

@@ -87,7 +87,7 @@ class Program:
 
         Raises `InputError` for faulty rules and `OSError` (`FileNotFoundError`) for a file that cannot be read.
         """
-        return cls(_logicity.Program.read(path), os.fspath(path))
+        return cls(_logicity.read_file(path), os.fspath(path))
 
     @classmethod
     def _restore(cls, files: list[tuple[str, str]]) -> Program:

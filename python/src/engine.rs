@@ -1,7 +1,7 @@
 //! Programs and sessions.
 
 use crate::columns;
-use crate::{Shared, input_error, read_error, to_python};
+use crate::{Shared, input_error, to_python};
 use logicity::diag::{Diagnostic, Sources, did_you_mean, to_json};
 use logicity::engine::provenance::{Explainer, Teller};
 use logicity::engine::{self, Limits, Program, RowError, StratumWork, Threads};
@@ -102,12 +102,6 @@ impl PyProgram {
             (_, faults, Ok(None)) => Err(input_error(py, &faults, &sources)),
             (_, _, Err(fault)) => Err(input_error(py, &[fault], &sources)),
         }
-    }
-
-    /// The text of a rule file, on disk or built in.
-    #[staticmethod]
-    fn read(py: Python<'_>, path: PathBuf) -> PyResult<String> {
-        read_or_builtin(&path).map_err(|error| read_error(py, &path, &error))
     }
 
     /// All texts by their names, the entry first.

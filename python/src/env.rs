@@ -31,8 +31,8 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 
 /// Safe Path Following in one world: what environments share.
 #[pyclass(name = "Task", module = "logicity._logicity", frozen)]
-struct PyTask {
-    task: Arc<PathTask>,
+pub struct PyTask {
+    pub task: Arc<PathTask>,
     sources: Mutex<Sources>,
     /// Names of the clauses that can be broken.
     labels: Vec<Py<PyString>>,
@@ -40,11 +40,11 @@ struct PyTask {
     painter: OnceLock<Painter>,
 }
 
-fn split_named(name: &str) -> PyResult<Split> {
+pub fn split_named(name: &str) -> PyResult<Split> {
     one_of("split", name, &Split::ALL, Split::name)
 }
 
-fn view_named(name: &str) -> PyResult<View> {
+pub fn view_named(name: &str) -> PyResult<View> {
     one_of("observation", name, &[View::Atoms, View::Points], |view| match view {
         View::Atoms => "atoms",
         View::Points => "points",
@@ -69,7 +69,7 @@ fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
     }
 }
 
-fn speed(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Speed> {
+pub fn speed(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Speed> {
     let known = usize::try_from(action).ok().and_then(|action| Speed::ALL.get(action));
     known.copied().ok_or_else(|| {
         let message = format!(
@@ -219,9 +219,19 @@ impl PyTask {
 }
 
 impl PyTask {
-    fn error(&self, py: Python<'_>, fault: Diagnostic) -> PyErr {
-        let sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
+    pub fn error(&self, py: Python<'_>, fault: Diagnostic) -> PyErr {
+        // A copy, since what is held while Python works may be waited for by a thread that Python waits for.
+        let sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner).clone();
         input_error(py, &[fault], &sources)
+    }
+
+    /// The recorded episodes of a split, as they are on disk or built in.
+    pub fn episode_set(&self, py: Python<'_>, split: Split) -> PyResult<EpisodeSet> {
+        let set = {
+            let mut sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
+            EpisodeSet::load(&self.task, split, &mut sources, &read_or_builtin)
+        };
+        set.map_err(|fault| self.error(py, fault))
     }
 
     fn recorded_episodes(&self, py: Python<'_>, split: Split) -> PyResult<&Arc<[Episode]>> {
@@ -229,11 +239,7 @@ impl PyTask {
         if let Some(episodes) = place.get() {
             return Ok(episodes);
         }
-        let set = {
-            let mut sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
-            EpisodeSet::load(&self.task, split, &mut sources, &read_or_builtin)
-        };
-        let episodes: Arc<[Episode]> = set.map_err(|fault| self.error(py, fault))?.episodes.into();
+        let episodes: Arc<[Episode]> = self.episode_set(py, split)?.episodes.into();
         if episodes.is_empty() {
             return Err(PyValueError::new_err(format!(
                 "no episodes are recorded for the split `{}`",
@@ -372,6 +378,7 @@ struct PyEnvironments {
 #[pymethods]
 impl PyEnvironments {
     #[new]
+    #[expect(clippy::too_many_arguments, reason = "each is an argument in Python")]
     fn new(
         py: Python<'_>,
         task: Py<PyTask>,

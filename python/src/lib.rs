@@ -2,23 +2,24 @@
 //! documents it.
 //!
 //! This file has what all parts need: exceptions, and objects that long work is done on ([`Shared`]). `engine` has programs and
-//! sessions, `columns` their rows as Python values and numpy arrays, `city` scenes and simulations, `env` environments. Each part
-//! registers its own classes.
+//! sessions, `columns` their rows as Python values and numpy arrays, `city` scenes and simulations, `env` environments, `evaluate` how
+//! well policies drive. Each part registers its own classes.
 
 mod city;
 mod columns;
 mod engine;
 mod env;
+mod evaluate;
 
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
-use logicity::files::ReadError;
+use logicity::files::{ReadError, read_or_builtin};
 use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyRuntimeError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, TryLockError};
 use std::time::{Duration, Instant};
 
@@ -45,6 +46,12 @@ fn read_error(py: Python<'_>, path: &Path, error: &ReadError) -> PyErr {
         ReadError::NotText { .. } => input_error(py, &[Diagnostic::new(Code::NotText, message)], &Sources::new()),
         ReadError::TooLarge | ReadError::Io(_) => PyOSError::new_err(message),
     }
+}
+
+/// The text of a file, on disk or built in.
+#[pyfunction]
+fn read_file(py: Python<'_>, path: PathBuf) -> PyResult<String> {
+    read_or_builtin(&path).map_err(|error| read_error(py, &path, &error))
 }
 
 /// JSON as Python has it.
@@ -190,7 +197,9 @@ fn did_you_mean(name: &str, known: Vec<String>) -> Option<String> {
 fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_function(wrap_pyfunction!(did_you_mean, module)?)?;
+    module.add_function(wrap_pyfunction!(read_file, module)?)?;
     engine::register(module)?;
     city::register(module)?;
-    env::register(module)
+    env::register(module)?;
+    evaluate::register(module)
 }
