@@ -28,12 +28,12 @@ python: $(VENV)/bin/python
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check './python[test]'
 	$(VENV)/bin/ruff check python
 	$(VENV)/bin/ruff format --check python
-	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches
+	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples
 	$(VENV)/bin/python -m pytest -q python/tests
 
 # The same with Stable-Baselines3, whose tests are skipped above: it brings torch, some gigabytes.
 python-all: $(VENV)-all/bin/python
-	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check './python[test,train]'
+	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check './python[all,test]'
 	$(VENV)-all/bin/python -m pytest -q python/tests
 
 $(VENV)/bin/python $(VENV)-all/bin/python: %/bin/python:

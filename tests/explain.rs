@@ -17,6 +17,7 @@ use logicity::sim::{Settings, Simulation};
 use proptest::prelude::*;
 use random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, recursive_genomes};
 use shipped_world::world;
+use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 use written_program::program;
 
@@ -480,6 +481,31 @@ fn too_much_work_is_said_and_leaves_nothing_half_done() {
     }
     explainer.set_limit(Explainer::LIMIT);
     assert_eq!(explainer.explain(path, &numbers(&[0, 40])).unwrap(), expected);
+}
+
+#[test]
+fn a_question_ends_when_its_caller_says_so() {
+    let edges: Vec<Vec<i32>> = (0..60).map(|at| vec![at, at + 1]).collect();
+    let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
+    let session = session(PATHS, &[("edge", &edges)]);
+    let path = session.program().relation("path").unwrap();
+    let asked = Cell::new(0);
+    let ended = Cell::new(true);
+    let stop = || {
+        asked.set(asked.get() + 1);
+        ended.get()
+    };
+    let mut explainer = Explainer::new(&session);
+    explainer.stop_when(&stop);
+    assert_eq!(
+        explainer.explain(path, &numbers(&[0, 60])),
+        Err(ExplainError::Interrupted)
+    );
+    assert_eq!(asked.get(), 1);
+    ended.set(false);
+    let expected = session.explain(path, &numbers(&[0, 60]));
+    assert_eq!(explainer.explain(path, &numbers(&[0, 60])), expected);
+    assert!(expected.unwrap().is_some() && asked.get() > 1);
 }
 
 #[test]

@@ -11,7 +11,7 @@ use logicity::files::{read_or_builtin, read_text};
 use logicity::lang::{Literal, Rules, Term};
 use logicity::rng::Seed;
 use logicity::sim::{Chance, Entity, Observer, Settings, Simulation, World, ground};
-use logicity::task::path::{Egos, Env, EpisodeSet, PathTask, Policy, rollout};
+use logicity::task::path::{Baseline, Egos, Env, EpisodeSet, Exam, PathTask, Policy, RANDOM_RUNS, Rollout, rollout};
 use proptest::prelude::*;
 use serde_json::Value as Json;
 use std::collections::BTreeSet;
@@ -440,6 +440,75 @@ fn recorded_episodes() {
             }
         }
     }
+}
+
+/// The first recorded episodes of a split.
+fn some_recorded(task: &PathTask, split: Split, count: usize) -> EpisodeSet {
+    let mut set = EpisodeSet::load(task, split, &mut Sources::new(), &read_or_builtin).unwrap();
+    set.episodes.truncate(count);
+    set
+}
+
+/// Side by side, episodes go as one after the other.
+#[test]
+fn an_exam_goes_as_its_episodes_would_alone() {
+    let task = task("expert");
+    let set = some_recorded(&task, Split::Val, 6);
+    for policy in [
+        Policy::Oracle,
+        Policy::Always(Speed::Normal),
+        Policy::Always(Speed::Stop),
+    ] {
+        let mut exam = Exam::new(&task, &set).unwrap();
+        while exam.running().any(|running| running) {
+            let act = |env: &Env| match policy {
+                Policy::Always(action) => action,
+                _ => env.oracle_action(0),
+            };
+            let actions: Vec<Speed> = exam.envs().iter().map(act).collect();
+            exam.step(&actions).unwrap();
+        }
+        let mut env = Env::new(Arc::clone(&task), Split::Val, Egos::First).unwrap();
+        let alone = set.episodes.iter().map(|episode| {
+            env.reset_to(episode).unwrap();
+            rollout(&mut env, policy).unwrap()
+        });
+        assert_eq!(exam.rollouts(), alone.collect::<Vec<Rollout>>(), "{policy:?}");
+    }
+}
+
+#[test]
+fn the_random_policy_is_the_zero_of_scores() {
+    let task = task("easy");
+    let set = some_recorded(&task, Split::Val, 3);
+    let mut env = Env::new(Arc::clone(&task), Split::Val, Egos::First).unwrap();
+    let mut drive = || {
+        let mut baseline = Baseline::default();
+        for episode in &set.episodes {
+            baseline.add(&mut env, episode).unwrap();
+        }
+        baseline
+    };
+    let baseline = drive();
+    assert_eq!(baseline.rollouts().len(), 3 * usize::from(RANDOM_RUNS));
+    let [first, ..] = baseline.returns() else {
+        panic!("three returns")
+    };
+    let of_first = baseline.rollouts()[..RANDOM_RUNS.into()]
+        .iter()
+        .map(|rollout| rollout.total);
+    assert!((first - of_first.sum::<f64>() / f64::from(RANDOM_RUNS)).abs() < 1e-12);
+    let score = baseline.summary(&task).score.unwrap();
+    assert!(
+        score.value.abs() < 1e-9 && score.low < 0.0 && score.high > 0.0,
+        "{score:?}"
+    );
+    let runs = |episode: usize| &baseline.rollouts()[10 * episode..10 * episode + 10];
+    assert!(
+        runs(0).iter().any(|run| run != &runs(0)[0]),
+        "each run has draws of its own"
+    );
+    assert_eq!(drive().rollouts(), baseline.rollouts());
 }
 
 /// What a step tells, for comparison.

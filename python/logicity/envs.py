@@ -25,12 +25,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from . import _input_error, _logicity, _told
+from . import _logicity
+from .types import Split
 
-__all__ = ["EpisodeAgent", "EpisodeStart", "Kind", "Observations", "OracleRun", "SPFEnv", "SPFVectorEnv", "Split"]
+__all__ = ["EpisodeAgent", "EpisodeStart", "Kind", "Observations", "OracleRun", "SPFEnv", "SPFVectorEnv"]
 
 Observations = NDArray[np.float32]
-Split = Literal["train", "val", "test"]
 Kind = Literal["atoms", "points"]
 
 
@@ -80,8 +80,7 @@ class World:
             base = Path(self.config)
             bare = len(base.parts) == 1 and not base.suffix and not base.exists()
             text = json.dumps({"base": f"configs/{base}.yaml" if bare else str(base), **over})
-        with _told():
-            return _logicity.Task(self.config, self.rules, text)
+        return _logicity.Task(self.config, self.rules, text)
 
 
 def space_of(task: _logicity.Task, observation: Kind) -> Box:
@@ -156,8 +155,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         self._taken: list[int] | None = None
 
     def _environments(self, task: _logicity.Task) -> _logicity.Environments:
-        with _told():
-            return _logicity.Environments(task, self._split, 1, "Disabled", self._kind, self._recorded, 1)
+        return _logicity.Environments(task, self._split, 1, "Disabled", self._kind, self._recorded, 1)
 
     def _look(self) -> Observations:
         return np.empty(self._shape, np.float32)
@@ -180,8 +178,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         self._move(_elsewhere(options))
         observation = self._look()
         self._taken = None
-        with _told():
-            self._core.reset([begin_of(options.get("episode"))], observation)
+        self._core.reset([begin_of(options.get("episode"))], observation)
         if self._core is not self._home:
             self._home.seed(0, *self._core.source(0))
         self._taken = []
@@ -219,8 +216,6 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
             reward, terminated, truncated, info = self._core.step_one(number, observation)
         except (TypeError, OverflowError):
             raise InvalidAction(f"{action!r} is no action: they are 0 Slow, 1 Normal, 2 Fast, 3 Stop") from None
-        except _logicity.InputError as error:
-            raise _input_error(error) from None
         self._taken.append(number)
         return observation, reward, terminated, truncated, self._info(info)
 
@@ -237,8 +232,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
     def explain(self) -> str:
         """Tell why the oracle would act as it would: proofs on the facts that the car observes now, in words."""
         self._check_begun()
-        with _told():
-            return self._core.explain(0)
+        return self._core.explain(0)
 
     def render(self) -> Any:
         """Draw the city: an array of uint8, shape (height, width, 3), or text in the mode `ansi`."""
@@ -356,10 +350,9 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         recorded = _is_recorded(episodes)
-        with _told():
-            self._core = _logicity.Environments(
-                task, split, num_envs, self.autoreset_mode.value, observation, recorded, num_threads
-            )
+        self._core = _logicity.Environments(
+            task, split, num_envs, self.autoreset_mode.value, observation, recorded, num_threads
+        )
         self._observations = np.zeros((num_envs, *(self.single_observation_space.shape or ())), np.float32)
         self._seeded = np.zeros(num_envs, np.bool_)
         self._unbroken = np.empty(num_envs, object)
@@ -396,8 +389,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
             if given is not None or not self._seeded[at]:
                 self._core.seed(int(at), checked_seed(given, self.np_random), 0)
                 self._seeded[at] = True
-        with _told():
-            self._core.reset(begin, self._observations)
+        self._core.reset(begin, self._observations)
         infos: dict[str, Any] = {}
         for at in np.flatnonzero(mask):
             info = self._core.info(int(at))
@@ -436,10 +428,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         terminated, truncated = np.empty(count, np.bool_), np.empty(count, np.bool_)
         columns = _columns(count)
         numbers = np.ascontiguousarray(given, np.int64)
-        try:
-            broken = self._core.step(numbers, self._observations, (rewards, terminated, truncated), columns)
-        except _logicity.InputError as error:
-            raise _input_error(error) from None
+        broken = self._core.step(numbers, self._observations, (rewards, terminated, truncated), columns)
         infos = self._infos(columns, broken)
         if self._atoms:
             infos["true_atoms"] = atoms = np.empty(count, object)
@@ -481,8 +470,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
 
     def explain(self, at: int) -> str:
         """Tell why the oracle of an environment would act as it would, as `SPFEnv.explain` does."""
-        with _told():
-            return self._core.explain(at)
+        return self._core.explain(at)
 
     def render(self) -> tuple[Any, ...] | None:
         """Draw all cities, see `SPFEnv.render`."""

@@ -14,18 +14,18 @@ from gymnasium.spaces import Box, Discrete
 from gymnasium.utils.seeding import np_random
 from pettingzoo import ParallelEnv
 
-from . import _input_error, _logicity, _told
+from . import _logicity
 from .envs import (
     EpisodeStart,
     Kind,
     Observations,
-    Split,
     World,
     begin_of,
     checked_render_mode,
     checked_seed,
     space_of,
 )
+from .types import Split
 
 __all__ = ["SPFParallelEnv"]
 
@@ -52,8 +52,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         """Load the configuration and the rules."""
         self.render_mode = checked_render_mode(render_mode, self.metadata)
         task = World(config, rules, overrides).task()
-        with _told():
-            self._cars = _logicity.Cars(task, split, observation)
+        self._cars = _logicity.Cars(task, split, observation)
         self.possible_agents = self._cars.names()
         self.agents: list[str] = []
         self._place = {name: car for car, name in enumerate(self.possible_agents)}
@@ -89,8 +88,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         if not (episode is True or isinstance(episode, dict)):
             raise ValueError("an episode with all cars driven is a mapping, not a number")
         self.agents, self._begun = [], False
-        with _told():
-            self._cars.reset(None if episode is True else episode)
+        self._cars.reset(None if episode is True else episode)
         self.agents, self._begun = list(self.possible_agents), True
         infos = {name: self._cars.outcome(self._place[name])[3] for name in self.agents}
         return {name: self._look(name) for name in self.agents}, infos
@@ -118,8 +116,6 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
             self._cars.step(numbers)
         except (TypeError, OverflowError):
             raise InvalidAction("actions are 0 Slow, 1 Normal, 2 Fast, 3 Stop") from None
-        except _logicity.InputError as error:
-            raise _input_error(error) from None
         outcomes = {name: self._cars.outcome(self._place[name]) for name in live}
         self.agents = [name for name in live if not (outcomes[name][1] or outcomes[name][2])]
         return (
@@ -139,8 +135,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
     def explain(self, agent: str) -> str:
         """Tell why the rules want what they want of a car, as `SPFEnv.explain` does."""
         self._check_begun()
-        with _told():
-            return self._cars.explain(self._place[agent])
+        return self._cars.explain(self._place[agent])
 
     def _check_begun(self) -> None:
         if not self._begun:

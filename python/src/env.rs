@@ -1,6 +1,7 @@
 //! Safe Path Following: environments in which Python says how fast cars drive.
 
-use crate::{input_error, load};
+use crate::city::{Loaded, one_of};
+use crate::input_error;
 use logicity::city::Cell;
 use logicity::config::{AgentName, Speed, Split};
 use logicity::diag::{Diagnostic, Sources};
@@ -22,10 +23,16 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyTask>()?;
+    module.add_class::<PyEnvironments>()?;
+    module.add_class::<PyCars>()
+}
+
 /// Safe Path Following in one world: what environments share.
-#[pyclass(frozen, name = "Task")]
+#[pyclass(name = "Task", module = "logicity._logicity", frozen)]
 pub struct PyTask {
-    task: Arc<PathTask>,
+    pub task: Arc<PathTask>,
     sources: Mutex<Sources>,
     /// Names of the clauses that can be broken.
     labels: Vec<Py<PyString>>,
@@ -33,21 +40,12 @@ pub struct PyTask {
     painter: OnceLock<Painter>,
 }
 
-/// Anything that is known by a name which its type's list of values has.
-fn named<T: Copy>(kind: &str, name: &str, values: &[T], name_of: impl Fn(T) -> &'static str) -> PyResult<T> {
-    let found = values.iter().copied().find(|value| name_of(*value) == name);
-    found.ok_or_else(|| {
-        let known: Vec<&str> = values.iter().map(|value| name_of(*value)).collect();
-        PyValueError::new_err(format!("unknown {kind} `{name}`: it is one of {}", known.join(", ")))
-    })
+pub fn split_named(name: &str) -> PyResult<Split> {
+    one_of("split", name, &Split::ALL, Split::name)
 }
 
-fn split_named(name: &str) -> PyResult<Split> {
-    named("split", name, &Split::ALL, Split::name)
-}
-
-fn view_named(name: &str) -> PyResult<View> {
-    named("observation", name, &[View::Atoms, View::Points], |view| match view {
+pub fn view_named(name: &str) -> PyResult<View> {
+    one_of("observation", name, &[View::Atoms, View::Points], |view| match view {
         View::Atoms => "atoms",
         View::Points => "points",
     })
@@ -55,7 +53,7 @@ fn view_named(name: &str) -> PyResult<View> {
 
 fn autoreset_named(name: &str) -> PyResult<Autoreset> {
     let all = [Autoreset::NextStep, Autoreset::SameStep, Autoreset::Disabled];
-    named("autoreset mode", name, &all, |mode| match mode {
+    one_of("autoreset mode", name, &all, |mode| match mode {
         Autoreset::NextStep => "NextStep",
         Autoreset::SameStep => "SameStep",
         Autoreset::Disabled => "Disabled",
@@ -71,7 +69,7 @@ fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
     }
 }
 
-fn speed(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Speed> {
+pub fn speed(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Speed> {
     let known = usize::try_from(action).ok().and_then(|action| Speed::ALL.get(action));
     known.copied().ok_or_else(|| {
         let message = format!(
@@ -169,7 +167,7 @@ impl PyEpisode {
         let oracle = |oracle: PyOracle| {
             let mut constrained = [0; 4];
             for (name, count) in &oracle.constrained {
-                constrained[named("action", name, &Speed::ALL, Speed::name)? as usize] = *count;
+                constrained[one_of("action", name, &Speed::ALL, Speed::name)? as usize] = *count;
             }
             Ok::<_, PyErr>(OracleRun {
                 steps: oracle.steps,
@@ -189,12 +187,14 @@ impl PyEpisode {
 impl PyTask {
     #[new]
     fn new(py: Python<'_>, config: PathBuf, rules: Option<PathBuf>, overrides: Option<&str>) -> PyResult<Self> {
-        let (task, sources) = py.detach(|| {
-            let (scenario, program, sources) = load(&config, rules, overrides)?;
-            let world = World::new(scenario, program).map_err(|faults| input_error(&faults, &sources))?;
-            let task = PathTask::new(Arc::new(world), &sources).map_err(|faults| input_error(&faults, &sources))?;
-            Ok::<_, PyErr>((Arc::new(task), sources))
-        })?;
+        let Loaded {
+            sources,
+            scenario,
+            program,
+            ..
+        } = Loaded::new(py, &config, rules.as_deref(), None, overrides)?;
+        let made = py.detach(|| PathTask::new(Arc::new(World::new(scenario, program)?), &sources));
+        let task = made.map_err(|faults| input_error(py, &faults, &sources))?;
         let demands = 0..task.oracle().demands().len();
         Ok(PyTask {
             labels: demands
@@ -203,7 +203,7 @@ impl PyTask {
             sources: Mutex::new(sources),
             recorded: Default::default(),
             painter: OnceLock::new(),
-            task,
+            task: Arc::new(task),
         })
     }
 
@@ -213,27 +213,33 @@ impl PyTask {
     }
 
     /// How many recorded episodes a split has.
-    fn recorded(&self, split: &str) -> PyResult<usize> {
-        Ok(self.recorded_episodes(split_named(split)?)?.len())
+    fn recorded(&self, py: Python<'_>, split: &str) -> PyResult<usize> {
+        Ok(self.recorded_episodes(py, split_named(split)?)?.len())
     }
 }
 
 impl PyTask {
-    fn error(&self, fault: Diagnostic) -> PyErr {
-        let sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
-        input_error(&[fault], &sources)
+    pub fn error(&self, py: Python<'_>, fault: Diagnostic) -> PyErr {
+        // A copy, since what is held while Python works may be waited for by a thread that Python waits for.
+        let sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        input_error(py, &[fault], &sources)
     }
 
-    fn recorded_episodes(&self, split: Split) -> PyResult<&Arc<[Episode]>> {
-        let place = &self.recorded[split as usize];
-        if let Some(episodes) = place.get() {
-            return Ok(episodes);
-        }
+    /// The recorded episodes of a split, as they are on disk or built in.
+    pub fn episode_set(&self, py: Python<'_>, split: Split) -> PyResult<EpisodeSet> {
         let set = {
             let mut sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
             EpisodeSet::load(&self.task, split, &mut sources, &read_or_builtin)
         };
-        let episodes: Arc<[Episode]> = set.map_err(|fault| self.error(fault))?.episodes.into();
+        set.map_err(|fault| self.error(py, fault))
+    }
+
+    fn recorded_episodes(&self, py: Python<'_>, split: Split) -> PyResult<&Arc<[Episode]>> {
+        let place = &self.recorded[split as usize];
+        if let Some(episodes) = place.get() {
+            return Ok(episodes);
+        }
+        let episodes: Arc<[Episode]> = self.episode_set(py, split)?.episodes.into();
         if episodes.is_empty() {
             return Err(PyValueError::new_err(format!(
                 "no episodes are recorded for the split `{}`",
@@ -269,12 +275,12 @@ impl PyTask {
         PyTuple::new(py, atoms.collect::<Vec<String>>())
     }
 
-    fn explain(&self, env: &Env, rider: usize) -> PyResult<String> {
+    fn explain(&self, py: Python<'_>, env: &Env, rider: usize) -> PyResult<String> {
         let told = {
             let sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
             explain(env, rider, &sources)
         };
-        told.map_err(|fault| self.error(fault))
+        told.map_err(|fault| self.error(py, fault))
     }
 
     /// Red, green and blue, row by row.
@@ -360,8 +366,8 @@ fn tell<'a>(columns: &mut Columns<'_>, count: usize, infos: impl Iterator<Item =
 }
 
 /// Environments that take a step together.
-#[pyclass(name = "Environments")]
-pub struct PyEnvironments {
+#[pyclass(name = "Environments", module = "logicity._logicity")]
+struct PyEnvironments {
     task: Py<PyTask>,
     split: Split,
     vector: VectorEnv,
@@ -372,7 +378,7 @@ pub struct PyEnvironments {
 #[pymethods]
 impl PyEnvironments {
     #[new]
-    #[allow(clippy::too_many_arguments)] // those of the class in Python
+    #[expect(clippy::too_many_arguments, reason = "each is an argument in Python")]
     fn new(
         py: Python<'_>,
         task: Py<PyTask>,
@@ -385,13 +391,13 @@ impl PyEnvironments {
     ) -> PyResult<Self> {
         let split = split_named(split)?;
         let (autoreset, view) = (autoreset_named(autoreset)?, view_named(observation)?);
-        let episodes = recorded.then(|| task.get().recorded_episodes(split).map(Arc::clone));
+        let episodes = recorded.then(|| task.get().recorded_episodes(py, split).map(Arc::clone));
         let recorded = episodes.transpose()?;
         let sources = std::iter::repeat_n(EpisodeSource::new(0, recorded.clone()), count);
         let shared = &task.get().task;
         let vector = py
             .detach(|| VectorEnv::new(shared, split, sources, autoreset, view, threads))
-            .map_err(|fault| task.get().error(fault))?;
+            .map_err(|fault| task.get().error(py, fault))?;
         Ok(PyEnvironments {
             task,
             split,
@@ -427,7 +433,7 @@ impl PyEnvironments {
         let read = |(begin, member): (PyBegin, &logicity::task::path::Member)| match begin {
             PyBegin::Next(next) => Ok(next.then_some(Begin::Next)),
             PyBegin::Recorded(number) => {
-                let recorded = task.recorded_episodes(self.split)?;
+                let recorded = task.recorded_episodes(py, self.split)?;
                 let episode = recorded.get(number).ok_or_else(|| {
                     let (split, count) = (self.split.name(), recorded.len());
                     PyIndexError::new_err(format!("no episode {number}: the split `{split}` has {count}, from 0"))
@@ -444,7 +450,7 @@ impl PyEnvironments {
         let rows = self.rows(&mut observations)?;
         let vector = &mut self.vector;
         py.detach(|| vector.reset(&begin, rows))
-            .map_err(|fault| task.error(fault))
+            .map_err(|fault| task.error(py, fault))
     }
 
     /// A step of the only environment: reward, whether the episode ended, whether it was cut short, what else is told.
@@ -459,7 +465,9 @@ impl PyEnvironments {
         let actions = [speed(py, action, String::new)?];
         let task = self.task.get();
         let rows = self.rows(&mut observation)?;
-        self.vector.step(&actions, rows).map_err(|fault| task.error(fault))?;
+        self.vector
+            .step(&actions, rows)
+            .map_err(|fault| task.error(py, fault))?;
         let member = &self.vector.members()[0];
         let outcome = member.outcome();
         Ok((
@@ -493,7 +501,7 @@ impl PyEnvironments {
         let rows = self.rows(&mut observations)?;
         let (vector, actions) = (&mut self.vector, &self.actions);
         py.detach(|| vector.step(actions, rows))
-            .map_err(|fault| task.error(fault))?;
+            .map_err(|fault| task.error(py, fault))?;
 
         let count = self.actions.len();
         let (mut rewards, mut terminated, mut truncated) = outcomes;
@@ -556,8 +564,8 @@ impl PyEnvironments {
     }
 
     /// Why the rules want what they want.
-    fn explain(&self, at: usize) -> PyResult<String> {
-        self.task.get().explain(self.member(at)?.env(), 0)
+    fn explain(&self, py: Python<'_>, at: usize) -> PyResult<String> {
+        self.task.get().explain(py, self.member(at)?.env(), 0)
     }
 
     /// The state of an environment in a few lines.
@@ -615,8 +623,8 @@ impl PyEnvironments {
 }
 
 /// A city in which Python drives every car.
-#[pyclass(name = "Cars")]
-pub struct PyCars {
+#[pyclass(name = "Cars", module = "logicity._logicity")]
+struct PyCars {
     task: Py<PyTask>,
     env: Env,
     view: View,
@@ -632,7 +640,7 @@ impl PyCars {
         let shared = Arc::clone(&task.get().task);
         let env = py
             .detach(|| Env::new(shared, split, Egos::Cars))
-            .map_err(|fault| task.get().error(fault))?;
+            .map_err(|fault| task.get().error(py, fault))?;
         Ok(PyCars {
             task,
             env,
@@ -665,7 +673,7 @@ impl PyCars {
             Some(episode) => env.reset_to(episode),
             None => source.begin(env),
         });
-        begun.map_err(|fault| self.task.get().error(fault))
+        begun.map_err(|fault| self.task.get().error(py, fault))
     }
 
     /// A step: an action for each car, which matters only for those whose episode goes on.
@@ -683,7 +691,7 @@ impl PyCars {
         }
         let (env, actions) = (&mut self.env, &self.actions);
         py.detach(|| env.step(actions))
-            .map_err(|fault| self.task.get().error(fault))
+            .map_err(|fault| self.task.get().error(py, fault))
     }
 
     /// What came of the last action of a car: reward, whether its episode ended, whether it was cut short, what else is told.
@@ -723,9 +731,9 @@ impl PyCars {
     }
 
     /// Why the rules want what they want of a car.
-    fn explain(&self, car: usize) -> PyResult<String> {
+    fn explain(&self, py: Python<'_>, car: usize) -> PyResult<String> {
         self.check(car)?;
-        self.task.get().explain(&self.env, car)
+        self.task.get().explain(py, &self.env, car)
     }
 
     /// The state of a car in a few lines.

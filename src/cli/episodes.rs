@@ -4,9 +4,10 @@ use super::{Failure, load_city, one_of};
 use crate::config::{Speed, Split};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::{self, Output};
-use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::World;
-use crate::task::path::{Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, make_episodes, rollout, summarise};
+use crate::task::path::{
+    Baseline, Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, make_episodes, rollout, summarise,
+};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use std::io::{self, Write};
@@ -183,9 +184,6 @@ impl Make {
     }
 }
 
-/// So often the random policy drives every episode.
-const RANDOM_RUNS: u8 = 10;
-
 impl Show {
     fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
         let (mut env, set) = self.which.load(sources)?;
@@ -199,31 +197,14 @@ impl Show {
             })?;
             return one(&mut env, episode);
         }
-        let (mut oracle, mut random, mut returns) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut oracle, mut random) = (Vec::new(), Baseline::default());
         for episode in &set.episodes {
             env.reset_to(episode)?;
             oracle.push(rollout(&mut env, Policy::Oracle)?);
-            let mut total = 0.0;
-            for run in 0..RANDOM_RUNS {
-                env.reset_to(episode)?;
-                let seed = Seed(episode.seed)
-                    .stream(Purpose::Policy, run.into(), u64::MAX)
-                    .random();
-                let done = rollout(&mut env, Policy::Random(Seed(seed)))?;
-                total += done.total;
-                random.push(done);
-            }
-            returns.push(total / f64::from(RANDOM_RUNS));
+            random.add(&mut env, episode)?;
         }
         let task = env.task();
-        let repeated: Vec<f64> = returns
-            .iter()
-            .flat_map(|&mean| std::iter::repeat_n(mean, RANDOM_RUNS.into()))
-            .collect();
-        let (wanted, drawn) = (
-            summarise(task, &oracle, Some(&returns)),
-            summarise(task, &random, Some(&repeated)),
-        );
+        let (wanted, drawn) = (summarise(task, &oracle, Some(random.returns())), random.summary(task));
         let mut out = io::stdout().lock();
         if self.json {
             let all = json!({

@@ -486,7 +486,13 @@ impl Rows {
 
     /// The rows in order.
     pub fn iter(&self) -> impl Iterator<Item = &[Value]> {
-        (0..self.len).map(|position| &self.list.row(position)[..self.arity])
+        self.range(0..self.len)
+    }
+
+    /// The rows at these positions; those that are not there are left out.
+    pub fn range(&self, positions: std::ops::Range<usize>) -> impl Iterator<Item = &[Value]> {
+        let end = positions.end.min(self.len);
+        (positions.start..end).map(|position| &self.list.row(position)[..self.arity])
     }
 }
 

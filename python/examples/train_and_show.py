@@ -1,0 +1,59 @@
+"""Train a small agent, measure it, and look at an episode. Needs `pip install './python[train]'`.
+
+Run as `python python/examples/train_and_show.py [STEPS]`; 20000 steps take about a minute.
+"""
+
+# %% Imports; `import logicity` registers the environments.
+import sys
+from typing import Any
+
+import gymnasium
+from stable_baselines3 import DQN
+
+import logicity
+from logicity.sb3 import make_vec_env
+
+STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
+
+# %% Train on episodes that are drawn anew. What a rule forbids now is seen now, so values need not look far ahead.
+model = DQN(
+    "MlpPolicy",
+    make_vec_env("easy", n_envs=4, seed=0),
+    learning_rate=5e-4,
+    batch_size=128,
+    buffer_size=50_000,
+    learning_starts=1_000,
+    train_freq=1,
+    target_update_interval=1_000,
+    exploration_fraction=0.5,
+    exploration_final_eps=0.02,
+    gamma=0.5,
+    policy_kwargs={"net_arch": [128, 64]},
+    seed=0,
+    device="cpu",
+)
+model.learn(STEPS)
+
+# %% Measure it on the recorded test episodes, beside the oracle and the random policy.
+benchmark = logicity.Benchmark("easy")
+policies: dict[str, Any] = {"dqn": model, "oracle": "oracle", "random": "random"}
+for name, policy in policies.items():
+    measured = benchmark.evaluate(policy, name=name)
+    print(f"{name:7} TSR {measured.tsr}  DSR {measured.dsr}  Score {measured.score}")
+
+# %% Look at an episode: what it does, and what the rules say where it differs.
+env = gymnasium.make(logicity.ENVIRONMENTS["easy"], split="test", render_mode="rgb_array")
+observation, info = env.reset(options={"episode": 0})
+city: Any = env.unwrapped
+ended = False
+while not ended:
+    action, _ = model.predict(observation, deterministic=True)
+    if action != info["oracle_action"]:
+        print(f"step {info['steps']}: action {action}; {city.explain().splitlines()[0]}")
+    observation, reward, terminated, truncated, info = env.step(action)
+    ended = terminated or truncated
+print(
+    f"{info['steps']} steps, {info['progress']:.0%} of the route, broken: {', '.join(info['violations']) or 'nothing'}"
+)
+picture: Any = env.render()
+print(f"the last picture is an array of shape {picture.shape}")

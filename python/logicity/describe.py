@@ -1,0 +1,108 @@
+"""Tables of the environments, as Markdown, made from what the tasks say of themselves."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from . import _logicity
+from .city import ACTIONS
+from .evaluation import load_task
+from .modes import ENVIRONMENTS
+
+__all__ = ["describe"]
+
+SPLITS = ("train", "val", "test")
+
+
+def describe() -> str:
+    """Environments, rewards and the layout of observations of every mode."""
+    tasks = {mode: _logicity.describe(load_task(mode)) for mode in ENVIRONMENTS}
+    sections = [
+        ("Environments", _environments(tasks)),
+        ("Rewards", _rewards(tasks)),
+        ("Observations", _observations(tasks)),
+    ]
+    return "\n".join(f"### {title}\n\n{text}" for title, text in sections)
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[object, ...]]) -> str:
+    lines = ["| " + " | ".join(str(cell) for cell in row) + " |" for row in [head, *rows]]
+    lines.insert(1, "|" + "---|" * len(head))
+    return "\n".join(lines) + "\n"
+
+
+def _environments(tasks: dict[str, Any]) -> str:
+    head = (
+        "id",
+        "agents train / val / test",
+        "steps at most",
+        "`atoms`",
+        "`points`",
+        "recorded train / val / test",
+        "test set",
+    )
+    rows: list[tuple[object, ...]] = []
+    for mode, task in tasks.items():
+        splits = [task["splits"][split] for split in SPLITS]
+        rows.append(
+            (
+                f"`{ENVIRONMENTS[mode]}`",
+                " / ".join(str(split["agents"]) for split in splits),
+                task["horizon"],
+                f"({task['width']},)",
+                f"({', '.join(map(str, task['points']))})",
+                " / ".join(str(split["episodes"]) for split in splits),
+                f"`{splits[2]['hash'][:12]}`",
+            )
+        )
+    patience = {task["patience"] for task in tasks.values()}
+    told = " or ".join(str(number) for number in sorted(patience))
+    return (
+        _table(head, rows)
+        + f"\nRecorded episodes have at most {told} times the oracle's steps. The last column begins the SHA-256 "
+        "of the set of test episodes.\n"
+    )
+
+
+def _rewards(tasks: dict[str, Any]) -> str:
+    head = ("mode", *ACTIONS, "overtime", "a clause broken")
+    rows: list[tuple[object, ...]] = []
+    for mode, task in tasks.items():
+        by_action: dict[str, dict[float, list[str]]] = {}
+        for demand in task["demands"]:
+            clauses = by_action.setdefault(demand["action"], {})
+            clauses.setdefault(demand["reward"], []).append(demand["clause"])
+        broken = "; ".join(
+            f"{action} ({', '.join(clauses)}) {reward:g}"
+            for action, rewards in by_action.items()
+            for reward, clauses in rewards.items()
+        )
+        rows.append((mode, *(f"{task['actions'][action]:g}" for action in ACTIONS), f"{task['overtime']:g}", broken))
+    return (
+        "The four numbers of the actions are divided by four times the cells of the route. A step that breaks clauses "
+        "is worth, instead of that, the sum over the actions they ask of the worst of each, and ends the episode; so "
+        "does the goal. Overtime is added to the last step at the horizon.\n\n" + _table(head, rows)
+    )
+
+
+def _observations(tasks: dict[str, Any]) -> str:
+    layouts: dict[str, list[str]] = {}
+    for mode, task in tasks.items():
+        layouts.setdefault(json.dumps([task["columns"], task["entities"]]), []).append(mode)
+    told = []
+    for layout, modes in layouts.items():
+        columns, entities = json.loads(layout)
+        rows: list[tuple[object, ...]] = []
+        base = 0
+        for column in columns:
+            unary = column["arity"] == 1
+            where = f"{base} + i" if unary else f"{base} + {entities} i + j"
+            variables = "(i)" if unary else "(i, j)"
+            rows.append((f"{base} to {base + column['width'] - 1}", f"`{column['predicate']}{variables}`", where))
+            base += column["width"]
+        told.append(f"{', '.join(modes)}:\n\n" + _table(("numbers", "atom", "at"), rows))
+    return (
+        "Each number of `atoms` is 1 if an atom is true and else 0. Entity 0 is the ego, the others are what it sees; "
+        "i and j count from 0. Of entities that are not there nothing is true.\n\n" + "\n".join(told)
+    )

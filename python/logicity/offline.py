@@ -1,0 +1,343 @@
+"""What the oracle does, as data to learn from without an environment.
+
+`demonstrations` drives the recorded episodes of a split with the oracle. What it returns can be used as numpy arrays or
+be written as a Minari dataset, as the files of an inductive learner (Popper), or as a table (Parquet).
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, overload
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _logicity
+from .city import ACTIONS
+from .evaluation import load_task
+from .modes import ENVIRONMENTS
+
+if TYPE_CHECKING:
+    from minari import MinariDataset
+
+__all__ = ["Atom", "Demonstrations", "Trajectory", "demonstrations"]
+
+#: A predicate, and the observed entities it is about: 0 is the ego.
+Atom: TypeAlias = tuple[str, tuple[int, ...]]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One episode of T steps.
+
+    - `episode`: its number in the set of recorded ones, from 0; `seed`: its seed.
+    - `observations`: float32, (T + 1, width); the last one is that at the goal.
+    - `actions`: int64, (T,): 0 Slow, 1 Normal, 2 Fast, 3 Stop.
+    - `rewards`: float64, (T,).
+    - `terminations`, `truncations`: bool, (T,); all but the last are false.
+    - `infos`: what `info` tells of every observation that is a number: arrays of T + 1.
+    """
+
+    episode: int
+    seed: int
+    observations: NDArray[np.float32]
+    actions: NDArray[np.int64]
+    rewards: NDArray[np.float64]
+    terminations: NDArray[np.bool_]
+    truncations: NDArray[np.bool_]
+    infos: Mapping[str, NDArray[Any]]
+
+    def __len__(self) -> int:
+        """How many steps it has."""
+        return len(self.actions)
+
+
+class Demonstrations(Sequence[Trajectory]):
+    """Trajectories of the oracle.
+
+    - `mode`, `split`: whose agents.
+    - `atoms`: the atom that each number of an observation stands for; none if observations are points.
+    - `asked`: the actions that rules can ask.
+    - `episodes_hash`: SHA-256 of the set of episodes they come from.
+    - `env`: the spec of the environment they were taken in.
+    """
+
+    def __init__(
+        self,
+        mode: str,
+        split: str,
+        episodes_hash: str,
+        atoms: tuple[Atom, ...],
+        asked: tuple[str, ...],
+        env: gymnasium.envs.registration.EnvSpec,
+        trajectories: Sequence[Trajectory],
+    ) -> None:
+        """Keep what is given."""
+        self.mode, self.split, self.episodes_hash = mode, split, episodes_hash
+        self.atoms, self.asked, self.env = atoms, asked, env
+        self._trajectories = tuple(trajectories)
+
+    def __len__(self) -> int:
+        """How many trajectories there are."""
+        return len(self._trajectories)
+
+    @overload
+    def __getitem__(self, index: int) -> Trajectory: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Trajectory]: ...
+
+    def __getitem__(self, index: int | slice) -> Trajectory | Sequence[Trajectory]:
+        """One of them, or several."""
+        return self._trajectories[index]
+
+    def to_minari(self, dataset_id: str | None = None, **metadata: Any) -> MinariDataset:
+        """Make a Minari dataset of them, from which `recover_environment()` makes the environment again.
+
+        Minari keeps its datasets under the folder that the environment variable `MINARI_DATASETS_PATH` names, or else
+        in `~/.minari/datasets`; it has to be set when this is called.
+
+        Args:
+            dataset_id: its name; `logicity/spf-MODE/oracle-v0` unless given.
+            metadata: what else `minari.create_dataset_from_buffers` takes, such as `author`, `author_email` and
+                `code_permalink`, which Minari warns about if they are missing.
+
+        Raises:
+            ImportError: Minari is not installed; `pip install 'logicity[offline]'` installs it.
+            ValueError: there is such a dataset already.
+        """
+        import minari
+        from minari.data_collector import EpisodeBuffer
+
+        buffers = [
+            EpisodeBuffer(
+                id=number,
+                seed=trajectory.seed,
+                observations=list(trajectory.observations),
+                actions=list(trajectory.actions),
+                rewards=trajectory.rewards.tolist(),
+                terminations=trajectory.terminations.tolist(),
+                truncations=trajectory.truncations.tolist(),
+                infos={name: list(values) for name, values in trajectory.infos.items()},
+            )
+            for number, trajectory in enumerate(self)
+        ]
+        return minari.create_dataset_from_buffers(
+            dataset_id or f"logicity/spf-{self.mode}/oracle-v0",
+            buffer=buffers,
+            env=self.env,
+            **{
+                "eval_env": ENVIRONMENTS[self.mode],
+                "algorithm_name": "oracle",
+                "description": f"What the rules want in {self.mode} mode; recorded episodes {self.episodes_hash}.",
+                "requirements": ["logicity"],
+                **metadata,
+            },
+        )
+
+    def to_popper(self, folder: str | os.PathLike[str], *, distinct: bool = False) -> list[Path]:
+        """Write the files of inductive logic programming in the format of Popper.
+
+        For every action that the rules can ask there is a folder, named after it in lower case, with `bk.pl`, `exs.pl`
+        and `bias.pl`. A step is one example: positive if the oracle took the action, else negative. It is about the ego
+        of that step, `s7_e0` in step 7; `s7_e1` to `s7_e4` are what the ego sees. Facts are named as predicates are,
+        `is_at_inter` for `IsAtInter`. Popper does not learn negated literals, so of what is observed and false there is
+        a fact `not_is_at_inter`. `sees(s7_e0, s7_e1)` tells which entities belong to a step; a learned rule needs it to
+        speak of another entity that no other literal binds to the ego.
+
+        Args:
+            folder: made if it is not there; each action's folder is replaced as a whole.
+            distinct: write steps with the same observation and action only once. This keeps the rules that are
+                consistent with all examples, but changes the weight of an exception in noisy learning.
+
+        Returns:
+            The folders that were written.
+
+        Raises:
+            ValueError: the observations are not atoms.
+            OSError: a file cannot be written.
+        """
+        if not self.atoms:
+            raise ValueError("facts are made of atoms: take the demonstrations with observation `atoms`")
+        examples = list(self._examples(distinct))
+        facts = [line for step, (observation, _) in enumerate(examples) for line in self._facts(step, observation)]
+        arities = {name: len(entities) for name, entities in self.atoms}
+        predicates = {"sees": 2}
+        predicates |= {f"{sign}{_snake(name)}": arity for name, arity in arities.items() for sign in ("", "not_")}
+        # So that it is no error to ask a predicate without facts.
+        facts += [f":- dynamic {name}/{arity}." for name, arity in predicates.items()]
+        written = []
+        for number, action in enumerate(ACTIONS):
+            if action not in self.asked:
+                continue
+            head = _snake(action)
+            taken = [(step, int(done) == number) for step, (_, done) in enumerate(examples)]
+            bias = [f"head_pred({head},1).", *(f"body_pred({name},{arity})." for name, arity in predicates.items())]
+            files = {
+                "bk.pl": facts,
+                "exs.pl": [f"{'pos' if positive else 'neg'}({head}(s{step}_e0))." for step, positive in taken],
+                "bias.pl": bias,
+            }
+            written.append(_write_folder(Path(folder) / head, files))
+        return written
+
+    def _examples(self, distinct: bool) -> Iterator[tuple[NDArray[np.float32], int]]:
+        """Observation and action of every step."""
+        seen = set()
+        for trajectory in self:
+            for observation, action in zip(trajectory.observations[:-1], trajectory.actions, strict=True):
+                key = (observation.tobytes(), int(action))
+                if distinct and key in seen:
+                    continue
+                seen.add(key)
+                yield observation, int(action)
+
+    def _facts(self, step: int, observation: NDArray[np.float32]) -> Iterator[str]:
+        """What is true and what is false of the ego and the entities of which anything is true."""
+        true = observation[: len(self.atoms)] > 0.5
+        there = {0}.union(*(entities for (_, entities), holds in zip(self.atoms, true, strict=True) if holds))
+        yield from (f"sees(s{step}_e0,s{step}_e{entity})." for entity in sorted(there))
+        for (name, entities), holds in zip(self.atoms, true, strict=True):
+            if there.issuperset(entities):
+                of = ",".join(f"s{step}_e{entity}" for entity in entities)
+                yield f"{'' if holds else 'not_'}{_snake(name)}({of})."
+
+    def to_parquet(self, path: str | os.PathLike[str]) -> None:
+        """Write a table with a row for each step, under a temporary name that becomes `path` when it is whole.
+
+        Columns: `episode` (int32), `step` (int32), `observation` (fixed list of float32), `action` (int8), `reward`
+        (float64), `terminated`, `truncated` (bool), and what `info` tells of the observation. The metadata of the
+        schema has `mode`, `split`, `episodes_hash`, `actions` and, if the observations are atoms, `atoms`.
+
+        Raises:
+            ImportError: pyarrow is not installed; `pip install 'logicity[offline]'` installs it.
+            OSError: the file cannot be written.
+        """
+        import pyarrow
+        import pyarrow.parquet
+
+        lengths = [len(trajectory) for trajectory in self]
+        observations = np.concatenate([t.observations[:-1].reshape(len(t), -1) for t in self])
+        columns: dict[str, Any] = {
+            "episode": np.repeat(np.array([t.episode for t in self], np.int32), lengths),
+            "step": np.concatenate([np.arange(length, dtype=np.int32) for length in lengths]),
+            "observation": pyarrow.FixedSizeListArray.from_arrays(
+                pyarrow.array(observations.reshape(-1)), observations.shape[1]
+            ),
+            "action": np.concatenate([t.actions for t in self]).astype(np.int8),
+            "reward": np.concatenate([t.rewards for t in self]),
+            "terminated": np.concatenate([t.terminations for t in self]),
+            "truncated": np.concatenate([t.truncations for t in self]),
+        }
+        columns |= {name: np.concatenate([t.infos[name][:-1] for t in self]) for name in self[0].infos}
+        metadata = {
+            "mode": self.mode,
+            "split": self.split,
+            "episodes_hash": self.episodes_hash,
+            "actions": ",".join(ACTIONS),
+            "atoms": ";".join(f"{name}({','.join(map(str, entities))})" for name, entities in self.atoms),
+        }
+        table = pyarrow.table(columns).replace_schema_metadata(metadata)
+        temporary = f"{os.fspath(path)}.{os.getpid()}.tmp"
+        try:
+            pyarrow.parquet.write_table(table, temporary)
+            os.replace(temporary, path)
+        finally:
+            if os.path.exists(temporary):
+                os.unlink(temporary)
+
+
+def _snake(name: str) -> str:
+    """`IsAtInter` as Prolog writes it: `is_at_inter`."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+
+
+def _write_folder(folder: Path, files: Mapping[str, Sequence[str]]) -> Path:
+    """Write a folder under a temporary name; it takes the place of the old one when it is whole."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        for name, lines in files.items():
+            (temporary / name).write_text("".join(f"{line}\n" for line in sorted(lines)), encoding="utf-8")
+        temporary.chmod(0o755)
+        if folder.exists():
+            shutil.rmtree(folder)
+        temporary.rename(folder)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+    return folder
+
+
+def demonstrations(
+    mode: str, n: int = 100, split: str = "train", *, observation: str = "atoms", **options: Any
+) -> Demonstrations:
+    """Let the oracle drive the first n recorded episodes of a split.
+
+    Args:
+        mode: one of `logicity.ENVIRONMENTS`, such as `"expert"`.
+        n: how many, from 1 to the number of recorded ones: 40 for `"val"`, 100 otherwise.
+        split: `"train"`, `"val"` or `"test"`.
+        observation: `"atoms"` or `"points"`, as `gymnasium.make` takes it.
+        options: any other option that `gymnasium.make` takes, such as `overrides`.
+
+    Raises:
+        ValueError: an unknown mode, split or observation, or more episodes than there are.
+        InputError: a faulty option.
+    """
+    told = _logicity.describe(load_task(mode, options.get("rules"), options.get("overrides")))
+    if split not in told["splits"]:
+        raise ValueError(f"unknown split `{split}`: it is one of {', '.join(told['splits'])}")
+    count = told["splits"][split]["episodes"]
+    if not 1 <= n <= count:
+        raise ValueError(f"{n} demonstrations wanted: {count} episodes are recorded for {mode}, {split}")
+    env = gymnasium.make(ENVIRONMENTS[mode], split=split, observation=observation, **options)
+    assert env.spec is not None
+    try:
+        trajectories = [_drive(env, episode) for episode in range(n)]
+    finally:
+        env.close()
+    atoms = tuple(_atoms(told)) if observation == "atoms" else ()
+    asked = {demand["action"] for demand in told["demands"]}
+    named = tuple(action for action in ACTIONS if action in asked)
+    return Demonstrations(mode, split, told["splits"][split]["hash"], atoms, named, env.spec, trajectories)
+
+
+def _atoms(told: Mapping[str, Any]) -> Iterator[Atom]:
+    """What the numbers of an observation stand for; the length of the route, if it is there, is no atom."""
+    for column in told["columns"]:
+        for entities in itertools.product(range(told["entities"]), repeat=column["arity"]):
+            yield column["predicate"], entities
+
+
+def _drive(env: gymnasium.Env[Any, Any], episode: int) -> Trajectory:
+    observation, info = env.reset(options={"episode": episode})
+    seed = int(info["seed"])
+    observations, infos = [observation], [info]
+    steps: list[tuple[int, float, bool, bool]] = []
+    while not (steps and (steps[-1][2] or steps[-1][3])):
+        action = int(info["oracle_action"])
+        observation, reward, terminated, truncated, info = env.step(action)
+        observations.append(observation)
+        infos.append(info)
+        steps.append((action, float(reward), terminated, truncated))
+    actions, rewards, terminations, truncations = zip(*steps, strict=True)
+    told = ("oracle_action", "progress", "success", "steps")
+    return Trajectory(
+        episode=episode,
+        seed=seed,
+        observations=np.stack(observations),
+        actions=np.array(actions, np.int64),
+        rewards=np.array(rewards, np.float64),
+        terminations=np.array(terminations, np.bool_),
+        truncations=np.array(truncations, np.bool_),
+        infos={name: np.array([info[name] for info in infos]) for name in told},
+    )

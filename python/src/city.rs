@@ -1,0 +1,452 @@
+//! Scenes and simulations.
+
+use crate::{Shared, Signals, input_error, read_error, to_python};
+use logicity::city::{Agent, Cell, Heading, Reason};
+use logicity::config::{Located, Scenario, Speed, Split, load_scenario};
+use logicity::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use logicity::engine::Program;
+use logicity::engine::provenance::Teller;
+use logicity::files::{Output, ReadError, read_or_builtin, read_text};
+use logicity::rng::Seed;
+use logicity::sim::{Executor, Inference, MAX_ENTITIES, Settings, Simulation, TraceWriter, World, hash_sources};
+use numpy::ndarray::{Array1, Array2};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
+use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("ACTIONS", Speed::ALL.map(Speed::name))?;
+    module.add("HEADINGS", Heading::ALL.map(Heading::name))?;
+    module.add("REASONS", REASONS.map(|(_, name)| name))?;
+    module.add_class::<PyInference>()?;
+    module.add_class::<PySimulation>()
+}
+
+/// Why agents moved as they did; the position is the code in arrays.
+const REASONS: [(Reason, &str); 4] = [
+    (Reason::Decided, "decided"),
+    (Reason::OnlyMove, "only-move"),
+    (Reason::Drawn, "drawn"),
+    (Reason::Resting, "resting"),
+];
+
+/// The file that stands for a configuration with something changed.
+const OVERRIDES: &str = "<overrides>";
+
+/// Files by their paths.
+type Files = BTreeMap<PathBuf, String>;
+
+/// A configuration and its rules.
+pub struct Loaded {
+    pub sources: Sources,
+    pub scenario: Scenario,
+    pub program: Program,
+    /// The first text of the rules; all behind it are theirs, too.
+    pub rule_file: SourceId,
+    /// All that was read from disk, or from what stood for it.
+    files: Files,
+}
+
+impl Loaded {
+    /// Reads a configuration and its rules, or those of the file that is given instead; from `files`, if there are any, else from
+    /// disk. What is not there is looked for among the built-in files. `overrides` is a mapping in JSON that stands above the
+    /// configuration, which it names as its base.
+    pub fn new(
+        py: Python<'_>,
+        config: &Path,
+        rules: Option<&Path>,
+        files: Option<Files>,
+        overrides: Option<&str>,
+    ) -> PyResult<Loaded> {
+        let read = RefCell::new(Files::new());
+        let record = |path: &Path, text: Result<String, ReadError>| {
+            text.inspect(|text| drop(read.borrow_mut().insert(path.to_owned(), text.clone())))
+        };
+        let given = |path: &Path| {
+            files
+                .as_ref()
+                .map(|files| files.get(path).cloned().ok_or(ReadError::NotFound))
+        };
+        let read_config = |path: &Path| match overrides {
+            Some(text) if path == Path::new(OVERRIDES) => Ok(text.to_owned()),
+            _ => record(path, given(path).unwrap_or_else(|| read_text(path))),
+        };
+        let read_rules = |path: &Path| record(path, given(path).unwrap_or_else(|| read_or_builtin(path)));
+
+        let mut sources = Sources::new();
+        let entry = overrides.map_or(config, |_| Path::new(OVERRIDES));
+        let scenario = load_scenario(&mut sources, entry, &read_config);
+        let mut scenario = scenario.map_err(|faults| match faults.as_slice() {
+            // The file named by the caller: it has no place in any text.
+            [fault] if fault.code == Code::MissingFile && fault.primary.is_none() => {
+                let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
+                PyFileNotFoundError::new_err(fault.message.clone() + &help)
+            }
+            _ => input_error(py, &faults, &sources),
+        })?;
+        let path = rules.unwrap_or(&scenario.rules.value).to_owned();
+        let text = read_rules(&path).map_err(|error| read_error(py, &path, &error))?;
+        let rule_file = sources.add(path.display().to_string(), text);
+        let (program, faults) = Program::load(&mut sources, rule_file, &read_rules);
+        let program = program.ok_or_else(|| input_error(py, &faults, &sources))?;
+        if rules.is_some() {
+            // What does not fit is to be shown in the file that was given, not in the configuration.
+            let span = Span::new(rule_file, 0..0);
+            scenario.rules = Located { value: path, span };
+        }
+        Ok(Loaded {
+            sources,
+            scenario,
+            program,
+            rule_file,
+            files: read.into_inner(),
+        })
+    }
+}
+
+/// One of a few values by its name.
+pub fn one_of<T: Copy>(what: &str, given: &str, all: &[T], name: impl Fn(T) -> &'static str) -> PyResult<T> {
+    all.iter().copied().find(|&value| name(value) == given).ok_or_else(|| {
+        let names: Vec<String> = all.iter().map(|&value| format!("\"{}\"", name(value))).collect();
+        PyValueError::new_err(format!("{what} is one of {}, not \"{given}\"", names.join(", ")))
+    })
+}
+
+/// Answers scenes.
+#[pyclass(name = "Inference", module = "logicity._logicity", frozen)]
+struct PyInference {
+    inference: Shared<Inference>,
+    files: Files,
+}
+
+#[pymethods]
+impl PyInference {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        config: PathBuf,
+        rules: Option<PathBuf>,
+        seed: u64,
+        executor: &str,
+        files: Option<Files>,
+    ) -> PyResult<Self> {
+        let executor = one_of("executor", executor, &Executor::ALL, Executor::name)?;
+        let Loaded {
+            sources,
+            scenario,
+            program,
+            files,
+            ..
+        } = Loaded::new(py, &config, rules.as_deref(), files, None)?;
+        let inference = Inference::new(scenario, program, Seed(seed), executor, read_text)
+            .map_err(|faults| input_error(py, &faults, &sources))?;
+        Ok(PyInference {
+            inference: Shared::new("Inference", inference),
+            files,
+        })
+    }
+
+    /// The answer to a scene in JSON.
+    fn answer<'py>(&self, py: Python<'py>, scene: &str) -> PyResult<Bound<'py, PyAny>> {
+        let mut sources = Sources::new();
+        let source = sources.add("<scene>", scene);
+        let answer = self
+            .inference
+            .detached(py, |inference, _| inference.answer(&sources, source))?;
+        match answer {
+            Ok(answer) => to_python(py, &answer.to_json()),
+            Err(faults) => Err(input_error(py, &faults, &sources)),
+        }
+    }
+
+    /// All that was read.
+    fn files(&self) -> Vec<(&Path, &str)> {
+        self.files
+            .iter()
+            .map(|(path, text)| (path.as_path(), text.as_str()))
+            .collect()
+    }
+}
+
+/// A city in motion.
+#[pyclass(name = "Simulation", module = "logicity._logicity", frozen)]
+struct PySimulation {
+    city: Shared<Simulation>,
+    world: Arc<World>,
+    sources: Sources,
+    config: PathBuf,
+    rule_file: SourceId,
+}
+
+/// A tick: number, where agents were and how they headed, what was derived and decided, where they are, why, and whether they set
+/// out for a new goal.
+type Tick<'py> = (
+    u64,
+    Bound<'py, PyArray2<i32>>,
+    Bound<'py, PyArray1<i8>>,
+    Bound<'py, PyArray2<bool>>,
+    Bound<'py, PyArray1<i8>>,
+    Bound<'py, PyArray2<i32>>,
+    Bound<'py, PyArray1<i8>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+/// Name, type, concepts and priority of an agent.
+type AgentInfo = (String, &'static str, Vec<String>, i32);
+
+/// Why a run came to an end before its time.
+enum Failure {
+    Fault(Diagnostic),
+    File(std::io::Error),
+}
+
+#[pymethods]
+impl PySimulation {
+    #[new]
+    #[expect(clippy::too_many_arguments, reason = "each is an argument in Python")]
+    fn new(
+        py: Python<'_>,
+        config: PathBuf,
+        rules: Option<PathBuf>,
+        split: &str,
+        seed: u64,
+        threads: usize,
+        executor: &str,
+        count_firings: bool,
+    ) -> PyResult<Self> {
+        let split = one_of("split", split, &Split::ALL, Split::name)?;
+        let executor = one_of("executor", executor, &Executor::ALL, Executor::name)?;
+        let threads = match threads {
+            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            threads => threads,
+        };
+        let Loaded {
+            sources,
+            scenario,
+            program,
+            rule_file,
+            ..
+        } = Loaded::new(py, &config, rules.as_deref(), None, None)?;
+        let settings = Settings {
+            executor,
+            count_firings,
+            threads,
+        };
+        let made = py.detach(|| {
+            let world = Arc::new(World::new(scenario, program)?);
+            let city = Simulation::new(Arc::clone(&world), split, Seed(seed), settings);
+            Ok((city.map_err(|fault| vec![fault])?, world))
+        });
+        let (city, world) = made.map_err(|faults: Vec<Diagnostic>| input_error(py, &faults, &sources))?;
+        Ok(PySimulation {
+            city: Shared::new("Simulation", city),
+            world,
+            sources,
+            config,
+            rule_file,
+        })
+    }
+
+    fn agents(&self) -> PyResult<Vec<AgentInfo>> {
+        let told = |agent: &Agent| {
+            (
+                agent.name().to_string(),
+                agent.kind.name(),
+                agent.concepts.to_vec(),
+                agent.priority,
+            )
+        };
+        self.city.with(|city| Ok(city.agents().iter().map(told).collect()))
+    }
+
+    /// Name of the map, its rows and columns.
+    fn map(&self) -> (&str, i32, i32) {
+        let map = self.world.map();
+        (&map.name, map.rows(), map.cols())
+    }
+
+    fn executor(&self) -> PyResult<&'static str> {
+        self.city.with(|city| Ok(city.executor().name()))
+    }
+
+    fn now(&self) -> PyResult<u64> {
+        self.city.with(|city| Ok(city.now()))
+    }
+
+    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
+        self.city
+            .with(|city| Ok(cells(py, city.agents().iter().map(|agent| agent.cell))))
+    }
+
+    fn goals<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
+        self.city
+            .with(|city| Ok(cells(py, city.agents().iter().map(Agent::goal))))
+    }
+
+    fn headings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<i8>>> {
+        self.city
+            .with(|city| Ok(codes(py, city.agents().iter().map(|agent| heading(agent.heading)))))
+    }
+
+    fn semantic_map<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let drawn = self.city.detached(py, |city, _| city.semantic_map())?;
+        let layers = drawn.map_err(|fault| input_error(py, &[fault], &self.sources))?;
+        Ok(layers.into_pyarray(py))
+    }
+
+    /// A tick in which the agents at these positions do these actions.
+    fn tick<'py>(&self, py: Python<'py>, controls: Vec<(usize, usize)>) -> PyResult<Tick<'py>> {
+        let controls: Vec<(usize, Speed)> = (controls.into_iter())
+            .map(|(agent, action)| (agent, Speed::ALL[action]))
+            .collect();
+        let done = self.city.detached(py, |city, _| city.tick(&controls).map(|_| ()))?;
+        done.map_err(|fault| input_error(py, &[fault], &self.sources))?;
+        self.last(py)
+    }
+
+    /// The last tick.
+    fn last<'py>(&self, py: Python<'py>) -> PyResult<Tick<'py>> {
+        self.city.with(|city| {
+            let report = city.report();
+            let agents = &report.agents;
+            let derived = |(agent, action): (usize, usize)| agents[agent].derived.contains(Speed::ALL[action]);
+            let reason = |reason| REASONS.iter().position(|(known, _)| *known == reason);
+            Ok((
+                report.tick,
+                cells(py, agents.iter().map(|done| done.moved.from)),
+                codes(py, agents.iter().map(|done| heading(done.heading))),
+                Array2::from_shape_fn((agents.len(), Speed::ALL.len()), derived).into_pyarray(py),
+                codes(py, agents.iter().map(|done| Some(done.action as usize))),
+                cells(py, agents.iter().map(|done| done.moved.to)),
+                codes(py, agents.iter().map(|done| reason(done.moved.reason))),
+                agents
+                    .iter()
+                    .map(|done| done.moved.replanned)
+                    .collect::<Array1<bool>>()
+                    .into_pyarray(py),
+            ))
+        })
+    }
+
+    /// So many ticks, whose trace goes to a file.
+    fn run(&self, py: Python<'_>, ticks: u64, trace: Option<PathBuf>) -> PyResult<()> {
+        let done = self.city.detached(py, |city, signals| match &trace {
+            None => run(city, ticks, signals, |_| Ok(())),
+            Some(path) => self.run_traced(city, ticks, signals, path),
+        })?;
+        done.map_err(|failure| match failure {
+            Failure::Fault(fault) => input_error(py, &[fault], &self.sources),
+            Failure::File(error) => {
+                let path = trace.unwrap_or_default();
+                PyOSError::new_err(format!("cannot write `{}`: {error}", path.display()))
+            }
+        })
+    }
+
+    /// By base predicate, the rows on which the last tick was decided: positions of agents.
+    fn facts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let found = self.city.detached(py, |city, _| match city.agents().len() {
+            0..=MAX_ENTITIES => Ok(city.facts(|_| true)),
+            agents => Err(too_many(agents, "facts about pairs")),
+        })?;
+        let facts = found.map_err(|fault| input_error(py, &[fault], &self.sources))?;
+        let dict = PyDict::new(py);
+        for (predicate, rows) in self.world.vocabulary.predicates.iter().zip(&facts.rows) {
+            let shape = (rows.len(), predicate.arity);
+            // A scene has far fewer agents than an i32 has room for.
+            let array = Array2::from_shape_fn(shape, |(row, column)| rows[row][column].cast_signed());
+            dict.set_item(&predicate.name, array.into_pyarray(py))?;
+        }
+        Ok(dict)
+    }
+
+    /// Why an agent did what it did in the last tick, or why another action was not derived: as text, and as data.
+    fn explain<'py>(
+        &self,
+        py: Python<'py>,
+        agent: usize,
+        why_not: Option<usize>,
+    ) -> PyResult<(String, Bound<'py, PyAny>)> {
+        let why_not = why_not.map(|action| Speed::ALL[action]);
+        let told = self.city.detached(py, |city, signals| {
+            let account = city.decision(agent)?.account(why_not, &|| signals.raised())?;
+            Ok((account.text(&self.sources), account.json(&self.sources)))
+        })?;
+        let (text, json) = told.map_err(|fault: Diagnostic| input_error(py, &[fault], &self.sources))?;
+        Ok((text, to_python(py, &json)?))
+    }
+
+    /// The label of each clause and how many rows it derived in the last tick.
+    fn firings(&self) -> PyResult<Vec<(String, usize)>> {
+        let rules = self.world.program.rules();
+        let teller = Teller::new(rules, &rules.symbols, &self.sources);
+        self.city.with(|city| {
+            let counts = city.clauses().iter().zip(city.firings());
+            Ok(counts.map(|(&clause, &count)| (teller.label(clause), count)).collect())
+        })
+    }
+}
+
+impl PySimulation {
+    fn run_traced(&self, city: &mut Simulation, ticks: u64, signals: &Signals, path: &Path) -> Result<(), Failure> {
+        if city.agents().len() > MAX_ENTITIES {
+            return Err(Failure::Fault(too_many(city.agents().len(), "a trace")));
+        }
+        let rules: Vec<SourceId> = self.sources.ids().skip_while(|&id| id != self.rule_file).collect();
+        let hash = hash_sources(&self.sources, &rules);
+        let file = Output::create(path).map_err(Failure::File)?;
+        let config = self.config.to_string_lossy();
+        let writer = TraceWriter::new(file, city, &self.sources, &config, self.rule_file, &hash);
+        let mut writer = writer.map_err(Failure::File)?;
+        let done = run(city, ticks, signals, |city| writer.tick(city).map_err(Failure::File));
+        // What was run is kept, whatever came after it.
+        let written = writer.into_inner().finish().map_err(Failure::File);
+        done.and(written)
+    }
+}
+
+/// Ticks, until a signal's handler raises an exception.
+fn run(
+    city: &mut Simulation,
+    ticks: u64,
+    signals: &Signals,
+    mut record: impl FnMut(&Simulation) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    for _ in 0..ticks {
+        if signals.raised() {
+            break;
+        }
+        city.tick(&[]).map_err(Failure::Fault)?;
+        record(city)?;
+    }
+    Ok(())
+}
+
+fn too_many(agents: usize, what: &str) -> Diagnostic {
+    let message = format!("{what} of {agents} agents; the limit is {MAX_ENTITIES} agents");
+    Diagnostic::new(Code::LimitExceeded, message)
+}
+
+/// Rows and columns of cells.
+fn cells(py: Python<'_>, cells: impl ExactSizeIterator<Item = Cell>) -> Bound<'_, PyArray2<i32>> {
+    let mut array = Array2::zeros((cells.len(), 2));
+    for (mut row, cell) in array.rows_mut().into_iter().zip(cells) {
+        (row[0], row[1]) = (cell.row, cell.col);
+    }
+    array.into_pyarray(py)
+}
+
+/// Positions in a short list; -1 for none.
+fn codes(py: Python<'_>, positions: impl Iterator<Item = Option<usize>>) -> Bound<'_, PyArray1<i8>> {
+    let code = |position: Option<usize>| position.and_then(|position| i8::try_from(position).ok()).unwrap_or(-1);
+    positions.map(code).collect::<Array1<i8>>().into_pyarray(py)
+}
+
+fn heading(heading: Option<Heading>) -> Option<usize> {
+    heading.and_then(|heading| Heading::ALL.iter().position(|known| *known == heading))
+}

@@ -1,0 +1,396 @@
+//! Rows as Python values: tuples, or a numpy array for each column.
+
+use logicity::lang::{BaseType, Column, Relation, Value};
+use logicity::symbol::{Symbol, Symbols};
+use numpy::{Element, PyArray1, PyArrayDescrMethods, PyReadonlyArray1, PyUntypedArray, PyUntypedArrayMethods};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::intern;
+use pyo3::prelude::*;
+use pyo3::types::{PyBool, PyDict, PyList, PyMapping, PyString, PyTuple};
+use std::collections::HashMap;
+
+/// So many rows are converted between two looks at signals.
+const PAUSE: usize = 1 << 16;
+
+/// Rows in one list, one after the other.
+pub struct Words {
+    pub rows: usize,
+    pub words: Vec<Value>,
+}
+
+/// What a column holds, for messages.
+fn holds(base: BaseType) -> &'static str {
+    match base {
+        BaseType::Symbol => "symbols (str)",
+        BaseType::Number => "numbers (int from -2147483648 to 2147483647)",
+        BaseType::Unsigned => "unsigned numbers (int from 0 to 4294967295)",
+        BaseType::Float => "floats (float of 32 bits)",
+    }
+}
+
+/// `column `x` of `edge` holds ...`
+fn expects(relation: &Relation, column: &Column) -> String {
+    format!(
+        "column `{}` of `{}` holds {}",
+        column.name,
+        relation.name,
+        holds(column.base)
+    )
+}
+
+/// Why a value is not in a column.
+enum Misfit {
+    Type,
+    Range,
+}
+
+fn number(base: BaseType, value: i128) -> Result<Value, Misfit> {
+    match base {
+        BaseType::Unsigned => u32::try_from(value).map(Value),
+        _ => i32::try_from(value).map(Value::number),
+    }
+    .map_err(|_| Misfit::Range)
+}
+
+/// The nearest float of 32 bits. An infinity and "not a number" are floats, too; a number beyond them is not made one.
+#[expect(clippy::cast_possible_truncation, reason = "rounding is what is meant")]
+fn float(value: f64) -> Result<Value, Misfit> {
+    let near = value as f32;
+    match value.is_finite() && near.is_infinite() {
+        true => Err(Misfit::Range),
+        false => Ok(Value::float(near)),
+    }
+}
+
+/// A value of a column. `symbol` finds the word of a text.
+fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &dyn Fn(&str) -> Value) -> PyResult<Result<Value, Misfit>> {
+    if base == BaseType::Symbol {
+        return match value.cast::<PyString>() {
+            Ok(text) => Ok(Ok(symbol(text.to_str()?))),
+            Err(_) => Ok(Err(Misfit::Type)),
+        };
+    }
+    // What is true is a number in Python, and a mistake here.
+    if value.is_instance_of::<PyBool>() {
+        return Ok(Err(Misfit::Type));
+    }
+    if base == BaseType::Float {
+        return Ok(match value.extract::<f64>() {
+            Ok(value) => float(value),
+            Err(error) if error.is_instance_of::<pyo3::exceptions::PyOverflowError>(value.py()) => Err(Misfit::Range),
+            Err(_) => Err(Misfit::Type),
+        });
+    }
+    Ok(match value.extract::<i128>() {
+        Ok(value) => number(base, value),
+        Err(error) if error.is_instance_of::<pyo3::exceptions::PyOverflowError>(value.py()) => Err(Misfit::Range),
+        Err(_) => Err(Misfit::Type),
+    })
+}
+
+/// A row of values; where `open` is set, `None` stands for any value.
+pub fn row(
+    relation: &Relation,
+    values: &Bound<'_, PyAny>,
+    open: bool,
+    symbol: &dyn Fn(&str) -> Value,
+) -> PyResult<Vec<Option<Value>>> {
+    // A text is a sequence of texts, and never meant as a row.
+    if values.is_instance_of::<PyString>() {
+        let message = format!("a row of `{}` is a tuple of its values, not a str", relation.name);
+        return Err(PyTypeError::new_err(message));
+    }
+    let mut words = Vec::with_capacity(relation.arity());
+    let mut columns = relation.columns.iter();
+    let mut count = 0;
+    for value in values.try_iter()? {
+        let value = value?;
+        count += 1;
+        let Some(column) = columns.next() else { continue };
+        if open && value.is_none() {
+            words.push(None);
+            continue;
+        }
+        let misfit = match word(&value, column.base, symbol)? {
+            Ok(word) => {
+                words.push(Some(word));
+                continue;
+            }
+            Err(misfit) => misfit,
+        };
+        let (expects, value) = (expects(relation, column), value.repr()?);
+        return Err(match misfit {
+            Misfit::Type => PyTypeError::new_err(format!("{expects}, not {value}")),
+            Misfit::Range => PyValueError::new_err(format!("{expects}; {value} is out of range")),
+        });
+    }
+    if count != relation.arity() {
+        let (name, arity) = (&relation.name, relation.arity());
+        return Err(PyValueError::new_err(format!(
+            "a row of `{name}` has {arity} values, not {count}"
+        )));
+    }
+    Ok(words)
+}
+
+/// Rows in any of the forms that `Session.insert` documents.
+pub fn rows(relation: &Relation, given: &Bound<'_, PyAny>, symbol: &dyn Fn(&str) -> Value) -> PyResult<Words> {
+    if let Ok(array) = given.cast::<PyUntypedArray>() {
+        return of_array(relation, array, symbol);
+    }
+    if let Ok(columns) = given.cast::<PyMapping>() {
+        return of_named(
+            relation,
+            &columns.keys()?.try_iter()?.collect::<PyResult<Vec<_>>>()?,
+            given,
+            symbol,
+        );
+    }
+    if given.is_instance_of::<PyString>() {
+        let message = format!(
+            "rows of `{}` are a list of tuples or a numpy array, not a str",
+            relation.name
+        );
+        return Err(PyTypeError::new_err(message));
+    }
+    let mut found = Words {
+        rows: 0,
+        words: Vec::new(),
+    };
+    for values in given.try_iter()? {
+        let words = row(relation, &values?, false, symbol).map_err(|error| in_row(given.py(), found.rows, &error))?;
+        found.words.extend(words.into_iter().flatten());
+        found.rows += 1;
+        if found.rows.is_multiple_of(PAUSE) {
+            given.py().check_signals()?;
+        }
+    }
+    Ok(found)
+}
+
+/// The same error, of a row among others.
+fn in_row(py: Python<'_>, row: usize, error: &PyErr) -> PyErr {
+    let message = format!("row {row}: {}", error.value(py));
+    match error.is_instance_of::<PyTypeError>(py) {
+        true => PyTypeError::new_err(message),
+        false if error.is_instance_of::<PyValueError>(py) => PyValueError::new_err(message),
+        false => error.clone_ref(py),
+    }
+}
+
+fn of_array(relation: &Relation, array: &Bound<'_, PyUntypedArray>, symbol: &dyn Fn(&str) -> Value) -> PyResult<Words> {
+    let (py, name, arity) = (array.py(), &relation.name, relation.arity());
+    let fields = array.dtype().names();
+    if let (Some(fields), 1) = (&fields, array.ndim()) {
+        let fields: Vec<Bound<'_, PyAny>> = fields.iter().map(|field| PyString::new(py, field).into_any()).collect();
+        return of_named(relation, &fields, array, symbol);
+    }
+    if fields.is_some() || array.ndim() != 2 || array.shape()[1] != arity {
+        let shape = array.getattr(intern!(py, "shape"))?;
+        return Err(PyValueError::new_err(format!(
+            "rows of `{name}` are an array of shape (n, {arity}), or (n,) with the columns as fields, not {shape}"
+        )));
+    }
+    let columns = array.getattr(intern!(py, "T"))?;
+    let columns: PyResult<Vec<_>> = (0..arity).map(|at| columns.get_item(at)).collect();
+    of_columns(relation, &columns?, array.shape()[0], symbol)
+}
+
+/// Columns by their names, which `given` has as keys.
+fn of_named(
+    relation: &Relation,
+    keys: &[Bound<'_, PyAny>],
+    given: &Bound<'_, PyAny>,
+    symbol: &dyn Fn(&str) -> Value,
+) -> PyResult<Words> {
+    let mut names: Vec<String> = keys.iter().map(|key| key.extract()).collect::<PyResult<_>>()?;
+    let mut wanted: Vec<&str> = relation.columns.iter().map(|column| column.name.as_str()).collect();
+    let shown = format!("[{}]", wanted.join(", "));
+    names.sort_unstable();
+    wanted.sort_unstable();
+    if names != wanted {
+        let (name, found) = (&relation.name, names.join(", "));
+        return Err(PyValueError::new_err(format!(
+            "the columns of `{name}` are {shown}, not [{found}]"
+        )));
+    }
+    let asarray = given
+        .py()
+        .import(intern!(given.py(), "numpy"))?
+        .getattr(intern!(given.py(), "asarray"))?;
+    let columns = relation
+        .columns
+        .iter()
+        .map(|column| asarray.call1((given.get_item(&column.name)?,)));
+    let columns: Vec<Bound<'_, PyAny>> = columns.collect::<PyResult<_>>()?;
+    let rows = match columns.first() {
+        Some(column) => column.len()?,
+        None => 0,
+    };
+    of_columns(relation, &columns, rows, symbol)
+}
+
+fn of_columns(
+    relation: &Relation,
+    columns: &[Bound<'_, PyAny>],
+    rows: usize,
+    symbol: &dyn Fn(&str) -> Value,
+) -> PyResult<Words> {
+    let arity = relation.arity();
+    let mut words = vec![Value(0); rows * arity];
+    for (at, (column, array)) in relation.columns.iter().zip(columns).enumerate() {
+        let array = array.cast::<PyUntypedArray>()?;
+        if array.shape() != [rows] {
+            let (expects, shape) = (expects(relation, column), array.getattr(intern!(array.py(), "shape"))?);
+            return Err(PyValueError::new_err(format!(
+                "{expects}: expected {rows} of them, not an array of shape {shape}"
+            )));
+        }
+        let into = words.iter_mut().skip(at).step_by(arity.max(1));
+        fill(relation, column, array, symbol, into)?;
+    }
+    Ok(Words { rows, words })
+}
+
+/// Writes the words of a column.
+fn fill<'a>(
+    relation: &Relation,
+    column: &Column,
+    array: &Bound<'_, PyUntypedArray>,
+    symbol: &dyn Fn(&str) -> Value,
+    into: impl Iterator<Item = &'a mut Value>,
+) -> PyResult<()> {
+    match (column.base, array.dtype().kind()) {
+        (BaseType::Symbol, b'U' | b'O' | b'T') => {
+            for (row, (value, into)) in array.call_method0("tolist")?.try_iter()?.zip(into).enumerate() {
+                let value = value?;
+                *into = match word(&value, BaseType::Symbol, symbol)? {
+                    Ok(word) => word,
+                    Err(_) => {
+                        let message = format!("row {row}: {}, not {}", expects(relation, column), value.repr()?);
+                        return Err(PyTypeError::new_err(message));
+                    }
+                };
+            }
+            Ok(())
+        }
+        (base @ (BaseType::Number | BaseType::Unsigned), b'i') => convert::<i64>(
+            relation,
+            column,
+            (array, "int64"),
+            |value| number(base, value.into()),
+            into,
+        ),
+        (base @ (BaseType::Number | BaseType::Unsigned), b'u') => convert::<u64>(
+            relation,
+            column,
+            (array, "uint64"),
+            |value| number(base, value.into()),
+            into,
+        ),
+        (BaseType::Float, b'f' | b'i' | b'u') => convert::<f64>(relation, column, (array, "float64"), float, into),
+        _ => {
+            let message = format!("{}, not values of dtype {}", expects(relation, column), array.dtype());
+            Err(PyTypeError::new_err(message))
+        }
+    }
+}
+
+/// Writes the words of a column of numbers, as whose widest type numpy gives them.
+fn convert<'a, T: Element + Copy + std::fmt::Display>(
+    relation: &Relation,
+    column: &Column,
+    (array, dtype): (&Bound<'_, PyUntypedArray>, &str),
+    word: impl Fn(T) -> Result<Value, Misfit>,
+    into: impl Iterator<Item = &'a mut Value>,
+) -> PyResult<()> {
+    let numpy = array.py().import(intern!(array.py(), "numpy"))?;
+    // Whatever the order of its bytes, its strides and its place in memory are.
+    let array = numpy.call_method1(intern!(array.py(), "require"), (array, dtype, ("C", "A")))?;
+    let array: PyReadonlyArray1<'_, T> = array.extract()?;
+    for (row, (&value, into)) in array.as_slice()?.iter().zip(into).enumerate() {
+        *into = word(value).map_err(|_| {
+            PyValueError::new_err(format!(
+                "row {row}: {}; {value} is out of range",
+                expects(relation, column)
+            ))
+        })?;
+    }
+    Ok(())
+}
+
+/// The texts of symbols as Python has them, each made once.
+struct Texts<'a, 'py> {
+    py: Python<'py>,
+    symbols: &'a Symbols,
+    made: HashMap<u32, Bound<'py, PyAny>>,
+}
+
+impl<'py> Texts<'_, 'py> {
+    fn value(&mut self, value: Value, base: BaseType) -> PyResult<Bound<'py, PyAny>> {
+        Ok(match base {
+            BaseType::Number => value.as_number().into_pyobject(self.py)?.into_any(),
+            BaseType::Unsigned => value.0.into_pyobject(self.py)?.into_any(),
+            BaseType::Float => value.as_float().into_pyobject(self.py)?.into_any(),
+            BaseType::Symbol => {
+                let text = || PyString::new(self.py, self.symbols.text(Symbol(value.0)).unwrap_or_default()).into_any();
+                self.made.entry(value.0).or_insert_with(text).clone()
+            }
+        })
+    }
+}
+
+/// A list of tuples.
+pub fn tuples<'py, 'r>(
+    py: Python<'py>,
+    columns: &[Column],
+    rows: impl Iterator<Item = &'r [Value]>,
+    symbols: &Symbols,
+) -> PyResult<Bound<'py, PyList>> {
+    let mut texts = Texts {
+        py,
+        symbols,
+        made: HashMap::new(),
+    };
+    let list = PyList::empty(py);
+    for (position, row) in rows.enumerate() {
+        let values = columns
+            .iter()
+            .zip(row)
+            .map(|(column, &value)| texts.value(value, column.base));
+        list.append(PyTuple::new(py, values.collect::<PyResult<Vec<_>>>()?)?)?;
+        if position.is_multiple_of(PAUSE) {
+            py.check_signals()?;
+        }
+    }
+    Ok(list)
+}
+
+/// A dict from the names of columns to arrays.
+pub fn arrays<'py, 'r, R: Iterator<Item = &'r [Value]>>(
+    py: Python<'py>,
+    columns: &[Column],
+    rows: impl Fn() -> R,
+    symbols: &Symbols,
+) -> PyResult<Bound<'py, PyDict>> {
+    let dict = PyDict::new(py);
+    for (at, column) in columns.iter().enumerate() {
+        let words = rows().map(|row| row[at]);
+        let array = match column.base {
+            BaseType::Number => PyArray1::from_vec(py, words.map(Value::as_number).collect()).into_any(),
+            BaseType::Unsigned => PyArray1::from_vec(py, words.map(|word| word.0).collect()).into_any(),
+            BaseType::Float => PyArray1::from_vec(py, words.map(Value::as_float).collect()).into_any(),
+            BaseType::Symbol => {
+                let mut texts = Texts {
+                    py,
+                    symbols,
+                    made: HashMap::new(),
+                };
+                let values = words.map(|word| Ok(texts.value(word, BaseType::Symbol)?.unbind()));
+                PyArray1::from_vec(py, values.collect::<PyResult<Vec<_>>>()?).into_any()
+            }
+        };
+        dict.set_item(&column.name, array)?;
+    }
+    Ok(dict)
+}

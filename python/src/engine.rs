@@ -1,0 +1,423 @@
+//! Programs and sessions.
+
+use crate::columns;
+use crate::{Shared, input_error, to_python};
+use logicity::diag::{Diagnostic, Sources, did_you_mean, to_json};
+use logicity::engine::provenance::{Explainer, Teller};
+use logicity::engine::{self, Limits, Program, RowError, StratumWork, Threads};
+use logicity::files::{ReadError, read_or_builtin};
+use logicity::lang::{ClauseId, Inputs, RelId, Relation, Texts, Value};
+use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+use serde_json::json;
+use std::collections::HashMap;
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(check, module)?)?;
+    module.add_class::<PyProgram>()?;
+    module.add_class::<PySession>()?;
+    module.add_class::<PyRows>()
+}
+
+/// The diagnostics of a rule text.
+#[pyfunction]
+fn check<'py>(py: Python<'py>, text: &str, name: &str) -> PyResult<Bound<'py, PyAny>> {
+    let mut sources = Sources::new();
+    let entry = sources.add(name, text);
+    let (_, diagnostics) = py.detach(|| Program::load(&mut sources, entry, &read_or_builtin));
+    to_python(py, &to_json(&diagnostics, &sources))
+}
+
+/// A checked and planned program, with its texts.
+struct Loaded {
+    texts: Texts,
+    sources: Sources,
+    program: Program,
+    warnings: Vec<Diagnostic>,
+}
+
+impl Loaded {
+    fn teller<'a>(&'a self, session: &'a engine::Session) -> Teller<'a> {
+        Teller::new(self.program.rules(), session.symbols(), &self.sources).quoting()
+    }
+
+    /// The declared predicates.
+    fn relations(&self) -> impl Iterator<Item = (RelId, &Relation)> {
+        let relations = (0..).map(RelId).zip(&self.program.rules().relations);
+        relations.filter(|(_, relation)| !relation.hidden)
+    }
+
+    fn relation(&self, name: &str) -> PyResult<(RelId, &Relation)> {
+        self.relations()
+            .find(|(_, relation)| relation.name == name)
+            .ok_or_else(|| {
+                let near = did_you_mean(name, self.relations().map(|(_, relation)| relation.name.as_str()));
+                let hint = near.map_or_else(String::new, |near| format!("; did you mean `{near}`?"));
+                PyKeyError::new_err(format!("the program declares no predicate `{name}`{hint}"))
+            })
+    }
+}
+
+/// A program: rules, checked and planned.
+#[pyclass(name = "Program", module = "logicity._logicity", frozen)]
+pub struct PyProgram(Arc<Loaded>);
+
+/// A text and its name.
+type File = (String, String);
+
+#[pymethods]
+impl PyProgram {
+    /// The program of the first of `files`. What it includes is read from the others if there are any, else from disk.
+    #[new]
+    fn new(py: Python<'_>, files: Vec<File>) -> PyResult<Self> {
+        let mut sources = Sources::new();
+        let Some(((name, text), others)) = files.split_first() else {
+            return Err(PyValueError::new_err("a program has a text"));
+        };
+        let entry = sources.add(name, text);
+        let given: HashMap<PathBuf, &String> = others.iter().map(|(name, text)| (name.into(), text)).collect();
+        let read = |path: &Path| match (given.get(path), given.is_empty()) {
+            (_, true) => read_or_builtin(path),
+            (Some(text), _) => Ok(String::clone(text)),
+            (None, _) => Err(ReadError::NotFound),
+        };
+        let loaded = py.detach(|| {
+            let mut texts = Texts::new(Inputs::Extended);
+            texts.add(&mut sources, entry, &read);
+            let checked = texts.check();
+            let program = checked.rules.map(Program::new).transpose();
+            (texts, checked.diagnostics, program)
+        });
+        match loaded {
+            (texts, warnings, Ok(Some(program))) => Ok(PyProgram(Arc::new(Loaded {
+                texts,
+                sources,
+                program,
+                warnings,
+            }))),
+            (_, faults, Ok(None)) => Err(input_error(py, &faults, &sources)),
+            (_, _, Err(fault)) => Err(input_error(py, &[fault], &sources)),
+        }
+    }
+
+    /// All texts by their names, the entry first.
+    fn files(&self) -> Vec<(&str, &str)> {
+        let sources = &self.0.sources;
+        sources.ids().map(|id| (sources.name(id), sources.text(id))).collect()
+    }
+
+    fn relations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let (rules, sources) = (self.0.program.rules(), &self.0.sources);
+        let relations = self.0.relations().map(|(_, relation)| {
+            let columns = relation.columns.iter();
+            let columns = columns.map(|column| {
+                json!({ "name": column.name, "type": rules.types[column.ty.0 as usize].name, "base": column.base.name() })
+            });
+            let position = sources.position(relation.span);
+            json!({
+                "name": relation.name,
+                "columns": columns.collect::<Vec<_>>(),
+                "input": relation.input,
+                "output": relation.output,
+                "derived": relation.derived,
+                "doc": relation.doc,
+                "file": sources.name(relation.span.source),
+                "line": position.line,
+            })
+        });
+        to_python(py, &relations.collect())
+    }
+
+    fn strata(&self) -> Vec<Vec<String>> {
+        let rules = self.0.program.rules();
+        let shown = |relation: &RelId| Some(&rules.relations[relation.index()]).filter(|relation| !relation.hidden);
+        let names = (rules.strata.iter()).map(|stratum| stratum.relations.iter().filter_map(shown));
+        let names = names.map(|relations| relations.map(|relation| relation.name.clone()).collect());
+        names.filter(|names: &Vec<_>| !names.is_empty()).collect()
+    }
+
+    fn clauses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let Loaded { sources, program, .. } = &*self.0;
+        let rules = program.rules();
+        let teller = Teller::new(rules, &rules.symbols, sources);
+        let shown = (rules.clauses.iter().zip((0..).map(ClauseId)))
+            .filter(|(clause, _)| !rules.relations[clause.head.relation.index()].hidden);
+        let told = shown.map(|(clause, id)| {
+            let mut told = teller.clause_json(id);
+            told["label"] = json!(teller.label(id));
+            told["text"] = json!(sources.slice(clause.span));
+            told["column"] = json!(sources.position(clause.span).column);
+            told
+        });
+        to_python(py, &told.collect())
+    }
+
+    fn warnings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &to_json(&self.0.warnings, &self.0.sources))
+    }
+
+    fn plan(&self) -> String {
+        self.0.program.show_plans(&self.0.sources)
+    }
+}
+
+/// Facts and what follows from them.
+#[pyclass(name = "Session", module = "logicity._logicity", frozen)]
+pub struct PySession {
+    loaded: Arc<Loaded>,
+    session: Shared<engine::Session>,
+}
+
+fn row_error(error: &RowError) -> PyErr {
+    PyValueError::new_err(error.to_string())
+}
+
+#[pymethods]
+impl PySession {
+    #[new]
+    fn new(
+        program: &PyProgram,
+        threads: usize,
+        max_rows: Option<usize>,
+        max_steps: Option<u64>,
+        max_bytes: Option<u64>,
+    ) -> PyResult<Self> {
+        let mut session = program.0.program.session();
+        let usual = Limits::default();
+        session.set_limits(Limits {
+            rows: max_rows.unwrap_or(usual.rows),
+            steps: max_steps.unwrap_or(usual.steps),
+            bytes: max_bytes.unwrap_or(usual.bytes),
+        });
+        let threads = NonZeroUsize::new(threads).map_or_else(Threads::all, Threads::new);
+        (session.set_threads(threads))
+            .map_err(|error| PyRuntimeError::new_err(format!("cannot start {} threads: {error}", threads.count)))?;
+        Ok(PySession {
+            loaded: Arc::clone(&program.0),
+            session: Shared::new("Session", session),
+        })
+    }
+
+    fn insert(&self, relation: &str, rows: &Bound<'_, PyAny>) -> PyResult<usize> {
+        self.change(relation, rows, true)
+    }
+
+    fn retract(&self, relation: &str, rows: &Bound<'_, PyAny>) -> PyResult<usize> {
+        self.change(relation, rows, false)
+    }
+
+    fn rollback(&self) -> PyResult<()> {
+        self.session.with(|session| {
+            session.rollback();
+            Ok(())
+        })
+    }
+
+    /// What became true and what stopped being true, by predicate.
+    fn commit<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyDict>> {
+        let (py, this) = (slf.py(), slf.get());
+        let committed = this
+            .session
+            .detached(py, |session, signals| session.commit_until(&|| signals.raised()))?;
+        let Loaded { program, sources, .. } = &*this.loaded;
+        let delta = committed.map_err(|error| input_error(py, &[error.diagnostic(program.rules())], sources))?;
+        let changes = PyDict::new(py);
+        for change in delta.changes() {
+            let relation = &program.rules().relations[change.relation.index()];
+            if !relation.hidden {
+                let rows = |rows: &engine::Rows| PyRows {
+                    session: slf.clone().unbind(),
+                    relation: change.relation,
+                    rows: rows.clone(),
+                };
+                changes.set_item(&relation.name, (rows(&change.added), rows(&change.removed)))?;
+            }
+        }
+        Ok(changes)
+    }
+
+    fn tuples<'py>(&self, py: Python<'py>, relation: &str) -> PyResult<Bound<'py, PyList>> {
+        let (id, relation) = self.loaded.relation(relation)?;
+        let tuples =
+            |session: &mut engine::Session| columns::tuples(py, &relation.columns, session.rows(id), session.symbols());
+        self.session.with(tuples)
+    }
+
+    fn columns<'py>(&self, py: Python<'py>, relation: &str) -> PyResult<Bound<'py, PyDict>> {
+        let (id, relation) = self.loaded.relation(relation)?;
+        let arrays = |session: &mut engine::Session| {
+            columns::arrays(py, &relation.columns, || session.rows(id), session.symbols())
+        };
+        self.session.with(arrays)
+    }
+
+    fn count(&self, relation: &str) -> PyResult<usize> {
+        let (id, _) = self.loaded.relation(relation)?;
+        self.session.with(|session| Ok(session.len(id)))
+    }
+
+    fn contains(&self, relation: &str, row: &Bound<'_, PyAny>) -> PyResult<bool> {
+        let (id, relation) = self.loaded.relation(relation)?;
+        self.session.with(|session| {
+            let symbols = session.symbols();
+            let row = columns::row(relation, row, false, &|text| {
+                Value(symbols.get(text).map_or(u32::MAX, |symbol| symbol.0))
+            })?;
+            let row: Vec<Value> = row.into_iter().flatten().collect();
+            Ok(session.contains(id, &row))
+        })
+    }
+
+    /// The fact as it is written, whether it holds, why as text, and the nodes of that.
+    fn explain<'py>(
+        &self,
+        py: Python<'py>,
+        fact: &str,
+        row: Option<&Bound<'py, PyAny>>,
+        why_not: bool,
+    ) -> PyResult<(String, bool, String, Bound<'py, PyAny>)> {
+        let loaded = &*self.loaded;
+        let (relation, pattern) = self.session.with(|session| match row {
+            Some(row) => {
+                let (id, relation) = loaded.relation(fact)?;
+                let symbols = session.symbols();
+                Ok((
+                    id,
+                    columns::row(relation, row, true, &|text| Value(symbols.intern(text).0))?,
+                ))
+            }
+            None => {
+                let mut sources = loaded.sources.clone();
+                let question = sources.add("<fact>", fact);
+                let fact = loaded.texts.fact(&sources, question, session.symbols());
+                let fact = fact.map_err(|faults| input_error(py, &faults, &sources))?;
+                Ok((fact.relation, fact.values))
+            }
+        })?;
+        let told = self.session.detached(py, |session, signals| {
+            let stop = || signals.raised();
+            let mut explainer = Explainer::new(session);
+            explainer.stop_when(&stop);
+            let (holds, explanation) = explainer.explain_either(relation, &pattern)?;
+            let teller = loaded.teller(session);
+            let fact = teller.row(relation, &pattern);
+            let mut text = match (holds, why_not) {
+                (false, false) => format!("{fact} does not hold, and this is why\n"),
+                (true, true) => format!("{fact} holds, and this is why\n"),
+                _ => String::new(),
+            };
+            let explanation = explanation.unwrap_or_default();
+            text += &teller.tree(&explanation);
+            Ok((fact, holds, text, teller.json(&explanation)["nodes"].take()))
+        })?;
+        let (fact, holds, text, nodes) =
+            told.map_err(|error: engine::provenance::ExplainError| input_error(py, &[error.into()], &loaded.sources))?;
+        Ok((fact, holds, text, to_python(py, &nodes)?))
+    }
+
+    /// What the last commit did, stratum by stratum.
+    fn work<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let Loaded { program, sources, .. } = &*self.loaded;
+        let rules = program.rules();
+        self.session.with(|session| {
+            let teller = Teller::new(rules, session.symbols(), sources);
+            let strata = session.work().strata.iter().zip(&rules.strata).map(|(work, stratum)| {
+                let names = stratum.relations.iter().map(|id| &rules.relations[id.index()]);
+                let names: Vec<&str> = names
+                    .map(|relation| if relation.hidden { &relation.doc } else { &relation.name })
+                    .map(String::as_str)
+                    .collect();
+                let how = match work {
+                    StratumWork::Skipped => "skipped",
+                    StratumWork::Maintained(_) => "maintained",
+                    StratumWork::Recomputed(_) => "recomputed",
+                };
+                let done = work.work();
+                let clauses = done.iter().flat_map(|work| &work.rules).map(|rule| {
+                    json!({
+                        "clause": teller.label(rule.clause),
+                        "given": rule.given,
+                        "looked_at": rule.looked_at,
+                        "derived": rule.derived,
+                    })
+                });
+                json!({
+                    "relations": names,
+                    "how": how,
+                    "rounds": done.map_or(0, |work| work.rounds),
+                    "looked_at": done.map_or(0, |work| work.looked_at() + work.given_up),
+                    "clauses": clauses.collect::<Vec<_>>(),
+                })
+            });
+            to_python(py, &strata.collect())
+        })
+    }
+
+    /// How clauses are evaluated now.
+    fn plan(&self) -> PyResult<String> {
+        self.session
+            .with(|session| Ok(session.show_plans(&self.loaded.sources)))
+    }
+}
+
+impl PySession {
+    fn change(&self, relation: &str, rows: &Bound<'_, PyAny>, present: bool) -> PyResult<usize> {
+        let (id, relation) = self.loaded.relation(relation)?;
+        // What is iterated over may ask this session itself, so it is not held meanwhile.
+        let symbols = |text: &str| self.session.with(|session| Ok(session.intern(text)));
+        let failed = std::cell::RefCell::new(None);
+        let found = columns::rows(relation, rows, &|text| {
+            symbols(text).unwrap_or_else(|error| {
+                failed.borrow_mut().get_or_insert(error);
+                Value(0)
+            })
+        })?;
+        if let Some(error) = failed.into_inner() {
+            return Err(error);
+        }
+        self.session.with(|session| {
+            let width = relation.arity().max(1);
+            let noted = match (present, relation.arity()) {
+                (true, 1..) => session.insert_all(id, found.words.chunks_exact(width)),
+                (true, 0) => (0..found.rows).try_for_each(|_| session.insert(id, &[])),
+                (false, 0) => (0..found.rows).try_for_each(|_| session.retract(id, &[])),
+                (false, 1..) => (found.words.chunks_exact(width)).try_for_each(|row| session.retract(id, row)),
+            };
+            noted.map_err(|error| row_error(&error))?;
+            Ok(found.rows)
+        })
+    }
+}
+
+/// Rows that a commit has added or removed.
+#[pyclass(name = "Rows", module = "logicity._logicity", frozen)]
+pub struct PyRows {
+    session: Py<PySession>,
+    relation: RelId,
+    rows: engine::Rows,
+}
+
+#[pymethods]
+impl PyRows {
+    fn __len__(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Those from one position to before another.
+    fn tuples<'py>(&self, py: Python<'py>, start: usize, stop: usize) -> PyResult<Bound<'py, PyList>> {
+        let PySession { loaded, session } = self.session.get();
+        let relation = &loaded.program.rules().relations[self.relation.index()];
+        let rows = self.rows.range(start..stop);
+        session.with(|session| columns::tuples(py, &relation.columns, rows, session.symbols()))
+    }
+
+    fn columns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let PySession { loaded, session } = self.session.get();
+        let relation = &loaded.program.rules().relations[self.relation.index()];
+        session.with(|session| columns::arrays(py, &relation.columns, || self.rows.iter(), session.symbols()))
+    }
+}

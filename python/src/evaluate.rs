@@ -1,0 +1,221 @@
+//! Policies measured on recorded episodes, and what tables about a task are made of.
+
+use crate::env::{PyTask, speed, split_named, view_named};
+use crate::to_python;
+use logicity::config::{Speed, Split};
+use logicity::task::path::{Baseline, Egos, Env, EpisodeSet, Exam, RANDOM_RUNS, Rollout, Summary, View, summarise};
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
+use pyo3::exceptions::{PyIndexError, PyValueError};
+use pyo3::prelude::*;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyBaseline>()?;
+    module.add_class::<PyExam>()?;
+    module.add_function(wrap_pyfunction!(describe, module)?)
+}
+
+/// How the random policy does on the recorded episodes of a split.
+#[pyclass(name = "Baseline", module = "logicity._logicity")]
+struct PyBaseline {
+    task: Py<PyTask>,
+    set: EpisodeSet,
+    env: Env,
+    baseline: Baseline,
+}
+
+#[pymethods]
+impl PyBaseline {
+    #[new]
+    fn new(py: Python<'_>, task: Py<PyTask>, split: &str) -> PyResult<Self> {
+        let split = split_named(split)?;
+        let shared = &task.get().task;
+        let env = py.detach(|| Env::new(Arc::clone(shared), split, Egos::First));
+        Ok(PyBaseline {
+            env: env.map_err(|fault| task.get().error(py, fault))?,
+            set: task.get().episode_set(py, split)?,
+            baseline: Baseline::default(),
+            task,
+        })
+    }
+
+    /// How many episodes there are.
+    fn __len__(&self) -> usize {
+        self.set.episodes.len()
+    }
+
+    /// SHA-256 of the set of episodes.
+    fn hash(&self) -> String {
+        self.set.hash()
+    }
+
+    /// Drives the next episode that has not been driven.
+    fn add(&mut self, py: Python<'_>) -> PyResult<()> {
+        let next = self.set.episodes.get(self.baseline.returns().len());
+        let episode = next.ok_or_else(|| PyIndexError::new_err("every episode has been driven"))?;
+        let (env, baseline) = (&mut self.env, &mut self.baseline);
+        py.detach(|| baseline.add(env, episode))
+            .map_err(|fault| self.task.get().error(py, fault))
+    }
+
+    /// How it did on the episodes driven: `summary` and `episodes`.
+    fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let task = self.task.get();
+        let runs = self.baseline.rollouts().iter().enumerate();
+        let records = runs.map(|(run, rollout)| (run / usize::from(RANDOM_RUNS), rollout));
+        report(py, task, &self.baseline.summary(&task.task), records)
+    }
+}
+
+/// Recorded episodes that a policy in Python drives side by side, each once.
+#[pyclass(name = "Exam", module = "logicity._logicity")]
+struct PyExam {
+    task: Py<PyTask>,
+    exam: Exam,
+    view: View,
+    actions: Vec<Speed>,
+}
+
+#[pymethods]
+impl PyExam {
+    #[new]
+    fn new(py: Python<'_>, baseline: &PyBaseline, observation: &str) -> PyResult<Self> {
+        let (task, set, view) = (baseline.task.clone_ref(py), &baseline.set, view_named(observation)?);
+        let exam = py.detach(|| Exam::new(&task.get().task, set));
+        Ok(PyExam {
+            exam: exam.map_err(|fault| task.get().error(py, fault))?,
+            actions: Vec::with_capacity(set.episodes.len()),
+            task,
+            view,
+        })
+    }
+
+    /// How many episodes there are.
+    fn __len__(&self) -> usize {
+        self.exam.envs().len()
+    }
+
+    /// Writes what the egos observe, a row for each episode.
+    fn observe(&self, mut out: PyReadwriteArrayDyn<'_, f32>) -> PyResult<()> {
+        let width: usize = self.view.shape(&self.task.get().task).iter().product();
+        let rows = out
+            .as_slice_mut()
+            .map_err(|error| PyValueError::new_err(error.to_string()))?;
+        check(rows.len(), width * self.exam.envs().len())?;
+        for (env, row) in self.exam.envs().iter().zip(rows.chunks_exact_mut(width)) {
+            self.view.write(env, 0, row);
+        }
+        Ok(())
+    }
+
+    /// Writes which episodes go on.
+    fn running(&self, mut out: PyReadwriteArray1<'_, bool>) -> PyResult<()> {
+        let out = out
+            .as_slice_mut()
+            .map_err(|error| PyValueError::new_err(error.to_string()))?;
+        check(out.len(), self.exam.envs().len())?;
+        out.iter_mut()
+            .zip(self.exam.running())
+            .for_each(|(out, running)| *out = running);
+        Ok(())
+    }
+
+    /// What the rules want now.
+    fn oracle_actions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
+        let actions = self.exam.envs().iter().map(|env| env.oracle_action(0) as i64);
+        actions.collect::<Vec<i64>>().into_pyarray(py)
+    }
+
+    /// Takes a step in every episode that goes on.
+    fn step(&mut self, py: Python<'_>, actions: PyReadonlyArray1<'_, i64>) -> PyResult<()> {
+        let given = actions.as_array();
+        check(given.len(), self.exam.envs().len())?;
+        self.actions.clear();
+        for (at, &action) in given.iter().enumerate() {
+            self.actions.push(speed(py, action, || format!(" (of episode {at})"))?);
+        }
+        let (exam, actions) = (&mut self.exam, &self.actions);
+        py.detach(|| exam.step(actions))
+            .map_err(|fault| self.task.get().error(py, fault))
+    }
+
+    /// How it went: `summary`, with a score against a baseline on the same episodes, and `episodes`.
+    fn report<'py>(&self, py: Python<'py>, baseline: &PyBaseline) -> PyResult<Bound<'py, PyAny>> {
+        let (task, rollouts) = (self.task.get(), self.exam.rollouts());
+        check(baseline.baseline.returns().len(), rollouts.len())?;
+        let summary = summarise(&task.task, rollouts, Some(baseline.baseline.returns()));
+        report(py, task, &summary, rollouts.iter().enumerate())
+    }
+}
+
+fn check(given: usize, wanted: usize) -> PyResult<()> {
+    match given == wanted {
+        true => Ok(()),
+        false => Err(PyValueError::new_err(format!(
+            "{given} given where {wanted} are wanted"
+        ))),
+    }
+}
+
+fn report<'py, 'a>(
+    py: Python<'py>,
+    task: &PyTask,
+    summary: &Summary,
+    rollouts: impl Iterator<Item = (usize, &'a Rollout)>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let record = |(episode, rollout): (usize, &Rollout)| {
+        let constrained = Speed::ALL
+            .into_iter()
+            .zip(rollout.constrained)
+            .filter(|(_, steps)| *steps > 0);
+        let constrained: BTreeMap<&str, u32> = constrained.map(|(action, steps)| (action.name(), steps)).collect();
+        let labels = rollout.broken.iter().map(|&demand| task.task.label(demand));
+        json!({
+            "episode": episode, "steps": rollout.steps, "total": rollout.total, "success": rollout.success,
+            "truncated": rollout.truncated, "constrained": constrained, "violations": labels.collect::<Vec<&str>>(),
+        })
+    };
+    let episodes: Vec<Value> = rollouts.map(record).collect();
+    to_python(py, &json!({"summary": summary, "episodes": episodes}))
+}
+
+/// What a task is; the recorded episodes of each split with their hash.
+#[pyfunction]
+fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> {
+    let (shared, world) = (&task.task, task.task.world());
+    let (config, oracle) = (shared.config(), shared.oracle());
+    let columns = oracle.columns().map(|(predicate, width)| {
+        let predicate = &world.vocabulary.predicates[predicate];
+        json!({"predicate": predicate.name, "arity": predicate.arity, "width": width})
+    });
+    let demands = oracle.demands().iter().enumerate().map(|(number, demand)| {
+        let reward = shared.reward(demand.action, &[number], 1);
+        json!({"clause": shared.label(number), "action": demand.action.name(), "reward": reward})
+    });
+    let by_action = Speed::ALL.map(|action| (action.name(), config.reward.actions[action as usize]));
+    let mut splits = serde_json::Map::new();
+    for split in Split::ALL {
+        let Some(agents) = world.scenario.agent_set(split) else {
+            continue;
+        };
+        let set = match config.episodes[split as usize] {
+            Some(_) => Some(task.episode_set(py, split)?),
+            None => None,
+        };
+        let told = json!({
+            "agents": agents.entries().map(|group| group.count).sum::<u32>(),
+            "episodes": set.as_ref().map(|set| set.episodes.len()),
+            "hash": set.as_ref().map(EpisodeSet::hash),
+        });
+        splits.insert(split.name().to_owned(), told);
+    }
+    let told = json!({
+        "entities": oracle.entities(), "columns": columns.collect::<Vec<Value>>(),
+        "width": shared.observation_width(), "points": shared.points_shape(), "route_length": config.route_length,
+        "horizon": config.horizon, "patience": config.patience, "overtime": config.reward.overtime,
+        "actions": BTreeMap::from(by_action), "demands": demands.collect::<Vec<Value>>(), "splits": splits,
+    });
+    to_python(py, &told)
+}

@@ -1,0 +1,283 @@
+"""Scenes and simulations: decisions, arrays, controls, reasons, traces, and how long work is ended."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import logicity
+from logicity import ACTIONS, HEADINGS, REASONS, Inference, InputError, LimitError, Scene, Simulation, infer
+
+
+def scene() -> Scene:
+    return {
+        "map": "square-5x5",
+        "agents": [
+            {"id": "Car_1", "type": "Car", "at": [102, 20], "heading": "Up", "concepts": ["tiro"], "priority": 1},
+            {"id": "Pedestrian_1", "type": "Pedestrian", "at": [98, 20], "priority": 0},
+        ],
+        "egos": ["Car_1"],
+    }
+
+
+@pytest.mark.parametrize("executor", ["auto", "dense", "relational"])
+def test_the_expert_rules_stop_a_car_in_front_of_a_pedestrian(executor: Any) -> None:
+    answer = infer(scene(), executor=executor)["egos"]["Car_1"]
+    assert answer["sees"] == ["Car_1", "Pedestrian_1"]
+    assert answer["true"]["CollidingClose"] == [["Car_1", "Pedestrian_1"]]
+    assert answer["derived"] == ["Stop"]
+    assert answer["action"] == "Stop"
+
+
+def test_given_atoms_replace_computed_ones() -> None:
+    given = scene()
+    given["given"] = {"CollidingClose": []}
+    answer = Inference().answer(given)["egos"]["Car_1"]
+    assert "CollidingClose" not in answer["true"]
+    assert answer["action"] == "Normal"
+
+
+def test_a_symbolic_scene_skips_grounding() -> None:
+    answer = infer({"entities": ["a", "b"], "ego": "a", "facts": {"IsAtInter": ["a"], "IsInInter": ["b"]}}, "easy")
+    assert answer["egos"]["a"]["action"] == "Stop"
+
+
+def test_a_faulty_scene_says_what_is_wrong() -> None:
+    faulty = scene()
+    faulty["agents"][0]["concepts"] = ["ambulence"]
+    with pytest.raises(InputError) as caught:
+        Inference().answer(faulty)
+    (fault,) = caught.value.diagnostics
+    assert fault["code"] == "invalid-scene"
+    assert fault["help"] == ["did you mean `ambulance`?"]
+    with pytest.raises(TypeError, match="not JSON serializable"):
+        Inference().answer({"entities": {1}})  # type: ignore[arg-type]
+    with pytest.raises(LimitError):
+        infer({"entities": [f"e{n}" for n in range(5000)], "ego": "e0"})
+
+
+@pytest.mark.parametrize("kind", [Inference, Simulation])
+def test_faulty_files_and_options(kind: Any, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.yaml"):
+        kind("nowhere.yaml")
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.dl"):
+        kind(rules="nowhere.dl")
+    with pytest.raises(ValueError, match=r'"auto", "dense", "relational", not "quick"'):
+        kind(executor="quick")
+    with pytest.raises(OverflowError):
+        kind(seed=-1)
+    rules = tmp_path / "mine.dl"
+    rules.write_text('.include "vocabulary.dl"\nStop(X) :- IsCarr(X).\n')
+    with pytest.raises(InputError) as caught:
+        kind(rules=rules)
+    assert caught.value.diagnostics[0]["labels"][0]["file"] == str(rules)
+    config = tmp_path / "mine.yaml"
+    config.write_text("mapp: square-5x5\n")
+    with pytest.raises(InputError) as caught:
+        kind(config)
+    assert "unknown-key" in {fault["code"] for fault in caught.value.diagnostics}
+
+
+def test_an_inference_is_pickled_with_its_texts(tmp_path: Path) -> None:
+    rules = tmp_path / "mine.dl"
+    rules.write_text('.include "vocabulary.dl"\nFast(X) :- IsCar(X).\n')
+    inference = Inference("easy", rules, seed=3)
+    rules.unlink()
+    symbolic: logicity.SymbolicScene = {"entities": ["a"], "ego": "a", "facts": {"IsCar": ["a"]}}
+    for again in (pickle.loads(pickle.dumps(inference)), copy.deepcopy(inference), copy.copy(inference)):
+        assert again.answer(symbolic) == inference.answer(symbolic)
+        assert again.answer(symbolic)["egos"]["a"]["action"] == "Fast"
+
+
+def test_a_simulation_tells_its_state_in_arrays() -> None:
+    city = Simulation()
+    n = len(city.agents)
+    assert (n, city.now, city.executor, city.map_name) == (18, 0, "dense", "square-5x5")
+    assert city.agents[0].name.endswith("_1")
+    assert {agent.type for agent in city.agents} == {"Car", "Pedestrian"}
+    before = city.positions
+    assert (before.shape, before.dtype) == ((n, 2), np.dtype(np.int32))
+    assert city.headings.tolist() == [-1] * n
+    assert (city.actions == ACTIONS.index("Stop")).all()
+    tick = city.tick()
+    assert (tick.tick, city.now) == (0, 1)
+    assert np.array_equal(tick.at, before)
+    assert np.array_equal(tick.next, city.positions)
+    assert np.array_equal(tick.action, city.actions)
+    assert (tick.derived.shape, tick.derived.dtype) == ((n, 4), np.dtype(bool))
+    assert tick.heading.dtype == tick.action.dtype == tick.reason.dtype == np.dtype(np.int8)
+    # One action at most was derived for each here, and it was taken; else the default.
+    for derived, action in zip(tick.derived, tick.action, strict=True):
+        assert derived[action] if derived.any() else ACTIONS[action] == "Normal"
+    moved = (tick.at != tick.next).any(axis=1)
+    step = (tick.next - tick.at)[moved]
+    names = [HEADINGS[code] for code in city.headings[moved]]
+    signs = {"Left": (0, -1), "Right": (0, 1), "Up": (-1, 0), "Down": (1, 0)}
+    assert [tuple(np.sign(way)) for way in step] == [signs[name] for name in names]
+    assert len(REASONS) == 4
+    assert city.goals.shape == (n, 2)
+    # What was given out does not change any more.
+    city.run(20)
+    assert np.array_equal(tick.at, before)
+    assert repr(city) == "<Simulation configs/expert.yaml, split test, seed 0, after 21 ticks>"
+
+
+def test_simulations_with_equal_arguments_go_the_same_way() -> None:
+    cities = [Simulation("hard", split="val", seed=9, executor=executor) for executor in ("dense", "relational")]
+    cities.append(Simulation("hard", split="val", seed=9))
+    for city in cities[:2]:
+        for _ in range(30):
+            city.tick()
+    cities[2].run(30)
+    assert all(np.array_equal(city.positions, cities[0].positions) for city in cities)
+    assert not np.array_equal(
+        Simulation("hard", split="val", seed=10).positions, Simulation("hard", split="val", seed=9).positions
+    )
+
+
+def test_controls_replace_decisions() -> None:
+    city, free = Simulation(seed=4), Simulation(seed=4)
+    name = city.agents[2].name
+    for _ in range(20):
+        held, went = city.tick({name: "Stop", 3: ACTIONS.index("Stop"), int(np.int64(4)): 3}), free.tick()
+        assert (held.action[2:5] == ACTIONS.index("Stop")).all()
+        assert np.array_equal(held.at[2:5], held.next[2:5]) or (held.reason[2:5] != 0).any()
+        assert held.tick == went.tick
+    with pytest.raises(KeyError, match="did you mean `Car_1`"):
+        city.tick({"Car_l": "Stop"})
+    for agent in (-1, 18, 2**70):
+        with pytest.raises(KeyError, match="from 0 on"):
+            city.tick({agent: "Stop"})
+    for action in ("Halt", "Stopp", -1, 4, 1.0, True, float("nan"), None):
+        with pytest.raises((ValueError, TypeError)):
+            city.tick({0: action})  # type: ignore[dict-item]
+    with pytest.raises(TypeError):
+        city.tick({1.5: "Stop"})  # type: ignore[dict-item]
+    assert city.now == 20
+
+
+def test_the_semantic_map_shows_the_agents() -> None:
+    city = Simulation()
+    city.run(3)
+    layers = city.semantic_map()
+    rows, columns = city.map_shape
+    assert (layers.shape, layers.dtype) == ((rows, columns, 8 + len(city.agents)), np.dtype(np.float32))
+    assert set(np.unique(layers)) == {0.0, 1.0}
+    for index, (row, column) in enumerate(city.positions):
+        assert layers[row, column, 8 + index] == 1.0
+        assert layers[:, :, 8 + index].sum() == 1.0
+
+
+def test_facts_are_those_that_decided() -> None:
+    city = Simulation("easy", seed=2)
+    city.run(40)
+    facts, indices = city.facts(), city.fact_indices()
+    assert facts.keys() == indices.keys()
+    assert {name for (name,) in facts["IsPedestrian"]} == {
+        agent.name for agent in city.agents if agent.type == "Pedestrian"
+    }
+    assert indices["IsPedestrian"].shape[1:] == (1,)
+    assert indices["Sees"].dtype == np.dtype(np.int32)
+    # The engine alone derives the same actions from them.
+    session = logicity.Session(logicity.Program.load("rules/easy.dl"))
+    for predicate, rows in facts.items():
+        if predicate in session.program.relations:
+            session.insert(predicate, rows)
+    session.commit()
+    stopped = {name for (name,) in session.rows("Stop")}
+    derived = city.last.derived[:, ACTIONS.index("Stop")]
+    assert stopped == {agent.name for agent, stop in zip(city.agents, derived, strict=True) if stop}
+    assert stopped
+
+
+def test_why_an_agent_does_what_it_does() -> None:
+    city = Simulation()
+    city.run(6)
+    stopped = next(index for index, derived in enumerate(city.last.derived) if derived[ACTIONS.index("Stop")])
+    why = city.explain(stopped)
+    name = city.agents[stopped].name
+    assert (why.tick, why.agent, why.action, why.derived) == (5, name, "Stop", ("Stop",))
+    assert why.at == tuple(city.last.at[stopped])
+    assert str(why).startswith(
+        f"tick 5: {name} at [{why.at[0]}, {why.at[1]}], heading {why.heading}: Stop\n\nStop({name})  by S"
+    )
+    assert why.explanations[0]["nodes"][0]["holds"] == f"Stop({name})"
+    other = city.why_not(name, "Fast")
+    assert other.explanations[0]["action"] == "Fast"
+    assert f"Not(Fast({name}))" in str(other)
+    city.tick({stopped: "Fast"})
+    assert "the action came from outside" in str(city.explain(stopped))
+    with pytest.raises(KeyError, match="Nobody"):
+        city.explain("Nobody")
+    with pytest.raises(ValueError, match="is no action"):
+        city.why_not(stopped, "Fly")  # type: ignore[arg-type]
+
+
+def test_a_trace_is_one_of_the_program(tmp_path: Path) -> None:
+    path = tmp_path / "trace.jsonl"
+    city = Simulation(seed=1, count_firings=True)
+    city.run(10, trace=path)
+    header, *ticks = map(json.loads, path.read_text().splitlines())
+    assert (header["trace"], header["seed"], len(header["agents"])) == ("logicity", 1, len(city.agents))
+    assert [tick["tick"] for tick in ticks] == list(range(10))
+    assert [agent["next"] for agent in ticks[-1]["agents"]] == city.positions.tolist()
+    fired = sum(1 for label, count in city.firings if count)
+    assert fired and any(agent["clauses"] for agent in ticks[-1]["agents"])
+    with pytest.raises(ValueError, match="count_firings=True"):
+        Simulation().run(1, trace=path)
+    with pytest.raises(OSError, match="cannot write"):
+        city.run(1, trace=tmp_path / "missing" / "trace.jsonl")
+    assert Simulation().firings == []
+
+
+def test_what_a_simulation_refuses() -> None:
+    with pytest.raises(ValueError, match='"train", "val", "test", not "tset"'):
+        Simulation(split="tset")  # type: ignore[arg-type]
+    with pytest.raises(OverflowError):
+        Simulation().run(-1)
+    for copied in (pickle.dumps, copy.copy, copy.deepcopy):
+        with pytest.raises(TypeError, match="make another with the same arguments"):
+            copied(Simulation("easy"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as POSIX has them")
+def test_ctrl_c_ends_a_run_and_keeps_its_trace(tmp_path: Path) -> None:
+    city, path = Simulation("easy", count_firings=True), tmp_path / "trace.jsonl"
+    previous = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    signal.setitimer(signal.ITIMER_REAL, 0.3)
+    begun = time.monotonic()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            city.run(10**9, trace=path)
+    finally:
+        signal.signal(signal.SIGALRM, previous)
+    assert time.monotonic() - begun < 5
+    ticks = path.read_text().count("\n") - 1
+    assert ticks == city.now > 0
+    assert city.tick().tick == ticks
+
+
+def test_a_simulation_is_for_one_thread_at_a_time_and_lets_others_run() -> None:
+    city = Simulation("easy")
+    worker = threading.Thread(target=city.run, args=(3_000,))
+    worker.start()
+    refused = 0
+    while worker.is_alive():
+        try:
+            city.tick()
+        except RuntimeError as error:
+            assert "at work in another thread" in str(error)
+            refused += 1
+        time.sleep(0)
+    worker.join()
+    assert refused > 0

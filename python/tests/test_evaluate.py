@@ -1,0 +1,208 @@
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import logicity
+from logicity import ENVIRONMENTS, Benchmark, Evaluation, evaluate
+from logicity.__main__ import main
+from logicity.describe import describe
+from logicity.evaluation import write_json
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+def varied(observation: NDArray[np.float32]) -> int:
+    """Acts otherwise from step to step, and alike on the same observation."""
+    return int(observation.sum() * 7) % 4
+
+
+@pytest.mark.parametrize("mode", list(ENVIRONMENTS))
+def test_the_oracle_obeys_and_arrives_and_the_random_policy_is_the_zero(mode: str) -> None:
+    benchmark = Benchmark(mode)
+    oracle, random = benchmark.evaluate("oracle"), benchmark.evaluate("random")
+    assert len(oracle.episodes) == len(benchmark) == 100 and len(random.episodes) == 1000
+    assert oracle.tsr.value == oracle.dsr.value == 1.0 and oracle.tsr.low < 1.0
+    assert all(rate.value == 1.0 for rate in oracle.dsr_by_action.values())
+    assert list(oracle.dsr_by_action) == (["Slow", "Fast", "Stop"] if mode == "expert" else ["Stop"])
+    assert random.tsr.value < 0.2 and abs(random.score.value) < 1e-9
+    assert oracle.score.value == pytest.approx(oracle.mean_return.value - random.mean_return.value)
+    assert oracle.score.low < oracle.score.value < oracle.score.high
+
+
+class Model:
+    """Predicts as models of Stable-Baselines3 do, and has a state as recurrent ones."""
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.int64], int]:
+        assert deterministic and episode_start.shape == (len(observation),)
+        assert episode_start.all() if state is None else not episode_start.any()
+        return np.array([varied(row) for row in observation]), (state or 0) + 1
+
+
+def test_all_kinds_of_policies_go_alike() -> None:
+    benchmark = Benchmark("expert", "val")
+    one = benchmark.evaluate(varied)
+    batch = benchmark.evaluate(lambda rows: np.array([varied(row) for row in rows]), batched=True)
+    assert one.episodes == batch.episodes == benchmark.evaluate(Model()).episodes
+    assert (one.policy, benchmark.evaluate(Model()).policy) == ("function", "Model")
+    assert len({record.steps for record in one.episodes}) > 3
+
+
+def test_an_evaluation_is_what_single_environments_say() -> None:
+    measured = evaluate(varied, "hard", "val")
+    env = gymnasium.make(ENVIRONMENTS["hard"], split="val")
+    for record in measured.episodes:
+        observation, info = env.reset(options={"episode": record.episode})
+        total, steps, ended = 0.0, 0, False
+        while not ended:
+            observation, reward, terminated, truncated, info = env.step(varied(observation))
+            total, steps, ended = total + float(reward), steps + 1, terminated or truncated
+        assert (record.steps, record.success, record.truncated) == (steps, info["success"], truncated)
+        assert record.total == pytest.approx(total) and record.violations == tuple(info["violations"])
+    assert measured.tsr.value == np.mean([record.success for record in measured.episodes])
+    assert measured.mean_return.value == pytest.approx(np.mean([record.total for record in measured.episodes]))
+
+
+def test_overrides_and_points_are_measured_too() -> None:
+    lenient = evaluate(lambda points: 3, "easy", "val", overrides={"task": {"reward": {"overtime": -1}}})
+    assert lenient.tsr.value == 0.0 and all(record.truncated for record in lenient.episodes)
+    strict = evaluate(lambda points: 3, "easy", "val", observation="points")
+    for one, other in zip(lenient.episodes, strict.episodes, strict=True):
+        assert one.total - other.total == pytest.approx(2.0)
+    shapes = set()
+
+    def normal(rows: NDArray[np.float32]) -> NDArray[np.int64]:
+        shapes.add(rows.shape)
+        return np.ones(len(rows), np.int64)
+
+    evaluate(normal, "easy", "val", observation="points", batched=True)
+    assert shapes == {(40, 20, 15)}
+
+
+@pytest.mark.parametrize(
+    ("policy", "batched", "error"),
+    [
+        ("perfect", False, ValueError),
+        (7, False, TypeError),
+        (lambda row: 4, False, gymnasium.error.InvalidAction),
+        (lambda row: -1, False, gymnasium.error.InvalidAction),
+        (lambda row: 1.5, False, TypeError),
+        (lambda row: float("nan"), False, TypeError),
+        (lambda row: None, False, TypeError),
+        (lambda row: [1, 2], False, ValueError),
+        (lambda rows: 1, True, ValueError),
+        (lambda rows: np.ones((len(rows), 1), np.int64), True, ValueError),
+        (lambda rows: np.ones(len(rows)), True, TypeError),
+    ],
+)
+def test_faulty_policies_are_refused(policy: Any, batched: bool, error: type[Exception]) -> None:
+    benchmark = Benchmark("easy", "val")
+    with pytest.raises(error):
+        benchmark.evaluate(policy, batched=batched)
+    assert benchmark.evaluate("oracle").tsr.value == 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        ({"mode": "simple"}, ValueError),
+        ({"mode": "easy", "split": "exam"}, ValueError),
+        ({"mode": "easy", "observation": "pixels"}, ValueError),
+        ({"mode": "easy", "rules": "no.dl"}, OSError),
+        ({"mode": "easy", "overrides": {"task": {"horizon": 0}}}, logicity.InputError),
+    ],
+)
+def test_faulty_benchmarks_are_refused(arguments: dict[str, Any], error: type[Exception]) -> None:
+    with pytest.raises(error):
+        Benchmark(**arguments).evaluate("oracle")
+
+
+def test_an_interrupted_policy_leaves_the_benchmark_usable() -> None:
+    def interrupted(observation: NDArray[np.float32]) -> int:
+        raise KeyboardInterrupt
+
+    benchmark = Benchmark("easy", "val")
+    with pytest.raises(KeyboardInterrupt):
+        benchmark.evaluate(interrupted)
+    assert benchmark.evaluate("oracle").tsr.value == 1.0
+
+
+def test_the_command_prints_rows_and_writes_what_was_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "out.json"
+    arguments = ["evaluate", "--policy", "oracle", "--modes", "easy,hard", "--split", "val", "--json", str(file)]
+    assert main(arguments) == 0
+    told = capsys.readouterr()
+    rows = told.out.splitlines()
+    assert rows[0].split() == ["policy", "mode", "TSR", "DSR", "Score", "return", "steps"]
+    assert rows[1].split()[:4] == ["oracle", "easy", "1.00", "[0.91,"] and rows[2].split()[1] == "hard"
+    assert told.err == "", "progress is for terminals"
+    written = json.loads(file.read_text())
+    direct: Evaluation = evaluate("oracle", "easy", "val")
+    assert written[0] == json.loads(json.dumps(direct.to_dict()))
+    assert [path.name for path in tmp_path.iterdir()] == ["out.json"]
+
+
+def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    evaluate("oracle", "easy", "val")
+    shown = capsys.readouterr().err
+    assert "easy val, oracle: 40 of 40" in shown and "easy val, random policy: 40 of 40" in shown
+    assert shown.endswith("\r\x1b[K")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        (["evaluate", "--policy", "no-such.zip", "--modes", "easy"], 1, "error: "),
+        (["evaluate", "--policy", "oracle", "--modes", "easy", "--json", "no/such/folder.json"], 1, "error: "),
+        (["evaluate", "--policy", "oracle", "--modes", "simple"], 2, "unknown mode `simple`"),
+        (["evaluate", "--policy", "oracle", "--split", "exam"], 2, "invalid choice"),
+        (["evaluate"], 2, "--policy"),
+        ([], 2, "COMMAND"),
+    ],
+)
+def test_faulty_commands_end_with_a_message(
+    arguments: list[str], status: int, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        ended = main(arguments)
+    except SystemExit as exit:  # argparse ends so
+        ended = int(exit.code or 0)
+    assert ended == status and message in capsys.readouterr().err
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
+    file = tmp_path / "result.json"
+    write_json(file, {"a": 1})
+    with pytest.raises(ValueError):
+        write_json(file, {"a": float("nan")})
+    assert json.loads(file.read_text()) == {"a": 1}
+    assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
+
+
+def test_the_tables_of_the_readme_are_those_of_the_code(capsys: pytest.CaptureFixture[str]) -> None:
+    assert describe() in README.read_text(encoding="utf-8")
+    assert main(["describe"]) == 0 and capsys.readouterr().out == describe()
+
+
+@pytest.mark.parametrize("mode", list(ENVIRONMENTS))
+def test_the_tables_say_what_environments_show(mode: str) -> None:
+    env = gymnasium.make(ENVIRONMENTS[mode])
+    assert env.observation_space.shape is not None
+    row = next(line for line in describe().splitlines() if f"`{ENVIRONMENTS[mode]}`" in line)
+    assert f"({env.observation_space.shape[0]},)" in row

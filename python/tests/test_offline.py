@@ -1,0 +1,168 @@
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import logicity
+from logicity import ENVIRONMENTS, Demonstrations, demonstrations
+
+
+@pytest.fixture(scope="module")
+def few() -> Demonstrations:
+    return demonstrations("easy", 6)
+
+
+@pytest.mark.parametrize("mode", list(ENVIRONMENTS))
+def test_every_mode_has_a_hundred(mode: str) -> None:
+    trajectories = demonstrations(mode)
+    assert len(trajectories) == 100
+    env = gymnasium.make(ENVIRONMENTS[mode], split="train")
+    for trajectory in trajectories[:3]:
+        steps = len(trajectory)
+        assert trajectory.observations.shape == (steps + 1, *env.observation_space.shape)  # type: ignore[misc]
+        assert trajectory.terminations.tolist() == [False] * (steps - 1) + [True]
+        assert not trajectory.truncations.any() and trajectory.infos["success"].tolist() == [False] * steps + [True]
+        assert (trajectory.actions == trajectory.infos["oracle_action"][:-1]).all()
+        env.reset(options={"episode": trajectory.episode})
+        recorded: Any = env.unwrapped
+        oracle = recorded.episode["oracle"]
+        assert steps == oracle["steps"] and trajectory.rewards.sum() == pytest.approx(oracle["return"])
+
+
+def test_they_can_be_driven_again(few: Demonstrations) -> None:
+    env = gymnasium.make(few.env)
+    for trajectory in few:
+        observation, _ = env.reset(options={"episode": trajectory.episode})
+        for step, action in enumerate(trajectory.actions):
+            assert (observation == trajectory.observations[step]).all()
+            observation, reward, *_ = env.step(action)
+            assert reward == trajectory.rewards[step]
+        assert (observation == trajectory.observations[-1]).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        ({"mode": "simple"}, ValueError),
+        ({"mode": "easy", "n": 0}, ValueError),
+        ({"mode": "easy", "n": 101}, ValueError),
+        ({"mode": "easy", "n": 41, "split": "val"}, ValueError),
+        ({"mode": "easy", "split": "exam"}, ValueError),
+        ({"mode": "easy", "observation": "pixels"}, ValueError),
+        ({"mode": "easy", "rules": "no.dl"}, OSError),
+        ({"mode": "easy", "overrides": {"task": {"horizon": 0}}}, logicity.InputError),
+    ],
+)
+def test_faulty_wishes_are_refused(arguments: dict[str, Any], error: type[Exception]) -> None:
+    with pytest.raises(error):
+        demonstrations(**arguments)
+
+
+FACT = re.compile(r"(\w+)\(([\w,]+)\)\.")
+
+
+def read_facts(file: Path) -> dict[str, set[tuple[str, ...]]]:
+    facts: dict[str, set[tuple[str, ...]]] = defaultdict(set)
+    for line in file.read_text().splitlines():
+        if match := FACT.fullmatch(line):
+            assert tuple(match[2].split(",")) not in facts[match[1]]
+            facts[match[1]].add(tuple(match[2].split(",")))
+        else:
+            assert line.startswith(":- dynamic "), line
+    return facts
+
+
+def test_the_rules_of_easy_mode_hold_of_what_popper_reads(few: Demonstrations, tmp_path: Path) -> None:
+    (folder,) = few.to_popper(tmp_path / "ilp")
+    facts = read_facts(folder / "bk.pl")
+    examples = [line[:-2].split("(") for line in (folder / "exs.pl").read_text().splitlines()]
+    positive = {(one[2][:-1],) for one in examples if one[:2] == ["pos", "stop"]}
+    negative = {(one[2][:-1],) for one in examples if one[:2] == ["neg", "stop"]}
+    assert len(examples) == sum(map(len, few)) == len(positive) + len(negative) and positive and negative
+    # S1, S2 and S7 of rules/easy.dl, scoped by `sees`.
+    sees, at, inside = facts["sees"], facts["is_at_inter"], facts["is_in_inter"]
+    stops = {(x,) for x, y in sees if (x,) in at and (y,) in inside}
+    stops |= {(x,) for x, y in sees if (x,) in at and (y,) in at and (y, x) in facts["higher_pri"]}
+    stops |= {(x,) for x, y in sees if (x, y) in facts["colliding_close"]}
+    assert stops == positive
+
+
+def test_negation_is_given_as_facts(few: Demonstrations, tmp_path: Path) -> None:
+    (folder,) = few.to_popper(tmp_path)
+    facts = read_facts(folder / "bk.pl")
+    seen = defaultdict(set)
+    for ego, entity in facts["sees"]:
+        seen[ego].add(entity)
+    assert all(ego in entities for ego, entities in seen.items()) and {len(s) for s in seen.values()} > {1}
+    for name, arity in {(name, len(entities)) for name, entities in few.atoms}:
+        snake = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+        true, false = facts[snake], facts[f"not_{snake}"]
+        assert not true & false
+        assert true | false == {pair for entities in seen.values() for pair in product(entities, repeat=arity)}
+    bias = (folder / "bias.pl").read_text().splitlines()
+    assert "head_pred(stop,1)." in bias and "body_pred(not_higher_pri,2)." in bias and "body_pred(sees,2)." in bias
+    assert len(bias) == 2 + 2 * len({name for name, _ in few.atoms})
+
+
+def test_expert_rules_ask_three_actions(tmp_path: Path) -> None:
+    written = demonstrations("expert", 4).to_popper(tmp_path, distinct=True)
+    assert [folder.name for folder in written] == ["slow", "fast", "stop"]
+    counts = {len((folder / "exs.pl").read_text().splitlines()) for folder in written}
+    assert len(counts) == 1
+    again = demonstrations("expert", 4).to_popper(tmp_path)
+    assert again == written and len((again[0] / "exs.pl").read_text().splitlines()) > counts.pop()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fast", "slow", "stop"]
+
+
+def test_points_are_no_facts(tmp_path: Path) -> None:
+    trajectories = demonstrations("easy", 1, observation="points")
+    assert trajectories[0].observations.shape[1:] == (20, 15)
+    with pytest.raises(ValueError):
+        trajectories.to_popper(tmp_path)
+
+
+@pytest.mark.parametrize("observation", ["atoms", "points"])
+def test_a_table_has_every_step(observation: str, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="needs the extra `offline`: `make python-all` installs it")
+    trajectories = demonstrations("easy", 3, "val", observation=observation)
+    trajectories.to_parquet(tmp_path / "steps.parquet")
+    table = parquet.read_table(tmp_path / "steps.parquet")
+    assert table.num_rows == sum(map(len, trajectories))
+    observations = np.array(table["observation"].to_pylist(), np.float32)
+    assert (observations == np.concatenate([t.observations[:-1].reshape(len(t), -1) for t in trajectories])).all()
+    for name, values in [("action", "actions"), ("reward", "rewards"), ("terminated", "terminations")]:
+        assert (table[name].to_numpy() == np.concatenate([getattr(t, values) for t in trajectories])).all()
+    assert table["step"].to_numpy()[: len(trajectories[0])].tolist() == list(range(len(trajectories[0])))
+    assert table.schema.metadata[b"episodes_hash"].decode() == trajectories.episodes_hash
+    assert [path.name for path in tmp_path.iterdir()] == ["steps.parquet"]
+    with pytest.raises(OSError):
+        trajectories.to_parquet(tmp_path / "no" / "such.parquet")
+
+
+@pytest.mark.filterwarnings("error:.*:UserWarning:minari")
+@pytest.mark.parametrize("mode", list(ENVIRONMENTS))
+def test_minari_gives_back_data_and_environment(mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    minari = pytest.importorskip("minari", reason="needs the extra `offline`: `make python-all` installs it")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    trajectories = demonstrations(mode, 2)
+    author = {"author": "A", "author_email": "a@example.org", "code_permalink": "https://example.org"}
+    trajectories.to_minari(**author)
+    dataset = minari.load_dataset(f"logicity/spf-{mode}/oracle-v0")
+    assert dataset.total_episodes == 2 and dataset.total_steps == sum(map(len, trajectories))
+    env = dataset.recover_environment()
+    assert env.spec.id == ENVIRONMENTS[mode]
+    for episode, trajectory in zip(dataset.iterate_episodes(), trajectories, strict=True):
+        assert (episode.observations == trajectory.observations).all()
+        assert (episode.actions == trajectory.actions).all() and (episode.rewards == trajectory.rewards).all()
+        assert (episode.infos["progress"] == trajectory.infos["progress"]).all()
+        observation, _ = env.reset(options={"episode": trajectory.episode})
+        assert (observation == episode.observations[0]).all()
+    with pytest.raises(ValueError):
+        trajectories.to_minari(**author)

@@ -1,0 +1,438 @@
+"""Programs and sessions: what goes in and out, what is refused, and how long work is ended."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import random
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import logicity
+from logicity import InputError, LimitError, Program, Session
+
+PATH = """
+.decl edge(x: symbol, y: symbol)
+.input edge
+/// Where one can go.
+.decl path(x: symbol, y: symbol)
+.output path
+/// P1: a step
+path(x, y) :- edge(x, y).
+/// P2: a step more
+path(x, z) :- path(x, y), edge(y, z).
+"""
+
+ALL = """
+.decl all(s: symbol, n: number, u: unsigned, f: float)
+.input all
+.decl flag()
+.input flag
+.decl copy(s: symbol, n: number, u: unsigned, f: float)
+copy(s, n, u, f) :- all(s, n, u, f), flag().
+"""
+
+ENDLESS = (
+    ".decl n(x: number)\n.decl seed(x: number)\n.input seed\nn(x) :- seed(x).\nn((x + 1) band 2147483647) :- n(x).\n"
+)
+
+
+def session(text: str, **options: int) -> Session:
+    return Session(Program(text, "test.dl"), **options)
+
+
+def test_a_clean_text_has_no_diagnostics() -> None:
+    assert logicity.check('.include "vocabulary.dl"\nStop(X) :- IsCar(X), IsInInter(X).\n') == []
+
+
+def test_a_fault_is_told_with_its_place() -> None:
+    (fault,) = logicity.check('.include "vocabulary.dl"\nStop(X) :- IsCarr(X).\n', "mine.dl")
+    assert fault["code"] == "unknown-predicate"
+    label = fault["labels"][0]
+    assert (label["file"], label["line"], label["column"]) == ("mine.dl", 2, 12)
+
+
+def test_a_faulty_program_raises_all_its_faults() -> None:
+    with pytest.raises(InputError, match=r"mine\.dl:2:") as caught:
+        Program(".decl a(x: number)\na(x) :- b(x).\n.decl c(x: number)\n.input c\na(x) :- !c(x).\n", "mine.dl")
+    assert [fault["code"] for fault in caught.value.diagnostics] == ["unknown-predicate", "unbound-variable"]
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (str(again), again.diagnostics) == (str(caught.value), caught.value.diagnostics)
+
+
+def test_a_program_tells_what_it_is_made_of() -> None:
+    program = Program(PATH + ".decl lonely(x: number)\nlonely(x) :- edge(x2, y), x = 1.\n", "test.dl")
+    path = program.relations["path"]
+    assert [(column.name, column.type, column.base) for column in path.columns] == [
+        ("x", "symbol", "symbol"),
+        ("y", "symbol", "symbol"),
+    ]
+    assert (path.input, path.output, path.derived, path.doc) == (False, True, True, "Where one can go.")
+    assert (path.file, path.line) == ("test.dl", 5)
+    assert program.relations["edge"].input
+    assert program.strata == [["path"], ["lonely"]]
+    assert [(clause["label"], clause["line"], clause["column"]) for clause in program.clauses] == [
+        ("P1", 8, 1),
+        ("P2", 10, 1),
+        ("test.dl:12", 12, 1),
+    ]
+    assert program.clauses[1]["text"] == "path(x, z) :- path(x, y), edge(y, z)."
+    assert {warning["code"] for warning in program.warnings} == {"singleton-variable"}
+    assert "path(x, z)" in program.plan()
+    assert "3 clauses" in repr(program)
+
+
+def test_programs_are_loaded_from_files_and_built_in_ones(tmp_path: Path) -> None:
+    (tmp_path / "decls.dl").write_text(".decl a(x: number)\n.input a\n")
+    (tmp_path / "main.dl").write_text('.include "decls.dl"\n.decl b(x: number)\nb(x) :- a(x).\n')
+    program = Program.load(tmp_path / "main.dl")
+    assert list(program.relations) == ["a", "b"]
+    assert "Stop" in Program.load("rules/expert.dl").relations
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        Program.load("nowhere.dl")
+    with pytest.raises(OSError, match="folder"):
+        Program.load(tmp_path)
+    (tmp_path / "latin.dl").write_bytes(b"\xe9")
+    with pytest.raises(InputError) as caught:
+        Program.load(tmp_path / "latin.dl")
+    assert caught.value.diagnostics[0]["code"] == "not-text"
+
+
+@pytest.mark.parametrize("again", [lambda it: pickle.loads(pickle.dumps(it)), copy.deepcopy, copy.copy])
+def test_programs_are_pickled_with_all_their_texts(tmp_path: Path, again: Callable[[Program], Program]) -> None:
+    (tmp_path / "decls.dl").write_text(".decl a(x: number)\n.input a\n")
+    (tmp_path / "main.dl").write_text(
+        '.include "decls.dl"\n.include "vocabulary.dl"\n.decl b(x: number)\nb(x) :- a(x).\n'
+    )
+    program = Program.load(tmp_path / "main.dl")
+    (tmp_path / "decls.dl").unlink()
+    other = again(program)
+    assert (other.relations, other.clauses) == (program.relations, program.clauses)
+    held = Session(other)
+    held.insert("a", [(1,)])
+    assert held.commit()["b"].added == [(1,)]
+
+
+def test_a_commit_tells_exactly_what_changed() -> None:
+    held = session(PATH)
+    assert held.insert("edge", [("a", "b"), ["b", "c"]]) == 2
+    assert held.rows("path") == []
+    delta = held.commit()
+    assert delta["edge"].added == [("a", "b"), ("b", "c")]
+    assert delta["path"].added == [("a", "b"), ("a", "c"), ("b", "c")]
+    assert delta["path"].removed == []
+    assert held.rows("path") == list(delta["path"].added)
+    assert held.retract("edge", [("b", "c"), ("no", "such")]) == 2
+    delta = held.commit()
+    assert delta["path"].removed == [("a", "c"), ("b", "c")]
+    assert held.commit() == {}
+    assert (held.count("path"), held.contains("path", ("a", "b")), held.contains("path", ("a", "q"))) == (
+        1,
+        True,
+        False,
+    )
+    held.insert("edge", [("x", "y")])
+    held.rollback()
+    assert held.commit() == {}
+
+
+def test_rows_of_a_commit_are_a_sequence() -> None:
+    held = session(PATH)
+    held.insert("edge", [(str(n), str(n + 1)) for n in range(10)])
+    rows = held.commit()["edge"].added
+    assert len(rows) == 10
+    assert (rows[0], rows[-1], rows[2:4]) == (("0", "1"), ("9", "10"), [("2", "3"), ("3", "4")])
+    assert (rows[::3], rows[20:], rows[4:1]) == ([(str(n), str(n + 1)) for n in (0, 3, 6, 9)], [], [])
+    assert list(rows) == rows
+    assert ("3", "4") in rows
+    assert rows != [("0", "1")]
+    assert repr(rows).endswith("...]")
+    assert rows.columns()["y"].tolist() == [str(n + 1) for n in range(10)]
+    with pytest.raises(IndexError):
+        rows[10]
+
+
+MIXED = [("a", -1, 0, 0.5), ("b", 2**31 - 1, 2**32 - 1, float("inf")), ("", -(2**31), 7, -1e-30)]
+FIELDS = {"s": ["a", "b", ""], "n": [-1, 2**31 - 1, -(2**31)], "u": [0, 2**32 - 1, 7], "f": [0.5, np.inf, -1e-30]}
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        MIXED,
+        (list(row) for row in MIXED),
+        [(np.str_(s), np.int64(n), np.uint64(u), np.float64(f)) for s, n, u, f in MIXED],
+        np.array(MIXED, dtype=[("s", "U3"), ("n", "i8"), ("u", "u4"), ("f", "f4")]),
+        np.array(MIXED, dtype=[("s", "U3"), ("n", "i8"), ("u", "u4"), ("f", "f4")])[["f", "u", "n", "s"]],
+        np.array([(0, *row) for row in MIXED], dtype=[("x", "u1"), ("s", "O"), ("n", ">i4"), ("u", "i8"), ("f", "f8")])[
+            ["s", "n", "u", "f"]
+        ],
+        FIELDS,
+        {name: np.array(values, dtype=object if name == "s" else None)[::-1] for name, values in FIELDS.items()},
+    ],
+    ids=["tuples", "iterator", "numpy scalars", "structured", "reordered", "unaligned", "mapping", "strided"],
+)
+def test_rows_come_in_many_forms(rows: Any) -> None:
+    held = session(ALL)
+    assert held.insert("all", rows) == 3
+    held.insert("flag", [()])
+    held.commit()
+    expected = {(s, n, u, float(np.float32(f))) for s, n, u, f in MIXED}
+    assert set(held.rows("copy")) == expected
+    columns = held.columns("copy")
+    assert [columns[name].dtype for name in "snuf"] == [np.dtype(object), np.int32, np.uint32, np.float32]
+    assert set(zip(*(columns[name].tolist() for name in "snuf"), strict=True)) == expected
+    # What comes out goes in again.
+    held.retract("all", columns)
+    held.commit()
+    assert held.rows("copy") == []
+
+
+def test_homogeneous_arrays_of_rows() -> None:
+    held = session(".decl e(x: number, y: number)\n.input e\n.decl s(x: symbol, y: symbol)\n.input s\n")
+    grid = np.arange(12, dtype=np.int16).reshape(6, 2)
+    assert held.insert("e", grid[::2]) == 3
+    assert held.insert("e", np.empty((0, 2), dtype=int)) == 0
+    assert held.insert("s", np.array([["a", "b"], ["c", "d"]])) == 2
+    held.commit()
+    assert held.rows("e") == [(0, 1), (4, 5), (8, 9)]
+    assert held.rows("s") == [("a", "b"), ("c", "d")]
+
+
+def test_floats_are_rounded_and_not_a_number_is_one() -> None:
+    held = session(".decl f(x: float)\n.input f\n")
+    held.insert("f", [(0.1,), (float("nan"),), (-float("nan"),), (0.0,), (-0.0,), (3,)])
+    held.insert("f", np.array([[np.nan], [1e-60]]))
+    held.commit()
+    found = held.columns("f")["x"]
+    assert np.isnan(found).sum() == 1
+    assert sorted(found[~np.isnan(found)].tolist()) == [0.0, float(np.float32(0.1)), 3.0]
+
+
+BAD = [
+    ("edje", [("a", "b")], KeyError, "did you mean `edge`"),
+    ("path", [("a", "b")], ValueError, "derived by rules"),
+    ("edge", [("a",)], ValueError, "row 0: a row of `edge` has 2 values, not 1"),
+    ("edge", [("a", "b"), ("a", "b", "c")], ValueError, "row 1: a row of `edge` has 2 values, not 3"),
+    ("edge", [("a", 1)], TypeError, "column `y` of `edge` holds symbols"),
+    ("edge", ["ab"], TypeError, "not a str"),
+    ("edge", "ab", TypeError, "not a str"),
+    ("edge", [1], TypeError, "not iterable|cannot be|int"),
+    ("edge", 1, TypeError, "not iterable|cannot be|int"),
+    ("edge", {"x": ["a"]}, ValueError, r"the columns of `edge` are \[x, y\], not \[x\]"),
+    ("edge", {"x": ["a"], "z": ["b"]}, ValueError, "the columns of"),
+    ("edge", {"x": ["a", "b"], "y": ["b"]}, ValueError, "expected 2 of them"),
+    ("edge", np.array([[1, 2]]), TypeError, "dtype int64"),
+    ("edge", np.array([["a", 1]], dtype=object), TypeError, "row 0"),
+    ("edge", np.array(["a", "b"]), ValueError, r"shape \(n, 2\)"),
+    ("edge", np.array([["a", "b", "c"]]), ValueError, r"shape \(n, 2\)"),
+    ("edge", np.array([[b"a", b"b"]]), TypeError, "dtype"),
+    ("n", [(2**31,)], ValueError, "out of range"),
+    ("n", [(10**50,)], ValueError, "out of range"),
+    ("n", [(True,)], TypeError, "not True"),
+    ("n", [(1.0,)], TypeError, "not 1.0"),
+    ("n", [("1",)], TypeError, "not '1'"),
+    ("n", np.array([[1], [2**31]]), ValueError, "row 1.*2147483648 is out of range"),
+    ("n", np.array([[2**63]], dtype=np.uint64), ValueError, "out of range"),
+    ("n", np.array([[1.0]]), TypeError, "dtype float64"),
+    ("n", np.array([[True]]), TypeError, "dtype bool"),
+    ("u", [(-1,)], ValueError, "out of range"),
+    ("u", np.array([[-1]]), ValueError, "out of range"),
+    ("f", [(1e39,)], ValueError, "out of range"),
+    ("f", [(10**400,)], ValueError, "out of range"),
+    ("f", [("1",)], TypeError, "not '1'"),
+    ("f", [(None,)], TypeError, "not None"),
+    ("f", np.array([[1e39]]), ValueError, "out of range"),
+]
+
+
+@pytest.mark.parametrize(("relation", "rows", "kind", "message"), BAD)
+def test_bad_rows_are_refused(relation: str, rows: Any, kind: type[Exception], message: str) -> None:
+    text = PATH + ".decl n(x: number)\n.input n\n.decl u(x: unsigned)\n.input u\n.decl f(x: float)\n.input f\n"
+    held = session(text)
+    for change in (held.insert, held.retract):
+        with pytest.raises(kind, match=message) as caught:
+            change(relation, rows)
+        assert type(caught.value) is kind
+    assert held.commit() == {}
+
+
+def test_what_an_iterator_raises_is_raised() -> None:
+    def rows() -> Any:
+        yield ("a", "b")
+        raise LookupError("mine")
+
+    held = session(PATH)
+    with pytest.raises(LookupError, match="mine"):
+        held.insert("edge", rows())
+    assert held.commit() == {}
+    # It may even ask the session it is for.
+    held.insert("edge", (("a", str(held.count("path"))) for _ in range(3)))
+    assert held.commit()["path"].added == [("a", "0")]
+
+
+@pytest.mark.parametrize("ask", [Session.rows, Session.columns, Session.count])
+def test_unknown_predicates_are_key_errors(ask: Callable[[Session, str], object]) -> None:
+    with pytest.raises(KeyError, match="did you mean `path`"):
+        ask(session(PATH), "pth")
+
+
+def test_why_a_fact_holds_and_why_not() -> None:
+    held = session(PATH)
+    held.insert("edge", [("a", "b"), ("b", "c")])
+    held.commit()
+    why = held.explain('path("a", "c")')
+    assert why == held.explain("path", ("a", "c"))
+    assert (why.fact, why.holds) == ('path("a", "c")', True)
+    assert str(why).splitlines()[0] == 'path("a", "c")  by P2: a step more  [test.dl:10]'
+    assert why.nodes[0]["clause"]["line"] == 10
+    assert why.nodes[0]["height"] == 2
+    not_so = held.why_not("path", ("c", None))
+    assert not not_so.holds
+    assert not_so.nodes[0]["because"] == "no-clause"
+    assert held.explain('path("c", _)').text == 'path("c", _) does not hold, and this is why\n' + not_so.text
+    assert held.why_not('path("a", "c")').text == 'path("a", "c") holds, and this is why\n' + why.text
+    for fact, code in [("path(1, 2)", "type-mismatch"), ("pth(_, _)", "unknown-predicate"), ("path(", "syntax")]:
+        with pytest.raises(InputError) as caught:
+            held.explain(fact)
+        assert caught.value.diagnostics[0]["code"] == code
+        assert caught.value.diagnostics[0]["labels"][0]["file"] == "<fact>"
+    with pytest.raises(TypeError, match="column `y`"):
+        held.explain("path", ("a", 1))
+    with pytest.raises(KeyError, match="pth"):
+        held.explain("pth", ("a", "b"))
+
+
+def test_the_work_log_tells_what_was_done() -> None:
+    held = session(PATH)
+    assert held.work == []
+    held.insert("edge", [(str(n), str(n + 1)) for n in range(50)])
+    held.commit()
+    (first,) = held.work
+    assert (first["relations"], first["how"]) == (["path"], "recomputed")
+    assert first["rounds"] > 1
+    held.insert("edge", [("50", "51")])
+    held.commit()
+    (second,) = held.work
+    assert second["how"] == "maintained"
+    assert second["looked_at"] < first["looked_at"]
+    assert {work["clause"] for work in second["clauses"]} <= {"P1", "P2"}
+    held.commit()
+    assert held.work[0]["how"] == "skipped"
+    assert "edge" in held.plan()
+
+
+def test_threads_change_nothing() -> None:
+    edges = np.random.default_rng(7).integers(0, 300, (900, 2))
+    text = PATH.replace("symbol", "number")
+    one, three = session(text), session(text, threads=3)
+    for held in (one, three):
+        held.insert("edge", edges)
+        held.commit()
+    assert one.rows("path") == three.rows("path")
+
+
+@pytest.mark.parametrize("limit", ["max_rows", "max_steps", "max_bytes"])
+def test_limits_name_the_clause_and_leave_the_session_as_it_was(limit: str) -> None:
+    held = session(ENDLESS, **{limit: 100_000})
+    held.commit()
+    held.insert("seed", [(0,)])
+    with pytest.raises(LimitError) as caught:
+        held.commit()
+    (fault,) = caught.value.diagnostics
+    assert fault["code"] == "limit-exceeded"
+    assert fault["labels"][0]["line"] == 5
+    assert held.count("n") == 0
+    held.rollback()
+    assert held.commit() == {}
+
+
+def test_options_out_of_range() -> None:
+    for options in ({"threads": -1}, {"max_rows": -1}, {"max_steps": 2**64}):
+        with pytest.raises(OverflowError):
+            session(PATH, **options)
+
+
+def test_sessions_are_not_pickled() -> None:
+    for copied in (pickle.dumps, copy.copy, copy.deepcopy):
+        with pytest.raises(TypeError, match="pickle its program"):
+            copied(session(PATH))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as POSIX has them")
+@pytest.mark.parametrize("threads", [1, 2])
+def test_ctrl_c_ends_a_commit_at_once(threads: int) -> None:
+    held = session(ENDLESS, threads=threads)
+    held.commit()
+    held.insert("seed", [(0,)])
+    previous = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    signal.setitimer(signal.ITIMER_REAL, 0.3)
+    begun = time.monotonic()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            held.commit()
+    finally:
+        signal.signal(signal.SIGALRM, previous)
+    assert time.monotonic() - begun < 5
+    assert held.count("n") == 0
+    held.rollback()
+    assert held.commit() == {}
+
+
+def test_a_session_is_for_one_thread_at_a_time_and_lets_others_run() -> None:
+    held = session(ENDLESS, max_steps=400_000)
+    held.insert("seed", [(0,)])
+    raised: list[BaseException] = []
+
+    def commit() -> None:
+        try:
+            held.commit()
+        except BaseException as error:
+            raised.append(error)
+
+    worker = threading.Thread(target=commit)
+    worker.start()
+    refused = 0
+    while worker.is_alive():
+        try:
+            held.count("n")
+        except RuntimeError as error:
+            assert "at work in another thread" in str(error)
+            refused += 1
+        time.sleep(0.001)
+    worker.join()
+    assert refused > 0
+    assert isinstance(raised[0], LimitError)
+    assert held.count("n") == 0
+
+
+def test_random_changes_agree_with_sets() -> None:
+    rng = random.Random(5)
+    held = session(
+        ".decl e(x: number, y: number)\n.input e\n.decl p(x: number, y: number)\np(x, y) :- e(x, z), e(z, y).\n"
+    )
+    facts: set[tuple[int, int]] = set()
+    paths: set[tuple[int, int]] = set()
+    for _ in range(60):
+        rows = [(rng.randrange(8), rng.randrange(8)) for _ in range(rng.randrange(6))]
+        if rng.random() < 0.5:
+            held.insert("e", rows if rng.random() < 0.5 else np.array(rows, dtype=int).reshape(-1, 2))
+            facts |= set(rows)
+        else:
+            held.retract("e", rows)
+            facts -= set(rows)
+        delta = held.commit()
+        now = {(x, y) for x, z in facts for w, y in facts if w == z}
+        change = delta.get("p")
+        assert (set(change.added) if change else set()) == now - paths
+        assert (set(change.removed) if change else set()) == paths - now
+        assert set(held.rows("p")) == now
+        paths = now

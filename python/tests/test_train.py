@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from logicity import ENVIRONMENTS, evaluate
+from logicity.__main__ import main
+
+pytest.importorskip("stable_baselines3", reason="needs the extra `train`: `make python-all` installs it")
+from logicity import train as training  # noqa: E402
+from logicity.train import ALGORITHMS, TrainConfig, load_model, train  # noqa: E402
+
+BASELINES = Path(__file__).parents[2] / "configs" / "baselines"
+SETTINGS = {
+    "dqn": {"learning_starts": 100, "buffer_size": 1000, "batch_size": 16},
+    "ppo": {"n_steps": 64, "batch_size": 32},
+    "a2c": {"n_steps": 16},
+}
+
+
+def short(algorithm: str) -> TrainConfig:
+    return TrainConfig(
+        algorithm=algorithm,
+        mode="easy",
+        network=(16, 8),
+        settings=SETTINGS[algorithm],
+        overrides={"task": {"reward": {"overtime": -6}}},
+        steps=512,
+        envs=2,
+        validate_every=200,
+    )
+
+
+def test_every_mode_of_the_paper_has_a_configuration_for_every_algorithm() -> None:
+    for algorithm in ALGORITHMS:
+        for mode in ("easy", "medium", "hard", "expert"):
+            config = TrainConfig.load(BASELINES / f"{algorithm}-{mode}.yaml")
+            assert (config.algorithm, config.mode, config.steps) == (algorithm, mode, 200_000)
+    for file in BASELINES.glob("*.yaml"):
+        TrainConfig.load(file)
+    expert = TrainConfig.load(BASELINES / "ppo-expert.yaml")
+    assert (
+        expert.settings["batch_size"] == 256 and expert.settings["n_steps"] == 256 and expert.network == (128, 64, 64)
+    )
+    assert expert.overrides == {"task": {"reward": {"overtime": -10}}}
+
+
+@pytest.mark.parametrize("algorithm", list(ALGORITHMS))
+def test_a_short_run_leaves_all_that_is_promised(
+    algorithm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    result = train(short(algorithm), run)
+    assert json.loads((run / "result.json").read_text()) == json.loads(json.dumps(result))
+    steps = [point["steps"] for point in result["validations"]]
+    assert [step // 200 for step in steps] == [1, 2, 2] and steps[-1] == 512
+    assert result["best"] == max(
+        result["validations"], key=lambda point: (point["tsr"]["value"], point["score"]["value"])
+    )
+    assert list((run / "tensorboard").rglob("events*"))
+    assert [path.name for path in run.glob("*checkpoint-*")] == ["checkpoint-0000000512"]
+    model = load_model(run / "best.zip")
+    assert type(model) is ALGORITHMS[algorithm]
+    measured = evaluate(model, "easy")
+    assert measured.tsr.value == result["test"]["tsr"]["value"]
+    assert measured.episodes_hash == result["test"]["episodes_hash"]
+    assert main(["evaluate", "--policy", str(run / "best.zip"), "--modes", "easy", "--split", "val"]) == 0
+    assert capsys.readouterr().out.splitlines()[1].startswith("best")
+
+
+def test_configurations_are_found_where_there_is_no_repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = sorted(BASELINES.glob("*.yaml"))
+    monkeypatch.chdir(tmp_path)
+    assert files
+    for file in files:
+        assert TrainConfig.load(f"configs/baselines/{file.name}") == TrainConfig.load(file)
+    with pytest.raises(FileNotFoundError, match="baselines/none.yaml"):
+        TrainConfig.load("configs/baselines/none.yaml")
+
+
+class Killed(Exception):
+    pass
+
+
+@pytest.mark.parametrize("algorithm", ["dqn", "ppo"])
+def test_a_killed_run_goes_on(algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    checkpoint = training.Validation._checkpoint
+
+    def kill(self: Any) -> None:
+        checkpoint(self)
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training.Validation, "_checkpoint", kill)
+        with pytest.raises(Killed):
+            train(short(algorithm), tmp_path)
+    (left,) = tmp_path.glob("checkpoint-*")
+    state = json.loads((left / "state.json").read_text())
+    assert 200 <= state["steps"] < 400 and not (tmp_path / "result.json").exists()
+    # A kill in the middle of the next checkpoint leaves an unfinished folder, which counts for nothing.
+    (tmp_path / ".checkpoint-0000000400").mkdir()
+    loaded: list[int] = []
+    if algorithm == "dqn":
+        dqn: Any = ALGORITHMS["dqn"]
+        load = dqn.load_replay_buffer
+
+        def watch(self: Any, *arguments: Any, **more: Any) -> None:
+            load(self, *arguments, **more)
+            loaded.append(self.replay_buffer.size() * self.n_envs)
+
+        monkeypatch.setattr(dqn, "load_replay_buffer", watch)
+    result = train(short(algorithm), tmp_path)
+    assert result["validations"][0] == state["validations"][0] and 512 <= result["steps"] < 640
+    # The step that was validated is not in the buffer yet.
+    assert loaded == ([state["steps"] - 2] if algorithm == "dqn" else [])
+    with pytest.raises(ValueError, match="another configuration"):
+        train(replace(short(algorithm), seed=1), tmp_path)
+
+
+def test_the_same_seed_learns_the_same(tmp_path: Path) -> None:
+    def weights(seed: int, name: str) -> Any:
+        train(replace(short("dqn"), seed=seed), tmp_path / name, tensorboard=False)
+        (checkpoint,) = (tmp_path / name).glob("checkpoint-*")
+        parameters = load_model(checkpoint / "model.zip").policy.state_dict()
+        return np.concatenate([values.numpy().ravel() for values in parameters.values()])
+
+    one, same, other = weights(3, "one"), weights(3, "same"), weights(4, "other")
+    assert (one == same).all() and (one != other).any()
+
+
+def test_the_network_has_the_layers_of_the_configuration(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    train(short("dqn"), run, tensorboard=False)
+    shapes = [tuple(values.shape) for values in load_model(run / "best.zip").policy.state_dict().values()]
+    assert shapes[:6] == [(16, 85), (16,), (8, 16), (8,), (4, 8), (4,)]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("algorithm: sarsa\nmode: easy\nnetwork: [8]\nsettings: {}", "unknown algorithm `sarsa`"),
+        ("algorithm: dqn\nmode: simple\nnetwork: [8]\nsettings: {}", "unknown mode `simple`"),
+        ("algorithm: dqn\nmode: easy\nnetwork: []\nsettings: {}", "`network`"),
+        ("algorithm: dqn\nmode: easy\nnetwork: 8\nsettings: {}", "`network`"),
+        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nsteps: many", "`steps`"),
+        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nseed: -1", "`seed`"),
+        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: 3", "`settings`"),
+        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nepochs: 3", "unknown key `epochs`"),
+        ("algorithm: dqn", "mode"),
+        ("- dqn", "no mapping"),
+        ("algorithm: [", "while parsing"),
+        ("base: config.yaml", "leads back"),
+    ],
+)
+def test_faulty_configurations_are_told(
+    text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "config.yaml").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        TrainConfig.load(tmp_path / "config.yaml")
+    assert main(["train", str(tmp_path / "config.yaml"), "--run", str(tmp_path / "run")]) == 1
+    assert "config.yaml" in capsys.readouterr().err and not (tmp_path / "run").exists()
+
+
+def test_a_base_is_merged_mapping_by_mapping(tmp_path: Path) -> None:
+    (tmp_path / "base.yaml").write_text("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {gamma: 0.9, tau: 0.5}")
+    (tmp_path / "changed.yaml").write_text("base: base.yaml\nnetwork: [4, 2]\nsettings: {gamma: 0.8}")
+    config = TrainConfig.load(tmp_path / "changed.yaml")
+    assert config.settings == {"gamma": 0.8, "tau": 0.5} and config.network == (4, 2)
+
+
+def test_a_setting_that_there_is_not_is_told(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="DQN"):
+        train(replace(short("dqn"), settings={"gama": 0.9}), tmp_path)
+
+
+def test_other_files_are_no_models(tmp_path: Path) -> None:
+    (tmp_path / "text.zip").write_text("no archive")
+    with pytest.raises(ValueError, match="no model"):
+        load_model(tmp_path / "text.zip")
+    with pytest.raises(OSError):
+        load_model(tmp_path / "none.zip")
+    assert set(ENVIRONMENTS) >= {"easy", "medium", "hard", "expert"}

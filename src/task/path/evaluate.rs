@@ -1,0 +1,113 @@
+//! Policies measured on recorded episodes.
+
+use super::{Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, Summary, rollout, summarise};
+use crate::config::Speed;
+use crate::diag::Diagnostic;
+use crate::rng::{Purpose, RngExt, Seed};
+use std::sync::Arc;
+
+/// So often the random policy drives every episode.
+pub const RANDOM_RUNS: u8 = 10;
+
+/// How the random policy does, episode by episode: what a score is measured from.
+#[derive(Clone, Debug, Default)]
+pub struct Baseline {
+    rollouts: Vec<Rollout>,
+    returns: Vec<f64>,
+}
+
+impl Baseline {
+    /// Lets the random policy drive one more episode, [`RANDOM_RUNS`] times. What it does is a function of the episode's seed.
+    ///
+    /// # Errors
+    /// As [`Env::reset_to`] and [`rollout`].
+    pub fn add(&mut self, env: &mut Env, episode: &Episode) -> Result<(), Diagnostic> {
+        let mut total = 0.0;
+        for run in 0..RANDOM_RUNS {
+            env.reset_to(episode)?;
+            let mut stream = Seed(episode.seed).stream(Purpose::Policy, run.into(), u64::MAX);
+            let done = rollout(env, Policy::Random(Seed(stream.random())))?;
+            total += done.total;
+            self.rollouts.push(done);
+        }
+        self.returns.push(total / f64::from(RANDOM_RUNS));
+        Ok(())
+    }
+
+    /// All its runs, those of an episode together.
+    pub fn rollouts(&self) -> &[Rollout] {
+        &self.rollouts
+    }
+
+    /// The mean return of each episode.
+    pub fn returns(&self) -> &[f64] {
+        &self.returns
+    }
+
+    /// How well the random policy itself did.
+    pub fn summary(&self, task: &PathTask) -> Summary {
+        let means = self.returns.iter();
+        let repeated: Vec<f64> = means
+            .flat_map(|&mean| std::iter::repeat_n(mean, RANDOM_RUNS.into()))
+            .collect();
+        summarise(task, &self.rollouts, Some(&repeated))
+    }
+}
+
+/// Recorded episodes that a policy from outside drives side by side, each once.
+pub struct Exam {
+    envs: Vec<Env>,
+    rollouts: Vec<Rollout>,
+}
+
+impl Exam {
+    /// All episodes of a set, at their beginnings.
+    ///
+    /// # Errors
+    /// As [`Env::new`] and [`Env::reset_to`].
+    pub fn new(task: &Arc<PathTask>, set: &EpisodeSet) -> Result<Exam, Diagnostic> {
+        let begin = |episode| {
+            let mut env = Env::new(Arc::clone(task), set.split, Egos::First)?;
+            env.reset_to(episode)?;
+            Ok(env)
+        };
+        Ok(Exam {
+            envs: set.episodes.iter().map(begin).collect::<Result<_, Diagnostic>>()?,
+            rollouts: vec![Rollout::default(); set.episodes.len()],
+        })
+    }
+
+    /// The episodes, in the order of the set.
+    pub fn envs(&self) -> &[Env] {
+        &self.envs
+    }
+
+    /// How each has gone so far.
+    pub fn rollouts(&self) -> &[Rollout] {
+        &self.rollouts
+    }
+
+    /// Which of them go on.
+    pub fn running(&self) -> impl Iterator<Item = bool> {
+        self.envs.iter().map(|env| env.riders()[0].is_running())
+    }
+
+    /// Takes a step in every episode that goes on; the actions for the others count for nothing.
+    ///
+    /// # Errors
+    /// `limit-exceeded` for rules that derive too much.
+    ///
+    /// # Panics
+    /// If there are not as many actions as episodes.
+    pub fn step(&mut self, actions: &[Speed]) -> Result<(), Diagnostic> {
+        assert!(actions.len() == self.envs.len(), "one action for each episode");
+        for ((env, done), &action) in self.envs.iter_mut().zip(&mut self.rollouts).zip(actions) {
+            if env.riders()[0].is_running() {
+                let asked = env.riders()[0].derived();
+                env.step(&[action])?;
+                done.add(env, asked.iter());
+            }
+        }
+        Ok(())
+    }
+}
