@@ -5,14 +5,20 @@ from pathlib import Path
 
 import pytest
 
-README = Path(__file__).parents[2] / "README.md"
-BLOCKS = re.findall(r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+ROOT = Path(__file__).parents[2]
+BLOCKS = {
+    f"{name}-{number}": block
+    for name in ("README.md", "python/README.md")
+    for number, block in enumerate(
+        re.findall(r"^```python\n(.*?)^```", (ROOT / name).read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    )
+}
 
 
 @pytest.mark.parametrize("block", BLOCKS)
 def test_the_python_of_readme_runs(block: str) -> None:
-    exec(compile(block, str(README), "exec"), {})
+    exec(compile(BLOCKS[block], block, "exec"), {})
 
 
-def test_readme_shows_python() -> None:
-    assert BLOCKS
+def test_both_readmes_show_python() -> None:
+    assert len({name.split("-")[0] for name in BLOCKS}) == 2
