@@ -68,12 +68,12 @@ fn recorded_steps() {
                 }
                 continue;
             };
-            let agents: Vec<Agent> = recorded
+            let mut agents: Vec<Agent> = recorded
                 .iter()
                 .zip(city.agents())
                 .map(|(agent, like)| placed(agent, like, world))
                 .collect();
-            city.restart(Seed(0), agents);
+            city.restart(Seed(0), &mut agents);
             observer.begin(&city);
             let ones: BTreeSet<usize> = step["obs_ones"].as_array().unwrap().iter().map(index).collect();
             let entities: Vec<usize> = step["ents"]

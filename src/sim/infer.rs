@@ -114,7 +114,7 @@ impl Inference {
         read: impl Fn(&Path) -> Result<String, ReadError> + Send + Sync + 'static,
     ) -> Result<Self, Vec<Diagnostic>> {
         let vocabulary = Vocabulary::bind(&scenario, &program)?;
-        let chosen = executor.choose(|| compile(&program, &vocabulary, Counting::Off));
+        let chosen = executor.choose(|| compile(program.rules(), &vocabulary, Counting::Off));
         Ok(Inference {
             dense: match chosen.map_err(|fault| vec![fault.at(scenario.rules.span, "these rules")])? {
                 Choice::Dense(dense) => Some(dense),
@@ -140,7 +140,7 @@ impl Inference {
     /// # Errors
     /// `limit-exceeded` if it cannot evaluate them; the message tells why.
     pub fn compile(&self) -> Result<Dense, Diagnostic> {
-        compile(&self.program, &self.vocabulary, Counting::Off)
+        compile(self.program.rules(), &self.vocabulary, Counting::Off)
             .map_err(|fault| fault.at(self.scenario.rules.span, "these rules"))
     }
 

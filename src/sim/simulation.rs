@@ -7,7 +7,7 @@ use super::scene::MAX_ENTITIES;
 use super::vocabulary::Actions;
 use super::window::Position;
 use super::world::World;
-use crate::city::{Agent, Cell, Heading, Moved, Places, Reason, Surroundings, advance, place_agents};
+use crate::city::{Agent, Cell, Heading, Moved, Places, Reason, Surroundings, advance, place_agents, place_agents_in};
 use crate::config::{Speed, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::engine::Session;
@@ -209,19 +209,18 @@ impl Simulation {
         })
     }
 
-    /// Starts a new run with other agents, as many and named alike: tick 0 with this seed, as a new simulation with them would.
+    /// Starts a new run with other agents, as many and named alike: tick 0 with this seed, as a new simulation with them would. Those
+    /// of before take their places in the list.
     ///
     /// # Panics
     /// If they are more or fewer than before, or named otherwise.
-    pub fn restart(&mut self, seed: Seed, agents: impl IntoIterator<Item = Agent>) {
-        let mut count = 0;
-        for (position, agent) in agents.into_iter().enumerate() {
-            assert!(agent.name() == self.agents[position].name(), "agents named otherwise");
-            self.positions[position] = Position::of(&agent);
-            self.agents[position] = agent;
-            count += 1;
+    pub fn restart(&mut self, seed: Seed, agents: &mut Vec<Agent>) {
+        assert!(agents.len() == self.agents.len(), "more or fewer agents");
+        std::mem::swap(&mut self.agents, agents);
+        for ((agent, before), position) in self.agents.iter().zip(agents).zip(&mut self.positions) {
+            assert!(agent.name() == before.name(), "agents named otherwise");
+            *position = Position::of(agent);
         }
-        assert!(count == self.agents.len(), "fewer agents");
         self.seed = seed;
         (self.tick, self.stated) = (0, None);
         if let Some(crowd) = &mut self.crowd {
@@ -234,17 +233,17 @@ impl Simulation {
         }
     }
 
-    /// Places the agents of the split as a new simulation with this seed would.
+    /// Places the agents of the split as a new simulation with this seed would, in a list of other agents, whose memory is used again.
     ///
     /// # Errors
     /// `no-start-cell`, `no-route`.
-    pub fn draw_agents(&self, seed: Seed) -> Result<Vec<Agent>, Diagnostic> {
+    pub fn draw_agents(&self, seed: Seed, agents: &mut Vec<Agent>) -> Result<(), Diagnostic> {
         let set = self
             .world
             .scenario
             .agent_set(self.split)
             .expect("the simulation was made for it");
-        place_agents(set, &self.world.router, &self.places, seed)
+        place_agents_in(agents, set, &self.world.router, &self.places, seed)
     }
 
     /// Where agents start and arrive.

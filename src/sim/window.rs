@@ -1,7 +1,7 @@
 //! Some entities of a city and what relates them, as bits for the dense executor. Facts about pairs are computed where a rule asks
 //! for them, from whole numbers; [`super::ground`] has the definitions, and tests compare the two.
 
-use super::ground::{Chance, Entity, binary, is_far_enough, is_near_enough, side};
+use super::ground::{Chance, Entity, binary, is_far_enough, is_near_enough, side, side_of};
 use super::infer::Draws;
 use super::vocabulary::Vocabulary;
 use crate::city::{Agent, Cell, CityMap, Heading, Junction, View, view_reach};
@@ -143,6 +143,9 @@ pub(super) struct Grounder {
     plan: Arc<Plan>,
     /// The classes of agents that are known.
     known: BTreeMap<(AgentKind, Arc<[String]>), u32>,
+    /// The first of them, up to [`Grounder::LIKELY`]. Agents of one entry of a set share their concepts, so it is enough to look whether
+    /// they are the very same.
+    likely: Vec<(AgentKind, Arc<[String]>)>,
     /// By class: the inputs that hold of its members.
     classes: Vec<Vec<usize>>,
 }
@@ -216,15 +219,30 @@ impl Grounder {
         Grounder {
             plan,
             known: BTreeMap::new(),
+            likely: Vec::new(),
             classes: Vec::new(),
         }
     }
 
+    const LIKELY: usize = 16;
+
     /// The class of agents of this kind that carry these concepts.
     pub fn class_of(&mut self, kind: AgentKind, concepts: &Arc<[String]>) -> u32 {
-        let Grounder { plan, known, classes } = self;
+        let Grounder {
+            plan,
+            known,
+            likely,
+            classes,
+        } = self;
+        let same = |(of, carried): &(AgentKind, Arc<[String]>)| *of == kind && Arc::ptr_eq(carried, concepts);
+        if let Some(class) = likely.iter().position(same) {
+            return u32::try_from(class).expect("it is less than 16");
+        }
         let next = u32::try_from(known.len()).expect("fewer classes than agents");
         *(known.entry((kind, Arc::clone(concepts)))).or_insert_with(|| {
+            if likely.len() < Self::LIKELY {
+                likely.push((kind, Arc::clone(concepts)));
+            }
             let holds = (plan.steady.iter()).filter(|(_, definition)| holds_of(definition, kind, concepts));
             classes.push(holds.map(|(input, _)| *input).collect());
             next
@@ -574,13 +592,69 @@ impl Relation {
             _ if same => false,
             Relation::Distance { least, most, .. } => (least..=most).contains(&square(x.at, y.at)),
             Relation::HigherPriority => x.priority < y.priority,
-            Relation::Side(wanted) => side(&x.entity(), &y.entity()).signum() == wanted,
+            Relation::Side(wanted) => side(&x.entity(), &y.entity()) * wanted > 0,
             Relation::Never => false,
             Relation::Colliding(ref colliding) => {
                 let probability = binary(&colliding.definition, &x.entity(), &y.entity());
                 probability >= 1.0
                     || probability > 0.0
                         && chance.happens(colliding.predicate, x.agent as usize, y.agent as usize, probability)
+            }
+        }
+    }
+}
+
+impl Relation {
+    /// Of whom it holds, by row: for each body those to which it relates it. Agrees with [`Relation::holds`].
+    pub fn relate(&self, views: &[Reach; 5], chance: &impl Chance, bodies: &[Body], rows: &mut [u64]) {
+        rows.fill(0);
+        let set = |rows: &mut [u64], first: usize, second: usize, holds: bool| {
+            rows[first] |= u64::from(holds) << second;
+        };
+        match *self {
+            Relation::Sees => {
+                for (first, x) in bodies.iter().enumerate() {
+                    let view = View::around(x.at, views[x.heading.map_or(0, |heading| heading as usize + 1)]);
+                    for (second, y) in bodies.iter().enumerate() {
+                        set(rows, first, second, first == second || view.contains(y.at));
+                    }
+                }
+            }
+            Relation::Distance { least, most, .. } => {
+                for (first, x) in bodies.iter().enumerate() {
+                    for (second, y) in bodies[..first].iter().enumerate() {
+                        let holds = (least..=most).contains(&square(x.at, y.at));
+                        set(rows, first, second, holds);
+                        set(rows, second, first, holds);
+                    }
+                }
+            }
+            Relation::HigherPriority => {
+                for (first, x) in bodies.iter().enumerate() {
+                    for (second, y) in bodies.iter().enumerate() {
+                        set(rows, first, second, x.priority < y.priority);
+                    }
+                }
+            }
+            Relation::Side(wanted) => {
+                for (second, y) in bodies.iter().enumerate() {
+                    let Some(heading) = y.heading else { continue };
+                    for (first, x) in bodies.iter().enumerate() {
+                        set(rows, first, second, side_of(heading, x.at, y.at) * wanted > 0);
+                    }
+                }
+            }
+            Relation::Never => {}
+            Relation::Colliding(ref colliding) => {
+                for (first, x) in bodies.iter().enumerate() {
+                    let Some(heading) = x.heading else { continue };
+                    let cone = View::around(x.at, colliding.cones[x.kind as usize][heading as usize]);
+                    for (second, y) in bodies.iter().enumerate() {
+                        if cone.contains(y.at) {
+                            set(rows, first, second, self.holds(views, chance, x, y));
+                        }
+                    }
+                }
             }
         }
     }

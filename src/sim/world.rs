@@ -75,7 +75,7 @@ impl World {
     /// # Errors
     /// `limit-exceeded` if it cannot evaluate them; the message tells why.
     pub fn compile(&self, counting: Counting) -> Result<Dense, Diagnostic> {
-        compile(&self.program, &self.vocabulary, counting)
+        compile(self.program.rules(), &self.vocabulary, counting)
     }
 
     /// The map.

@@ -124,7 +124,8 @@ impl<const W: usize> Frame<W> {
     pub fn reset(&mut self, program: &Dense, count: usize) {
         assert!(count <= 64 * W, "{count} entities in sets of {}", 64 * W);
         self.count = count;
-        self.sets[..program.set_count].fill([0; W]);
+        // All others are written before they are read.
+        self.sets[Reg::INPUTS.index()..][..program.inputs.len()].fill([0; W]);
         self.rows.clear();
         self.rows.resize(program.row_lists * count, [0; W]);
         self.unsettled = true;
