@@ -323,12 +323,21 @@ fn relational(task: &PathTask) -> String {
     format!(".include \"rules/{rules}\"\nStop(X) :- IsCar(X), IsPedestrian(X), IsCar(Y), X != Y.\n")
 }
 
-/// Observations, wanted actions and broken clauses are those of the definitions, by either executor, for any agent as the ego.
+/// Rules that mean the same, but a body asks for an action in passing: what is wanted and what is broken are evaluated apart.
+fn apart(task: &PathTask) -> String {
+    let rules = &task.world().scenario.rules.value;
+    let rules = rules.file_name().unwrap().to_str().unwrap();
+    format!(".include \"rules/{rules}\"\n.decl Halts(x: agent)\nHalts(X) :- Stop(X).\n")
+}
+
+/// Observations, wanted actions and broken clauses are those of the definitions, by either executor and in one evaluation or two, for any
+/// agent as the ego.
 #[test]
 fn observers_agree_with_the_definitions() {
     for mode in MODES {
         let plain_task = task(mode);
         let other = task_of(mode, Some(&relational(&plain_task)));
+        let twice = task_of(mode, Some(&apart(&plain_task)));
         let world = plain_task.world();
         let rules = world.program.rules();
         let n = plain_task.oracle().entities();
@@ -341,16 +350,19 @@ fn observers_agree_with_the_definitions() {
                     .map(|ego| Observer::new(Arc::clone(task.oracle()), ego))
                     .collect()
             };
-            let mut pairs: Vec<(Observer, Observer)> =
-                observers(&plain_task).into_iter().zip(observers(&other)).collect();
-            for (dense, slow) in &mut pairs {
+            let others = observers(&other).into_iter().zip(observers(&twice));
+            let mut pairs: Vec<(Observer, (Observer, Observer))> =
+                observers(&plain_task).into_iter().zip(others).collect();
+            for (dense, (slow, twice)) in &mut pairs {
                 dense.begin(&city);
                 slow.begin(&city);
+                twice.begin(&city);
             }
             for _ in 0..12 {
-                for (ego, (dense, slow)) in pairs.iter_mut().enumerate() {
+                for (ego, (dense, (slow, twice))) in pairs.iter_mut().enumerate() {
                     dense.look(&city);
                     slow.look(&city);
+                    twice.look(&city);
                     let atoms: BTreeSet<(usize, Vec<usize>)> = dense.atoms().collect();
                     assert_eq!(atoms, slow.atoms().collect());
                     let plain = Plain::new(&city, ego, n, &atoms);
@@ -366,6 +378,7 @@ fn observers_agree_with_the_definitions() {
 
                     let derived = dense.derived(&city).unwrap();
                     assert_eq!(derived, slow.derived(&city).unwrap());
+                    assert_eq!(derived, twice.derived(&city).unwrap());
                     let mut expected = plain.derived(rules);
                     if expected.len() == 1 {
                         expected.remove("Normal");
@@ -387,6 +400,7 @@ fn observers_agree_with_the_definitions() {
                         assert_eq!(broken, expected, "{mode} seed {seed} ego {ego} {action:?}");
                         // The clauses of the included file come first.
                         assert_eq!(broken, slow.broken(&city, action).unwrap());
+                        assert_eq!(broken, twice.broken(&city, action).unwrap());
                         seen[action as usize] += broken.len();
                     }
                 }

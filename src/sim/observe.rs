@@ -434,3 +434,21 @@ fn spread(mut bits: u64, out: &mut [f32]) {
         *number = FOUR_BITS[(bits & 15) as usize][at];
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::{Purpose, RngExt, Seed};
+
+    #[test]
+    fn bits_are_spread_in_order() {
+        let mut random = Seed(1).stream(Purpose::Scene, 0, 0);
+        for width in 0..=OBSERVED_MAX {
+            let bits: u64 = random.random();
+            let mut numbers = vec![0.5; width];
+            spread(bits, &mut numbers);
+            let expected: Vec<f32> = (0..width).map(|at| f32::from((bits >> at & 1) as u8)).collect();
+            assert_eq!(numbers, expected);
+        }
+    }
+}

@@ -128,8 +128,8 @@ struct Asked {
 pub(super) struct Plan {
     pub dense: Dense,
     inputs: Vec<Unary>,
-    /// The inputs that depend on the cell where an agent is.
-    placed: Vec<usize>,
+    /// The inputs that depend on the cell where an agent is: whether it is inside an intersection, or at one.
+    placed: Vec<(usize, bool)>,
     lists: Vec<Asked>,
     /// The inputs of which what an agent is decides.
     steady: Vec<(usize, Definition)>,
@@ -196,9 +196,13 @@ impl Plan {
             })
             .filter(|(_, definition)| definition.is_steady())
             .collect();
-        let placed = |&input: &usize| matches!(inputs[input], Unary::AtIntersection | Unary::InIntersection);
+        let placed = |(input, how): (usize, &Unary)| match how {
+            Unary::InIntersection => Some((input, true)),
+            Unary::AtIntersection => Some((input, false)),
+            Unary::Class | Unary::Always | Unary::Never => None,
+        };
         Plan {
-            placed: (0..inputs.len()).filter(placed).collect(),
+            placed: inputs.iter().enumerate().filter_map(placed).collect(),
             inputs,
             lists,
             steady,
@@ -481,11 +485,9 @@ impl<const W: usize> Window<W> {
     /// Sets what depends on the cell where an entity is.
     fn look(&mut self, grounder: &Grounder, entity: usize) {
         let body = &self.bodies[entity];
-        for &input in &grounder.placed {
-            let holds = match grounder.inputs[input] {
-                Unary::InIntersection => body.junction.is_inside(),
-                _ => body.junction.is_at(body.kind),
-            };
+        let (is_inside, is_at) = (body.junction.is_inside(), body.junction.is_at(body.kind));
+        for &(input, inside) in &grounder.placed {
+            let holds = (inside & is_inside) | (!inside & is_at);
             let word = &mut self.inputs[input][entity / 64];
             *word = *word & !(1 << (entity % 64)) | u64::from(holds) << (entity % 64);
         }
@@ -690,4 +692,79 @@ fn keep<const W: usize>(set: Set<W>, holds: impl Fn(usize) -> bool) -> Set<W> {
         }
     }
     kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::{Purpose, RngExt, Seed};
+
+    /// Holds of about half of all pairs.
+    struct Parity;
+
+    impl Chance for Parity {
+        fn happens(&self, predicate: usize, first: usize, second: usize, _: f64) -> bool {
+            (predicate + first * 3 + second * 5 + first * second) % 2 == 0
+        }
+    }
+
+    fn distance(above: Option<f64>, at_least: Option<f64>, below: Option<f64>, at_most: Option<f64>) -> Definition {
+        Definition::Distance {
+            above,
+            at_least,
+            below,
+            at_most,
+        }
+    }
+
+    #[test]
+    fn all_pairs_at_once_are_as_one_by_one() {
+        let definitions = [
+            Definition::Sees,
+            distance(Some(3.0), None, None, Some(8.0)),
+            distance(None, Some(2.5), Some(6.0), None),
+            Definition::HigherPriority,
+            Definition::LeftOf,
+            Definition::RightOf,
+            Definition::Colliding {
+                car_range: 8.0,
+                pedestrian_range: 3.0,
+                angle: 0.6,
+                pedestrian_chance: 0.5,
+                same_cell_chance: 0.5,
+            },
+        ];
+        let definitions = definitions.iter().enumerate();
+        let relations: Vec<Relation> = definitions
+            .map(|(place, definition)| Relation::new(place, definition))
+            .collect();
+        let views = views(6);
+        let mut random = Seed(1).stream(Purpose::Scene, 0, 0);
+        let mut found = vec![0; relations.len()];
+        for _ in 0..400 {
+            let count = random.random_range(1..=9);
+            let body = |agent| Body {
+                at: Cell::new(random.random_range(0..12), random.random_range(0..12)),
+                priority: random.random_range(0..4),
+                agent,
+                class: 0,
+                kind: AgentKind::ALL[random.random_range(0..2)],
+                heading: (Heading::ALL.get(random.random_range(0..5))).copied(),
+                junction: Junction::default(),
+            };
+            let bodies: Vec<Body> = (0..count).map(body).collect();
+            for (relation, found) in relations.iter().zip(&mut found) {
+                let mut rows = vec![u64::MAX; bodies.len()];
+                relation.relate(&views, &Parity, &bodies, &mut rows);
+                let row = |x: &Body| {
+                    let holds = |y: &Body| relation.holds(&views, &Parity, x, y);
+                    (bodies.iter().enumerate()).fold(0, |row, (at, y)| row | u64::from(holds(y)) << at)
+                };
+                let expected: Vec<u64> = bodies.iter().map(row).collect();
+                assert_eq!(rows, expected, "{relation:?} {bodies:?}");
+                *found += expected.iter().map(|row| row.count_ones()).sum::<u32>();
+            }
+        }
+        assert!(found.iter().all(|found| *found > 100), "{found:?}");
+    }
 }
