@@ -236,6 +236,7 @@ impl Observer {
         let (oracle, bodies) = (&*self.oracle, &self.bodies);
         let unary = &mut self.atoms.unary;
         unary.fill(0);
+        self.atoms.rows.fill(0);
         for (entity, body) in bodies.iter().enumerate() {
             let of = &self.steady[body.agent as usize * self.words..][..self.words];
             for predicate in of

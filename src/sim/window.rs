@@ -120,6 +120,8 @@ pub(super) struct Colliding {
 struct Asked {
     relation: Relation,
     axis: Axis,
+    /// Whether whom it relates to an entity is in that one's field of view.
+    in_view: bool,
 }
 
 /// How everything that a dense program asks for is computed. Cities of one world share it, which keeps it in the cache when many of them
@@ -181,12 +183,17 @@ impl Plan {
                 },
             })
             .collect();
+        let views = views(view);
         let lists = (dense.lists().iter())
-            .map(|&List(relation, axis)| Asked {
-                relation: find(relation).map_or(Relation::Never, |(predicate, definition)| {
+            .map(|&List(relation, axis)| {
+                let relation = find(relation).map_or(Relation::Never, |(predicate, definition)| {
                     Relation::new(predicate, definition)
-                }),
-                axis,
+                });
+                Asked {
+                    in_view: axis == Axis::Second && relation.is_in_view(&views),
+                    relation,
+                    axis,
+                }
             })
             .collect();
         let steady = (dense.inputs().iter().enumerate())
@@ -206,7 +213,7 @@ impl Plan {
             inputs,
             lists,
             steady,
-            views: views(view),
+            views,
             dense,
         }
     }
@@ -301,6 +308,22 @@ impl Relation {
             | Definition::Concept { .. }
             | Definition::AtIntersection
             | Definition::InIntersection => unreachable!("a unary definition"),
+        }
+    }
+}
+
+impl Relation {
+    /// Whether the first sees the second wherever it holds.
+    fn is_in_view(&self, views: &[Reach; 5]) -> bool {
+        match self {
+            Relation::Colliding(colliding) => {
+                let within = |cone: &Reach, view: &Reach| cone.iter().zip(view).all(|(cone, view)| cone <= view);
+                let all_within =
+                    |cones: &[Reach; 4]| cones.iter().zip(&views[1..]).all(|(cone, view)| within(cone, view));
+                colliding.cones.iter().all(all_within)
+            }
+            Relation::Never => true,
+            _ => false,
         }
     }
 }
@@ -568,6 +591,36 @@ impl<const W: usize> Pairs<W> for Scene<'_, W> {
             (_, Axis::First) => keep(among, |other| self.holds(&asked.relation, other, at)),
         }
     }
+
+    #[inline]
+    fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
+        let asked = |list: usize| &self.grounder.lists[list];
+        let is_view = |list: usize| {
+            matches!(
+                (&asked(list).relation, asked(list).axis),
+                (Relation::Sees, Axis::Second)
+            )
+        };
+        // Who is in view need not be found out where another list has none but those.
+        let skips = lists.iter().any(|&list| asked(list).in_view);
+        let mut found = [0; W];
+        for at in members(&demand) {
+            let mut set = among;
+            for list in lists {
+                if skips && is_view(list) {
+                    continue;
+                }
+                set = self.narrow(list, at, set);
+                if is_empty(&set) {
+                    break;
+                }
+            }
+            if !is_empty(&set) {
+                found[at / 64] |= 1 << (at % 64);
+            }
+        }
+        found
+    }
 }
 
 impl<const W: usize> Scene<'_, W> {
@@ -607,9 +660,8 @@ impl Relation {
 }
 
 impl Relation {
-    /// Of whom it holds, by row: for each body those to which it relates it. Agrees with [`Relation::holds`].
+    /// Adds to the row of each body those to which it relates it. Agrees with [`Relation::holds`].
     pub fn relate(&self, views: &[Reach; 5], chance: &impl Chance, bodies: &[Body], rows: &mut [u64]) {
-        rows.fill(0);
         let set = |rows: &mut [u64], first: usize, second: usize, holds: bool| {
             rows[first] |= u64::from(holds) << second;
         };
@@ -754,7 +806,7 @@ mod tests {
             };
             let bodies: Vec<Body> = (0..count).map(body).collect();
             for (relation, found) in relations.iter().zip(&mut found) {
-                let mut rows = vec![u64::MAX; bodies.len()];
+                let mut rows = vec![0; bodies.len()];
                 relation.relate(&views, &Parity, &bodies, &mut rows);
                 let row = |x: &Body| {
                     let holds = |y: &Body| relation.holds(&views, &Parity, x, y);
