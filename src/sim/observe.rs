@@ -416,7 +416,7 @@ const FOUR_BITS: [[f32; 4]; 16] = {
     let mut numbers = [[0.0; 4]; 16];
     let mut bits = 0;
     while bits < 64 {
-        if bits / 4 >> (bits % 4) & 1 != 0 {
+        if ((bits / 4) >> (bits % 4)) & 1 != 0 {
             numbers[bits / 4][bits % 4] = 1.0;
         }
         bits += 1;

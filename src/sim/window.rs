@@ -756,7 +756,7 @@ mod tests {
 
     impl Chance for Parity {
         fn happens(&self, predicate: usize, first: usize, second: usize, _: f64) -> bool {
-            (predicate + first * 3 + second * 5 + first * second) % 2 == 0
+            (predicate + first * 3 + second * 5 + first * second).is_multiple_of(2)
         }
     }
 
