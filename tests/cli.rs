@@ -1310,35 +1310,39 @@ fn episodes_are_made_checked_and_shown() {
         out(output)
     };
     let output = file.to_str().unwrap();
-    let made = ok(&episodes(&[
-        "make", "--config", "easy", "--split", "val", "--output", output,
-    ]));
+    let made = ok(&episodes(&["make", "easy", "--split", "val", "--output", output]));
     let shipped = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/configs/episodes/easy-val.jsonl")).unwrap();
     assert!(fs::read_to_string(&file).unwrap() == shipped, "made with seed 0");
     let hash = made.rsplit(' ').next().unwrap().trim();
-    assert!(ok(&episodes(&["check", "--config", "easy", "--split", "val"])).contains(hash));
-    let shown = ok(&episodes(&["show", "--config", "easy", "--split", "val", "--json"]));
+    assert!(ok(&episodes(&["check", "easy", "--split", "val"])).contains(hash));
+    let shown = ok(&episodes(&["show", "easy", "--split", "val", "--json"]));
     let shown: Value = serde_json::from_str(&shown).unwrap();
     assert_eq!(
         (&shown["hash"], &shown["oracle"]["tsr"]["value"]),
         (&hash.into(), &1.0.into())
     );
     assert!(shown["random"]["tsr"]["value"].as_f64() < Some(0.3));
-    assert!(ok(&episodes(&["show", "--config", "easy", "--episode", "3"])).contains("Pedestrian_2"));
+    let spread = ok(&episodes(&[
+        "spread", "easy", "--split", "val", "--sets", "3", "--count", "5", "--json",
+    ]));
+    let spread: Value = serde_json::from_str(&spread).unwrap();
+    let score = |part: &str| spread["measures"]["score"][part].as_f64().unwrap();
+    assert!(score("min") < score("mean") && score("mean") < score("max") && score("standard_deviation") > 0.0);
+    assert!(ok(&episodes(&["show", "easy", "--episode", "3"])).contains("Pedestrian_2"));
     fails(
-        &episodes(&["show", "--config", "easy", "--episode", "100"]),
+        &episodes(&["show", "easy", "--episode", "100"]),
         2,
         &["numbered from 0 to 99"],
     );
-    fails(&episodes(&["check", "--config", "vap-easy"]), 1, &["has no `task`"]);
+    fails(&episodes(&["check", "vap-easy"]), 1, &["has no `task`"]);
     fails(
-        &episodes(&["make", "--config", "easy", "--output", "/nowhere/x.jsonl"]),
+        &episodes(&["make", "easy", "--output", "/nowhere/x.jsonl"]),
         2,
         &["/nowhere/x.jsonl"],
     );
     // Other rules, and the oracle does otherwise.
     fails(
-        &episodes(&["check", "--config", "easy", "--rules", "rules/expert.dl"]),
+        &episodes(&["check", "easy", "--rules", "rules/expert.dl"]),
         1,
         &["error"],
     );

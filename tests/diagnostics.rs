@@ -129,7 +129,7 @@ fn traces_fail_as_their_fixtures_say() {
 #[test]
 fn episodes_fail_as_their_fixture_says() {
     let path = fixtures().join("invalid-episode/main.yaml");
-    let output = logicity(&["episodes", "check", "--config", path.to_str().unwrap()]);
+    let output = logicity(&["episodes", "check", path.to_str().unwrap()]);
     let said = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{said}");
     for part in ["error[invalid-episode]: 1 trip of 2 agents", "short.jsonl:3:1"] {

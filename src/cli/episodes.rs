@@ -6,7 +6,7 @@ use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::{self, Output};
 use crate::sim::World;
 use crate::task::path::{
-    Baseline, Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, make_episodes, rollout, summarise,
+    Baseline, Egos, Env, Episode, EpisodeSet, PathTask, Policy, RANDOM_RUNS, Rollout, make_episodes, rollout, summarise,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
@@ -28,12 +28,14 @@ enum What {
     Check(Which),
     /// Print recorded episodes, a line each, and how the oracle and a random policy do on them
     Show(Show),
+    /// Draw set after set and print how far the measures of one set are a matter of chance
+    Spread(Spread),
 }
 
 #[derive(clap::Args)]
 struct Which {
     /// Configuration with a task
-    #[arg(long, default_value = "configs/expert.yaml")]
+    #[arg(default_value = "configs/expert.yaml")]
     config: PathBuf,
     /// Which split
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test")]
@@ -70,12 +72,28 @@ struct Show {
     json: bool,
 }
 
-/// Makes, checks or shows episodes.
+#[derive(clap::Args)]
+struct Spread {
+    #[command(flatten)]
+    which: Which,
+    /// How many sets, made with the seeds 1, 2, ...
+    #[arg(long, value_parser = clap::value_parser!(u32).range(2..=100_000), allow_negative_numbers = true, default_value_t = 40)]
+    sets: u32,
+    /// Episodes of a set; 40 for val and 100 otherwise unless given
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100_000), allow_negative_numbers = true)]
+    count: Option<u32>,
+    /// One JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Makes, checks or shows episodes, or tells how sets of them differ.
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     match &arguments.what {
         What::Make(make) => make.run(sources),
         What::Check(which) => which.check(sources),
         What::Show(show) => show.run(sources),
+        What::Spread(spread) => spread.run(sources),
     }
 }
 
@@ -84,6 +102,12 @@ impl Which {
         let (scenario, program, _) = load_city(sources, &self.config, self.rules.as_deref())?;
         let world = World::new(scenario, program)?;
         Ok(Arc::new(PathTask::new(Arc::new(world), sources)?))
+    }
+
+    /// How many episodes a set has.
+    fn count(&self, given: Option<u32>) -> usize {
+        let usual = if self.split == Split::Val { 40 } else { 100 };
+        given.unwrap_or(usual) as usize
     }
 
     /// The task, its recorded episodes, and a city for them.
@@ -147,8 +171,7 @@ fn differs(episode: &Episode, done: &Rollout) -> Option<String> {
 impl Make {
     fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
         let (task, split) = (self.which.task(sources)?, self.which.split);
-        let usual = if split == Split::Val { 40 } else { 100 };
-        let count = self.count.unwrap_or(usual) as usize;
+        let count = self.which.count(self.count);
         let named = task.config().episodes[split as usize]
             .as_ref()
             .map(|file| file.value.clone());
@@ -165,9 +188,7 @@ impl Make {
                 ));
             }
         };
-        let bar = ProgressBar::new(count as u64).with_style(
-            ProgressStyle::with_template("{bar:30} episode {pos} of {len}, {eta} left").expect("a valid template"),
-        );
+        let bar = progress("episode", count as u64);
         let set = make_episodes(&task, split, count, self.seed, |found| bar.set_position(found as u64))?;
         bar.finish_and_clear();
         let fail = |error| Failure::file("write", &path, error);
@@ -197,12 +218,7 @@ impl Show {
             })?;
             return one(&mut env, episode);
         }
-        let (mut oracle, mut random) = (Vec::new(), Baseline::default());
-        for episode in &set.episodes {
-            env.reset_to(episode)?;
-            oracle.push(rollout(&mut env, Policy::Oracle)?);
-            random.add(&mut env, episode)?;
-        }
+        let (oracle, random) = drive(&mut env, &set)?;
         let task = env.task();
         let (wanted, drawn) = (summarise(task, &oracle, Some(random.returns())), random.summary(task));
         let mut out = io::stdout().lock();
@@ -252,6 +268,111 @@ impl Show {
         writeln!(out, "{} {} {}", set.config, set.split.name(), set.hash())?;
         Ok(())
     }
+}
+
+/// Lets the oracle and the random policy drive all episodes of a set.
+fn drive(env: &mut Env, set: &EpisodeSet) -> Result<(Vec<Rollout>, Baseline), Diagnostic> {
+    let (mut oracle, mut random) = (Vec::new(), Baseline::default());
+    for episode in &set.episodes {
+        env.reset_to(episode)?;
+        oracle.push(rollout(env, Policy::Oracle)?);
+        random.add(env, episode)?;
+    }
+    Ok((oracle, random))
+}
+
+impl Spread {
+    /// What is measured of a set. The last has one random run for each episode, as the paper has.
+    const MEASURES: [&str; 7] = [
+        "score",
+        "oracle return",
+        "oracle steps",
+        "random return",
+        "random steps",
+        "random TSR",
+        "score, one random run",
+    ];
+
+    fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
+        let (task, split) = (self.which.task(sources)?, self.which.split);
+        let count = self.which.count(self.count);
+        let mut env = Env::new(Arc::clone(&task), split, Egos::First)?;
+        let bar = progress("set", self.sets.into());
+        let mut measured: [Vec<f64>; Self::MEASURES.len()] = Default::default();
+        for seed in 1..=u64::from(self.sets) {
+            let set = make_episodes(&task, split, count, seed, |_| ())?;
+            let (oracle, random) = drive(&mut env, &set)?;
+            for (values, value) in measured.iter_mut().zip(Self::measure(&task, &oracle, &random)) {
+                values.push(value);
+            }
+            bar.set_position(seed);
+        }
+        bar.finish_and_clear();
+        let rows = Self::MEASURES
+            .iter()
+            .zip(measured.iter().map(|values| Spread::of(values)));
+        let mut out = io::stdout().lock();
+        if self.json {
+            let measures: serde_json::Map<String, serde_json::Value> = rows
+                .map(|(name, [mean, deviation, least, most])| {
+                    let told = json!({"mean": mean, "standard_deviation": deviation, "min": least, "max": most});
+                    ((*name).to_owned(), told)
+                })
+                .collect();
+            let (config, split) = (&task.world().scenario.name, split.name());
+            let all =
+                json!({"config": config, "split": split, "sets": self.sets, "episodes": count, "measures": measures});
+            writeln!(out, "{all}")?;
+            return Ok(());
+        }
+        writeln!(
+            out,
+            "{:22} {:>8} {:>8} {:>8} {:>8}",
+            "measure", "mean", "sd", "min", "max"
+        )?;
+        for (name, [mean, deviation, least, most]) in rows {
+            writeln!(out, "{name:22} {mean:>8.2} {deviation:>8.2} {least:>8.2} {most:>8.2}")?;
+        }
+        writeln!(out, "{} sets of {count} episodes", self.sets)?;
+        Ok(())
+    }
+
+    fn measure(task: &PathTask, oracle: &[Rollout], random: &Baseline) -> [f64; Self::MEASURES.len()] {
+        let (wanted, drawn) = (summarise(task, oracle, None), random.summary(task));
+        let first = random.rollouts().iter().step_by(RANDOM_RUNS.into());
+        let once: Vec<f64> = first.map(|rollout| rollout.total).collect();
+        let score = |random: &[f64]| {
+            summarise(task, oracle, Some(random))
+                .score
+                .map_or(f64::NAN, |score| score.value)
+        };
+        [
+            score(random.returns()),
+            wanted.mean_return.value,
+            wanted.mean_steps,
+            drawn.mean_return.value,
+            drawn.mean_steps,
+            drawn.tsr.value,
+            score(&once),
+        ]
+    }
+
+    /// Mean, standard deviation, least and greatest.
+    #[allow(clippy::cast_precision_loss)] // fewer than 2^53 sets
+    fn of(values: &[f64]) -> [f64; 4] {
+        let n = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / n;
+        let squares: f64 = values.iter().map(|value| (value - mean) * (value - mean)).sum();
+        let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        [mean, (squares / (n - 1.0)).sqrt(), least, most]
+    }
+}
+
+/// A bar on a terminal.
+fn progress(what: &str, count: u64) -> ProgressBar {
+    let template = format!("{{bar:30}} {what} {{pos}} of {{len}}, {{eta}} left");
+    ProgressBar::new(count).with_style(ProgressStyle::with_template(&template).expect("a valid template"))
 }
 
 /// `Stop 3, Fast 1`
