@@ -16,6 +16,7 @@ mod repl;
 mod route;
 mod run;
 mod trace;
+mod view;
 mod why;
 
 use crate::config::{Located, MapConfig, Scenario, load_map, load_scenario};
@@ -56,6 +57,8 @@ enum Command {
     Infer(infer::Arguments),
     /// Tell why an agent did what it did in a run, or why it did not do something else
     Explain(explain::Arguments),
+    /// Make a page of a run that a browser opens: the city moves, and every decision says why
+    View(view::Arguments),
     /// Make, check or show recorded episodes of Safe Path Following
     Episodes(episodes::Arguments),
     /// Plan one route and print its cells
@@ -138,6 +141,7 @@ pub fn main() -> ExitCode {
         Command::Repl(arguments) => repl::run(&arguments, &mut sources),
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
+        Command::View(arguments) => view::run(&arguments, &mut sources),
         Command::Episodes(arguments) => episodes::run(&arguments, &mut sources),
         Command::Lsp(arguments) => lsp::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),

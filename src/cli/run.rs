@@ -59,6 +59,9 @@ pub struct Arguments {
     /// Threads for a city of many agents; 0 is one for each core. Runs are the same with any number
     #[arg(long, value_parser = super::threads, default_value = "1", allow_negative_numbers = true)]
     threads: NonZeroUsize,
+    /// Also write a page that a browser opens: the city moves, and every decision says why
+    #[arg(long, value_name = "FILE", conflicts_with = "no_trace")]
+    html: Option<PathBuf>,
     /// Write the trace only
     #[arg(long)]
     no_pictures: bool,
@@ -137,7 +140,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
     bar.finish_and_clear();
 
-    let written = record.map_or_else(|| Ok(Vec::new()), |record| record.finish(&simulation))?;
+    let mut written = record.map_or_else(|| Ok(Vec::new()), |record| record.finish(&simulation))?;
+    if let (Some(page), Some(trace)) = (&arguments.html, written.first()) {
+        let files = [Some(arguments.config.as_path()), arguments.rules.as_deref()];
+        super::view::write(trace, page, (0, u64::MAX), files, &mut Sources::new())?;
+        written.push(page.clone());
+    }
     let mut out = anstream::stdout();
     write!(out, "{}", summary(&mut simulation, &tally, sources, &written))?;
     if tally.ticks < ticks {

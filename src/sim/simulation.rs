@@ -107,8 +107,8 @@ impl Phase {
 /// The state on which the last tick was decided, as facts of a session.
 #[derive(Clone, Copy)]
 pub struct Moment<'a> {
-    world: &'a World,
-    state: &'a GroundState,
+    pub(super) world: &'a World,
+    pub(super) state: &'a GroundState,
 }
 
 impl<'a> Moment<'a> {
@@ -149,15 +149,7 @@ impl Simulation {
         })?;
         let places = world.places(split, set);
         let agents = place_agents(set, &world.router, &places, seed)?;
-        let rules = world.program.rules();
-        let counted = |clause: &ClauseId| {
-            let clause = &rules.clauses[clause.index()];
-            !clause.body.is_empty() && !rules.relations[clause.head.relation.index()].hidden
-        };
-        let clauses: Vec<ClauseId> = (0..rules.clauses.len())
-            .map(|index| ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")))
-            .filter(counted)
-            .collect();
+        let clauses: Vec<ClauseId> = world.clauses().collect();
         let to_count: &[ClauseId] = if settings.count_firings { &clauses } else { &[] };
         // Fewer agents are decided about faster than threads are woken.
         let threads = match agents.len() > WHOLE_MAX {
