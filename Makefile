@@ -34,7 +34,9 @@ python: $(VENV)/bin/python
 # The page of a run, in headless Chromium.
 page: $(VENV)/bin/python
 	cargo build --locked
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check selenium pytest
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check pytest ruff selenium
+	$(VENV)/bin/ruff check --config python/pyproject.toml tests/page_in_browser.py
+	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/page_in_browser.py
 	$(VENV)/bin/python -m pytest -q tests/page_in_browser.py
 
 # The same with Stable-Baselines3, whose tests are skipped above: it brings torch, some gigabytes.

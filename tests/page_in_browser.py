@@ -1,7 +1,7 @@
 """The page of a run, opened from the disk in headless Chromium: clicked, scrubbed, read, photographed.
 
-`make page` runs it. Without chromium and chromedriver (on Debian: apt-get install chromium chromium-driver) it is skipped, except where
-CI is set. Screenshots are left in the folder that LOGICITY_SCREENSHOTS names, if it does.
+`make page` runs it. Without chromium and chromedriver (on Debian: apt-get install chromium chromium-driver) it is
+skipped, except where CI is set. Screenshots are left in the folder that LOGICITY_SCREENSHOTS names, if it does.
 """
 
 import json
