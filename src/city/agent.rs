@@ -148,12 +148,29 @@ impl Agent {
 /// # Errors
 /// `no-start-cell` if the region has fewer start cells than agents of a kind, `no-route` if no goal can be reached.
 pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed) -> Result<Vec<Agent>, Diagnostic> {
+    place_agents_until(set, router, places, seed, &|| false)
+}
+
+/// The same, given up when `stop` says so, which is asked for every agent.
+///
+/// # Errors
+/// As [`place_agents`]; `limit-exceeded` if it was given up.
+pub fn place_agents_until(
+    set: &AgentSet,
+    router: &Router,
+    places: &Places,
+    seed: Seed,
+    stop: &dyn Fn() -> bool,
+) -> Result<Vec<Agent>, Diagnostic> {
     for kind in AgentKind::ALL {
         check_room(set, places, kind)?;
     }
     let mut free = AgentKind::ALL.map(|kind| Free::new(places.count(kind)));
     let mut agents = Vec::with_capacity(set.len());
     for (index, config) in set.agents().enumerate() {
+        if stop() {
+            return Err(Diagnostic::interrupted());
+        }
         let mut stream = seed.stream(Purpose::Placement, index as u64, 0);
         let kind = config.name.kind;
         let free = &mut free[kind as usize];

@@ -305,7 +305,12 @@ impl State {
     }
 
     /// Evaluates the rules on the facts.
-    fn run(&mut self, evaluator: &Evaluator, observed: Observed<'_>) -> Result<(), Diagnostic> {
+    fn run(
+        &mut self,
+        evaluator: &Evaluator,
+        observed: Observed<'_>,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<(), Diagnostic> {
         let atoms = observed.atoms;
         match (self, evaluator) {
             (State::Dense(frame), Evaluator::Dense(rules)) => {
@@ -337,7 +342,8 @@ impl State {
                     Box::new(GroundState::over(program, relations.clone(), names))
                 });
                 let facts = observed.facts(relations.len());
-                state.set(&facts).map_err(|error| error.diagnostic(program.rules()))
+                let set = state.set_until(&facts, stop);
+                set.map_err(|error| error.diagnostic(program.rules()))
             }
             _ => unreachable!("a state is made for its evaluator"),
         }
@@ -603,7 +609,8 @@ impl Observer {
         let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
         let mut state = GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str));
         let observed = Observed::new(&self.atoms, &self.bodies, city);
-        (state.set(&observed.facts(self.oracle.how.len()))).map_err(|error| error.diagnostic(world.program.rules()))?;
+        let set = state.set_until(&observed.facts(self.oracle.how.len()), city.stop());
+        set.map_err(|error| error.diagnostic(world.program.rules()))?;
         let (session, values) = state.into_parts();
         Ok((session, values[self.ego]))
     }
@@ -616,7 +623,7 @@ impl Observer {
         let oracle = &*self.oracle;
         self.atoms.unary[oracle.how.len()..].fill(0);
         let observed = Observed::new(&self.atoms, &self.bodies, city);
-        self.wanted.run(&oracle.wanted, observed)?;
+        self.wanted.run(&oracle.wanted, observed, city.stop())?;
         let vocabulary = &oracle.world.vocabulary;
         let derived = match (&self.wanted, &oracle.wanted) {
             (State::Dense(frame), Evaluator::Dense(rules)) => {
@@ -643,7 +650,7 @@ impl Observer {
         given.fill(0);
         given[action as usize] = 1;
         let observed = Observed::new(&self.atoms, &self.bodies, city);
-        self.judged.run(&oracle.judged, observed)?;
+        self.judged.run(&oracle.judged, observed, city.stop())?;
         self.broken.clear();
         let (judged, ego) = (&self.judged, self.ego);
         let holds = |clause: ClauseId| match (judged, &oracle.judged) {
