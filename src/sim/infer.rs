@@ -8,12 +8,13 @@ use super::width::{Width, in_words};
 use crate::city::CityMap;
 use crate::config::{Definition, Scenario, Speed, load_map};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
-use crate::engine::dense::{BitFacts, Counting, Dense, Frame, has};
+use crate::engine::dense::{BitFacts, Counting, Dense, Frame, Pairs, Set, has};
 use crate::engine::{EvalError, Program, Session, promise};
 use crate::files::ReadError;
 use crate::lang::{RelId, Value};
 use crate::rng::{Purpose, RngExt, Seed};
 use serde_json::{Map, json};
+use std::cell::Cell;
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -315,7 +316,7 @@ impl Inference {
     fn derive(&self, scene: &SceneFacts, names: &[&str], stop: &dyn Fn() -> bool) -> Result<Vec<Actions>, Diagnostic> {
         if let (Some(dense), false) = (&self.dense, self.check_promises) {
             let width = Width::of(names.len()).expect("a scene has fewer entities than the widest set");
-            return Ok(in_words!(width, W => self.derive_dense::<W>(dense, scene)));
+            return in_words!(width, W => self.derive_dense::<W>(dense, scene, stop));
         }
         let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
         state.set_until(&scene.facts, stop)?;
@@ -332,18 +333,61 @@ impl Inference {
             .collect())
     }
 
-    fn derive_dense<const W: usize>(&self, dense: &Dense, scene: &SceneFacts) -> Vec<Actions> {
+    fn derive_dense<const W: usize>(
+        &self,
+        dense: &Dense,
+        scene: &SceneFacts,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Vec<Actions>, Diagnostic> {
         let count = scene.names.len();
         let bits: BitFacts<W> = scene.facts.to_bits(&self.vocabulary, dense, count);
         let mut frame = Frame::new(dense, count);
         bits.load(dense, &mut frame);
-        frame.run(dense, &bits);
+        let asking = Asking {
+            facts: &bits,
+            stop,
+            looks: Cell::new(0),
+            stopped: Cell::new(false),
+        };
+        frame.run(dense, &asking);
+        if asking.stopped.get() {
+            return Err(Diagnostic::interrupted());
+        }
         let holds = |action: Speed, ego: usize| {
             let relation = self.vocabulary.action(action);
             relation.is_some_and(|relation| frame.set(dense, relation).is_some_and(|set| has(set, ego)))
         };
         let derived = |&ego: &usize| Speed::ALL.into_iter().filter(|&action| holds(action, ego)).collect();
-        scene.egos.iter().map(derived).collect()
+        Ok(scene.egos.iter().map(derived).collect())
+    }
+}
+
+/// Facts about pairs, and now and then the question whether to give up.
+struct Asking<'a, const W: usize> {
+    facts: &'a BitFacts<W>,
+    stop: &'a dyn Fn() -> bool,
+    looks: Cell<u32>,
+    stopped: Cell<bool>,
+}
+
+impl<const W: usize> Pairs<W> for Asking<'_, W> {
+    #[inline]
+    fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
+        self.facts.narrow(list, at, among)
+    }
+
+    #[inline]
+    fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
+        self.facts.any(lists, demand, among)
+    }
+
+    #[inline]
+    fn stopped(&self) -> bool {
+        self.looks.set(self.looks.get().wrapping_add(1));
+        if self.looks.get().is_multiple_of(1024) && (self.stop)() {
+            self.stopped.set(true);
+        }
+        self.stopped.get()
     }
 }
 
