@@ -25,7 +25,7 @@ struct Run {
 }
 
 fn run(config: &str, ticks: u64) -> Run {
-    let (world, sources) = with_sources(config, None, |_| ());
+    let (world, sources) = with_sources(config);
     let settings = Settings {
         count_firings: true,
         ..Settings::default()

@@ -153,20 +153,22 @@ impl Agent {
 /// `no-start-cell` if the region has fewer start cells than agents of a kind, `no-route` if no goal can be reached.
 pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed) -> Result<Vec<Agent>, Diagnostic> {
     let mut agents = Vec::with_capacity(set.len());
-    place_agents_in(&mut agents, set, router, places, seed)?;
+    place_agents_until(&mut agents, set, router, places, seed, &|| false)?;
     Ok(agents)
 }
 
-/// The same, in a list of other agents, whose memory is used again. After a fault some of them are left.
+/// The same, in a list of other agents, whose memory is used again, and given up when `stop` says so, which is asked for every agent. After
+/// a fault some of them are left.
 ///
 /// # Errors
-/// As [`place_agents`].
-pub fn place_agents_in(
+/// As [`place_agents`]; `limit-exceeded` if it was given up.
+pub fn place_agents_until(
     agents: &mut Vec<Agent>,
     set: &AgentSet,
     router: &Router,
     places: &Places,
     seed: Seed,
+    stop: &dyn Fn() -> bool,
 ) -> Result<(), Diagnostic> {
     for kind in AgentKind::ALL {
         check_room(set, places, kind)?;
@@ -174,6 +176,9 @@ pub fn place_agents_in(
     let mut free = AgentKind::ALL.map(|kind| Free::new(places.count(kind)));
     let mut count = 0;
     for (index, (name, group)) in set.members().enumerate() {
+        if stop() {
+            return Err(Diagnostic::interrupted());
+        }
         let mut stream = seed.stream(Purpose::Placement, index as u64, 0);
         let free = &mut free[name.kind as usize];
         let drawn = free.take(stream.random_range(0..free.count));

@@ -45,6 +45,20 @@ pub fn ground(
     chance: &impl Chance,
     skip: impl Fn(usize) -> bool,
 ) -> Facts {
+    let facts = ground_until(vocabulary, map, view, entities, chance, skip, &|| false);
+    facts.expect("nobody gives it up")
+}
+
+/// The same, given up when `stop` says so, which is asked for every entity: then there is nothing.
+pub(super) fn ground_until(
+    vocabulary: &Vocabulary,
+    map: &CityMap,
+    view: u32,
+    entities: &[Entity<'_>],
+    chance: &impl Chance,
+    skip: impl Fn(usize) -> bool,
+    stop: &dyn Fn() -> bool,
+) -> Option<Facts> {
     let mut facts = Facts {
         rows: vec![Vec::new(); vocabulary.predicates.len()],
     };
@@ -54,6 +68,9 @@ pub fn ground(
         }
         let rows = &mut facts.rows[index];
         for (x, first) in entities.iter().enumerate() {
+            if stop() {
+                return None;
+            }
             if *arity == 1 {
                 if unary(definition, map, first) {
                     rows.push([number(x), 0]);
@@ -76,7 +93,7 @@ pub fn ground(
             }
         }
     }
-    facts
+    Some(facts)
 }
 
 fn number(index: usize) -> u32 {

@@ -382,6 +382,8 @@ pub(super) struct Observed<'a> {
     pub agents: &'a [Agent],
     /// What the ego does, where that is an input.
     pub given: Option<Speed>,
+    /// Whether to give up.
+    pub stop: &'a dyn Fn() -> bool,
 }
 
 impl Observed<'_> {
@@ -451,7 +453,8 @@ impl State {
                     Box::new(GroundState::over(program, relations.clone(), names))
                 });
                 let facts = observed.facts(relations.len());
-                state.set(&facts).map_err(|error| error.diagnostic(program.rules()))
+                let set = state.set_until(&facts, observed.stop);
+                set.map_err(|error| error.diagnostic(program.rules()))
             }
             _ => unreachable!("a state is made for its evaluator"),
         }

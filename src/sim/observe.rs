@@ -372,8 +372,9 @@ impl Observer {
         let world = &self.oracle.world;
         let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
         let mut state = GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str));
-        (state.set(&observed(&self.atoms, &self.bodies, city).facts(self.oracle.how.len())))
-            .map_err(|error| error.diagnostic(world.program.rules()))?;
+        let facts = observed(&self.atoms, &self.bodies, city).facts(self.oracle.how.len());
+        let set = state.set_until(&facts, city.stop());
+        set.map_err(|error| error.diagnostic(world.program.rules()))?;
         let (session, values) = state.into_parts();
         Ok((session, values[self.ego]))
     }
@@ -408,6 +409,7 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [Body], city: &'a Simulation) -> O
         bodies,
         agents: city.agents(),
         given: None,
+        stop: city.stop(),
     }
 }
 

@@ -9,6 +9,12 @@ pub trait Pairs<const W: usize> {
     /// Those of `among` that stand in the relation of the list to entity `at`. `list` is a position in [`Dense::lists`].
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W>;
 
+    /// Whether to give up. What is computed from then on means nothing.
+    #[inline]
+    fn stopped(&self) -> bool {
+        false
+    }
+
     /// Those of `demand` to which one and the same member of `among` stands in the relations of all lists.
     #[inline]
     fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
@@ -351,7 +357,7 @@ impl<const W: usize, P: Pairs<W>> Search<'_, W, P> {
         let Some(next) = steps.get(depth + 1) else {
             return !is_empty(&set);
         };
-        if is_empty(&set) || is_empty(&self.sets[next.among.index()]) {
+        if is_empty(&set) || is_empty(&self.sets[next.among.index()]) || self.pairs.stopped() {
             return false;
         }
         members(&set).any(|value| {

@@ -5,7 +5,7 @@ use crate::city::Agent;
 use crate::config::{AgentKind, Speed, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::{Actions, Observer, Settings, Simulation};
+use crate::sim::{Actions, Observer, Settings, Simulation, Stop};
 use std::sync::Arc;
 
 /// Who is driven from outside.
@@ -94,7 +94,15 @@ impl Env {
     /// # Errors
     /// `unknown-split`, `no-start-cell`, `no-route`, `limit-exceeded`: see [`Simulation::new`]; `invalid-value` if the split has no car.
     pub fn new(task: Arc<PathTask>, split: Split, egos: Egos) -> Result<Env, Diagnostic> {
-        let city = Simulation::new(Arc::clone(task.world()), split, Seed(0), Settings::default())?;
+        Env::new_until(task, split, egos, Arc::new(|| false))
+    }
+
+    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `limit-exceeded`; a reset comes next then.
+    ///
+    /// # Errors
+    /// As [`Env::new`].
+    pub fn new_until(task: Arc<PathTask>, split: Split, egos: Egos, stop: Stop) -> Result<Env, Diagnostic> {
+        let city = Simulation::new_until(Arc::clone(task.world()), split, Seed(0), Settings::default(), stop)?;
         let agents = city.agents().iter().enumerate();
         let cars = agents
             .filter(|(_, agent)| agent.kind == AgentKind::Car)
