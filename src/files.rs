@@ -189,16 +189,15 @@ fn read_bytes(input: impl Read) -> Result<Vec<u8>, ReadError> {
     }
 }
 
+/// A path and the bytes of its file.
+pub type NamedBytes = (String, Vec<u8>);
+
 /// Reads the files in the folders of a folder, each with its path `FOLDER/NAME`, in the order of paths. What lies beside the folders, and
 /// what has a name that begins with a dot, is left out.
 ///
 /// # Errors
 /// The path that cannot be read, or that has too many or too large files below it, and why.
-pub fn read_folders(
-    path: &Path,
-    files_max: usize,
-    bytes_max: u64,
-) -> Result<Vec<(String, Vec<u8>)>, (PathBuf, ReadError)> {
+pub fn read_folders(path: &Path, files_max: usize, bytes_max: u64) -> Result<Vec<NamedBytes>, (PathBuf, ReadError)> {
     let mut found = Vec::new();
     for folder in listed(path)?.into_iter().filter(|path| path.is_dir()) {
         for file in listed(&folder)? {

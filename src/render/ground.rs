@@ -121,14 +121,14 @@ impl Texture {
     /// Lightens or darkens a colour from place to place: clouds over some cells, single specks, stains, and under noise uneven light.
     fn weathered(self, rgb: Rgb, x: i64, y: i64, scale: Scale, layer: u32) -> Rgb {
         let cell = i64::from(scale.pixels);
-        let mut light = self.wave(x, y, 6 * cell, layer) * (5 * 256 + 18 * self.noise) >> 16;
+        let mut light = (self.wave(x, y, 6 * cell, layer) * (5 * 256 + 18 * self.noise)) >> 16;
         let speck = self.hash(x, y, layer);
         // Specks are rare where all is clean, so that pictures stay small.
-        if (speck & 255) < 14 + (self.noise as u32 * 150 >> 8) {
-            light += ((speck >> 8) as i32 % 19 - 9) * (256 + self.noise) >> 8;
+        if (speck & 255) < 14 + ((self.noise as u32 * 150) >> 8) {
+            light += (((speck >> 8) as i32 % 19 - 9) * (256 + self.noise)) >> 8;
         }
         if self.noise > 0 {
-            light += self.wave(x, y, 37 * cell, layer + 1) * self.noise * 50 >> 16;
+            light += (self.wave(x, y, 37 * cell, layer + 1) * self.noise * 50) >> 16;
             light += self.stain(x, y, cell, layer);
         }
         rgb.map(|channel| (i32::from(channel) + light).clamp(0, 255) as u8)
@@ -196,7 +196,7 @@ impl Texture {
 
     /// White paint, under noise worn here and there.
     fn paint(self, x: i64, y: i64) -> Rgb {
-        let worn = ((self.hash(x, y, 50) & 255) as i32) < self.noise / 3;
+        let worn = ((self.hash(x >> 1, y >> 1, 50) & 255) as i32) < self.noise / 6;
         if worn { self.asphalt } else { PAINT }
     }
 }

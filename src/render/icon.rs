@@ -1,7 +1,7 @@
 //! Icons: from a class, an instance, a facing and a size to pixels.
 
 use super::class::{Class, Facing, Subject};
-use super::pack::{Art, Mode, Pack};
+use super::pack::{Mode, Pack, shrunk};
 use super::sketch::{Dice, Ink, Sketch, byte};
 use super::{building, car, pedestrian};
 use crate::config::AgentKind;
@@ -33,7 +33,7 @@ impl Difficulty {
 }
 
 /// The largest icon: the short side of a car, the side of a pedestrian or building, in pixels.
-pub const ICON_MAX: u32 = 1024;
+pub const ICON_MAX: u32 = 512;
 
 /// Instances of a class that are drawn, not taken from a pack.
 const DRAWN: u32 = 100;
@@ -141,7 +141,7 @@ impl Icons {
         }
     }
 
-    fn art(&self, class: &Class) -> &[Art] {
+    fn art(&self, class: &Class) -> &[Pixmap] {
         self.pack.as_ref().map_or(&[], |pack| pack.of(class))
     }
 
@@ -304,8 +304,8 @@ impl Layers {
     }
 
     /// A car's short side has the size; others fit into a square.
-    fn of_art(art: &Art, class: &Class, facing: Facing, size: u32) -> Layers {
-        let (width, height) = art.size();
+    fn of_art(art: &Pixmap, class: &Class, facing: Facing, size: u32) -> Layers {
+        let (width, height) = (art.width() as f32, art.height() as f32);
         let turns = matches!(class.0, Subject::Agent(AgentKind::Car, _));
         let scale = size as f32 / if turns { width.min(height) } else { width.max(height) };
         let (wide, high) = (width * scale, height * scale);
@@ -319,26 +319,19 @@ impl Layers {
         let transform = Transform::from_translate(-wide / 2.0, -high / 2.0)
             .post_concat(turn)
             .post_concat(middle);
-        match art {
-            Art::Drawing(tree) => {
-                let transform = transform.pre_scale(scale, scale);
-                resvg::render(tree, transform, &mut body.as_mut());
-            }
-            Art::Picture(picture) => {
-                let side = |length: f32| u32::from(length.round().max(1.0) as u16);
-                let small = shrunk(picture, side(wide), side(high));
-                let (rest_x, rest_y) = (wide / small.width() as f32, high / small.height() as f32);
-                let paint = PixmapPaint {
-                    quality: if rest_x > 1.5 {
-                        FilterQuality::Bicubic
-                    } else {
-                        FilterQuality::Bilinear
-                    },
-                    ..PixmapPaint::default()
-                };
-                body.draw_pixmap(0, 0, small.as_ref(), &paint, transform.pre_scale(rest_x, rest_y), None);
-            }
-        }
+        let side = |length: f32| u32::from(length.round().max(1.0) as u16);
+        let small = shrunk(art, side(wide), side(high));
+        let (rest_x, rest_y) = (wide / small.width() as f32, high / small.height() as f32);
+        let paint = PixmapPaint {
+            quality: if rest_x > 1.5 {
+                FilterQuality::Bicubic
+            } else {
+                FilterQuality::Bilinear
+            },
+            ..PixmapPaint::default()
+        };
+        let transform = transform.pre_scale(rest_x, rest_y);
+        body.draw_pixmap(0, 0, small.as_ref(), &paint, transform, None);
         let ground = Pixmap::new(body.width(), body.height()).expect("as large as the other");
         Layers { ground, body }
     }
@@ -412,39 +405,6 @@ fn bounds(pixmap: &Pixmap, least: u8) -> Option<(u32, u32, u32, u32)> {
         }
     }
     found
-}
-
-/// A picture made smaller by averaging; no side grows.
-fn shrunk(picture: &Pixmap, width: u32, height: u32) -> Pixmap {
-    let (from_w, from_h) = (picture.width(), picture.height());
-    let (width, height) = (width.min(from_w), height.min(from_h));
-    let mut small = Pixmap::new(width, height).expect("no side is 0");
-    let span = |at: u32, to: u32, from: u32| {
-        let (at, to, from) = (u64::from(at), u64::from(to), u64::from(from));
-        let start = at * from / to;
-        (start as usize, ((at + 1) * from).div_ceil(to).max(start + 1) as usize)
-    };
-    for y in 0..height {
-        let (top, bottom) = span(y, height, from_h);
-        for x in 0..width {
-            let (left, right) = span(x, width, from_w);
-            let mut sum = [0_u64; 4];
-            for row in top..bottom {
-                for col in left..right {
-                    let at = 4 * (row * from_w as usize + col);
-                    for (sum, &channel) in sum.iter_mut().zip(&picture.data()[at..at + 4]) {
-                        *sum += u64::from(channel);
-                    }
-                }
-            }
-            let count = ((bottom - top) * (right - left)) as u64;
-            let at = 4 * (y * width + x) as usize;
-            for (to, sum) in small.data_mut()[at..at + 4].iter_mut().zip(sum) {
-                *to = ((sum + count / 2) / count) as u8;
-            }
-        }
-    }
-    small
 }
 
 /// Changes colours, light and sharpness, and adds grain.

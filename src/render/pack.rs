@@ -1,20 +1,28 @@
 //! Icon packs: pictures and drawings of others, a folder a class.
 
 use super::class::Class;
-use resvg::tiny_skia::{IntSize, Pixmap};
+use resvg::tiny_skia::{IntSize, Pixmap, Transform};
 use resvg::usvg::{self, ImageHrefResolver, Options, Tree, roxmltree};
 use std::collections::BTreeMap;
 use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// The largest file of a pack, in bytes.
 pub const PACK_FILE_MAX: usize = 4 << 20;
 /// The longest side of a picture in a pack, in pixels.
 const SIDE_MAX: u32 = 2048;
+/// The longest side of an icon that is kept, in pixels; drawings are painted at that size, once.
+const KEPT_MAX: u32 = 384;
+/// An icon is at most that many times as long as wide.
+const ASPECT_MAX: f32 = 6.0;
 /// The most XML nodes of a drawing, and the most of them that refer to others.
 const NODES_MAX: u32 = 20_000;
 const USES_MAX: usize = 64;
+/// How deep elements lie in elements, with those that they refer to.
+const DEPTH_MAX: usize = 48;
+const SVG: &str = "http://www.w3.org/2000/svg";
 /// The most files of a pack.
-pub const PACK_FILES_MAX: usize = 10_000;
+pub const PACK_FILES_MAX: usize = 2_000;
 
 /// What a pack does to the icons that are drawn by parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,25 +67,7 @@ impl std::error::Error for PackFault {}
 #[derive(Clone, Debug)]
 pub struct Pack {
     mode: Mode,
-    classes: BTreeMap<Class, Vec<Art>>,
-}
-
-/// An icon of a pack.
-#[derive(Clone, Debug)]
-pub(super) enum Art {
-    Picture(Pixmap),
-    Drawing(Box<Tree>),
-}
-
-#[allow(clippy::cast_precision_loss)]
-impl Art {
-    /// Width and height, in units of its own.
-    pub(super) fn size(&self) -> (f32, f32) {
-        match self {
-            Art::Picture(picture) => (picture.width() as f32, picture.height() as f32),
-            Art::Drawing(tree) => (tree.size().width(), tree.size().height()),
-        }
-    }
+    classes: BTreeMap<Class, Vec<Pixmap>>,
 }
 
 impl Pack {
@@ -89,7 +79,7 @@ impl Pack {
     pub fn new(mode: Mode, mut files: Vec<(String, Vec<u8>)>) -> Result<Pack, Vec<PackFault>> {
         files.sort();
         let mut faults = Vec::new();
-        let mut classes: BTreeMap<Class, Vec<Art>> = BTreeMap::new();
+        let mut classes: BTreeMap<Class, Vec<Pixmap>> = BTreeMap::new();
         for (file, bytes) in files {
             match icon(&file, &bytes) {
                 Ok((class, art)) => classes.entry(class).or_default().push(art),
@@ -120,13 +110,13 @@ impl Pack {
         self.classes.iter().map(|(class, icons)| (class, icons.len()))
     }
 
-    pub(super) fn of(&self, class: &Class) -> &[Art] {
+    pub(super) fn of(&self, class: &Class) -> &[Pixmap] {
         self.classes.get(class).map_or(&[], Vec::as_slice)
     }
 }
 
 /// The class and the icon of a file, or why there is none.
-fn icon(file: &str, bytes: &[u8]) -> Result<(Class, Art), String> {
+fn icon(file: &str, bytes: &[u8]) -> Result<(Class, Pixmap), String> {
     let (folder, name) = file
         .split_once('/')
         .ok_or("it lies in no folder; the folder is the class")?;
@@ -145,10 +135,16 @@ fn icon(file: &str, bytes: &[u8]) -> Result<(Class, Art), String> {
         .map(|(_, ending)| ending.to_ascii_lowercase())
         .as_deref()
     {
-        Some("png") => Art::Picture(picture(bytes)?),
-        Some("svg") => Art::Drawing(Box::new(drawing(bytes)?)),
+        Some("png") => picture(bytes)?,
+        Some("svg") => drawing(bytes)?,
         _ => return Err("it is neither `.png` nor `.svg`".into()),
     };
+    let largest = art.width().max(art.height());
+    if largest <= KEPT_MAX {
+        return Ok((class, art));
+    }
+    let side = |length: u32| (length * KEPT_MAX / largest).max(1);
+    let art = shrunk(&art, side(art.width()), side(art.height()));
     Ok((class, art))
 }
 
@@ -182,11 +178,23 @@ fn picture(bytes: &[u8]) -> Result<Pixmap, String> {
             let times = |channel: u8| ((u32::from(channel) * u32::from(alpha) + 127) / 255) as u8;
             [times(r), times(g), times(b), alpha]
         });
+    #[allow(clippy::cast_precision_loss)]
+    check_aspect(width as f32, height as f32)?;
     let size = IntSize::from_wh(width, height).ok_or("it has no pixels")?;
     Pixmap::from_vec(pixels.collect(), size).ok_or_else(|| "it ends too soon".into())
 }
 
-fn drawing(bytes: &[u8]) -> Result<Tree, String> {
+/// Refuses what is too long for its width, since what is turned takes a square.
+fn check_aspect(width: f32, height: f32) -> Result<(), String> {
+    match width.max(height) > width.min(height) * ASPECT_MAX {
+        true => Err(format!(
+            "{width} x {height}: one side is more than {ASPECT_MAX} times the other"
+        )),
+        false => Ok(()),
+    }
+}
+
+fn drawing(bytes: &[u8]) -> Result<Pixmap, String> {
     let text = std::str::from_utf8(bytes).map_err(|_| "not UTF-8 text")?;
     // Neither entities, which can grow without bounds, nor more nodes than a drawing needs.
     let limits = roxmltree::ParsingOptions {
@@ -196,43 +204,8 @@ fn drawing(bytes: &[u8]) -> Result<Tree, String> {
     };
     let document = roxmltree::Document::parse_with_options(text, limits)
         .map_err(|error| format!("not an SVG drawing: {error}"))?;
-    let mut uses = 0;
-    for node in document.descendants().filter(roxmltree::Node::is_element) {
-        let name = node.tag_name().name();
-        let place = || document.text_pos_at(node.range().start);
-        match name {
-            "image" | "feImage" => {
-                return Err(format!(
-                    "line {}: `{name}` shows another picture; draw it instead",
-                    place().row
-                ));
-            }
-            "text" => return Err(format!("line {}: text is not shown; turn it into paths", place().row)),
-            "filter" | "foreignObject" | "script" => {
-                return Err(format!("line {}: `{name}` is not taken", place().row));
-            }
-            "use" => uses += 1,
-            _ => {}
-        }
-        let outside = |value: &str| {
-            let url = value
-                .split("url(")
-                .skip(1)
-                .any(|url| !url.trim_start_matches([' ', '\'', '"']).starts_with('#'));
-            url || value.contains("@import")
-        };
-        let text = node.text().filter(|_| name == "style");
-        let foreign = node.attributes().any(|attribute| {
-            attribute.name() == "href" && name != "a" && !attribute.value().starts_with('#')
-                || outside(attribute.value())
-        });
-        if foreign || text.is_some_and(outside) {
-            return Err(format!("line {}: `{name}` refers to another file", place().row));
-        }
-    }
-    if uses > USES_MAX {
-        return Err(format!("{uses} elements `use`; there may be {USES_MAX}"));
-    }
+    check_elements(&document)?;
+    check_depth(&document)?;
     let options = Options {
         image_href_resolver: ImageHrefResolver {
             resolve_data: Box::new(|_, _, _| None),
@@ -243,13 +216,142 @@ fn drawing(bytes: &[u8]) -> Result<Tree, String> {
     let tree =
         Tree::from_xmltree(&document, &options).map_err(|error: usvg::Error| format!("not an SVG drawing: {error}"))?;
     let (width, height) = (tree.size().width(), tree.size().height());
-    if width > height * 100.0 || height > width * 100.0 {
-        return Err(format!("{width} x {height}: one side is more than 100 times the other"));
+    check_aspect(width, height)?;
+    let extent = tree.root().abs_stroke_bounding_box();
+    let far = [extent.left(), extent.top(), extent.right(), extent.bottom()];
+    if far.into_iter().any(|at| at.abs() > 100.0 * width.max(height)) {
+        return Err("it reaches more than 100 times as far as what is shown".into());
     }
     if tree.root().children().is_empty() {
         return Err("nothing is drawn in it".into());
     }
-    Ok(tree)
+    #[allow(clippy::cast_precision_loss)]
+    let scale = KEPT_MAX as f32 / width.max(height);
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+    let side = |length: f32| ((length * scale).round() as u32).clamp(1, KEPT_MAX);
+    let mut pixmap = Pixmap::new(side(width), side(height)).ok_or("it has no size")?;
+    // Painters assert what coordinates without bounds can break, in clips and masks too, which have no extent here.
+    let painted = catch_unwind(AssertUnwindSafe(|| {
+        resvg::render(&tree, Transform::from_scale(scale, scale), &mut pixmap.as_mut());
+    }));
+    painted.map_err(|_| "it cannot be drawn: look for numbers that are very large or very small")?;
+    Ok(pixmap)
+}
+
+/// Refuses elements that show what is not in the drawing, or that take long.
+fn check_elements(document: &roxmltree::Document<'_>) -> Result<(), String> {
+    let mut uses = 0;
+    let patterns = document.descendants().any(|node| node.has_tag_name((SVG, "pattern")));
+    for node in document.descendants().filter(roxmltree::Node::is_element) {
+        let name = node.tag_name().name();
+        let fault = |why: String| Err(format!("line {}: {why}", document.text_pos_at(node.range().start).row));
+        match name {
+            "image" | "feImage" => return fault(format!("`{name}` shows another picture; draw it instead")),
+            "text" => return fault("text is not shown; turn it into paths".into()),
+            "filter" | "foreignObject" | "script" => return fault(format!("`{name}` is not taken")),
+            "use" => uses += 1,
+            _ => {}
+        }
+        let outside = |value: &str| value.contains("@import") || urls(value).any(|url| !url.starts_with('#'));
+        let style = node.text().filter(|_| name == "style").unwrap_or_default();
+        let foreign = node.attributes().any(|attribute| {
+            let link = attribute.name() == "href" && !attribute.value().starts_with('#');
+            link || outside(attribute.value())
+        });
+        if foreign || outside(style) {
+            return fault(format!("`{name}` refers to another file"));
+        }
+        // How deep these lead is not seen in the elements.
+        let deep = ["mask", "clip-path", "marker"];
+        if let Some(property) = deep.into_iter().find(|property| style.contains(property)) {
+            return fault(format!("`{property}` in a style sheet; write it as an attribute"));
+        }
+        if patterns && urls(style).next().is_some() {
+            return fault("a style sheet and a `pattern`; write `fill` and `stroke` as attributes".into());
+        }
+    }
+    if uses > USES_MAX {
+        return Err(format!("{uses} elements `use`; there may be {USES_MAX}"));
+    }
+    Ok(())
+}
+
+/// What stands in `url(..)`.
+fn urls(text: &str) -> impl Iterator<Item = &str> {
+    let inner = |rest: &'_ str| -> Option<usize> { rest.find(')') };
+    (text.split("url(").skip(1))
+        .map(move |rest| rest[..inner(rest).unwrap_or(rest.len())].trim_matches([' ', '\'', '"']))
+}
+
+/// Refuses elements within elements, and references from them to others, that are too deep: whoever draws them goes as deep.
+fn check_depth(document: &roxmltree::Document<'_>) -> Result<(), String> {
+    type Node<'a> = roxmltree::Node<'a, 'a>;
+    /// How deep it goes below a node; `None` if that is too deep.
+    fn below<'a>(
+        node: Node<'a>,
+        left: usize,
+        ids: &BTreeMap<&str, Node<'a>>,
+        known: &mut BTreeMap<usize, usize>,
+    ) -> Option<usize> {
+        if let Some(&depth) = known.get(&node.id().get_usize()) {
+            return (depth <= left).then_some(depth);
+        }
+        let left = left.checked_sub(1)?;
+        let links = node.attributes().flat_map(|attribute| {
+            let href = Some(attribute.value()).filter(|_| attribute.name() == "href");
+            href.into_iter().chain(urls(attribute.value()))
+        });
+        let targets = links.filter_map(|link| ids.get(link.strip_prefix('#')?).copied());
+        let mut deepest = 0;
+        for next in node.children().filter(Node::is_element).chain(targets) {
+            deepest = deepest.max(below(next, left, ids, known)?);
+        }
+        known.insert(node.id().get_usize(), deepest + 1);
+        Some(deepest + 1)
+    }
+    let elements = || document.descendants().filter(Node::is_element);
+    let ids = elements()
+        .filter_map(|node| Some((node.attribute("id")?, node)))
+        .collect();
+    match below(document.root_element(), DEPTH_MAX, &ids, &mut BTreeMap::new()) {
+        Some(_) => Ok(()),
+        None => Err(format!(
+            "elements within elements, or references to others, are more than {DEPTH_MAX} deep"
+        )),
+    }
+}
+
+/// A picture made smaller by averaging; no side grows.
+pub(super) fn shrunk(picture: &Pixmap, width: u32, height: u32) -> Pixmap {
+    let (from_w, from_h) = (picture.width(), picture.height());
+    let (width, height) = (width.min(from_w), height.min(from_h));
+    let mut small = Pixmap::new(width, height).expect("no side is 0");
+    let span = |at: u32, to: u32, from: u32| {
+        let (at, to, from) = (u64::from(at), u64::from(to), u64::from(from));
+        let start = at * from / to;
+        (start as usize, ((at + 1) * from).div_ceil(to).max(start + 1) as usize)
+    };
+    for y in 0..height {
+        let (top, bottom) = span(y, height, from_h);
+        for x in 0..width {
+            let (left, right) = span(x, width, from_w);
+            let mut sum = [0_u64; 4];
+            for row in top..bottom {
+                for col in left..right {
+                    let at = 4 * (row * from_w as usize + col);
+                    for (sum, &channel) in sum.iter_mut().zip(&picture.data()[at..at + 4]) {
+                        *sum += u64::from(channel);
+                    }
+                }
+            }
+            let count = ((bottom - top) * (right - left)) as u64;
+            let at = 4 * (y * width + x) as usize;
+            for (to, sum) in small.data_mut()[at..at + 4].iter_mut().zip(sum) {
+                *to = ((sum + count / 2) / count) as u8;
+            }
+        }
+    }
+    small
 }
 
 #[cfg(test)]
@@ -271,15 +373,20 @@ mod tests {
 
     #[test]
     fn what_cannot_be_used_is_told_with_the_file_and_why() {
-        let bomb = (1..24).fold(svg_group(0, r#"<rect width="1" height="1"/>"#), |all, level| {
-            let before = level - 1;
-            all + &svg_group(level, &format!(r##"<use href="#g{before}"/><use href="#g{before}"/>"##))
+        // Each level shows the one before four times.
+        let bomb = (1..16).fold(svg_group(0, r#"<rect width="1" height="1"/>"#), |all, level| {
+            let before = format!("<use href='#g{}'/>", level - 1);
+            all + &svg_group(level, &before.repeat(4))
         });
         let nested = svg(&("<g>".repeat(100_000) + &"</g>".repeat(100_000)));
         let deep = svg(&("<g>".repeat(5_000) + r#"<rect width="1" height="1"/>"# + &"</g>".repeat(5_000)));
+        let chain: String = (1..60)
+            .map(|at| format!("<mask id='m{at}' mask='url(#m{})'/>", at - 1))
+            .collect();
+        let chain = svg(&chain);
         let entities =
             r#"<!DOCTYPE s [<!ENTITY a "aaaa">]><svg xmlns="http://www.w3.org/2000/svg"><g id="&a;"/></svg>"#;
-        let long = svg("").replace("0 0 10 20", "0 0 10 20000");
+        let long = svg("<rect width='1' height='1'/>").replace("0 0 10 20", "0 0 10 61");
         for (file, bytes, reason) in [
             ("car.png", String::new(), "no folder"),
             (
@@ -291,7 +398,7 @@ mod tests {
             ("car/1.png", "no".into(), "not a PNG picture"),
             ("car/1.svg", "<svg".into(), "not an SVG drawing"),
             ("car/1.svg", svg(""), "nothing is drawn"),
-            ("car/1.svg", long, "nothing is drawn"),
+            ("car/1.svg", long, "more than 6 times"),
             ("car/1.svg", svg("\n<image href='/etc/passwd'/>"), "line 2: `image`"),
             ("car/1.svg", svg("<text>a</text>"), "turn it into paths"),
             ("car/1.svg", svg("<filter/>"), "`filter` is not taken"),
@@ -309,7 +416,19 @@ mod tests {
             ("car/1.svg", svg(&"<use href='#a'/>".repeat(65)), "65 elements `use`"),
             ("car/1.svg", svg(&bomb), "not an SVG drawing"),
             ("car/1.svg", nested, "not an SVG drawing"),
-            ("car/1.svg", deep, "not an SVG drawing"),
+            ("car/1.svg", deep, "more than 48 deep"),
+            ("car/1.svg", chain, "more than 48 deep"),
+            ("car/1.svg", svg("<g id='a'><use href='#a'/></g>"), "more than 48 deep"),
+            (
+                "car/1.svg",
+                svg("<style>.a { mask: url(#m) }</style>"),
+                "`mask` in a style sheet",
+            ),
+            (
+                "car/1.svg",
+                svg("<pattern/><style>.a { fill: url(#m) }</style>"),
+                "a style sheet and a `pattern`",
+            ),
             ("car/1.svg", entities.into(), "not an SVG drawing"),
         ] {
             let told = fault(file, bytes.as_bytes());
@@ -337,5 +456,13 @@ mod tests {
             .and_then(|mut writer| writer.write_image_data(&[7; 40_000]))
             .expect("written");
         assert!(fault("old/1.png", &bytes).contains("40000 x 1 pixels"));
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, 7, 1);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder
+            .write_header()
+            .and_then(|mut writer| writer.write_image_data(&[7; 7]))
+            .expect("written");
+        assert!(fault("old/1.png", &bytes).contains("7 x 1: one side is more than 6 times"));
     }
 }
