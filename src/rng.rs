@@ -30,6 +30,10 @@ pub enum Purpose {
     Episode = 8,
     /// A policy that acts at random; index: the step.
     Policy = 9,
+    /// What an icon looks like; index: its class, tick: the instance.
+    Icon = 10,
+    /// The texture of the ground.
+    Texture = 11,
 }
 
 /// The seed of a run, from which every stream is made.

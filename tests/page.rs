@@ -7,6 +7,7 @@ use logicity::config::{Speed, Split};
 use logicity::diag::{Code, Sources};
 use logicity::engine::provenance::{Explainer, Teller};
 use logicity::page::Page;
+use logicity::render::Icons;
 use logicity::rng::Seed;
 use logicity::sim::{Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World, hash_sources};
 use serde_json::{Value, json};
@@ -68,7 +69,7 @@ impl Run {
 
     fn page(&self) -> String {
         let mut replay = self.replay();
-        let mut page = Page::new(&replay, &self.header(), &self.sources);
+        let mut page = Page::new(&replay, &self.header(), &Icons::default(), &self.sources);
         for tick in self.ticks() {
             replay.set(&tick).unwrap();
             page.push(&replay, &tick, &self.sources).unwrap();
@@ -259,7 +260,7 @@ fn too_long_a_run_is_refused() {
     let mut replay = run.replay();
     let tick = run.ticks().next().unwrap();
     replay.set(&tick).unwrap();
-    let mut page = Page::new(&replay, &run.header(), &run.sources);
+    let mut page = Page::new(&replay, &run.header(), &Icons::default(), &run.sources);
     let agents = run.header().agents.len();
     page.set_limit(2 * agents);
     assert!(page.push(&replay, &tick, &run.sources).is_ok());

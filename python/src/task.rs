@@ -5,7 +5,7 @@ use crate::{Signals, held, input_error};
 use logicity::config::{Speed, Split};
 use logicity::diag::{Diagnostic, Sources};
 use logicity::files::read_or_builtin;
-use logicity::render::{Painter, Sprite};
+use logicity::render::{Icons, Overview, Sprite};
 use logicity::sim::World;
 use logicity::task::path::{Env, Episode, EpisodeSet, Info, PathTask, View, explain};
 use numpy::{IntoPyArray, PyArray3, PyArrayMethods};
@@ -28,7 +28,7 @@ pub struct PyTask {
     /// Names of the clauses that can be broken.
     labels: Vec<Py<PyString>>,
     recorded: [OnceLock<Arc<[Episode]>>; 3],
-    painter: OnceLock<Painter>,
+    overview: OnceLock<Overview>,
 }
 
 pub fn split_named(name: &str) -> PyResult<Split> {
@@ -85,7 +85,7 @@ impl PyTask {
                 .collect(),
             sources: Mutex::new(sources),
             recorded: Default::default(),
-            painter: OnceLock::new(),
+            overview: OnceLock::new(),
             task: Arc::new(task),
         })
     }
@@ -175,11 +175,11 @@ impl PyTask {
     /// Red, green and blue, row by row.
     pub fn picture<'py>(&self, py: Python<'py>, env: &Env) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let map = self.task.world().map();
-        if self.painter.get().is_none() {
-            let painter = Painter::new(map).map_err(|error| PyValueError::new_err(error.to_string()))?;
-            let _ = self.painter.set(painter);
+        if self.overview.get().is_none() {
+            let overview = Overview::new(map, Arc::new(Icons::default()));
+            let _ = (self.overview).set(overview.map_err(|error| PyValueError::new_err(error.to_string()))?);
         }
-        let painter = self.painter.get().expect("it has just been set");
+        let overview = self.overview.get().expect("it has just been set");
         let city = env.city();
         let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
         let decided = city
@@ -191,14 +191,8 @@ impl PyTask {
         let sprites: Vec<_> = named
             .map(|((agent, name), action)| Sprite::of(agent, name, action))
             .collect();
-        let frame = painter.frame(city.now(), &sprites);
-        let palette = frame.palette();
-        let pixels: Vec<u8> = frame
-            .pixels()
-            .iter()
-            .flat_map(|&ink| palette[usize::from(ink)])
-            .collect();
-        let shape = [usize::from(frame.height()), usize::from(frame.width()), 3];
-        pixels.into_pyarray(py).reshape(shape)
+        let picture = overview.draw(city.now(), &sprites);
+        let shape = [picture.height() as usize, picture.width() as usize, 3];
+        picture.into_pixels().into_pyarray(py).reshape(shape)
     }
 }

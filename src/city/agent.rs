@@ -105,6 +105,11 @@ impl Agent {
         &self.route
     }
 
+    /// The direction of its next step; of the last one at the goal.
+    pub fn ahead(&self) -> Heading {
+        self.ahead
+    }
+
     /// How far it has come: its position among the cells of the route, from 0.
     pub fn position(&self) -> usize {
         self.position as usize

@@ -9,6 +9,7 @@ mod diff;
 mod episodes;
 mod explain;
 mod fmt;
+mod icons;
 mod infer;
 mod lsp;
 mod query;
@@ -63,6 +64,8 @@ enum Command {
     Episodes(episodes::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
+    /// Show the icons that pictures are made of
+    Icons(icons::Arguments),
     /// Time the rules, a tick, an episode, or cities of up to a million agents
     Bench(bench::Arguments),
     /// Serve an editor over standard input and output: diagnostics, hover, definitions, renaming and more
@@ -144,6 +147,7 @@ pub fn main() -> ExitCode {
         Command::View(arguments) => view::run(&arguments, &mut sources),
         Command::Episodes(arguments) => episodes::run(&arguments, &mut sources),
         Command::Lsp(arguments) => lsp::run(&arguments),
+        Command::Icons(arguments) => icons::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
         Command::Bench(arguments) => bench::run(&arguments, &mut sources),
         Command::Completions { shell } => {

@@ -1,10 +1,12 @@
 //! `logicity view`
 
 use super::Failure;
+use super::icons::IconOptions;
 use super::trace::TraceReader;
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::Output;
 use crate::page::Page;
+use crate::rng::Seed;
 use indicatif::ProgressBar;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -28,12 +30,14 @@ pub struct Arguments {
     /// Rules of the run, if they are no longer where the trace says
     #[arg(long)]
     rules: Option<PathBuf>,
+    #[command(flatten)]
+    icons: IconOptions,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let range = (arguments.from, arguments.ticks.unwrap_or(u64::MAX));
     let files = [arguments.config.as_deref(), arguments.rules.as_deref()];
-    write(&arguments.trace, &arguments.output, range, files, sources)?;
+    write(&arguments.trace, &arguments.output, range, files, &arguments.icons, sources)?;
     writeln!(io::stdout(), "wrote {}", arguments.output.display())?;
     Ok(())
 }
@@ -45,11 +49,13 @@ pub fn write(
     output: &Path,
     (from, most): (u64, u64),
     [config, rules]: [Option<&Path>; 2],
+    icons: &IconOptions,
     sources: &mut Sources,
 ) -> Result<(), Failure> {
     let mut reader = TraceReader::open(trace)?;
     let mut replay = reader.replay(sources, config, rules, true)?;
-    let mut page = Page::new(&replay, &reader.header, sources);
+    let icons = icons.load(Seed(reader.header.seed))?;
+    let mut page = Page::new(&replay, &reader.header, &icons, sources);
     let bar = ProgressBar::no_length().with_message("explaining ticks");
     let (mut shown, mut last) = (0, None);
     while let Some(tick) = reader.tick()? {

@@ -62,6 +62,17 @@ pub enum Building {
     GasStation,
 }
 
+impl Building {
+    /// All five.
+    pub const ALL: [Building; 5] = [
+        Building::House,
+        Building::Office,
+        Building::Garage,
+        Building::Store,
+        Building::GasStation,
+    ];
+}
+
 /// A map file (`configs/maps/*.yaml`).
 #[derive(Clone, Debug, Serialize)]
 pub struct MapConfig {

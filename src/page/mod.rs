@@ -10,17 +10,19 @@
 mod proofs;
 
 use crate::city::{Cell, Heading, Route, field_of_view};
-use crate::config::Speed;
+use crate::config::{AgentKind, Speed};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::provenance::{Explainer, Teller};
 use crate::lang::{ClauseId, Value};
-use crate::sim::{Replay, TraceHeader, TraceTick, Wait, standstill, waits};
+use crate::render::{Class, Facing, Icons};
+use crate::sim::{Replay, TraceAgent, TraceHeader, TraceTick, Wait, standstill, waits};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use proofs::Proofs;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::io::{self, Write};
 
 /// The most decisions that a page holds; more make it slow to open.
@@ -28,6 +30,9 @@ pub const DECISIONS_MAX: usize = 400_000;
 
 /// An agent that has not moved in this many ticks is called stuck; a circle of stuck agents that wait for each other is a deadlock.
 pub const STUCK_TICKS: u64 = 50;
+
+/// So many different icons of a class are shown at most.
+const CROWD: u32 = 20;
 
 /// How often it is looked for deadlocks, in ticks.
 const LOOK_TICKS: u64 = 10;
@@ -47,6 +52,8 @@ pub struct Page {
     hash: String,
     map: Map,
     agents: Vec<Agent>,
+    /// Icons as PNG in base 64; see [`Agent::icons`].
+    icons: Vec<String>,
     actions: [&'static str; 4],
     headings: [&'static str; 4],
     predicates: Vec<Predicate>,
@@ -91,6 +98,8 @@ struct Agent {
     kind: &'static str,
     concepts: Vec<String>,
     priority: i32,
+    /// Positions in [`Page::icons`]: of a car the one that faces up, of a pedestrian those that face as `headings` are ordered.
+    icons: Vec<usize>,
 }
 
 #[derive(Serialize)]
@@ -135,7 +144,7 @@ struct Deadlock {
 
 impl Page {
     /// A page without ticks, for the trace of that header.
-    pub fn new(replay: &Replay, header: &TraceHeader, sources: &Sources) -> Page {
+    pub fn new(replay: &Replay, header: &TraceHeader, icons: &Icons, sources: &Sources) -> Page {
         let world = replay.world();
         let teller = Teller::new(world.program.rules(), replay.session().symbols(), sources);
         let mut proofs = Proofs::default();
@@ -146,12 +155,14 @@ impl Page {
                 ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")),
             );
         }
-        let agents: Vec<Agent> = (header.agents.iter().zip(replay.kinds()))
-            .map(|(agent, kind)| Agent {
+        let mut shown = Shown::default();
+        let agents: Vec<Agent> = (header.agents.iter().zip(replay.kinds()).enumerate())
+            .map(|(position, (agent, &kind))| Agent {
                 id: agent.id.clone(),
                 kind: kind.name(),
                 concepts: agent.concepts.clone(),
                 priority: agent.priority,
+                icons: shown.of(icons, kind, agent, position),
             })
             .collect();
         let predicates = (world.vocabulary.predicates.iter()).map(|predicate| Predicate {
@@ -180,6 +191,7 @@ impl Page {
             still_since: vec![0; agents.len()],
             rows: vec![Vec::new(); world.vocabulary.predicates.len()],
             agents,
+            icons: shown.icons,
         }
     }
 
@@ -347,6 +359,39 @@ impl Page {
             });
         }
         Ok(())
+    }
+}
+
+/// The icons of a page, each once.
+#[derive(Default)]
+struct Shown {
+    icons: Vec<String>,
+    known: BTreeMap<(Class, u32, Facing), usize>,
+}
+
+impl Shown {
+    /// The side of an icon in pixels.
+    const SIDE: u32 = 96;
+
+    /// The icons of an agent. Which instance of its class shows it follows from the number in its name, as in other pictures of the run; in
+    /// crowds few instances are enough.
+    fn of(&mut self, icons: &Icons, kind: AgentKind, agent: &TraceAgent, position: usize) -> Vec<usize> {
+        let class = Class::agent(kind, &agent.concepts);
+        let number = agent.id.rsplit('_').next().and_then(|number| number.parse().ok());
+        let instance = number.unwrap_or(u32::try_from(position).unwrap_or(0)) % CROWD;
+        let facings = match kind {
+            AgentKind::Car => vec![Facing::Up],
+            AgentKind::Pedestrian => Heading::ALL.map(Facing::from).to_vec(),
+        };
+        let mut one = |facing: Facing| {
+            let next = self.icons.len();
+            let place = *self.known.entry((class.clone(), instance, facing)).or_insert(next);
+            if place == next {
+                self.icons.push(STANDARD.encode(icons.png(&class, instance, facing, Self::SIDE)));
+            }
+            place
+        };
+        facings.into_iter().map(&mut one).collect()
     }
 }
 

@@ -3,6 +3,8 @@
 // The data are unpacked, the page is drawn, and then everything follows from `now`: the tick, the chosen agent, the chosen clause.
 
 const COLOURS = { Slow: "#b87a00", Normal: "#3f7fb5", Fast: "#0a8a63", Stop: "#c8401a" };
+/** How far to turn what faces up, clockwise. */
+const TURNS = { Up: 0, Right: Math.PI / 2, Down: Math.PI, Left: -Math.PI / 2 };
 const SPEEDS = [1, 2, 5, 10, 20, 50];
 const $ = (id) => document.getElementById(id);
 
@@ -18,13 +20,18 @@ async function main() {
   }
   const data = await unpack($("data").textContent);
   $("data").remove();
-  new View(data);
+  const bitmaps = data.icons.map(async (icon) => createImageBitmap(new Blob([bytesOf(icon)], { type: "image/png" })));
+  new View(data, await Promise.all(bitmaps));
+}
+
+/** What stands in base 64. */
+function bytesOf(text) {
+  return Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
 }
 
 /** What stands in base 64, deflated, as JSON. */
 async function unpack(text) {
-  const bytes = Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
   return JSON.parse(await new Response(stream).text());
 }
 
@@ -41,8 +48,9 @@ function make(name, attributes = {}, ...children) {
 }
 
 class View {
-  constructor(data) {
+  constructor(data, icons) {
     this.data = data;
+    this.icons = icons;
     this.count = data.ticks.length;
     this.names = new Map(data.agents.map((agent, index) => [agent.id, index]));
     this.now = { tick: 0, agent: -1, clause: -1, playing: false, speed: 5, follow: false, part: 0 };
@@ -788,47 +796,38 @@ class View {
   }
 
   drawAgent(paint, agent) {
-    const { kind, concepts, id } = this.data.agents[agent];
+    const { kind, concepts, id, icons } = this.data.agents[agent];
     const { tick } = this.now;
     const { scale } = this.camera;
     const unit = window.devicePixelRatio || 1;
     const [x, y] = this.pixelAt(...this.place(agent));
-    const size = Math.max(scale, 3.4 * unit);
-    const heading = this.data.headings[this.data.ticks[tick].heading[agent]];
-    const turn = { Up: 0, Right: Math.PI / 2, Down: Math.PI, Left: -Math.PI / 2 }[heading] ?? 0;
+    const heading = this.data.ticks[tick].heading[agent];
     const chosen = agent === this.now.agent || agent === this.hover;
+    const car = kind === "Car";
+    const side = Math.max((car ? 7 : 5) * scale, (car ? 26 : 20) * unit);
+    const colour = COLOURS[this.action(tick, agent)];
+    // The action: a disc under the icon with a rim that is seen on any ground.
+    paint.beginPath();
+    paint.arc(x, y, 0.42 * side, 0, 2 * Math.PI);
+    paint.fillStyle = `${colour}70`;
+    paint.fill();
+    paint.strokeStyle = chosen ? (this.isDark() ? "#fff" : "#000") : colour;
+    paint.lineWidth = (chosen ? 3 : 2) * unit;
+    paint.stroke();
     paint.save();
     paint.translate(x, y);
-    paint.rotate(turn);
-    paint.fillStyle = COLOURS[this.action(tick, agent)];
-    paint.strokeStyle = chosen ? (this.isDark() ? "#fff" : "#000") : "#00000090";
-    paint.lineWidth = (chosen ? 2.5 : 1) * unit;
-    paint.beginPath();
-    if (kind === "Car") {
-      const long = concepts.includes("bus") ? 2.6 : 2;
-      paint.roundRect(-1.2 * size, -long * size, 2.4 * size, 2 * long * size, 0.7 * size);
-      paint.fill();
-      paint.stroke();
-      paint.fillStyle = "#ffffffb0";
-      paint.beginPath();
-      paint.roundRect(-0.9 * size, -0.62 * long * size, 1.8 * size, 0.5 * long * size, 0.3 * size);
-      paint.fill();
-    } else {
-      paint.arc(0, 0, 1.25 * size, 0, 2 * Math.PI);
-      paint.fill();
-      paint.stroke();
-      paint.beginPath();
-      paint.arc(0, -0.5 * size, 0.4 * size, 0, 2 * Math.PI);
-      paint.fillStyle = "#ffffffb0";
-      paint.fill();
-    }
+    if (car) paint.rotate(TURNS[this.data.headings[heading]] ?? 0);
+    paint.imageSmoothingEnabled = true;
+    paint.imageSmoothingQuality = "high";
+    const icon = this.icons[car ? icons[0] : icons[Math.max(heading, 0)]];
+    paint.drawImage(icon, -side / 2, -side / 2, side, side);
     paint.restore();
     if (scale > 5 * unit || chosen) {
       paint.font = `${chosen ? 600 : 400} ${12 * unit}px system-ui, sans-serif`;
       paint.textAlign = "center";
       paint.textBaseline = "top";
       const words = [id, ...concepts].join(" ");
-      const [width, below] = [paint.measureText(words).width, y + 2.6 * size];
+      const [width, below] = [paint.measureText(words).width, y + 0.45 * side];
       paint.fillStyle = this.isDark() ? "#000000b0" : "#ffffffc8";
       paint.fillRect(x - width / 2 - 3 * unit, below - 2 * unit, width + 6 * unit, 16 * unit);
       paint.fillStyle = this.isDark() ? "#fff" : "#000";
