@@ -37,7 +37,14 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let range = (arguments.from, arguments.ticks.unwrap_or(u64::MAX));
     let files = [arguments.config.as_deref(), arguments.rules.as_deref()];
-    write(&arguments.trace, &arguments.output, range, files, &arguments.icons, sources)?;
+    write(
+        &arguments.trace,
+        &arguments.output,
+        range,
+        files,
+        &arguments.icons,
+        sources,
+    )?;
     writeln!(io::stdout(), "wrote {}", arguments.output.display())?;
     Ok(())
 }

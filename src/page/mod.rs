@@ -387,7 +387,8 @@ impl Shown {
             let next = self.icons.len();
             let place = *self.known.entry((class.clone(), instance, facing)).or_insert(next);
             if place == next {
-                self.icons.push(STANDARD.encode(icons.png(&class, instance, facing, Self::SIDE)));
+                self.icons
+                    .push(STANDARD.encode(icons.png(&class, instance, facing, Self::SIDE)));
             }
             place
         };
