@@ -1,7 +1,8 @@
 """Fill a pack of icons with a diffusion model (`pip install './python[icons]'`).
 
-A pack is a folder that `logicity icons sheet --pack` and `logicity run --pack` take: a folder a class, PNG files in it. What the model is asked
-for is written from templates, or by whatever turns one text into another, such as a language model.
+A pack is a folder that `logicity icons sheet --pack` and `logicity run --pack` take: a folder a class, PNG files in it.
+What the model is asked for is written from templates, or by whatever turns one text into another, such as a language
+model.
 
 >>> pipeline = load_pipeline("stabilityai/sd-turbo")  # doctest: +SKIP
 >>> fill("pack", ["ambulance", "bus+tiro"], 20, pipeline)  # doctest: +SKIP
@@ -41,15 +42,15 @@ _COLOURS = ["white", "silver", "black", "red", "blue", "green", "yellow", "orang
 _STYLES = ["flat vector icon", "clean 3D render", "hand-painted game sprite", "photo"]
 
 
-def prompts(
-    name: str, count: int, *, seed: int = 0, write: Callable[[str], str] | None = None
-) -> list[str]:
+def prompts(name: str, count: int, *, seed: int = 0, write: Callable[[str], str] | None = None) -> list[str]:
     """Texts that ask for `count` different icons of a class, the same for the same `seed`.
 
-    `name` is a class as `logicity icons` names it: `bus`, `bus+tiro`, `car+taxi`. `write` is given each text of the template and returns the one to
-    use: a call of a language model, for example.
+    `name` is a class as `logicity icons` names it: `bus`, `bus+tiro`, `car+taxi`. `write` is given each text of the
+    template and returns the one to use: a call of a language model, for example.
     """
     parts = name.split("+")
+    if any(not part or {"/", "\\"} & set(part) for part in parts):
+        raise ValueError(f"`{name}` is no name of a class")
     if parts[0] not in SUBJECTS:
         raise ValueError(f"there is no class `{name}`: it begins with one of {', '.join(SUBJECTS)}")
     if count < 0:
@@ -75,8 +76,8 @@ def prompts(
 def cut_out(image: Any, tolerance: int = 24) -> Any:
     """The picture with its background transparent, cropped to the rest.
 
-    The background is what hangs together with the border and differs from the mean colour of the corners by at most `tolerance` of 255 in every
-    channel. `image` is a `PIL.Image.Image`, and so is what is returned.
+    The background is what hangs together with the border and differs from the mean colour of the corners by at most
+    `tolerance` of 255 in every channel. `image` is a `PIL.Image.Image`, and so is what is returned.
 
     :raises ValueError: if nothing but background is left.
     """
@@ -135,12 +136,13 @@ def fill(
 ) -> list[Path]:
     """Draw `count` icons of every class into a pack and return their files.
 
-    Icon `k` of a class is drawn from prompt `k` with a generator seeded by `seed + k`; where its file is there already, nothing is drawn, so that a run
-    that was broken off goes on.
+    Icon `k` of a class is drawn from prompt `k` with a generator seeded by `seed + k`; where its file is there already,
+    nothing is drawn, so that a run that was broken off goes on.
 
-    :param pipeline: from :func:`load_pipeline`, or anything that is called with `prompt`, `generator` and `options` and returns an object whose
-        `images` are PIL images.
-    :param side: the longest side of an icon in pixels, at most 2048; the model draws at the size it was trained for, or that of `options`.
+    :param pipeline: from :func:`load_pipeline`, or anything that is called with `prompt`, `generator` and `options` and
+        returns an object whose `images` are PIL images.
+    :param side: the longest side of an icon in pixels, at most 2048; the model draws at the size it was trained for, or
+        that of `options`.
     :param tolerance: see :func:`cut_out`; buildings keep their background.
     :param options: passed on to the pipeline, such as `num_inference_steps` and `guidance_scale`.
     """
