@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
     page = folder / "city.html"
     run = ["run", "configs/expert.yaml", "--ticks", str(TICKS), "--no-pictures", "--out", folder, "--html", page]
     subprocess.run([PROGRAM, *run], cwd=ROOT, check=True, capture_output=True)
-    assert page.stat().st_size < 3_000_000
+    assert page.stat().st_size < 500_000
     return folder
 
 

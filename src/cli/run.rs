@@ -8,10 +8,12 @@ use crate::engine::promise;
 use crate::engine::provenance::Teller;
 use crate::files::Output;
 use crate::lang::{Clause, ClauseId};
+use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{
-    Executor, MAX_ENTITIES, Settings, Simulation, Standstill, TraceWriter, Wait, World, hash_sources, standstill, waits,
+    Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, Standstill, TraceWriter, Wait, World,
+    hash_sources, standstill, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeSet;
@@ -23,10 +25,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// An agent that has not moved in this many ticks is called stuck; a circle of stuck agents that wait for each other is a deadlock.
-const STUCK_TICKS: u64 = 50;
-/// How often it is noted for whom agents wait that have not moved since it was noted last.
-const LOOK_TICKS: u64 = 10;
 /// The animation ends after this many ticks, to stay of a size that viewers open.
 const MAX_FRAMES: u64 = 1000;
 /// How long the animation shows a tick.
@@ -114,6 +112,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             .help("`--no-trace` runs the city and prints the summary only")
             .into());
     }
+    let decisions = ticks.saturating_mul(simulation.agents().len() as u64);
+    if arguments.html.is_some() && decisions > DECISIONS_MAX as u64 {
+        let message = format!("a page of {decisions} decisions would be slow to open; the limit is {DECISIONS_MAX}");
+        let fault = Diagnostic::new(Code::LimitExceeded, message);
+        return Err(fault
+            .help("leave out `--html` and make a page of some ticks: `logicity view TRACE --from N --ticks N`")
+            .into());
+    }
     let mut record = match arguments.no_trace {
         true => None,
         false => Some(Record::new(arguments, &simulation, sources, rule_file, &rules_hash)?),
@@ -144,13 +150,20 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     bar.finish_and_clear();
 
     let mut written = record.map_or_else(|| Ok(Vec::new()), |record| record.finish(&simulation))?;
-    if let (Some(page), Some(trace)) = (&arguments.html, written.first()) {
-        let files = [Some(arguments.config.as_path()), arguments.rules.as_deref()];
-        super::view::write(trace, page, (0, u64::MAX), files, &arguments.icons, &mut Sources::new())?;
-        written.push(page.clone());
-    }
+    let page = match (&arguments.html, written.first()) {
+        (Some(page), Some(trace)) => {
+            let files = [Some(arguments.config.as_path()), arguments.rules.as_deref()];
+            let made = super::view::write(trace, page, (0, u64::MAX), files, &arguments.icons, &mut Sources::new());
+            if made.is_ok() {
+                written.push(page.clone());
+            }
+            made
+        }
+        _ => Ok(()),
+    };
     let mut out = anstream::stdout();
     write!(out, "{}", summary(&mut simulation, &tally, sources, &written))?;
+    page?;
     if tally.ticks < ticks {
         writeln!(out, "interrupted: {} of {ticks} ticks were run", tally.ticks)?;
         return Err(Failure::Interrupted);

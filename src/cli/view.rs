@@ -65,8 +65,10 @@ pub fn write(
     let mut page = Page::new(&replay, &reader.header, &icons, sources);
     let bar = ProgressBar::no_length().with_message("explaining ticks");
     let (mut shown, mut last) = (0, None);
-    while let Some(tick) = reader.tick()? {
-        if tick.tick >= from && shown < most {
+    while shown < most
+        && let Some(tick) = reader.tick()?
+    {
+        if tick.tick >= from {
             (replay.set(&tick))
                 .and_then(|()| page.push(&replay, &tick, sources))
                 .map_err(|fault| reader.placed(fault))?;
@@ -77,7 +79,10 @@ pub fn write(
     }
     bar.finish_and_clear();
     match last {
-        None => return Err(Diagnostic::new(Code::InvalidTrace, format!("`{}` has no ticks", trace.display())).into()),
+        None => {
+            let message = format!("`{}` has no ticks", trace.display());
+            return Err(Diagnostic::new(Code::InvalidTrace, message).into());
+        }
         Some(last) if shown == 0 => {
             return Err(Failure::Usage(format!(
                 "the trace ends with tick {last}, before tick {from}"

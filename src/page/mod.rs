@@ -4,8 +4,9 @@
 //! trace --Replay--> state of a tick --Page::push--> columns, explanations --Page::write--> HTML with everything in it
 //! ```
 //!
-//! All of it is computed here, by the engine; the script in the page only shows it and evaluates no rule. Explanations repeat each other: equal nodes are
-//! stored once for the whole run ([`proofs`]). The data are JSON, deflated and written in base 64.
+//! All of it is computed here, by the engine; the script in the page only shows it and evaluates no rule. Explanations
+//! repeat each other: equal nodes are stored once for the whole run ([`proofs`]). The data are JSON, deflated and written
+//! in base 64.
 
 mod proofs;
 
@@ -15,7 +16,7 @@ use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::provenance::{Explainer, Teller};
 use crate::lang::{ClauseId, Value};
 use crate::render::{Class, Facing, Icons};
-use crate::sim::{Replay, TraceAgent, TraceHeader, TraceTick, Wait, standstill, waits};
+use crate::sim::{LOOK_TICKS, Replay, STUCK_TICKS, TraceAgent, TraceHeader, TraceTick, Wait, standstill, waits};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
@@ -28,14 +29,11 @@ use std::io::{self, Write};
 /// The most decisions that a page holds; more make it slow to open.
 pub const DECISIONS_MAX: usize = 400_000;
 
-/// An agent that has not moved in this many ticks is called stuck; a circle of stuck agents that wait for each other is a deadlock.
-pub const STUCK_TICKS: u64 = 50;
+/// Ticks have numbers below this, which a script can tell apart.
+const TICK_MAX: u64 = 1 << 53;
 
 /// So many different icons of a class are shown at most.
 const CROWD: u32 = 20;
-
-/// How often it is looked for deadlocks, in ticks.
-const LOOK_TICKS: u64 = 10;
 
 const TEMPLATE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
@@ -70,6 +68,8 @@ pub struct Page {
     /// For each agent, the routes it took: the position among `ticks` at which it set out, and the corners.
     routes: Vec<Vec<(usize, Vec<[i32; 2]>)>>,
     deadlocks: Vec<Deadlock>,
+    /// How many looks for deadlocks were given up: the ways to stop were too many.
+    looks_given_up: u32,
     #[serde(skip)]
     most: usize,
     /// For each agent the tick after its last move.
@@ -134,8 +134,8 @@ struct Tick {
 struct Deadlock {
     /// In a circle: each waits for the next, the last for the first.
     agents: Vec<usize>,
-    /// The clauses by which they wait.
-    clauses: Vec<usize>,
+    /// The clause by which each waits; none if the author did not write it.
+    clauses: Vec<Option<usize>>,
     /// The tick in which the last of them came to a stop.
     since: u64,
     /// The tick in which it was seen last.
@@ -187,6 +187,7 @@ impl Page {
             last: Vec::new(),
             routes: vec![Vec::new(); agents.len()],
             deadlocks: Vec::new(),
+            looks_given_up: 0,
             most: DECISIONS_MAX,
             still_since: vec![0; agents.len()],
             rows: vec![Vec::new(); world.vocabulary.predicates.len()],
@@ -209,6 +210,17 @@ impl Page {
         if (self.ticks.len() + 1) * self.agents.len() > self.most {
             let message = format!("a page of more than {} decisions would be slow to open", self.most);
             return Err(Diagnostic::new(Code::LimitExceeded, message).help("choose ticks with `--from` and `--ticks`"));
+        }
+        let expected = match self.ticks.len() {
+            0 => tick.tick,
+            shown => self.first + shown as u64,
+        };
+        if tick.tick != expected || tick.tick >= TICK_MAX {
+            let message = match tick.tick >= TICK_MAX {
+                true => format!("tick {} is too large a number", tick.tick),
+                false => format!("tick {} stands where tick {expected} should", tick.tick),
+            };
+            return Err(Diagnostic::new(Code::InvalidTrace, message));
         }
         if self.ticks.is_empty() {
             self.first = tick.tick;
@@ -250,7 +262,7 @@ impl Page {
         self.ticks.push(column);
         self.last = tick.agents.iter().map(|agent| agent.next).collect();
         if (tick.tick + 1).is_multiple_of(LOOK_TICKS) {
-            self.look_for_deadlocks(replay, tick.tick)?;
+            self.look_for_deadlocks(replay, tick.tick);
         }
         Ok(())
     }
@@ -335,14 +347,18 @@ impl Page {
         }
     }
 
-    fn look_for_deadlocks(&mut self, replay: &Replay, now: u64) -> Result<(), Diagnostic> {
+    fn look_for_deadlocks(&mut self, replay: &Replay, now: u64) {
         let stuck: Vec<usize> = (0..self.agents.len())
             .filter(|&agent| now + 1 - self.still_since[agent] >= STUCK_TICKS)
             .collect();
         if stuck.is_empty() {
-            return Ok(());
+            return;
         }
-        let found = standstill(&stuck, &waits(&replay.moment(), &stuck)?);
+        let Ok(waits) = waits(&replay.moment(), &stuck) else {
+            self.looks_given_up += 1;
+            return;
+        };
+        let found = standstill(&stuck, &waits);
         for circle in found.deadlocks {
             let agents: Vec<usize> = circle.iter().map(|wait| wait.agent).collect();
             let same = |known: &&mut Deadlock| known.agents == agents && known.until + LOOK_TICKS >= now;
@@ -352,13 +368,12 @@ impl Page {
             }
             let position = |wait: &Wait| replay.world().clauses().position(|clause| clause == wait.clause);
             self.deadlocks.push(Deadlock {
-                clauses: circle.iter().filter_map(position).collect(),
+                clauses: circle.iter().map(position).collect(),
                 since: agents.iter().map(|&agent| self.still_since[agent]).max().unwrap_or(now),
                 until: now,
                 agents,
             });
         }
-        Ok(())
     }
 }
 

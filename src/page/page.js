@@ -5,6 +5,8 @@
 const COLOURS = { Slow: "#b87a00", Normal: "#3f7fb5", Fast: "#0a8a63", Stop: "#c8401a" };
 /** How far to turn what faces up, clockwise. */
 const TURNS = { Up: 0, Right: Math.PI / 2, Down: Math.PI, Left: -Math.PI / 2 };
+/** Browsers refuse canvases that are much wider. */
+const STRIP_COLUMNS = 8192;
 const SPEEDS = [1, 2, 5, 10, 20, 50];
 const $ = (id) => document.getElementById(id);
 
@@ -15,8 +17,8 @@ main().catch((error) => {
 });
 
 async function main() {
-  if (!("DecompressionStream" in window)) {
-    throw new Error("the browser is too old; Chromium 80, Firefox 113 or Safari 16.4 and later can open it");
+  if (!("DecompressionStream" in window) || !CSS.supports("color", "light-dark(#000, #fff)")) {
+    throw new Error("the browser is too old; Chromium 123, Firefox 120 or Safari 17.5 and later can show it");
   }
   const data = await unpack($("data").textContent);
   $("data").remove();
@@ -164,14 +166,17 @@ class View {
     }
     for (const found of data.deadlocks) {
       const names = found.agents.map((agent) => data.agents[agent].id);
-      const chain = names.map((name, at) => `${name} (${this.label(found.clauses[at])})`).join(" → ");
+      const by = (clause) => (clause === null ? "" : ` (${this.label(clause)})`);
+      const chain = names.map((name, at) => name + by(found.clauses[at])).join(" → ");
+      const since = found.since === data.first && data.first > 0 ? `${found.since} or before` : found.since;
       const lasts = found.until + 10 > data.first + this.count;
-      const when = lasts ? `deadlock since tick ${found.since}` : `circle of waits, ticks ${found.since} to ${found.until}`;
+      const when = lasts ? `deadlock since tick ${since}` : `circle of waits, ticks ${since} to ${found.until}`;
       const go = () => this.choose({ tick: Math.min(Math.max(found.since - data.first, 0), this.count - 1), agent: found.agents[0] });
       $("deadlocks").append(make("button", { type: "button", onclick: go, title: "go there" },
         `${when}: ${chain} → ${names[0]}`));
     }
-    if (!data.deadlocks.length) $("deadlocks").textContent = "no deadlock";
+    if (!data.deadlocks.length) $("deadlocks").append("no deadlock");
+    if (data.looks_given_up) $("deadlocks").append(` (${data.looks_given_up} times there were too many ways to stop to look for one)`);
   }
 
   listen() {
@@ -244,9 +249,7 @@ class View {
   }
 
   turnTheme() {
-    const dark = getComputedStyle(document.documentElement).colorScheme.includes("dark")
-      && (document.documentElement.dataset.theme === "dark" || (!document.documentElement.dataset.theme && matchMedia("(prefers-color-scheme: dark)").matches));
-    document.documentElement.dataset.theme = dark ? "light" : "dark";
+    document.documentElement.dataset.theme = this.isDark() ? "light" : "dark";
     this.recolour();
   }
 
@@ -837,19 +840,24 @@ class View {
 
   // ---- The strip chart ------------------------------------------------------------------------------------------------------
 
-  /** One pixel for each decision, stretched; the cursor is drawn over a copy of it. */
+  /** A pixel for each decision, stretched; in long runs several ticks share one. The cursor is drawn over a copy of it. */
   drawStrip() {
     const { ticks, agents, actions } = this.data;
-    const small = new OffscreenCanvas(this.count, agents.length);
+    const columns = Math.min(this.count, STRIP_COLUMNS);
+    const small = new OffscreenCanvas(columns, agents.length);
     const paint = small.getContext("2d");
-    const image = paint.createImageData(this.count, agents.length);
+    const image = paint.createImageData(columns, agents.length);
     const colours = actions.map((action) => [1, 3, 5].map((at) => parseInt(COLOURS[action].slice(at, at + 2), 16)));
     const { clause } = this.now;
     ticks.forEach(({ action, fired }, tick) => {
+      const column = Math.floor(tick / this.count * columns);
       for (let agent = 0; agent < agents.length; agent += 1) {
-        const at = 4 * (agent * this.count + tick);
+        const at = 4 * (agent * columns + column);
+        const bright = clause < 0 || fired[agent].includes(clause);
+        // A firing shows, whatever else happens in the ticks it shares a pixel with.
+        if (image.data[at + 3] === 255 || (image.data[at + 3] > 0 && !bright)) continue;
         image.data.set(colours[action[agent]], at);
-        image.data[at + 3] = clause < 0 || fired[agent].includes(clause) ? 255 : 40;
+        image.data[at + 3] = bright ? 255 : 40;
       }
     });
     paint.putImageData(image, 0, 0);

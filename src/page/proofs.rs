@@ -1,6 +1,6 @@
 //! The explanations of a run, in which equal parts are stored once.
 
-use crate::engine::provenance::{Explanation, Teller};
+use crate::engine::provenance::{Explanation, Node, Origin, Reason, Teller};
 use crate::lang::ClauseId;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -16,7 +16,7 @@ pub struct Proofs {
     /// `[clause, binding, what fails]`. A premise and what fails is `[text, kind, node or -1]`.
     pub nodes: Vec<Value>,
     #[serde(skip)]
-    known_clauses: HashMap<String, usize>,
+    known_clauses: HashMap<ClauseId, usize>,
     #[serde(skip)]
     known_nodes: HashMap<String, u32>,
 }
@@ -24,17 +24,12 @@ pub struct Proofs {
 impl Proofs {
     /// The position of a clause.
     pub fn clause(&mut self, teller: &Teller<'_>, clause: ClauseId) -> usize {
-        let mut told = teller.clause_json(clause);
-        let key = told.to_string();
-        told["label"] = teller.label(clause).into();
-        told["text"] = teller.source(clause).into();
-        self.number(key, told)
-    }
-
-    fn number(&mut self, key: String, told: Value) -> usize {
         let next = self.clauses.len();
-        let position = *self.known_clauses.entry(key).or_insert(next);
+        let position = *self.known_clauses.entry(clause).or_insert(next);
         if position == next {
+            let mut told = teller.clause_json(clause);
+            told["label"] = teller.label(clause).into();
+            told["text"] = teller.source(clause).into();
             self.clauses.push(told);
         }
         position
@@ -71,7 +66,10 @@ impl Proofs {
                 stack.push(child);
                 continue;
             }
-            let told = self.short(&nodes[at], &numbers);
+            let clauses: Vec<usize> = (clauses_of(&explanation.nodes()[at]).into_iter())
+                .map(|clause| self.clause(teller, clause))
+                .collect();
+            let told = short(&nodes[at], &clauses, &numbers);
             match numbers[at] {
                 Some(number) => self.nodes[number as usize] = told,
                 None => numbers[at] = Some(self.share(told)),
@@ -96,42 +94,52 @@ impl Proofs {
         self.known_nodes.insert(key, number);
         number
     }
+}
 
-    fn short(&mut self, node: &Value, numbers: &[Option<u32>]) -> Value {
-        let literals = |entries: &Value| -> Value {
-            let literal = |entry: &Value| {
-                let node = entry["node"]
-                    .as_u64()
-                    .and_then(|child| numbers[usize::try_from(child).ok()?]);
-                json!([entry["literal"], entry["kind"], node.map_or(-1, i64::from)])
-            };
-            list(entries).map(literal).collect()
+/// A node under short names, with the positions of the clauses it speaks of.
+fn short(node: &Value, clauses: &[usize], numbers: &[Option<u32>]) -> Value {
+    let literals = |entries: &Value| -> Value {
+        let literal = |entry: &Value| {
+            let node = entry["node"]
+                .as_u64()
+                .and_then(|child| numbers[usize::try_from(child).ok()?]);
+            json!([entry["literal"], entry["kind"], node.map_or(-1, i64::from)])
         };
-        if let Some(text) = node.get("holds") {
-            let mut short = json!({ "t": text, "by": node["by"] });
-            if let Some(premises) = node.get("premises") {
-                short["p"] = literals(premises);
-                short["b"] = node["binding"].clone();
-            }
-            if let Some(clause) = node.get("clause") {
-                short["c"] = self.told(clause).into();
-            }
-            return short;
+        list(entries).map(literal).collect()
+    };
+    if let Some(text) = node.get("holds") {
+        let mut short = json!({ "t": text, "by": node["by"] });
+        if let Some(premises) = node.get("premises") {
+            short["p"] = literals(premises);
+            short["b"] = node["binding"].clone();
         }
-        let mut short = json!({ "f": node["absent"], "by": node["because"] });
-        if let Some(clauses) = node["clauses"].as_array() {
-            let misses = clauses.iter().map(|miss| {
-                let clause = self.told(&miss["clause"]);
-                json!([clause, miss["binding"], literals(&miss["fails"])])
-            });
-            short["m"] = misses.collect();
+        if let [clause] = clauses {
+            short["c"] = (*clause).into();
         }
-        short
+        return short;
     }
+    let mut short = json!({ "f": node["absent"], "by": node["because"] });
+    if node.get("clauses").is_some() {
+        let misses = list(&node["clauses"]).zip(clauses);
+        short["m"] = misses
+            .map(|(miss, clause)| json!([clause, miss["binding"], literals(&miss["fails"])]))
+            .collect();
+    }
+    short
+}
 
-    /// The position of a clause as an explanation tells it.
-    fn told(&mut self, clause: &Value) -> usize {
-        self.number(clause.to_string(), clause.clone())
+/// The clauses that a node speaks of, in the order in which [`Teller::json`] tells them.
+fn clauses_of(node: &Node) -> Vec<ClauseId> {
+    match node {
+        Node::Fact(fact) => match &fact.origin {
+            Origin::Input => Vec::new(),
+            Origin::Text(clause) => vec![*clause],
+            Origin::Derived(derivation) => vec![derivation.clause],
+        },
+        Node::Absence(absence) => match &absence.reason {
+            Reason::NoClause(misses) => misses.iter().map(|miss| miss.clause).collect(),
+            Reason::NotAFact | Reason::NotLookedInto => Vec::new(),
+        },
     }
 }
 

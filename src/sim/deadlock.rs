@@ -10,6 +10,12 @@ use crate::engine::provenance::{ExplainError, Explainer};
 use crate::lang::{BaseType, Clause, ClauseId, Literal, Rules, Term};
 use std::collections::{BTreeSet, VecDeque};
 
+/// An agent that has not moved in this many ticks is called stuck; a circle of stuck agents that wait for each other is a deadlock.
+pub const STUCK_TICKS: u64 = 50;
+
+/// How often it is looked for whom agents wait, in ticks.
+pub const LOOK_TICKS: u64 = 10;
+
 /// One agent stops, and the clause that says so names another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Wait {

@@ -24,7 +24,7 @@ mod world;
 
 pub use conflict::{Cut, ENTITIES_MAX, Example, Finding, Overlap, SCENES_MAX, conflicts};
 pub use coverage::{ClauseCoverage, Coverage};
-pub use deadlock::{Standstill, Wait, standstill, waits};
+pub use deadlock::{LOOK_TICKS, STUCK_TICKS, Standstill, Wait, standstill, waits};
 pub use executor::{CROWD_MAX, Executor, WHOLE_MAX};
 pub use ground::{Chance, Entity, Facts, ground};
 pub use infer::{Answer, EgoAnswer, Inference, SceneFacts};

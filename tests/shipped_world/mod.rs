@@ -31,9 +31,9 @@ pub fn world(config: &str, text: Option<&str>, edit: impl FnOnce(&mut Scenario))
     load(config, &read_or_builtin, text, edit).expect("it is built in").0
 }
 
-/// A world of a built-in configuration, and the texts it was made of.
-pub fn with_sources(config: &str) -> (Arc<World>, Sources) {
-    load(config, &read_or_builtin, None, |_| ()).expect("it is built in")
+/// A world of a built-in configuration with its rules, or those of `text`, and the texts it was made of.
+pub fn with_sources(config: &str, text: Option<&str>) -> (Arc<World>, Sources) {
+    load(config, &read_or_builtin, text, |_| ()).expect("it is built in")
 }
 
 /// Safe Path Following in a built-in configuration; with its rules, or those of `text`.
