@@ -183,7 +183,22 @@ fn constants_and_comparisons_are_respected() {
     let numbers = ".decl age(x: agent, n: number) .input age Stop(X) :- age(X, 5). Slow(X) :- IsCar(X).";
     assert_eq!(finding(&rules(numbers), both), none(&[Cut::NotEntities]));
     let computed = "Stop(X) :- IsCar(X), 5 = strlen(X). Slow(X) :- IsCar(X).";
-    assert_eq!(finding(&rules(computed), both), none(&[Cut::Beyond]));
+    let tried = Finding::NotFound {
+        scenes: 1,
+        cut: [Cut::Beyond].into(),
+    };
+    assert_eq!(finding(&rules(computed), both), tried);
+    // What an aggregate looks at is put up, too.
+    let counted = "Stop(X) :- IsBus(X). Slow(X) :- IsCar(X), n = count : { NextTo(X, _) }, n > 0.";
+    assert_eq!(
+        scene(counted, both),
+        r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e0"],"IsCar":["e0"],"NextTo":[["e0","e1"]]}}"#
+    );
+    let none_near = "Stop(X) :- IsBus(X). Slow(X) :- IsCar(X), 0 = count : { NextTo(X, _) }.";
+    assert_eq!(
+        scene(none_near, both),
+        r#"{"entities":["e0"],"ego":"e0","facts":{"IsBus":["e0"],"IsCar":["e0"]}}"#
+    );
     let many =
         "Stop(X) :- LeftOf(A, X), LeftOf(B, X), LeftOf(C, X), LeftOf(D, X), A < B, B < C, C < D, Not(LeftOf(X, X)).
         Slow(X) :- IsCar(X).";

@@ -275,6 +275,14 @@ fn clauses_of_a_line_are_counted_apart() {
         .collect();
     assert_eq!(heads, wanted);
     assert_eq!(heads.iter().filter(|head| **head == "Stop").count(), 2);
+    // Of clauses that decide, the trace has every firing.
+    for (clause, told) in data["firings"].as_array().unwrap().iter().enumerate() {
+        assert_eq!(told[1], true);
+        let fired = |agent: &Value| agent.as_array().unwrap().iter().any(|fired| *fired == clause);
+        let ticks = data["ticks"].as_array().unwrap();
+        let agents = ticks.iter().flat_map(|tick| tick["fired"].as_array().unwrap());
+        assert_eq!(told[0], agents.filter(|agent| fired(agent)).count());
+    }
 }
 
 #[test]

@@ -423,7 +423,7 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
     if tally.ticks >= STUCK_TICKS {
         stuck(simulation, tally, sources, &mut text);
     }
-    if tally.ticks > MAX_FRAMES && written.len() > 1 {
+    if tally.ticks > MAX_FRAMES && written.iter().any(|path| path.ends_with("city.gif")) {
         let _ = writeln!(text, "the animation shows the first {MAX_FRAMES} ticks");
     }
     let written: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();

@@ -57,6 +57,8 @@ pub struct Page {
     predicates: Vec<Predicate>,
     /// How many of the clauses that [`Proofs::clauses`] lists are those whose firings the trace has, in its order.
     counted: usize,
+    /// For each of those, how many rows it derived in all ticks, and whether they are decisions of agents.
+    firings: Vec<(u64, bool)>,
     #[serde(flatten)]
     proofs: Proofs,
     /// Number of the first tick.
@@ -181,6 +183,15 @@ impl Page {
             headings: Heading::ALL.map(Heading::name),
             predicates: predicates.collect(),
             counted,
+            firings: (world.clauses())
+                .map(|clause| {
+                    let head = world.program.rules().clauses[clause.index()].head.relation;
+                    let is_action = Speed::ALL
+                        .map(|speed| world.vocabulary.action(speed))
+                        .contains(&Some(head));
+                    (0, is_action)
+                })
+                .collect(),
             proofs,
             first: 0,
             ticks: Vec::new(),
@@ -258,6 +269,9 @@ impl Page {
             if agent.next != agent.at {
                 self.still_since[position] = tick.tick + 1;
             }
+        }
+        for (clause, (count, _)) in world.clauses().zip(&mut self.firings) {
+            *count += replay.session().fired(clause).len() as u64;
         }
         self.ticks.push(column);
         self.last = tick.agents.iter().map(|agent| agent.next).collect();

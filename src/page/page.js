@@ -158,10 +158,13 @@ class View {
     for (let clause = 0; clause < data.counted; clause += 1) {
       const { head, doc, text } = data.clauses[clause];
       const title = (doc || text).split("\n")[0];
-      const row = make("tr", { "data-clause": clause, onclick: () => this.choose({ clause: this.now.clause === clause ? -1 : clause }) },
-        make("td", {}, String(this.firings[clause].length)),
+      const [count, decides] = data.firings[clause];
+      const choose = decides ? () => this.choose({ clause: this.now.clause === clause ? -1 : clause }) : undefined;
+      const row = make("tr", { "data-clause": clause, "data-decides": decides },
+        make("td", {}, String(count)),
         make("td", {}, make("span", { class: "swatch", style: `background:${COLOURS[head] ?? "var(--faint)"}` }), head),
-        make("td", {}, make("button", { type: "button", title: "show every time it fired" }, title)));
+        make("td", {}, decides ? make("button", { type: "button", title: "show every time it fired" }, title) : title));
+      if (decides) row.addEventListener("click", choose);
       $("clauses").append(row);
     }
     for (const found of data.deadlocks) {
@@ -200,14 +203,22 @@ class View {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
     this.listenToMap();
     const strip = $("strip");
-    const seek = (event) => {
+    const decision = (event) => {
       const box = strip.getBoundingClientRect();
-      const tick = Math.floor((event.clientX - box.left) / box.width * this.count);
-      const agent = Math.floor((event.clientY - box.top) / box.height * this.data.agents.length);
-      this.choose({ tick: Math.max(0, Math.min(this.count - 1, tick)), agent: Math.max(0, Math.min(this.data.agents.length - 1, agent)) });
+      const within = (share, count) => Math.max(0, Math.min(count - 1, Math.floor(share * count)));
+      const [x, y] = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
+      return [within(x, this.count), within(y, this.data.agents.length)];
+    };
+    const seek = (event) => {
+      const [tick, agent] = decision(event);
+      this.choose({ tick, agent });
     };
     strip.addEventListener("pointerdown", (event) => { strip.setPointerCapture(event.pointerId); seek(event); });
-    strip.addEventListener("pointermove", (event) => { if (event.buttons) seek(event); });
+    strip.addEventListener("pointermove", (event) => {
+      if (event.buttons) return seek(event);
+      const [tick, agent] = decision(event);
+      strip.title = `${this.data.agents[agent].id}, tick ${this.data.first + tick}: ${this.action(tick, agent)}`;
+    });
   }
 
   key(event) {
@@ -445,8 +456,8 @@ class View {
   }
 
   clauseLink(clause) {
-    const { doc, label, file, line, text } = this.data.clauses[clause];
-    return make("span", { class: "clause", title: text }, `${(doc || label).split("\n")[0]}  [${file.split(/[\\/]/).pop()}:${line}]`);
+    const { doc, file, line, text } = this.data.clauses[clause];
+    return make("span", { class: "clause", title: text }, `${(doc || text).split("\n")[0]}  [${file.split(/[\\/]/).pop()}:${line}]`);
   }
 
   /** The proof of a node, or why it does not hold. What is told once above is not told again below. */

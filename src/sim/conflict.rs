@@ -64,7 +64,7 @@ pub enum Cut {
     Many,
     /// Derived predicates rest on each other more deeply, or in more ways, than they are unfolded.
     Deep,
-    /// A clause asks for more than facts about entities: expressions, aggregates, comparisons of texts.
+    /// A clause asks for more than facts about entities: expressions, aggregates, numbers, comparisons of texts.
     Beyond,
     /// A clause asks for facts with numbers, or of a predicate that is neither input nor derived.
     NotEntities,
@@ -79,7 +79,8 @@ impl Cut {
             Cut::Many => format!("there are more than {SCENES_MAX} scenes, or too many ways to put them up"),
             Cut::Deep => "derived predicates rest on each other in too many ways".to_owned(),
             Cut::Beyond => {
-                "clauses ask for more than facts: expressions, aggregates or comparisons of texts".to_owned()
+                "clauses have expressions, aggregates, numbers or comparisons of texts, and scenes are put up for their other literals"
+                    .to_owned()
             }
             Cut::NotEntities => "clauses ask for facts with numbers, or of predicates that are no `.input`".to_owned(),
             Cut::Constants => "clauses name more constants than there is room for beside the agent".to_owned(),
@@ -172,8 +173,10 @@ struct Body {
     /// Negated derived atoms.
     blocked: Vec<(RelId, Vec<Place>)>,
     equal: Vec<(Place, Place)>,
-    /// Asks for more than facts of entities can be put up for: expressions, aggregates, parts of names.
+    /// Asks for more than facts of entities can be put up for: expressions, aggregates, parts of names. Scenes of the rest are tried.
     beyond: bool,
+    /// What aggregates look at: scenes are tried with such rows and without.
+    counted: Vec<(RelId, Vec<Place>)>,
     unfolded: usize,
 }
 
@@ -287,6 +290,13 @@ impl<'p> Search<'p> {
             }
             if body.beyond {
                 self.cut.insert(Cut::Beyond);
+            }
+            if !body.counted.is_empty() {
+                let counted = std::mem::take(&mut body.counted);
+                let mut more = body.clone();
+                more.positive.extend(counted);
+                open.push_front(body);
+                open.push_front(more);
                 continue;
             }
             let derived = |(rel, _): &(RelId, Vec<Place>)| self.rules.relations[rel.index()].derived;
@@ -583,7 +593,7 @@ impl Body {
         }
         for literal in &clause.body {
             match literal {
-                Literal::Positive(atom) | Literal::Guard(atom) => {
+                Literal::Positive(atom) | Literal::Guard(atom) | Literal::Aggregate { atom, .. } => {
                     let mut places = Vec::with_capacity(atom.terms.len());
                     for term in &atom.terms {
                         places.push(known(term).unwrap_or_else(|| {
@@ -591,7 +601,13 @@ impl Body {
                             Place::Variable(self.variables - 1)
                         }));
                     }
-                    self.positive.push((atom.relation, places));
+                    match literal {
+                        Literal::Aggregate { .. } => {
+                            self.beyond = true;
+                            self.counted.push((atom.relation, places));
+                        }
+                        _ => self.positive.push((atom.relation, places)),
+                    }
                 }
                 Literal::Negative(atom) if !rules.relations[atom.relation.index()].derived => {
                     let places: Option<Vec<Place>> = atom.terms.iter().map(known).collect();
@@ -601,6 +617,7 @@ impl Body {
                     op: Comparison::Equal,
                     left,
                     right,
+                    base: BaseType::Symbol,
                     ..
                 } => self.equal.extend(known(left).zip(known(right))),
                 Literal::Negative(atom) => {
@@ -611,9 +628,8 @@ impl Body {
                     op: Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains,
                     ..
                 }
-                | Literal::Compute { .. }
-                | Literal::Aggregate { .. } => self.beyond = true,
-                Literal::Compare { .. } => {}
+                | Literal::Compute { .. } => self.beyond = true,
+                Literal::Compare { base, .. } => self.beyond |= *base != BaseType::Symbol,
             }
         }
     }

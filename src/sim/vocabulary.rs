@@ -119,23 +119,8 @@ impl Vocabulary {
             .position(|predicate| predicate.definition == Definition::Sees)
             .expect("every scenario defines the field of view");
 
-        for relation in unknown_inputs(program, &predicates) {
-            let known = predicates.iter().map(|predicate| predicate.name.as_str());
-            let mut fault = Diagnostic::new(
-                Code::RuleMismatch,
-                format!(
-                    "a rule reads `{}`, which the configuration `{}` does not define",
-                    relation.name, scenario.name
-                ),
-            )
-            .at(relation.span, "declared as input here")
-            .also(scenario.rules.span, "the configuration uses these rules");
-            fault = match did_you_mean(&relation.name, known) {
-                Some(name) => fault.help(format!("did you mean `{name}`?")),
-                None => fault.help("define it under `predicates` in the configuration, or derive it by a rule"),
-            };
-            faults.push(fault);
-        }
+        faults.extend(undefined(scenario, &unknown_inputs(program, &predicates), &predicates));
+        faults.extend(unfilled(scenario, program));
 
         let actions = Speed::ALL.map(|speed| {
             program.relation(speed.name()).filter(|&relation| {
@@ -238,6 +223,52 @@ fn fits(relation: &Relation, arity: usize, faults: &mut Vec<Diagnostic>, fault: 
 fn describe(relation: &Relation) -> String {
     let columns: Vec<&str> = relation.columns.iter().map(|column| column.base.name()).collect();
     format!("({})", columns.join(", "))
+}
+
+/// The fault of rules that read what the configuration does not define: one that names all.
+fn undefined(scenario: &Scenario, unknown: &[&Relation], predicates: &[Predicate]) -> Option<Diagnostic> {
+    let (first, rest) = unknown.split_first()?;
+    let names: Vec<String> = unknown.iter().map(|relation| format!("`{}`", relation.name)).collect();
+    let message = format!(
+        "the rules read {}, which the configuration `{}` does not define",
+        names.join(", "),
+        scenario.name
+    );
+    let mut fault = Diagnostic::new(Code::RuleMismatch, message).at(first.span, "declared as input here");
+    for relation in rest {
+        fault = fault.also(relation.span, "and here");
+    }
+    fault = fault.also(scenario.rules.span, "the configuration uses these rules");
+    let known = || predicates.iter().map(|predicate| predicate.name.as_str());
+    for relation in unknown {
+        if let Some(near) = did_you_mean(&relation.name, known()) {
+            fault = fault.help(format!("did you mean `{near}` by `{}`?", relation.name));
+        }
+    }
+    Some(fault.help("define what is missing under `predicates` in the configuration, or derive it by a rule"))
+}
+
+/// The faults of relations that have the name of a predicate, are no input and are never derived: the configuration cannot fill them.
+fn unfilled(scenario: &Scenario, program: &Program) -> Vec<Diagnostic> {
+    let rules = program.rules();
+    let mut faults = Vec::new();
+    for PredicateConfig { name, .. } in &scenario.predicates {
+        let Some(relation) = program.relation(&name.value) else {
+            continue;
+        };
+        let filled = rules.clauses.iter().any(|clause| clause.head.relation == relation);
+        let relation = &rules.relations[relation.index()];
+        if !relation.input && !filled {
+            let message = format!("`{}` is never filled: it is declared, but not as input", name.value);
+            faults.push(
+                Diagnostic::new(Code::RuleMismatch, message)
+                    .at(relation.span, "declared here")
+                    .also(name.span, "the configuration computes it")
+                    .help(format!("write `.input {}` after the declaration", name.value)),
+            );
+        }
+    }
+    faults
 }
 
 /// Input relations that some body reads and no predicate of the configuration defines, in the order of declaration.
