@@ -1492,3 +1492,45 @@ fn icons_come_from_a_pack_or_the_fault_is_told() {
         fails(&output, 2, &[told]);
     }
 }
+
+/// A predicate that the configuration computes but the rules only declare would stay empty.
+#[test]
+fn a_predicate_that_is_never_filled_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = ".include \"vocabulary.dl\"\n.decl IsTaxi(x: agent)\nStop(X) :- IsTaxi(X).\n";
+    write(folder.path(), "taxi.dl", rules);
+    let config =
+        "base: configs/expert.yaml\nrules: taxi.dl\npredicates: {define: {IsTaxi: {concept: taxi, of: Car}}}\n";
+    let config = write(folder.path(), "taxis.yaml", config);
+    fails(
+        &run(&["run", &config, "--no-trace", "--ticks", "1"], b""),
+        1,
+        &[
+            "rule-mismatch",
+            "`IsTaxi` is never filled",
+            "write `.input IsTaxi`",
+            "taxi.dl:2:7",
+        ],
+    );
+    let page = folder.path().join("no/such/city.html");
+    let page = page.to_str().unwrap();
+    let out = folder.path().to_str().unwrap();
+    fails(
+        &run(
+            &[
+                "run",
+                "easy",
+                "--ticks",
+                "1",
+                "--no-pictures",
+                "--out",
+                out,
+                "--html",
+                page,
+            ],
+            b"",
+        ),
+        2,
+        &["there is no folder", "no/such"],
+    );
+}
