@@ -30,6 +30,8 @@ pub enum Purpose {
     Episode = 8,
     /// A policy that acts at random; index: the step.
     Policy = 9,
+    /// Language questions: the worlds they are from, which decisions are asked about, and the order of entities.
+    Question = 10,
 }
 
 /// The seed of a run, from which every stream is made.

@@ -12,6 +12,7 @@ mod fmt;
 mod infer;
 mod lsp;
 mod query;
+mod questions;
 mod repl;
 mod route;
 mod run;
@@ -25,6 +26,7 @@ use crate::files::{self, ReadError};
 use crate::lang::{Inputs, Rules, Texts};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, Parser, Subcommand};
+use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{self, IsTerminal, Write};
 use std::num::NonZeroUsize;
 use std::path::Path;
@@ -58,6 +60,8 @@ enum Command {
     Explain(explain::Arguments),
     /// Make, check or show recorded episodes of Safe Path Following
     Episodes(episodes::Arguments),
+    /// Make multiple-choice questions in words about what cars do, with solved examples
+    Questions(questions::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
     /// Time the rules, a tick, an episode, or cities of up to a million agents
@@ -139,6 +143,7 @@ pub fn main() -> ExitCode {
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
         Command::Episodes(arguments) => episodes::run(&arguments, &mut sources),
+        Command::Questions(arguments) => questions::run(&arguments, &mut sources),
         Command::Lsp(arguments) => lsp::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
         Command::Bench(arguments) => bench::run(&arguments, &mut sources),
@@ -378,4 +383,10 @@ fn make_folder(path: &Path) -> Result<(), Failure> {
         ),
         _ => Failure::file("make the folder", path, error),
     })
+}
+
+/// A bar on a terminal.
+fn progress(what: &str, count: u64) -> ProgressBar {
+    let template = format!("{{bar:30}} {what} {{pos}} of {{len}}, {{eta}} left");
+    ProgressBar::new(count).with_style(ProgressStyle::with_template(&template).expect("a valid template"))
 }
