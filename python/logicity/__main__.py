@@ -6,7 +6,6 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import gymnasium
@@ -148,20 +147,15 @@ def _grade(given: argparse.Namespace) -> int:
     graded = grade(load_questions(given.questions), load_answers(given.answers))
     print(graded)
     for what, names in [
-        ("without an answer", graded.missing),
-        ("with an answer that chooses no option", graded.unread),
+        ("counted as wrong, without an answer", graded.missing),
+        ("counted as wrong, with an answer that chooses no option", graded.unread),
+        ("left out, answers to no question", graded.unknown),
     ]:
         if names:
-            print(f"{len(names)} questions {what}, counted as wrong: {_some(names)}", file=sys.stderr)
-    if graded.unknown:
-        print(f"{len(graded.unknown)} answers to no question, left out: {_some(graded.unknown)}", file=sys.stderr)
+            print(f"{what}: {len(names)}: {', '.join(names[:5])}{', ...' * (len(names) > 5)}", file=sys.stderr)
     if given.json is not None:
         write_json(given.json, graded.to_dict())
     return 0
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
 
 
 def _describe(given: argparse.Namespace) -> int:
