@@ -31,7 +31,7 @@ pub enum Purpose {
     /// A policy that acts at random; index: the step.
     Policy = 9,
     /// Language questions: the worlds they are from, which decisions are asked about, and the order of entities.
-    Question = 10,
+    Question = 12,
 }
 
 /// The seed of a run, from which every stream is made.
