@@ -7,9 +7,9 @@ SOLVERS := .venv-solvers
 FUZZ_TARGETS := parse check query evaluate config scene rows
 FUZZ_SECONDS := 600
 
-.PHONY: test lint rust doc python python-all solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test lint rust doc python python-all page solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
-test: lint rust doc python
+test: lint rust doc python page
 
 lint:
 	cargo fmt --all --check
@@ -30,6 +30,14 @@ python: $(VENV)/bin/python
 	$(VENV)/bin/ruff format --check python
 	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples
 	$(VENV)/bin/python -m pytest -q python/tests
+
+# The page of a run, in headless Chromium.
+page: $(VENV)/bin/python
+	cargo build --locked
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check pytest ruff selenium
+	$(VENV)/bin/ruff check --config python/pyproject.toml tests/page_in_browser.py
+	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/page_in_browser.py
+	$(VENV)/bin/python -m pytest -q tests/page_in_browser.py
 
 # The same with Stable-Baselines3, whose tests are skipped above: it brings torch, some gigabytes.
 python-all: $(VENV)-all/bin/python

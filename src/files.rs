@@ -189,6 +189,53 @@ fn read_bytes(input: impl Read) -> Result<Vec<u8>, ReadError> {
     }
 }
 
+/// A path and the bytes of its file.
+pub type NamedBytes = (String, Vec<u8>);
+
+/// Reads the files in the folders of a folder, each with its path `FOLDER/NAME`, in the order of paths. What lies beside the folders, and
+/// what has a name that begins with a dot, is left out.
+///
+/// # Errors
+/// The path that cannot be read, or that has too many or too large files below it, and why.
+pub fn read_folders(path: &Path, files_max: usize, bytes_max: u64) -> Result<Vec<NamedBytes>, (PathBuf, ReadError)> {
+    let mut found = Vec::new();
+    for folder in listed(path)?.into_iter().filter(|path| path.is_dir()) {
+        for file in listed(&folder)? {
+            let fail = |error: ReadError| (file.clone(), error);
+            if found.len() == files_max {
+                return Err(fail(ReadError::Io(format!("more than {files_max} files"))));
+            }
+            let handle = open(&file).map_err(fail)?;
+            // One byte more, so that whoever takes the bytes can tell that there are too many.
+            let bytes = read_bytes(handle.take(bytes_max + 1)).map_err(fail)?;
+            let inside = file.strip_prefix(path).ok().and_then(Path::to_str);
+            let name = inside.ok_or_else(|| fail(ReadError::Io("its name is not UTF-8".into())))?;
+            found.push((name.replace(std::path::MAIN_SEPARATOR, "/"), bytes));
+        }
+    }
+    Ok(found)
+}
+
+/// What is in a folder, sorted, without names that begin with a dot.
+fn listed(path: &Path) -> Result<Vec<PathBuf>, (PathBuf, ReadError)> {
+    let fail = |error: io::Error| match error.kind() {
+        io::ErrorKind::NotFound => (path.to_owned(), ReadError::Io("no such folder".into())),
+        io::ErrorKind::NotADirectory => (path.to_owned(), ReadError::Io("it is no folder".into())),
+        _ => (path.to_owned(), ReadError::Io(error.to_string())),
+    };
+    let entries = std::fs::read_dir(path).map_err(fail)?;
+    let mut paths = entries
+        .map(|entry| Ok(entry?.path()))
+        .collect::<io::Result<Vec<_>>>()
+        .map_err(fail)?;
+    paths.retain(|path| {
+        path.file_name()
+            .is_some_and(|name| !name.to_string_lossy().starts_with('.'))
+    });
+    paths.sort();
+    Ok(paths)
+}
+
 /// The text that bytes are.
 ///
 /// # Errors

@@ -49,6 +49,7 @@ pub mod diag;
 pub mod engine;
 pub mod files;
 pub mod lang;
+pub mod page;
 pub mod render;
 pub mod rng;
 pub mod sim;

@@ -30,8 +30,18 @@ pub enum Purpose {
     Episode = 8,
     /// A policy that acts at random; index: the step.
     Policy = 9,
+    /// What an icon looks like; index: its class, tick: the instance.
+    Icon = 10,
+    /// The texture of the ground.
+    Texture = 11,
     /// Language questions: the worlds they are from, which decisions are asked about, and the order of entities.
     Question = 12,
+    /// The seeds of the worlds of a data set; index: number of the world, tick: the split.
+    World = 13,
+    /// The agents of a world whose agents are drawn.
+    Cast = 14,
+    /// Which instance of its class a picture shows; index: agent.
+    Look = 15,
 }
 
 /// The seed of a run, from which every stream is made.

@@ -1421,3 +1421,74 @@ fn the_summary_names_the_executor() {
     let reason = "relational executor, 1 thread: the dense executor cannot evaluate these rules, because a predicate";
     assert!(summary(&["--rules", &rules]).contains(reason));
 }
+
+#[test]
+fn icons_come_from_a_pack_or_the_fault_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let sheet = |arguments: &[&str], name: &str| {
+        let path = folder.path().join(name);
+        let all = [&["icons", "sheet", "-o", path.to_str().unwrap()], arguments].concat();
+        (run(&all, b""), fs::read(path).unwrap_or_default())
+    };
+    let (output, drawn) = sheet(&["--class", "bus+tiro", "--seed", "2"], "drawn.png");
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    assert!(drawn.starts_with(b"\x89PNG"));
+    assert!(sheet(&["--class", "bus+tiro", "--seed", "2"], "again.png").1 == drawn);
+    assert!(sheet(&["--class", "bus+tiro", "--seed", "3"], "other.png").1 != drawn);
+    assert!(
+        sheet(
+            &["--class", "bus+tiro", "--seed", "2", "--difficulty", "40"],
+            "noisy.png"
+        )
+        .1 != drawn
+    );
+
+    let pack = folder.path().join("pack");
+    fs::create_dir_all(pack.join("police")).unwrap();
+    let svg = r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 2 4"><rect width="2" height="4"/></svg>"#;
+    write(&pack, "police/black.svg", svg);
+    write(&pack, "README", "beside the folders");
+    let pack_path = pack.to_str().unwrap();
+    let (output, extended) = sheet(&["--pack", pack_path], "extended.png");
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    assert!(
+        err(&output).contains("has no icons of car, ambulance, bus, tiro"),
+        "{}",
+        err(&output)
+    );
+    let (_, replaced) = sheet(&["--pack", pack_path, "--pack-mode", "replace"], "replaced.png");
+    assert!(!replaced.is_empty() && replaced != extended);
+
+    let out = folder.path().join("out");
+    let out = out.to_str().unwrap();
+    let output = logicity([
+        "run",
+        "configs/easy.yaml",
+        "--ticks",
+        "3",
+        "--pack",
+        pack_path,
+        "--out",
+        out,
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+
+    let broken = write(&pack, "police/white.png", "not a picture");
+    fs::create_dir(pack.join("plane")).unwrap();
+    write(&pack, "plane/1.svg", svg);
+    let (output, _) = sheet(&["--pack", pack_path], "broken.png");
+    fails(
+        &output,
+        2,
+        &[&broken, "not a PNG picture", "plane/1.svg", "no class `plane`"],
+    );
+    let (output, _) = sheet(&["--pack", "nowhere"], "none.png");
+    fails(&output, 2, &["`nowhere`", "no such folder"]);
+    for (option, value, told) in [
+        ("--difficulty", "101", "0 to 100"),
+        ("--class", "plane", "concepts joined by `+`"),
+    ] {
+        let (output, _) = sheet(&[option, value], "wrong.png");
+        fails(&output, 2, &[told]);
+    }
+}

@@ -235,7 +235,13 @@ fn check<const W: usize>(
         for (relation, row) in facts {
             given.insert(&dense, *relation, row);
         }
-        let mut frame: Frame<W> = Frame::new(&dense, entities);
+        // Nothing is left of what held of other entities before.
+        let mut frame: Frame<W> = Frame::new(&dense, 64 * W);
+        for input in 0..dense.inputs().len() {
+            frame.set_input(&dense, input, [u64::MAX; W]);
+        }
+        frame.run(&dense, &BitFacts::new(&dense, 64 * W));
+        frame.reset(&dense, entities);
         given.load(&dense, &mut frame);
         // A second run starts from what the first left.
         for _ in 0..2 {

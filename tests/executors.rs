@@ -3,22 +3,12 @@
 mod shipped_world;
 
 use logicity::config::{Building, Buildings, Scenario, Speed, Split};
+use logicity::diag::Code;
 use logicity::rng::Seed;
-use logicity::sim::{Batch, CROWD_MAX, Executor, Settings, Simulation, World};
-use shipped_world::world;
+use logicity::sim::{Batch, CROWD_MAX, Executor, Settings, Simulation, Stop, World};
+use shipped_world::{MODES, world};
 use std::sync::Arc;
-
-const MODES: [&str; 9] = [
-    "easy",
-    "medium",
-    "hard",
-    "expert",
-    "transfer-easy",
-    "transfer-medium",
-    "transfer-hard",
-    "vap-easy",
-    "vap-hard",
-];
+use std::sync::atomic::{AtomicI64, Ordering};
 
 /// Every agent of the test split `times` times, anywhere on the map.
 fn multiply(scenario: &mut Scenario, times: u32) {
@@ -63,7 +53,7 @@ fn ticks() -> u64 {
 
 #[test]
 fn executors_agree_in_every_mode() {
-    for mode in MODES {
+    for &mode in MODES {
         let world = world(mode, None, |_| ());
         let dense = simulation(&world, Executor::Dense, 1);
         assert_eq!(dense.executor(), Executor::Dense);
@@ -71,10 +61,40 @@ fn executors_agree_in_every_mode() {
     }
 }
 
+/// Wherever a tick is given up, the city is as it was and goes on as one that was left alone.
+#[test]
+fn a_tick_that_is_given_up_leaves_no_trace() {
+    let world = world("expert", None, |_| ());
+    let settings = Settings {
+        executor: Executor::Relational,
+        ..Settings::default()
+    };
+    let left = Arc::new(AtomicI64::new(i64::MAX));
+    let asked = Arc::clone(&left);
+    let stop: Stop = Arc::new(move || asked.fetch_sub(1, Ordering::Relaxed) <= 0);
+    let city = |stop| Simulation::new_until(Arc::clone(&world), Split::Test, Seed(5), settings, stop);
+    left.store(3, Ordering::Relaxed);
+    assert_eq!(city(Arc::clone(&stop)).err().unwrap().code, Code::LimitExceeded);
+    left.store(i64::MAX, Ordering::Relaxed);
+    let (mut city, mut twin) = (city(stop).unwrap(), simulation(&world, Executor::Dense, 1));
+    for tick in 0..20 {
+        let mut given_up = 0;
+        while let Err(fault) = {
+            left.store(given_up, Ordering::Relaxed);
+            city.tick(&[])
+        } {
+            assert_eq!((fault.code, city.now()), (Code::LimitExceeded, tick));
+            given_up += 1;
+        }
+        assert!(given_up > 100, "{given_up}");
+        assert_eq!(city.report().agents, twin.tick(&[]).unwrap().agents);
+    }
+}
+
 /// Cities of a batch go as they would alone, on any number of threads.
 #[test]
 fn a_batch_goes_as_single_cities_do() {
-    for mode in MODES {
+    for &mode in MODES {
         let world = world(mode, None, |_| ());
         let city = |seed| Simulation::new(Arc::clone(&world), Split::Test, Seed(seed), Settings::default()).unwrap();
         let mut batches: Vec<Batch> = (1..=3)

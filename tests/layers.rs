@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Rooms that do no input or output of their own and read no clock.
-const PURE: &[&str] = &["lang", "config", "engine", "city", "sim", "render", "task"];
+const PURE: &[&str] = &["lang", "config", "engine", "city", "sim", "render", "page", "task"];
 
 /// Crates that only one room may use.
 const ONLY_IN: &[(&str, &str)] = &[

@@ -1,49 +1,24 @@
 //! Safe Path Following: what is observed, wanted, judged and rewarded.
 
 mod recorded_cases;
+mod shipped_world;
 
 use flate2::read::GzDecoder;
 use logicity::city::{Agent, Cell, Heading, field_of_view};
-use logicity::config::{AgentConfig, Speed, Split, load_scenario};
+use logicity::config::{AgentConfig, Speed, Split};
 use logicity::diag::{Code, Diagnostic, Sources};
-use logicity::engine::Program;
-use logicity::files::{read_or_builtin, read_text};
+use logicity::files::read_or_builtin;
 use logicity::lang::{Literal, Rules, Term};
 use logicity::rng::Seed;
 use logicity::sim::{Chance, Entity, Observer, Settings, Simulation, World, ground};
 use logicity::task::path::{Baseline, Egos, Env, EpisodeSet, Exam, PathTask, Policy, RANDOM_RUNS, Rollout, rollout};
 use proptest::prelude::*;
 use serde_json::Value as Json;
+use shipped_world::{PATH_MODES, task, task_of};
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
-use std::path::Path;
 use std::sync::Arc;
-
-fn task(config: &str) -> Arc<PathTask> {
-    task_of(config, None)
-}
-
-/// The task of a configuration, with other rules if a text is given.
-fn task_of(config: &str, rules: Option<&str>) -> Arc<PathTask> {
-    let mut sources = Sources::new();
-    let scenario = load_scenario(&mut sources, Path::new(config), &read_text).expect("it is built in");
-    let text = rules.map_or_else(|| read_or_builtin(&scenario.rules.value).unwrap(), str::to_owned);
-    let entry = sources.add(scenario.rules.value.display().to_string(), text);
-    let (program, faults) = Program::load(&mut sources, entry, &read_or_builtin);
-    let world = World::new(scenario, program.unwrap_or_else(|| panic!("{faults:?}"))).expect("they fit");
-    Arc::new(PathTask::new(Arc::new(world), &sources).unwrap_or_else(|faults| panic!("{faults:?}")))
-}
-
-const MODES: [&str; 7] = [
-    "easy",
-    "medium",
-    "hard",
-    "expert",
-    "transfer-easy",
-    "transfer-medium",
-    "transfer-hard",
-];
 
 /// From every recorded state of the published environment: observation, wanted action, reward and violation are the recorded ones.
 #[test]
@@ -54,7 +29,7 @@ fn recorded_steps() {
         };
         let file = File::open(folder.join(format!("gym_{mode}.jsonl.gz"))).unwrap();
         let lines = BufReader::new(GzDecoder::new(file));
-        let task = task(mode);
+        let task = task(mode, None);
         let world = task.world();
         let mut city = Simulation::new(Arc::clone(world), Split::Test, Seed(0), Settings::default()).unwrap();
         let mut observer = Observer::new(Arc::clone(task.oracle()), 0);
@@ -68,12 +43,12 @@ fn recorded_steps() {
                 }
                 continue;
             };
-            let agents: Vec<Agent> = recorded
+            let mut agents: Vec<Agent> = recorded
                 .iter()
                 .zip(city.agents())
                 .map(|(agent, like)| placed(agent, like, world))
                 .collect();
-            city.restart(Seed(0), agents);
+            city.restart(Seed(0), &mut agents);
             observer.begin(&city);
             let ones: BTreeSet<usize> = step["obs_ones"].as_array().unwrap().iter().map(index).collect();
             let entities: Vec<usize> = step["ents"]
@@ -323,12 +298,21 @@ fn relational(task: &PathTask) -> String {
     format!(".include \"rules/{rules}\"\nStop(X) :- IsCar(X), IsPedestrian(X), IsCar(Y), X != Y.\n")
 }
 
-/// Observations, wanted actions and broken clauses are those of the definitions, by either executor, for any agent as the ego.
+/// Rules that mean the same, but a body asks for an action in passing: what is wanted and what is broken are evaluated apart.
+fn apart(task: &PathTask) -> String {
+    let rules = &task.world().scenario.rules.value;
+    let rules = rules.file_name().unwrap().to_str().unwrap();
+    format!(".include \"rules/{rules}\"\n.decl Halts(x: agent)\nHalts(X) :- Stop(X).\n")
+}
+
+/// Observations, wanted actions and broken clauses are those of the definitions, by either executor and in one evaluation or two, for any
+/// agent as the ego.
 #[test]
 fn observers_agree_with_the_definitions() {
-    for mode in MODES {
-        let plain_task = task(mode);
-        let other = task_of(mode, Some(&relational(&plain_task)));
+    for &mode in PATH_MODES {
+        let plain_task = task(mode, None);
+        let other = task(mode, Some(&relational(&plain_task)));
+        let twice = task(mode, Some(&apart(&plain_task)));
         let world = plain_task.world();
         let rules = world.program.rules();
         let n = plain_task.oracle().entities();
@@ -341,16 +325,19 @@ fn observers_agree_with_the_definitions() {
                     .map(|ego| Observer::new(Arc::clone(task.oracle()), ego))
                     .collect()
             };
-            let mut pairs: Vec<(Observer, Observer)> =
-                observers(&plain_task).into_iter().zip(observers(&other)).collect();
-            for (dense, slow) in &mut pairs {
+            let others = observers(&other).into_iter().zip(observers(&twice));
+            let mut pairs: Vec<(Observer, (Observer, Observer))> =
+                observers(&plain_task).into_iter().zip(others).collect();
+            for (dense, (slow, twice)) in &mut pairs {
                 dense.begin(&city);
                 slow.begin(&city);
+                twice.begin(&city);
             }
             for _ in 0..12 {
-                for (ego, (dense, slow)) in pairs.iter_mut().enumerate() {
+                for (ego, (dense, (slow, twice))) in pairs.iter_mut().enumerate() {
                     dense.look(&city);
                     slow.look(&city);
+                    twice.look(&city);
                     let atoms: BTreeSet<(usize, Vec<usize>)> = dense.atoms().collect();
                     assert_eq!(atoms, slow.atoms().collect());
                     let plain = Plain::new(&city, ego, n, &atoms);
@@ -366,6 +353,7 @@ fn observers_agree_with_the_definitions() {
 
                     let derived = dense.derived(&city).unwrap();
                     assert_eq!(derived, slow.derived(&city).unwrap());
+                    assert_eq!(derived, twice.derived(&city).unwrap());
                     let mut expected = plain.derived(rules);
                     if expected.len() == 1 {
                         expected.remove("Normal");
@@ -387,6 +375,7 @@ fn observers_agree_with_the_definitions() {
                         assert_eq!(broken, expected, "{mode} seed {seed} ego {ego} {action:?}");
                         // The clauses of the included file come first.
                         assert_eq!(broken, slow.broken(&city, action).unwrap());
+                        assert_eq!(broken, twice.broken(&city, action).unwrap());
                         seen[action as usize] += broken.len();
                     }
                 }
@@ -400,8 +389,8 @@ fn observers_agree_with_the_definitions() {
 /// The recorded episodes of all modes and splits are solved by the oracle as recorded, and break no rule.
 #[test]
 fn recorded_episodes() {
-    for mode in MODES {
-        let task = task(mode);
+    for &mode in PATH_MODES {
+        let task = task(mode, None);
         for split in Split::ALL {
             let mut sources = Sources::new();
             let set = EpisodeSet::load(&task, split, &mut sources, &read_or_builtin)
@@ -452,7 +441,7 @@ fn some_recorded(task: &PathTask, split: Split, count: usize) -> EpisodeSet {
 /// Side by side, episodes go as one after the other.
 #[test]
 fn an_exam_goes_as_its_episodes_would_alone() {
-    let task = task("expert");
+    let task = task("expert", None);
     let set = some_recorded(&task, Split::Val, 6);
     for policy in [
         Policy::Oracle,
@@ -479,7 +468,7 @@ fn an_exam_goes_as_its_episodes_would_alone() {
 
 #[test]
 fn the_random_policy_is_the_zero_of_scores() {
-    let task = task("easy");
+    let task = task("easy", None);
     let set = some_recorded(&task, Split::Val, 3);
     let mut env = Env::new(Arc::clone(&task), Split::Val, Egos::First).unwrap();
     let mut drive = || {
@@ -521,7 +510,7 @@ fn told(env: &Env) -> (Vec<f32>, f64, bool, bool) {
 
 #[test]
 fn an_episode_can_be_begun_again() {
-    let task = task("expert");
+    let task = task("expert", None);
     let mut env = Env::new(Arc::clone(&task), Split::Train, Egos::First).unwrap();
     let mut other = Env::new(task, Split::Train, Egos::First).unwrap();
     for seed in 0..40 {
@@ -548,7 +537,7 @@ fn an_episode_can_be_begun_again() {
 
 #[test]
 fn the_horizon_cuts_an_episode_short() {
-    let mut env = Env::new(task("easy"), Split::Train, Egos::First).unwrap();
+    let mut env = Env::new(task("easy", None), Split::Train, Egos::First).unwrap();
     env.reset(1).unwrap();
     let cells = env.riders()[0].cells();
     env.set_horizon(9);
@@ -562,7 +551,7 @@ fn the_horizon_cuts_an_episode_short() {
 
 #[test]
 fn every_car_can_be_driven() {
-    let task = task("expert");
+    let task = task("expert", None);
     let mut env = Env::new(Arc::clone(&task), Split::Test, Egos::Cars).unwrap();
     env.reset(3).unwrap();
     assert_eq!(env.riders().len(), 10);
@@ -596,23 +585,11 @@ fn every_car_can_be_driven() {
 
 /// The fault of a configuration made of `text`.
 fn fault_of(text: &str) -> Diagnostic {
-    let mut sources = Sources::new();
-    let read = |path: &Path| match path.to_str() {
-        Some("mine.yaml") => Ok(text.to_owned()),
-        _ => Err(logicity::files::ReadError::NotFound),
-    };
-    let scenario = match load_scenario(&mut sources, Path::new("mine.yaml"), &read) {
-        Ok(scenario) => scenario,
-        Err(faults) => return faults.into_iter().next().unwrap(),
-    };
-    let rules = read_or_builtin(&scenario.rules.value).unwrap();
-    let entry = sources.add("expert.dl", rules);
-    let (program, _) = Program::load(&mut sources, entry, &read_or_builtin);
-    let world = World::new(scenario, program.unwrap()).unwrap();
-    let Err(faults) = PathTask::new(Arc::new(world), &sources) else {
-        panic!("no fault in {text}")
-    };
-    faults.into_iter().next().unwrap()
+    let faults = task_of(text).err().unwrap_or_default();
+    faults
+        .into_iter()
+        .next()
+        .unwrap_or_else(|| panic!("no fault in {text}"))
 }
 
 #[test]
@@ -643,16 +620,7 @@ fn clauses_can_have_weights_of_their_own() {
         ("action", [-20.0, -5.0, -1.0, -25.0]),
         ("clause", [-26.0, -5.0, -1.0, -25.0]),
     ] {
-        let mut sources = Sources::new();
-        let read = |path: &Path| match path.to_str() {
-            Some("mine.yaml") => Ok(text.replace("PER", per)),
-            _ => Err(logicity::files::ReadError::NotFound),
-        };
-        let scenario = load_scenario(&mut sources, Path::new("mine.yaml"), &read).unwrap();
-        let entry = sources.add("expert.dl", read_or_builtin(&scenario.rules.value).unwrap());
-        let (program, _) = Program::load(&mut sources, entry, &read_or_builtin);
-        let world = World::new(scenario, program.unwrap()).unwrap();
-        let task = PathTask::new(Arc::new(world), &sources).unwrap();
+        let task = task_of(&text.replace("PER", per)).unwrap();
         let demand = |label: &str| (0..).find(|&demand| task.label(demand) == label).unwrap();
         let [s1, s2, s7, l1] = ["S1", "S2", "S7", "L1"].map(demand);
         let rewards =
@@ -704,7 +672,7 @@ proptest! {
     #[test]
     fn episodes_are_read_as_they_are_written(text in ".{0,200}", seed in 0u64..1000) {
         let _ = set_of(&text);
-        let mut env = Env::new(task("easy"), Split::Val, Egos::First).unwrap();
+        let mut env = Env::new(task("easy", None), Split::Val, Egos::First).unwrap();
         env.reset(seed).unwrap();
         let set = EpisodeSet { config: "easy".into(), split: Split::Val, seed, episodes: vec![env.episode().clone()] };
         let mut written = Vec::new();

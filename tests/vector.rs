@@ -3,15 +3,12 @@
 mod shipped_world;
 
 use logicity::config::{Speed, Split};
-use logicity::diag::Sources;
+use logicity::diag::Code;
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::task::path::{Autoreset, Begin, Egos, Env, EpisodeSource, Info, PathTask, VectorEnv, View};
+use logicity::task::path::{Autoreset, Begin, Egos, Env, EpisodeSource, Info, VectorEnv, View};
+use shipped_world::task;
 use std::sync::Arc;
-
-fn task(config: &str) -> Arc<PathTask> {
-    let world = shipped_world::world(config, None, |_| ());
-    Arc::new(PathTask::new(world, &Sources::new()).unwrap_or_else(|faults| panic!("{faults:?}")))
-}
+use std::sync::atomic::{AtomicI64, Ordering};
 
 /// An environment alone, and what it was shown last.
 struct Alone {
@@ -38,10 +35,11 @@ impl Alone {
 /// A batch of `count` environments and as many alone, random actions, for so many steps of all of them together.
 fn compare(config: &str, split: Split, view: View, autoreset: Autoreset, threads: usize, steps: usize) {
     const COUNT: usize = 24;
-    let task = task(config);
+    let task = task(config, None);
     let width: usize = view.shape(&task).iter().product();
     let source = |member: usize| EpisodeSource::new(100 + member as u64, None);
     let mut batch = VectorEnv::new(&task, split, (0..COUNT).map(source), autoreset, view, threads).unwrap();
+    batch.keep_last_atoms();
     let mut alone: Vec<Alone> = (0..COUNT)
         .map(|member| Alone {
             env: Env::new(Arc::clone(&task), split, Egos::First).unwrap(),
@@ -79,6 +77,8 @@ fn compare(config: &str, split: Split, view: View, autoreset: Autoreset, threads
             }
             assert_eq!(together.ended().is_some(), one.over && autoreset == Autoreset::SameStep);
             if let Some((observation, info)) = together.ended() {
+                let atoms: Vec<_> = one.env.riders()[0].observer().atoms().collect();
+                assert_eq!(together.ended_atoms().unwrap(), atoms, "step {step}");
                 assert_eq!(observation, one.shown, "step {step}");
                 assert_eq!(*info, one.info, "step {step}");
                 ended += 1;
@@ -116,7 +116,7 @@ fn the_seeds_of_episodes_are_functions_of_seed_and_number() {
 
 #[test]
 fn recorded_episodes_are_taken_by_the_seed() {
-    let task = task("easy");
+    let task = task("easy", None);
     let mut env = Env::new(Arc::clone(&task), Split::Val, Egos::First).unwrap();
     let recorded: Arc<[_]> = (0..6)
         .map(|seed| {
@@ -152,4 +152,45 @@ fn recorded_episodes_are_taken_by_the_seed() {
     assert_eq!(*batch.members()[0].env().episode(), recorded[4]);
     batch.reset(&vec![Some(Begin::Next); 2], &mut shown).unwrap();
     assert_eq!(batch.members()[0].env().episode(), batch.members()[1].env().episode());
+}
+
+/// What a batch has not reached when it is given up needs a reset; then it goes on as ever.
+#[test]
+fn a_batch_is_given_up_when_it_is_told_to() {
+    const COUNT: usize = 64;
+    let task = task("easy", None);
+    for threads in [1, 3] {
+        let left = Arc::new(AtomicI64::new(i64::MAX));
+        let asked = Arc::clone(&left);
+        let stop = Arc::new(move || asked.fetch_sub(1, Ordering::Relaxed) <= 0);
+        let sources = (0..COUNT).map(|member| EpisodeSource::new(member as u64, None));
+        let (autoreset, view) = (Autoreset::Disabled, View::Atoms);
+        let batch = VectorEnv::new_until(&task, Split::Train, sources, autoreset, view, threads, stop);
+        let mut batch = batch.unwrap();
+        let mut shown = vec![0.0; COUNT * task.observation_width()];
+        batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();
+        left.store(3, Ordering::Relaxed);
+        let fault = batch.step(&[Speed::Stop; COUNT], &mut shown).unwrap_err();
+        assert_eq!(fault.code, Code::LimitExceeded);
+        left.store(i64::MAX, Ordering::Relaxed);
+        let gone: Vec<bool> = batch.members().iter().map(|member| member.env().steps() == 1).collect();
+        let reached = gone.iter().filter(|gone| **gone).count();
+        assert!((1..COUNT).contains(&reached), "{reached} on {threads} threads");
+        if threads == 1 {
+            assert!(gone[..reached].iter().all(|gone| *gone), "{gone:?}");
+        }
+        let ready = |batch: &VectorEnv| -> Vec<bool> {
+            let members = batch.members().iter();
+            members.map(|member| member.is_ready(autoreset)).collect()
+        };
+        let again: Vec<Option<Begin>> = (ready(&batch).iter().zip(&gone))
+            .map(|(ready, gone)| {
+                assert!(*gone || !ready);
+                (!ready).then_some(Begin::Next)
+            })
+            .collect();
+        batch.reset(&again, &mut shown).unwrap();
+        assert!(ready(&batch).iter().all(|ready| *ready));
+        batch.step(&[Speed::Stop; COUNT], &mut shown).unwrap();
+    }
 }

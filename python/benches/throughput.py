@@ -1,4 +1,7 @@
-"""Environment steps per CPU second with random actions, as a table: `python python/benches/throughput.py [MODE]`."""
+"""Environment steps per CPU second with random actions, as a table: `python python/benches/throughput.py [MODE]`.
+
+With Stable-Baselines3 there, it tells as well what share of a training the environment takes.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,9 @@ import logicity
 
 #: CPU seconds that each figure is measured for, at least.
 SECONDS = 3.0
+
+#: So many steps of a training are looked at.
+TRAINING_STEPS = 8000
 
 
 def rate(steps: int, step: Callable[[int], None]) -> float:
@@ -70,6 +76,31 @@ def stable_baselines(mode: str, count: int) -> float:
     return rate(count, step)
 
 
+def training_share(mode: str) -> float:
+    """The share of the CPU time of DQN's training in which the environments and their adapter are at work."""
+    from logicity.sb3 import make_vec_env
+    from logicity.train import TrainConfig, new_model
+
+    config = TrainConfig.load(f"configs/baselines/dqn-{logicity.MODES[mode]}-tuned.yaml")
+    envs = make_vec_env(config.mode, config.envs, config.seed)
+    model = new_model(config, envs)
+    model.learn(config.settings["learning_starts"])
+    core, spent = envs.venv, 0.0
+    step_wait = core.step_wait
+
+    def timed() -> object:
+        nonlocal spent
+        begin = time.process_time()
+        result = step_wait()
+        spent += time.process_time() - begin
+        return result
+
+    core.step_wait = timed
+    begin = time.process_time()
+    model.learn(TRAINING_STEPS, reset_num_timesteps=False)
+    return spent / (time.process_time() - begin)
+
+
 def main() -> None:
     """Print the table."""
     mode = sys.argv[1] if len(sys.argv) > 1 else "Expert"
@@ -87,6 +118,12 @@ def main() -> None:
         rows.append(("`sb3.make_vec_env`, 256 environments", lambda: stable_baselines(mode, 256)))
     for name, measure in rows:
         print(f"| {name} | {measure():,.0f} |", flush=True)
+    if not importlib.util.find_spec("stable_baselines3"):
+        print(
+            "\nStable-Baselines3 is not installed: `pip install './python[train]'` does, then its share is told, too."
+        )
+    elif mode in ("Easy", "Medium", "Hard", "Expert"):
+        print(f"\nThe environment's share of the CPU time of training DQN: {training_share(mode):.1%}")
 
 
 if __name__ == "__main__":

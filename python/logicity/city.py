@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from operator import index
-from typing import Any, NoReturn, cast
+from typing import Any, NoReturn, SupportsIndex, TypeAlias, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,13 @@ REASONS: tuple[str, ...] = tuple(_logicity.REASONS)
 
 It was decided so; the route allowed no other move; several moves were possible, none of the decided speed, and one
 was drawn; it rests at its goal."""
+
+
+#: What an action is given by: its name, or its position in `ACTIONS`.
+_Act: TypeAlias = str | SupportsIndex
+
+#: What agents are named by in one mapping. Mappings are not covariant in their keys: this lets each have its own.
+_Named = TypeVar("_Named", bound=str | SupportsIndex)
 
 
 class Inference:
@@ -298,14 +305,14 @@ class Simulation:
         """The last tick; before the first, agents that rest."""
         return Tick(*self._city.last())
 
-    def tick(self, controls: Mapping[str | int, Action | int] | None = None) -> Tick:
+    def tick(self, controls: Mapping[str | SupportsIndex, _Act] | Mapping[_Named, _Act] | None = None) -> Tick:
         """Let every agent decide, then all move.
 
         Parameters
         ----------
         controls
             Agents, by name or by position in `agents`, that do not do what the rules say but this action, given by
-            name or by position in `ACTIONS`.
+            name or by position in `ACTIONS`: `{"Car_1": "Stop"}`, `{0: 3}`.
 
         Raises
         ------
@@ -319,8 +326,8 @@ class Simulation:
             If the rules derive too much, or too many agents are in one place. The city is then as before.
 
         """
-        given = [] if controls is None else controls.items()
-        return Tick(*self._city.tick([(self._agent(agent), _action(action)) for agent, action in given]))
+        given: Mapping[Any, _Act] = {} if controls is None else controls
+        return Tick(*self._city.tick([(self._agent(agent), _action(action)) for agent, action in given.items()]))
 
     def run(self, ticks: int, *, trace: str | os.PathLike[str] | None = None) -> None:
         """Go on for so many ticks, in one call.
@@ -403,7 +410,7 @@ class Simulation:
         told["at"], told["derived"] = tuple(told["at"]), tuple(told["derived"])
         return Decision(text=text, **told)
 
-    def _agent(self, agent: str | int) -> int:
+    def _agent(self, agent: str | SupportsIndex) -> int:
         if isinstance(agent, str):
             if (position := self._index.get(agent)) is not None:
                 return position
@@ -413,7 +420,7 @@ class Simulation:
         return index(agent)
 
 
-def _action(action: Action | int) -> int:
+def _action(action: _Act) -> int:
     if isinstance(action, str):
         if action in ACTIONS:
             return ACTIONS.index(action)

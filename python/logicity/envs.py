@@ -14,7 +14,7 @@ import operator
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypedDict, cast
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, cast
 
 import gymnasium
 import numpy as np
@@ -27,6 +27,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _logicity
 from .types import Split
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack  # Python 3.11; only annotations use it
 
 __all__ = ["EpisodeAgent", "EpisodeStart", "Kind", "Observations", "OracleRun", "SPFEnv", "SPFVectorEnv"]
 
@@ -49,24 +52,40 @@ OracleRun = TypedDict("OracleRun", {"steps": int, "return": float, "constrained"
 
 
 class EpisodeStart(TypedDict):
-    """How an episode begins: its seed, less than 2**64, the agents in list order, the oracle's run if it is known."""
+    """How an episode begins: its seed, the agents in list order, the oracle's run if it is known.
+
+    A seed is a whole number less than 2**64. Those of recorded episodes need all 64 bits: what keeps numbers as
+    floats, as JavaScript does, does not keep them.
+    """
 
     seed: int
     agents: list[EpisodeAgent]
     oracle: OracleRun | None
 
 
+class Options(TypedDict, total=False):
+    """What every kind of environment takes by keyword; `SPFEnv` tells what it means."""
+
+    split: Split
+    rules: str | os.PathLike[str] | None
+    overrides: Mapping[str, Any] | None
+    observation: Kind
+
+
 class World:
-    """What an environment is of: a configuration and what is changed of it."""
+    """What an environment is of: a configuration and what is changed of it, whose agents, and what is observed."""
 
     def __init__(
         self,
         config: str | os.PathLike[str],
-        rules: str | os.PathLike[str] | None,
-        overrides: Mapping[str, Any] | None,
+        *,
+        split: Split = "train",
+        rules: str | os.PathLike[str] | None = None,
+        overrides: Mapping[str, Any] | None = None,
+        observation: Kind = "atoms",
     ) -> None:
         """Keep the arguments, see `SPFEnv`."""
-        self.config = os.fspath(config)
+        self.config, self.split, self.observation = os.fspath(config), split, observation
         self.rules = rules if rules is None else os.fspath(rules)
         self.overrides = dict(overrides or {})
         if "base" in self.overrides:
@@ -82,11 +101,10 @@ class World:
             text = json.dumps({"base": f"configs/{base}.yaml" if bare else str(base), **over})
         return _logicity.Task(self.config, self.rules, text)
 
-
-def space_of(task: _logicity.Task, observation: Kind) -> Box:
-    """Return the space of observations of that kind."""
-    shape = tuple(task.shape(observation))
-    return Box(0.0 if observation == "atoms" else -1.0, 1.0, shape, np.float32)
+    def space(self, task: _logicity.Task) -> Box:
+        """Make the space of observations."""
+        shape = tuple(task.shape(self.observation))
+        return Box(0.0 if self.observation == "atoms" else -1.0, 1.0, shape, np.float32)
 
 
 def checked_seed(seed: int | None, generator: np.random.Generator) -> int:
@@ -131,21 +149,18 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         self,
         config: str | os.PathLike[str] = "expert",
         *,
-        split: Split = "train",
-        rules: str | os.PathLike[str] | None = None,
-        overrides: Mapping[str, Any] | None = None,
-        observation: Kind = "atoms",
         episodes: Literal["drawn", "recorded"] = "drawn",
         atoms: bool = False,
         render_mode: str | None = None,
+        **options: Unpack[Options],
     ) -> None:
         """Load the configuration and the rules."""
-        self._world = World(config, rules, overrides)
-        self._split, self._kind, self._atoms = split, observation, atoms
+        self._world = World(config, **options)
+        self._atoms = atoms
         self._recorded = _is_recorded(episodes)
         self.render_mode = checked_render_mode(render_mode, self.metadata)
         self._task = self._world.task()
-        space = space_of(self._task, observation)
+        space = self._world.space(self._task)
         self.observation_space, self._shape = cast(Space[Observations], space), space.shape
         self.action_space = Discrete(4)
         self._home = self._environments(self._task)
@@ -155,7 +170,8 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         self._taken: list[int] | None = None
 
     def _environments(self, task: _logicity.Task) -> _logicity.Environments:
-        return _logicity.Environments(task, self._split, 1, "Disabled", self._kind, self._recorded, 1)
+        world = self._world
+        return _logicity.Environments(task, world.split, 1, "Disabled", world.observation, self._recorded, 1)
 
     def _look(self) -> Observations:
         return np.empty(self._shape, np.float32)
@@ -182,7 +198,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         if self._core is not self._home:
             self._home.seed(0, *self._core.source(0))
         self._taken = []
-        return observation, self._info(self._core.info(0))
+        return observation, _told(self._core.info(0), self._core, 0, self._atoms)
 
     def _move(self, elsewhere: dict[str, Any]) -> None:
         """Go where the configuration is changed like this; the sequence of episodes comes along."""
@@ -191,17 +207,10 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
             return
         if self._core is self._home or elsewhere != self._elsewhere:
             task = self._world.task(**elsewhere)
-            if space_of(task, self._kind) != self.observation_space:
+            if self._world.space(task) != self.observation_space:
                 raise ValueError("there, observations have another shape")
             self._core, self._elsewhere = self._environments(task), elsewhere
         self._core.seed(0, *self._home.source(0))
-
-    def _info(self, info: dict[str, Any]) -> dict[str, Any]:
-        # A type that holds any seed where gymnasium puts it into an array, which a whole number of Python would not.
-        info["seed"] = np.uint64(info["seed"])
-        if self._atoms:
-            info["true_atoms"] = self._core.atoms(0)
-        return info
 
     def step(self, action: np.int64 | int) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
         """Drive for a tick.
@@ -217,7 +226,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         except (TypeError, OverflowError):
             raise InvalidAction(f"{action!r} is no action: they are 0 Slow, 1 Normal, 2 Fast, 3 Stop") from None
         self._taken.append(number)
-        return observation, reward, terminated, truncated, self._info(info)
+        return observation, reward, terminated, truncated, _told(info, self._core, 0, self._atoms)
 
     @property
     def episode(self) -> EpisodeStart:
@@ -262,6 +271,15 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
             self._core.reset([start], observation)
             for action in self._taken or []:
                 self._core.step_one(action, observation)
+
+
+def _told(info: dict[str, Any], core: _logicity.Environments, at: int, atoms: bool) -> dict[str, Any]:
+    """Return what is told of an environment as gymnasium takes it; with atoms, what is true there."""
+    # A type that holds any seed where gymnasium puts it into an array, which a whole number of Python would not.
+    info["seed"] = np.uint64(info["seed"])
+    if atoms:
+        info["true_atoms"] = core.atoms(at)
+    return info
 
 
 def _is_recorded(episodes: str) -> bool:
@@ -324,16 +342,13 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         num_envs: int = 1,
         config: str | os.PathLike[str] = "expert",
         *,
-        split: Split = "train",
-        rules: str | os.PathLike[str] | None = None,
-        overrides: Mapping[str, Any] | None = None,
-        observation: Kind = "atoms",
         episodes: Literal["drawn", "recorded"] = "drawn",
         atoms: bool = False,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         num_threads: int = 1,
         copy: bool = True,
+        **options: Unpack[Options],
     ) -> None:
         """Load the configuration and the rules."""
         super().__init__()
@@ -344,15 +359,18 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = checked_render_mode(render_mode, self.metadata)
         self._atoms, self.copy = atoms, copy
-        task = World(config, rules, overrides).task()
-        self.single_observation_space = space_of(task, observation)
+        world = World(config, **options)
+        task = world.task()
+        self.single_observation_space = world.space(task)
         self.single_action_space = Discrete(4)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         recorded = _is_recorded(episodes)
         self._core = _logicity.Environments(
-            task, split, num_envs, self.autoreset_mode.value, observation, recorded, num_threads
+            task, world.split, num_envs, self.autoreset_mode.value, world.observation, recorded, num_threads
         )
+        if atoms:
+            self._core.keep_last_atoms()
         self._observations = np.zeros((num_envs, *(self.single_observation_space.shape or ())), np.float32)
         self._seeded = np.zeros(num_envs, np.bool_)
         self._unbroken = np.empty(num_envs, object)
@@ -392,10 +410,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         self._core.reset(begin, self._observations)
         infos: dict[str, Any] = {}
         for at in np.flatnonzero(mask):
-            info = self._core.info(int(at))
-            info["seed"] = np.uint64(info["seed"])
-            if self._atoms:
-                info["true_atoms"] = self._core.atoms(int(at))
+            info = _told(self._core.info(int(at)), self._core, int(at), self._atoms)
             infos = self._add_info(infos, info, int(at))
         return self._shown(), infos
 
@@ -456,10 +471,14 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         info: dict[str, Any] = dict(zip(_COLUMNS, columns, strict=True))
         info["violations"] = violations = np.empty(count, object)
         infos["final_obs"] = observations = np.empty(count, object)
+        if self._atoms:
+            info["true_atoms"] = np.empty(count, object)
         mask = np.zeros(count, np.bool_)
         shape = self.single_observation_space.shape
         for at, observation, labels in ends:
             observations[at], violations[at], mask[at] = observation.reshape(shape), labels, True
+            if self._atoms:
+                info["true_atoms"][at] = self._core.ended_atoms(at)
         for key in tuple(info):
             info["_" + key] = mask.copy()
         infos["final_info"], infos["_final_info"], infos["_final_obs"] = info, mask.copy(), mask

@@ -142,7 +142,7 @@ def load_task(
     """The task of a mode; what is raised is as for `Benchmark`."""
     if mode not in ENVIRONMENTS:
         raise ValueError(f"unknown mode `{mode}`: it is one of {', '.join(ENVIRONMENTS)}")
-    return World(mode, rules, overrides).task()
+    return World(mode, rules=rules, overrides=overrides).task()
 
 
 class Benchmark:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Mapping
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import gymnasium
 import numpy as np
@@ -15,17 +14,10 @@ from gymnasium.utils.seeding import np_random
 from pettingzoo import ParallelEnv
 
 from . import _logicity
-from .envs import (
-    EpisodeStart,
-    Kind,
-    Observations,
-    World,
-    begin_of,
-    checked_render_mode,
-    checked_seed,
-    space_of,
-)
-from .types import Split
+from .envs import EpisodeStart, Observations, Options, World, begin_of, checked_render_mode, checked_seed
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack  # Python 3.11; only annotations use it
 
 __all__ = ["SPFParallelEnv"]
 
@@ -43,21 +35,19 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         self,
         config: str | os.PathLike[str] = "expert",
         *,
-        split: Split = "train",
-        rules: str | os.PathLike[str] | None = None,
-        overrides: Mapping[str, Any] | None = None,
-        observation: Kind = "atoms",
         render_mode: Literal["rgb_array", "ansi"] | None = None,
+        **options: Unpack[Options],
     ) -> None:
         """Load the configuration and the rules."""
         self.render_mode = checked_render_mode(render_mode, self.metadata)
-        task = World(config, rules, overrides).task()
-        self._cars = _logicity.Cars(task, split, observation)
+        world = World(config, **options)
+        task = world.task()
+        self._cars = _logicity.Cars(task, world.split, world.observation)
         self.possible_agents = self._cars.names()
         self.agents: list[str] = []
         self._place = {name: car for car, name in enumerate(self.possible_agents)}
         # Distinct for each environment, so that seeding one's spaces leaves the others alone.
-        self.observation_spaces = {name: space_of(task, observation) for name in self.possible_agents}
+        self.observation_spaces = {name: world.space(task) for name in self.possible_agents}
         self.action_spaces = {name: Discrete(4) for name in self.possible_agents}
         self._generator: np.random.Generator | None = None
         self._seeded = self._begun = False

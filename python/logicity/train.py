@@ -35,7 +35,7 @@ from .evaluation import Benchmark, Evaluation, write_json
 from .modes import ENVIRONMENTS
 from .sb3 import make_vec_env
 
-__all__ = ["ALGORITHMS", "FeatureLayers", "TrainConfig", "load_model", "train"]
+__all__ = ["ALGORITHMS", "FeatureLayers", "TrainConfig", "load_model", "new_model", "train"]
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"dqn": DQN, "ppo": PPO, "a2c": A2C}
 
@@ -253,8 +253,11 @@ def train(
 ) -> dict[str, Any]:
     """Train, or go on from the last checkpoint of the same configuration; return what `result.json` has.
 
-    After a kill the episode that went on and the state of the random streams are lost, so the run goes on with other
-    draws than it would have had.
+    After a kill it goes on from the last validation: weights, optimizer, replay buffer, number of steps and with it the
+    rate of exploration, and the best model so far are as they were then. Lost are the episodes that went on, a rollout
+    of PPO or A2C that was not full, and the states of the random streams; new episodes and draws follow from the seed
+    and the number of steps. So a run that was killed does not end as one that was not, bit for bit, but as any other
+    that was killed there.
 
     Args:
         config: what to train.
@@ -288,7 +291,7 @@ def train(
             if isinstance(model, OffPolicyAlgorithm):
                 model.load_replay_buffer(checkpoints[-1] / "replay.pkl")
         else:
-            model = _new_model(config, env, log)
+            model = new_model(config, env, log)
         validation = Validation(run, config, state)
         bar = [ProgressBarCallback()] if progress else []
         model.learn(
@@ -316,7 +319,12 @@ def _claim(run: Path, config: TrainConfig) -> None:
         raise ValueError(f"{run} has a run of another configuration; remove it or name another folder")
 
 
-def _new_model(config: TrainConfig, env: VecEnv, log: str | None) -> BaseAlgorithm:
+def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseAlgorithm:
+    """Make an untrained model; `log` is the folder of the curves.
+
+    Raises:
+        ValueError: a setting is none of the algorithm's.
+    """
     policy = {
         "features_extractor_class": FeatureLayers,
         "features_extractor_kwargs": {"widths": config.network},

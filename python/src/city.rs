@@ -52,17 +52,46 @@ pub struct Loaded {
     files: Files,
 }
 
+/// Why nothing was loaded.
+enum Unloaded {
+    /// There is no such configuration; what to say.
+    Missing(String),
+    Unread(PathBuf, ReadError),
+    Faulty(Vec<Diagnostic>, Sources),
+}
+
+impl Unloaded {
+    fn raise(self, py: Python<'_>) -> PyErr {
+        match self {
+            Unloaded::Missing(message) => PyFileNotFoundError::new_err(message),
+            Unloaded::Unread(path, error) => read_error(py, &path, &error),
+            Unloaded::Faulty(faults, sources) => input_error(py, &faults, &sources),
+        }
+    }
+}
+
 impl Loaded {
     /// Reads a configuration and its rules, or those of the file that is given instead; from `files`, if there are any, else from
     /// disk. What is not there is looked for among the built-in files. `overrides` is a mapping in JSON that stands above the
     /// configuration, which it names as its base.
     pub fn new(
         py: Python<'_>,
+        signals: &Signals,
+        config: PathBuf,
+        rules: Option<PathBuf>,
+        files: Option<Files>,
+        overrides: Option<String>,
+    ) -> PyResult<Loaded> {
+        let read = move || Loaded::read(&config, rules, files, overrides.as_deref());
+        signals.aside(py, read)?.map_err(|unloaded| unloaded.raise(py))
+    }
+
+    fn read(
         config: &Path,
-        rules: Option<&Path>,
+        rules: Option<PathBuf>,
         files: Option<Files>,
         overrides: Option<&str>,
-    ) -> PyResult<Loaded> {
+    ) -> Result<Loaded, Unloaded> {
         let read = RefCell::new(Files::new());
         let record = |path: &Path, text: Result<String, ReadError>| {
             text.inspect(|text| drop(read.borrow_mut().insert(path.to_owned(), text.clone())))
@@ -80,20 +109,26 @@ impl Loaded {
 
         let mut sources = Sources::new();
         let entry = overrides.map_or(config, |_| Path::new(OVERRIDES));
-        let scenario = load_scenario(&mut sources, entry, &read_config);
-        let mut scenario = scenario.map_err(|faults| match faults.as_slice() {
-            // The file named by the caller: it has no place in any text.
-            [fault] if fault.code == Code::MissingFile && fault.primary.is_none() => {
-                let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
-                PyFileNotFoundError::new_err(fault.message.clone() + &help)
+        let mut scenario = match load_scenario(&mut sources, entry, &read_config) {
+            Ok(scenario) => scenario,
+            Err(faults) => {
+                return Err(match faults.as_slice() {
+                    // The file named by the caller: it has no place in any text.
+                    [fault] if fault.code == Code::MissingFile && fault.primary.is_none() => {
+                        let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
+                        Unloaded::Missing(fault.message.clone() + &help)
+                    }
+                    _ => Unloaded::Faulty(faults, sources),
+                });
             }
-            _ => input_error(py, &faults, &sources),
-        })?;
-        let path = rules.unwrap_or(&scenario.rules.value).to_owned();
-        let text = read_rules(&path).map_err(|error| read_error(py, &path, &error))?;
+        };
+        let path = rules.clone().unwrap_or_else(|| scenario.rules.value.clone());
+        let text = read_rules(&path).map_err(|error| Unloaded::Unread(path.clone(), error))?;
         let rule_file = sources.add(path.display().to_string(), text);
         let (program, faults) = Program::load(&mut sources, rule_file, &read_rules);
-        let program = program.ok_or_else(|| input_error(py, &faults, &sources))?;
+        let Some(program) = program else {
+            return Err(Unloaded::Faulty(faults, sources));
+        };
         if rules.is_some() {
             // What does not fit is to be shown in the file that was given, not in the configuration.
             let span = Span::new(rule_file, 0..0);
@@ -142,7 +177,7 @@ impl PyInference {
             program,
             files,
             ..
-        } = Loaded::new(py, &config, rules.as_deref(), files, None)?;
+        } = Loaded::new(py, &Signals::new(), config, rules, files, None)?;
         let inference = Inference::new(scenario, program, Seed(seed), executor, read_text)
             .map_err(|faults| input_error(py, &faults, &sources))?;
         Ok(PyInference {
@@ -155,9 +190,9 @@ impl PyInference {
     fn answer<'py>(&self, py: Python<'py>, scene: &str) -> PyResult<Bound<'py, PyAny>> {
         let mut sources = Sources::new();
         let source = sources.add("<scene>", scene);
-        let answer = self
-            .inference
-            .detached(py, |inference, _| inference.answer(&sources, source))?;
+        let answer = self.inference.detached(py, |inference, signals| {
+            inference.answer_until(&sources, source, &|| signals.raised())
+        })?;
         match answer {
             Ok(answer) => to_python(py, &answer.to_json()),
             Err(faults) => Err(input_error(py, &faults, &sources)),
@@ -221,6 +256,7 @@ impl PySimulation {
     ) -> PyResult<Self> {
         let split = one_of("split", split, &Split::ALL, Split::name)?;
         let executor = one_of("executor", executor, &Executor::ALL, Executor::name)?;
+        let signals = Signals::new();
         let threads = match threads {
             0 => std::thread::available_parallelism().map_or(1, usize::from),
             threads => threads,
@@ -231,20 +267,21 @@ impl PySimulation {
             program,
             rule_file,
             ..
-        } = Loaded::new(py, &config, rules.as_deref(), None, None)?;
+        } = Loaded::new(py, &signals, config.clone(), rules, None, None)?;
         let settings = Settings {
             executor,
             count_firings,
             threads,
         };
-        let made = py.detach(|| {
+        let stop = signals.stop();
+        let made = signals.aside(py, move || {
             let world = Arc::new(World::new(scenario, program)?);
-            let city = Simulation::new(Arc::clone(&world), split, Seed(seed), settings);
+            let city = Simulation::new_until(Arc::clone(&world), split, Seed(seed), settings, stop);
             Ok((city.map_err(|fault| vec![fault])?, world))
-        });
+        })?;
         let (city, world) = made.map_err(|faults: Vec<Diagnostic>| input_error(py, &faults, &sources))?;
         Ok(PySimulation {
-            city: Shared::new("Simulation", city),
+            city: Shared::asking("Simulation", city, signals),
             world,
             sources,
             config,
@@ -351,7 +388,7 @@ impl PySimulation {
     /// By base predicate, the rows on which the last tick was decided: positions of agents.
     fn facts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let found = self.city.detached(py, |city, _| match city.agents().len() {
-            0..=MAX_ENTITIES => Ok(city.facts(|_| true)),
+            0..=MAX_ENTITIES => city.facts_until(|_| true, city.stop()),
             agents => Err(too_many(agents, "facts about pairs")),
         })?;
         let facts = found.map_err(|fault| input_error(py, &[fault], &self.sources))?;

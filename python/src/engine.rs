@@ -1,7 +1,7 @@
 //! Programs and sessions.
 
 use crate::columns;
-use crate::{Shared, input_error, to_python};
+use crate::{Shared, Signals, input_error, to_python};
 use logicity::diag::{Diagnostic, Sources, did_you_mean, to_json};
 use logicity::engine::provenance::{Explainer, Teller};
 use logicity::engine::{self, Limits, Program, RowError, StratumWork, Threads};
@@ -28,7 +28,10 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 fn check<'py>(py: Python<'py>, text: &str, name: &str) -> PyResult<Bound<'py, PyAny>> {
     let mut sources = Sources::new();
     let entry = sources.add(name, text);
-    let (_, diagnostics) = py.detach(|| Program::load(&mut sources, entry, &read_or_builtin));
+    let (diagnostics, sources) = Signals::new().aside(py, move || {
+        let (_, diagnostics) = Program::load(&mut sources, entry, &read_or_builtin);
+        (diagnostics, sources)
+    })?;
     to_python(py, &to_json(&diagnostics, &sources))
 }
 
@@ -75,23 +78,24 @@ impl PyProgram {
     #[new]
     fn new(py: Python<'_>, files: Vec<File>) -> PyResult<Self> {
         let mut sources = Sources::new();
-        let Some(((name, text), others)) = files.split_first() else {
+        let mut files = files.into_iter();
+        let Some((name, text)) = files.next() else {
             return Err(PyValueError::new_err("a program has a text"));
         };
         let entry = sources.add(name, text);
-        let given: HashMap<PathBuf, &String> = others.iter().map(|(name, text)| (name.into(), text)).collect();
-        let read = |path: &Path| match (given.get(path), given.is_empty()) {
+        let given: HashMap<PathBuf, String> = files.map(|(name, text)| (name.into(), text)).collect();
+        let read = move |path: &Path| match (given.get(path), given.is_empty()) {
             (_, true) => read_or_builtin(path),
             (Some(text), _) => Ok(String::clone(text)),
             (None, _) => Err(ReadError::NotFound),
         };
-        let loaded = py.detach(|| {
+        let (loaded, sources) = Signals::new().aside(py, move || {
             let mut texts = Texts::new(Inputs::Extended);
             texts.add(&mut sources, entry, &read);
             let checked = texts.check();
             let program = checked.rules.map(Program::new).transpose();
-            (texts, checked.diagnostics, program)
-        });
+            ((texts, checked.diagnostics, program), sources)
+        })?;
         match loaded {
             (texts, warnings, Ok(Some(program))) => Ok(PyProgram(Arc::new(Loaded {
                 texts,

@@ -1,6 +1,6 @@
 //! Policies measured on recorded episodes, and what tables about a task are made of.
 
-use crate::env::{PyTask, speed, split_named, view_named};
+use crate::task::{PyTask, speed, split_named, view_named};
 use crate::to_python;
 use logicity::config::{Speed, Split};
 use logicity::task::path::{Baseline, Egos, Env, EpisodeSet, Exam, RANDOM_RUNS, Rollout, Summary, View, summarise};

@@ -2,25 +2,32 @@
 //! documents it.
 //!
 //! This file has what all parts need: exceptions, and objects that long work is done on ([`Shared`]). `engine` has programs and
-//! sessions, `columns` their rows as Python values and numpy arrays, `city` scenes and simulations, `env` environments, `evaluate` how
-//! well policies drive. Each part registers its own classes.
+//! sessions, `columns` their rows as Python values and numpy arrays, `city` scenes and simulations, `task` what is to be driven, `episode` how
+//! it begins, `env` one car that is driven or many of them in one call, `cars` every car of a city, `evaluate` how well policies drive. Each
+//! part registers its own classes.
 
+mod cars;
 mod city;
 mod columns;
 mod engine;
 mod env;
+mod episode;
 mod evaluate;
+mod task;
 
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::files::{ReadError, read_or_builtin};
+use logicity::sim::Stop;
 use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyRuntimeError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::any::Any;
-use std::cell::{Cell, RefCell};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, TryLockError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
+use std::thread::{self, ThreadId};
 use std::time::{Duration, Instant};
 
 pyo3::import_exception!(logicity.errors, InputError);
@@ -81,33 +88,91 @@ fn to_python<'py>(py: Python<'py>, value: &serde_json::Value) -> PyResult<Bound<
 }
 
 /// Looks for signals, such as Ctrl-C, while Rust works.
-struct Signals {
-    looked: Cell<Instant>,
-    raised: RefCell<Option<PyErr>>,
+pub struct Signals {
+    /// The thread that called from Python, and when it looked last.
+    looked: Mutex<(ThreadId, Instant)>,
+    raised: AtomicBool,
+    error: Mutex<Option<PyErr>>,
 }
 
 impl Signals {
     /// So often.
     const PAUSE: Duration = Duration::from_millis(50);
+    /// What threads that load have for their stack, as much as main threads usually have.
+    const STACK: usize = 8 << 20;
 
-    fn new() -> Self {
-        Signals {
-            looked: Cell::new(Instant::now()),
-            raised: RefCell::new(None),
-        }
+    fn new() -> Arc<Signals> {
+        Arc::new(Signals {
+            looked: Mutex::new((thread::current().id(), Instant::now())),
+            raised: AtomicBool::new(false),
+            error: Mutex::new(None),
+        })
     }
 
-    /// Whether a handler has raised an exception. Cheap, and made to be asked often. Handlers run on the main thread only, so
-    /// elsewhere nothing is ever raised.
+    /// Whether a handler has raised an exception. Cheap, and made to be asked often. Handlers run on the main thread of Python only, so
+    /// the one that called looks for all that help it, and where another one calls nothing is ever raised.
     fn raised(&self) -> bool {
-        if self.looked.get().elapsed() >= Self::PAUSE {
-            self.looked.set(Instant::now());
-            if let Err(error) = Python::attach(|py| py.check_signals()) {
-                self.raised.borrow_mut().get_or_insert(error);
-            }
+        if self.raised.load(Ordering::Relaxed) {
+            return true;
         }
-        self.raised.borrow().is_some()
+        let Ok(mut looked) = self.looked.try_lock() else {
+            return false;
+        };
+        if looked.1.elapsed() < Self::PAUSE || looked.0 != thread::current().id() {
+            return false;
+        }
+        looked.1 = Instant::now();
+        drop(looked);
+        if let Err(error) = Python::attach(|py| py.check_signals()) {
+            held(&self.error).get_or_insert(error);
+            self.raised.store(true, Ordering::Relaxed);
+        }
+        self.raised.load(Ordering::Relaxed)
     }
+
+    /// The same as a question that can be kept.
+    fn stop(self: &Arc<Self>) -> Stop {
+        let signals = Arc::clone(self);
+        Arc::new(move || signals.raised())
+    }
+
+    /// Work that asks now and then whether a signal's handler has raised an exception, and is given up then; the exception is raised here.
+    fn heed<R>(&self, work: impl FnOnce() -> R) -> PyResult<R> {
+        held(&self.looked).0 = thread::current().id();
+        let done = work();
+        match self.raised.swap(false, Ordering::Relaxed) {
+            true => Err(held(&self.error).take().expect("it is kept before it is told")),
+            false => Ok(done),
+        }
+    }
+
+    /// The same beside other threads of Python.
+    fn detach<R: Send>(&self, py: Python<'_>, work: impl FnOnce() -> R + Send) -> PyResult<R> {
+        self.heed(|| py.detach(work))
+    }
+
+    /// The same for work that does not ask, on a thread of its own. If it is given up, it goes on there to its end, and nobody hears of it.
+    fn aside<R: Send + 'static>(&self, py: Python<'_>, work: impl FnOnce() -> R + Send + 'static) -> PyResult<R> {
+        let (done, result) = mpsc::channel();
+        let work = move || drop(done.send(catch_unwind(AssertUnwindSafe(work))));
+        let thread = thread::Builder::new().stack_size(Self::STACK).spawn(work);
+        thread.map_err(|error| PyOSError::new_err(format!("a thread cannot be started: {error}")))?;
+        let told = self.detach(py, move || {
+            loop {
+                match result.recv_timeout(Self::PAUSE) {
+                    Err(RecvTimeoutError::Timeout) if !self.raised() => {}
+                    told => break told,
+                }
+            }
+        })?;
+        let done = told.expect("it tells unless it is given up");
+        done.map_err(|panic| internal_error(&*panic))
+    }
+}
+
+/// What a mutex holds, whatever became of those who held it before.
+fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// What a Python object holds, for one thread at a time: who comes second is told so instead of being made to wait, since
@@ -116,13 +181,20 @@ struct Shared<T> {
     what: &'static str,
     /// `None` after an internal error, which may have left it unfinished.
     content: Mutex<Option<T>>,
+    signals: Arc<Signals>,
 }
 
 impl<T: Send> Shared<T> {
     fn new(what: &'static str, content: T) -> Self {
+        Shared::asking(what, content, Signals::new())
+    }
+
+    /// Of something that keeps the question of these signals.
+    fn asking(what: &'static str, content: T, signals: Arc<Signals>) -> Self {
         Shared {
             what,
             content: Mutex::new(Some(content)),
+            signals,
         }
     }
 
@@ -159,20 +231,19 @@ impl<T: Send> Shared<T> {
     fn detached<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut T, &Signals) -> R + Send) -> PyResult<R> {
         let mut guard = self.lock()?;
         let content = &mut *guard;
-        let result = py.detach(|| {
-            let signals = Signals::new();
-            let work = || content.as_mut().map(|content| work(content, &signals));
+        let signals = &*self.signals;
+        let result = signals.detach(py, || {
+            let work = || content.as_mut().map(|content| work(content, signals));
             let result = catch_unwind(AssertUnwindSafe(work));
             if result.is_err() {
                 *content = None;
             }
-            (result, signals.raised.into_inner())
-        });
+            result
+        })?;
         match result {
-            (Err(panic), _) => Err(internal_error(&*panic)),
-            (Ok(_), Some(raised)) => Err(raised),
-            (Ok(Some(result)), None) => Ok(result),
-            (Ok(None), None) => unreachable!("`lock` has looked"),
+            Err(panic) => Err(internal_error(&*panic)),
+            Ok(Some(result)) => Ok(result),
+            Ok(None) => unreachable!("`lock` has looked"),
         }
     }
 }
@@ -200,6 +271,8 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(read_file, module)?)?;
     engine::register(module)?;
     city::register(module)?;
+    task::register(module)?;
     env::register(module)?;
+    cars::register(module)?;
     evaluate::register(module)
 }

@@ -1,24 +1,27 @@
 from __future__ import annotations
 
 import copy
+import json
 import pickle
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from conftest import Interrupt
 from gymnasium.error import InvalidAction, ResetNeeded, UnsupportedMode
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import logicity
+from logicity import _logicity
 from logicity.envs import SPFEnv, SPFVectorEnv
 
 IDS = [f"logicity/SPF-{mode}-v0" for mode in logicity.MODES]
 WIDTHS = dict(zip(IDS, [85, 140, 205, 205, 205, 205, 205], strict=True))
-
-pytestmark = pytest.mark.filterwarnings("error")
 
 
 @pytest.mark.parametrize("id", IDS)
@@ -253,7 +256,7 @@ def singles(count: int, id: str, mode: AutoresetMode, **options: Any) -> SyncVec
     [
         ("logicity/SPF-Expert-v0", 1, {}),
         ("logicity/SPF-Expert-v0", 3, {"split": "test", "episodes": "recorded"}),
-        ("logicity/SPF-Easy-v0", 2, {"observation": "points"}),
+        ("logicity/SPF-Easy-v0", 2, {"observation": "points", "atoms": True}),
     ],
 )
 def test_a_batch_is_as_many_singles(mode: AutoresetMode, id: str, threads: int, options: dict[str, Any]) -> None:
@@ -351,3 +354,61 @@ def test_wrong_use_of_a_batch_is_told() -> None:
     for arguments in wrong:
         with pytest.raises(ValueError):
             SPFVectorEnv(**arguments)
+
+
+#: Whoever stops makes the rules count for minutes.
+COUNTING = """
+.include "vocabulary.dl"
+.scope
+.decl n(x: number)
+Stop(X) :- IsCar(X), IsOld(X).
+n(0) :- Stop(X).
+n(x + 1) :- n(x), x < 90000000.
+Slow(X) :- IsCar(X), n(90000000).
+"""
+
+
+def test_ctrl_c_ends_a_step_and_a_reset_makes_good(tmp_path: Path, ctrl_c: Interrupt) -> None:
+    (tmp_path / "counting.dl").write_text(COUNTING)
+    env = SPFEnv("easy", rules=tmp_path / "counting.dl")
+    env.reset(seed=0)
+    ctrl_c(lambda: env.step(3))
+    with pytest.raises(ResetNeeded):
+        env.step(1)
+    env.reset()
+    env.step(1)
+    for threads in (1, 2):
+        envs = SPFVectorEnv(40, "easy", rules=tmp_path / "counting.dl", num_threads=threads)
+        envs.reset(seed=0)
+        envs.step(np.ones(40, int))
+        ctrl_c(partial(envs.step, np.where(np.arange(40) < 20, 1, 3)))
+        with pytest.raises(ResetNeeded):
+            envs.step(np.ones(40, int))
+        envs.reset()
+        envs.step(np.ones(40, int))
+    cars = logicity.parallel_env("easy", rules=tmp_path / "counting.dl")
+    cars.reset(seed=0)
+    ctrl_c(lambda: cars.step(dict.fromkeys(cars.agents, 3)))
+    cars.reset()
+    cars.step(dict.fromkeys(cars.agents, 1))
+
+
+def test_ctrl_c_ends_the_making_of_many(ctrl_c: Interrupt) -> None:
+    task = _logicity.Task("expert", None, None)
+    ctrl_c(lambda: _logicity.Environments(task, "train", 1_000_000, "Disabled", "atoms", False, 1))
+
+
+def test_recorded_seeds_are_kept_to_the_last_bit(tmp_path: Path) -> None:
+    path = Path(__file__).parents[2] / "configs" / "episodes" / "easy-val.jsonl"
+    recorded = [json.loads(line)["seed"] for line in path.read_text().splitlines()[1:]]
+    assert max(recorded) > 2**63 and all(int(float(seed)) != seed for seed in recorded)
+    env = SPFEnv("easy", split="val")
+    single = [int(env.reset(options={"episode": number})[1]["seed"]) for number in range(40)]
+    again = env.reset(options={"episode": json.loads(json.dumps(env.episode))})[1]["seed"]
+    assert single == recorded and again == recorded[-1]
+    assert copy.deepcopy(env).episode["seed"] == pickle.loads(pickle.dumps(env)).episode["seed"] == recorded[-1]
+    envs = SPFVectorEnv(40, "easy", split="val")
+    infos = envs.reset(options={"episodes": list(range(40))})[1]
+    assert infos["seed"].dtype == np.uint64 and infos["seed"].tolist() == recorded
+    assert envs.step(np.ones(40, int))[4]["seed"].tolist() == recorded
+    assert [trajectory.seed for trajectory in logicity.demonstrations("easy", 40, "val")] == recorded

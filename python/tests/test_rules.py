@@ -5,8 +5,6 @@ from __future__ import annotations
 import copy
 import pickle
 import random
-import signal
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -15,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import Interrupt
 
 import logicity
 from logicity import InputError, LimitError, Program, Session
@@ -367,21 +366,12 @@ def test_sessions_are_not_pickled() -> None:
             copied(session(PATH))
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as POSIX has them")
 @pytest.mark.parametrize("threads", [1, 2])
-def test_ctrl_c_ends_a_commit_at_once(threads: int) -> None:
+def test_ctrl_c_ends_a_commit_at_once(threads: int, ctrl_c: Interrupt) -> None:
     held = session(ENDLESS, threads=threads)
     held.commit()
     held.insert("seed", [(0,)])
-    previous = signal.signal(signal.SIGALRM, signal.default_int_handler)
-    signal.setitimer(signal.ITIMER_REAL, 0.3)
-    begun = time.monotonic()
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            held.commit()
-    finally:
-        signal.signal(signal.SIGALRM, previous)
-    assert time.monotonic() - begun < 5
+    ctrl_c(held.commit)
     assert held.count("n") == 0
     held.rollback()
     assert held.commit() == {}

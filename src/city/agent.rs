@@ -4,7 +4,7 @@ use super::{Cell, Heading, Places, Route, Router};
 use crate::config::{AgentConfig, AgentKind, AgentName, AgentSet};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// An agent on its way.
@@ -51,11 +51,15 @@ pub enum Rest {
 impl Agent {
     /// An agent at the start of a route.
     pub fn new(config: &AgentConfig, route: Route) -> Self {
+        Agent::with(config.name, &config.concepts, config.priority, route)
+    }
+
+    fn with(name: AgentName, concepts: &Arc<[String]>, priority: i32, route: Route) -> Self {
         let mut agent = Agent {
-            kind: config.name.kind,
-            number: config.name.number,
-            concepts: Arc::clone(&config.concepts),
-            priority: config.priority,
+            kind: name.kind,
+            number: name.number,
+            concepts: Arc::clone(concepts),
+            priority,
             cell: route.start(),
             heading: None,
             rest: Rest::UnderWay,
@@ -99,6 +103,11 @@ impl Agent {
     /// The route.
     pub fn route(&self) -> &Route {
         &self.route
+    }
+
+    /// The direction of its next step; of the last one at the goal.
+    pub fn ahead(&self) -> Heading {
+        self.ahead
     }
 
     /// How far it has come: its position among the cells of the route, from 0.
@@ -148,22 +157,56 @@ impl Agent {
 /// # Errors
 /// `no-start-cell` if the region has fewer start cells than agents of a kind, `no-route` if no goal can be reached.
 pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed) -> Result<Vec<Agent>, Diagnostic> {
+    let mut agents = Vec::with_capacity(set.len());
+    place_agents_until(&mut agents, set, router, places, seed, &|| false)?;
+    Ok(agents)
+}
+
+/// The same, in a list of other agents, whose memory is used again, and given up when `stop` says so, which is asked for every agent. After
+/// a fault some of them are left.
+///
+/// # Errors
+/// As [`place_agents`]; `limit-exceeded` if it was given up.
+pub fn place_agents_until(
+    agents: &mut Vec<Agent>,
+    set: &AgentSet,
+    router: &Router,
+    places: &Places,
+    seed: Seed,
+    stop: &dyn Fn() -> bool,
+) -> Result<(), Diagnostic> {
     for kind in AgentKind::ALL {
         check_room(set, places, kind)?;
     }
     let mut free = AgentKind::ALL.map(|kind| Free::new(places.count(kind)));
-    let mut agents = Vec::with_capacity(set.len());
-    for (index, config) in set.agents().enumerate() {
+    let mut count = 0;
+    for (index, (name, group)) in set.members().enumerate() {
+        if stop() {
+            return Err(Diagnostic::interrupted());
+        }
         let mut stream = seed.stream(Purpose::Placement, index as u64, 0);
-        let kind = config.name.kind;
-        let free = &mut free[kind as usize];
+        let free = &mut free[name.kind as usize];
         let drawn = free.take(stream.random_range(0..free.count));
-        let start = places.nth(kind, drawn).expect("a place that was free");
+        let start = places.nth(name.kind, drawn).expect("a place that was free");
         let route =
-            (places.draw_route(router, kind, start, &mut stream)).map_err(|_| nowhere(set, config.name, start))?;
-        agents.push(Agent::new(&config, route));
+            (places.draw_route(router, name.kind, start, &mut stream)).map_err(|_| nowhere(set, name, start))?;
+        match agents.get_mut(index) {
+            Some(agent) => {
+                agent.kind = name.kind;
+                agent.number = name.number;
+                agent.priority = group.priority;
+                // Counting who shares them is dear, and mostly they are what they were.
+                if !Arc::ptr_eq(&agent.concepts, &group.concepts) {
+                    agent.concepts = Arc::clone(&group.concepts);
+                }
+                agent.set_out(route);
+            }
+            None => agents.push(Agent::with(name, &group.concepts, group.priority, route)),
+        }
+        count += 1;
     }
-    Ok(agents)
+    agents.truncate(count);
+    Ok(())
 }
 
 /// Where the agents of a set start.
@@ -228,14 +271,14 @@ fn nowhere(set: &AgentSet, name: AgentName, Cell { row, col }: Cell) -> Diagnost
 /// moved is not stored.
 struct Free {
     count: usize,
-    moved: HashMap<usize, usize>,
+    moved: BTreeMap<usize, usize>,
 }
 
 impl Free {
     fn new(count: usize) -> Self {
         Free {
             count,
-            moved: HashMap::new(),
+            moved: BTreeMap::new(),
         }
     }
 

@@ -16,7 +16,7 @@ mod route;
 mod view;
 mod walk;
 
-pub use agent::{Agent, Rest, place_agents};
+pub use agent::{Agent, Rest, place_agents, place_agents_until};
 pub use grid::{Cell, Heading};
 pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use motion::{Moved, Reason, Surroundings, advance, possible_cells, speed_cells};

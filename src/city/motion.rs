@@ -73,6 +73,9 @@ pub struct Surroundings<'a> {
 /// An agent at its goal stops there for two ticks, whatever was decided; in the third it draws a new goal, forgets its heading
 /// and follows the decision of that tick on the new route. If there is no new goal that it can reach, it stays and tries again in the next
 /// tick.
+// Inline, so that what it returns goes to its place in parts: it is larger than a register, and put together first it would be read
+// again before it is written.
+#[inline]
 pub fn advance(agent: &mut Agent, index: usize, decided: Speed, surroundings: &Surroundings<'_>) -> Moved {
     let from = agent.cell;
     let resting = Moved {

@@ -93,8 +93,48 @@ pub(super) struct Way<'m> {
     kind: AgentKind,
     start: Cell,
     at: Cell,
-    pieces: Vec<Piece>,
+    pieces: Pieces,
     steps: u32,
+}
+
+/// The pieces so far. Nearly all routes have few of them: these are kept where the way is, so that a route takes memory once, and no more
+/// than it needs.
+struct Pieces {
+    few: [Piece; Pieces::FEW],
+    count: usize,
+    /// All of them, if they are more.
+    many: Vec<Piece>,
+}
+
+impl Pieces {
+    const FEW: usize = 32;
+
+    fn as_slice(&self) -> &[Piece] {
+        match self.count {
+            0..=Self::FEW => &self.few[..self.count],
+            _ => &self.many,
+        }
+    }
+
+    fn last_mut(&mut self) -> Option<&mut Piece> {
+        match self.count {
+            0..=Self::FEW => self.few[..self.count].last_mut(),
+            _ => self.many.last_mut(),
+        }
+    }
+
+    fn push(&mut self, piece: Piece) {
+        match self.count {
+            0..Self::FEW => self.few[self.count] = piece,
+            _ => {
+                if self.count == Self::FEW {
+                    self.many = self.few.to_vec();
+                }
+                self.many.push(piece);
+            }
+        }
+        self.count += 1;
+    }
 }
 
 impl<'m> Way<'m> {
@@ -105,7 +145,11 @@ impl<'m> Way<'m> {
             kind,
             start,
             at: start,
-            pieces: Vec::with_capacity(32),
+            pieces: Pieces {
+                few: [Piece(0); Pieces::FEW],
+                count: 0,
+                many: Vec::new(),
+            },
             steps: 0,
         }
     }
@@ -153,7 +197,7 @@ impl<'m> Way<'m> {
             start: self.start,
             goal: self.at,
             steps: self.steps,
-            pieces: self.pieces.into_boxed_slice(),
+            pieces: self.pieces.as_slice().into(),
         }
     }
 }
@@ -161,4 +205,23 @@ impl<'m> Way<'m> {
 /// Steps between two cells if nothing is in the way.
 pub(super) fn steps(from: Cell, to: Cell) -> u32 {
     from.row.abs_diff(to.row) + from.col.abs_diff(to.col)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::city::generate::tests::square;
+
+    #[test]
+    fn ways_of_few_and_of_many_pieces_are_kept() {
+        let map = square([2, 2]);
+        for corners in [0, 1, 31, 32, 33, 34, 70] {
+            let cells: Vec<Cell> = (0..=corners).map(|at| Cell::new(at / 2, (at + 1) / 2)).collect();
+            let mut way = Way::new(&map, AgentKind::Pedestrian, cells[0]);
+            cells.iter().for_each(|&cell| way.straight(cell));
+            let route = way.finish();
+            assert_eq!(route.cells().collect::<Vec<_>>(), cells);
+            assert_eq!(route.pieces.len(), corners as usize);
+        }
+    }
 }

@@ -1,11 +1,13 @@
 //! `logicity bench`: how fast rules are evaluated and cities go, on this machine.
 
 use super::{Failure, load_city, one_of, threads};
+use crate::city::Cell;
 use crate::config::{AgentSet, Building, Buildings, MapConfig, Scenario, Speed, Split};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::Program;
 use crate::engine::dense::{BitFacts, Counting, Dense, Frame};
 use crate::files;
+use crate::render::{Icons, Picture, Renderer, Scale, Sprite, View, write_png};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{
     CROWD_MAX, Executor, Facts, Inference, Phase, Settings, Simulation, WHOLE_MAX, Width, World, in_words,
@@ -38,11 +40,19 @@ enum What {
     Ground,
     Tick,
     Env,
+    Render,
     Scale,
 }
 
 impl What {
-    const ALL: [What; 5] = [What::Infer, What::Ground, What::Tick, What::Env, What::Scale];
+    const ALL: [What; 6] = [
+        What::Infer,
+        What::Ground,
+        What::Tick,
+        What::Env,
+        What::Render,
+        What::Scale,
+    ];
 
     const fn name(self) -> &'static str {
         match self {
@@ -50,6 +60,7 @@ impl What {
             What::Ground => "ground",
             What::Tick => "tick",
             What::Env => "env",
+            What::Render => "render",
             What::Scale => "scale",
         }
     }
@@ -59,7 +70,7 @@ impl What {
 pub struct Arguments {
     /// infer: the rules alone, facts ready as bits (dense) or as rows that change (relational). ground: all facts that the rules can
     /// ask for. tick: a city, placed afresh after the ticks of the configuration. env: episodes of the configuration's task
-    /// under a random policy, observations written. scale: cities of 1000 agents up to --agents
+    /// under a random policy, observations written. render: pictures of the visual data set, drawn and as PNG, and small ones. scale: cities of 1000 agents up to --agents
     #[arg(value_parser = one_of(&What::ALL, What::name))]
     what: What,
     /// Configuration of the city
@@ -215,7 +226,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return misplaced("--threads", "tick|scale");
     }
     if arguments.executor != Executor::Auto && arguments.what == What::Env {
-        return misplaced("--executor", "infer|ground|tick|scale");
+        return misplaced("--executor", "infer|ground|tick|render|scale");
     }
     if arguments.breakdown && arguments.what != What::Tick {
         return misplaced("--breakdown", "tick");
@@ -246,6 +257,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         What::Ground => bench.ground(),
         What::Tick | What::Scale => bench.tick(bench.world.scenario.ticks, arguments.breakdown),
         What::Env => bench.env(sources),
+        What::Render => bench.render(),
     }
 }
 
@@ -358,6 +370,63 @@ impl<'a> Bench<'a> {
             Ok(())
         })?;
         self.tell("steps", timed, &[])
+    }
+
+    /// Pictures of the first 128 x 128 cells in states of the city that are some ticks apart.
+    fn render(&mut self) -> Result<(), Failure> {
+        let names: Vec<String> = (self.simulation.agents().iter())
+            .map(|agent| agent.name().to_string())
+            .collect();
+        let mut moments = Vec::with_capacity(MOMENTS);
+        for _ in 0..MOMENTS {
+            for _ in 0..BETWEEN {
+                self.simulation.tick(&[])?;
+            }
+            moments.push(self.simulation.agents().to_vec());
+        }
+        let icons = Arc::new(Icons::default());
+        let wrong = |error: crate::render::ViewError| Failure::Usage(error.to_string());
+        let corner = Cell::new(0, 0);
+        let published = View::published(corner).map_err(wrong)?;
+        let scale = Scale::pixels(2).expect("within bounds");
+        let small = (View::new(corner, 128, 128, scale))
+            .and_then(|view| view.with_agents(12, 8))
+            .map_err(wrong)?;
+        for (view, encoded) in [(published, false), (published, true), (small, false)] {
+            let renderer = Renderer::new(self.world.map(), Arc::clone(&icons), view);
+            let (mut picture, mut bytes, mut next) = (Picture::default(), Vec::new(), 0);
+            let (mut written, mut pictures) = (0, 0);
+            let timed = Timed::run(self.arguments.seconds, |times| {
+                for _ in 0..times {
+                    let agents = moments[next].iter().zip(&names);
+                    let sprites: Vec<_> = agents.map(|(agent, name)| Sprite::of(agent, name, None)).collect();
+                    renderer.draw_into(&sprites, &mut picture);
+                    if encoded {
+                        bytes.clear();
+                        write_png(&picture, &mut bytes).expect("a vector takes all that is written");
+                        written += bytes.len();
+                    }
+                    black_box((&picture, &bytes));
+                    (next, pictures) = ((next + 1) % moments.len(), pictures + 1);
+                }
+                Ok(())
+            })?;
+            let result = json!({
+                "what": self.arguments.what.name(),
+                "config": self.world.scenario.name,
+                "map": self.world.map().name,
+                "agents": self.agents(),
+                "pixels": view.size().0,
+                "encoded": encoded,
+                "seconds": timed.wall.as_secs_f64(),
+                "pictures": timed.times,
+                "pictures_per_s": timed.per_second(),
+                "pictures_per_cpu_s": timed.per_cpu_second(),
+                "bytes_per_picture": if encoded { written / pictures.max(1) } else { picture.pixels().len() },
+            });
+            print(&result, self.arguments.json)?;
+        }
+        Ok(())
     }
 
     fn infer(&mut self) -> Result<(), Failure> {

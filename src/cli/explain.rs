@@ -2,7 +2,7 @@
 
 use super::Failure;
 use super::trace::TraceReader;
-use crate::city::{Cell, Heading};
+use crate::city::Cell;
 use crate::config::Speed;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
 use crate::sim::{Decision, Replay, TraceTick};
@@ -101,10 +101,6 @@ fn tell(
 ) -> Result<(), Failure> {
     let state = &tick.agents[position];
     let [row, col] = state.at;
-    let invalid = |name: &String| {
-        let message = format!("`{name}` of `{}` is not an action", arguments.agent);
-        Diagnostic::new(Code::InvalidTrace, message)
-    };
     let decision = Decision {
         world: replay.world(),
         session: replay.session(),
@@ -112,9 +108,9 @@ fn tell(
         agent: arguments.agent.clone(),
         value: replay.value(position),
         at: Cell { row, col },
-        heading: state.heading.as_deref().and_then(Heading::from_name),
+        heading: state.heading()?,
         derived: replay.derived(position),
-        action: action(&state.action).map_err(|_| invalid(&state.action))?,
+        action: state.action()?,
     };
     let account = (decision.account(arguments.why_not, &|| false)).map_err(Diagnostic::from)?;
     let mut out = anstream::stdout();

@@ -9,6 +9,7 @@ mod diff;
 mod episodes;
 mod explain;
 mod fmt;
+mod icons;
 mod infer;
 mod lsp;
 mod query;
@@ -17,6 +18,7 @@ mod repl;
 mod route;
 mod run;
 mod trace;
+mod view;
 mod why;
 
 use crate::config::{Located, MapConfig, Scenario, load_map, load_scenario};
@@ -58,12 +60,16 @@ enum Command {
     Infer(infer::Arguments),
     /// Tell why an agent did what it did in a run, or why it did not do something else
     Explain(explain::Arguments),
+    /// Make a page of a run that a browser opens: the city moves, and every decision says why
+    View(view::Arguments),
     /// Make, check or show recorded episodes of Safe Path Following
     Episodes(episodes::Arguments),
     /// Make multiple-choice questions in words about what cars do, with solved examples
     Questions(questions::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
+    /// Show the icons that pictures are made of
+    Icons(icons::Arguments),
     /// Time the rules, a tick, an episode, or cities of up to a million agents
     Bench(bench::Arguments),
     /// Serve an editor over standard input and output: diagnostics, hover, definitions, renaming and more
@@ -142,9 +148,11 @@ pub fn main() -> ExitCode {
         Command::Repl(arguments) => repl::run(&arguments, &mut sources),
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
+        Command::View(arguments) => view::run(&arguments, &mut sources),
         Command::Episodes(arguments) => episodes::run(&arguments, &mut sources),
         Command::Questions(arguments) => questions::run(&arguments, &mut sources),
         Command::Lsp(arguments) => lsp::run(&arguments),
+        Command::Icons(arguments) => icons::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
         Command::Bench(arguments) => bench::run(&arguments, &mut sources),
         Command::Completions { shell } => {

@@ -1,5 +1,6 @@
 //! `logicity run`
 
+use super::icons::IconOptions;
 use super::{Failure, load_city, make_folder, one_of};
 use crate::config::{AgentKind, Speed, Split};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
@@ -7,7 +8,7 @@ use crate::engine::promise;
 use crate::engine::provenance::Teller;
 use crate::files::Output;
 use crate::lang::{Clause, ClauseId};
-use crate::render::{Animation, Painter, Sprite, write_png};
+use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{
     Executor, MAX_ENTITIES, Settings, Simulation, Standstill, TraceWriter, Wait, World, hash_sources, standstill, waits,
@@ -59,9 +60,14 @@ pub struct Arguments {
     /// Threads for a city of many agents; 0 is one for each core. Runs are the same with any number
     #[arg(long, value_parser = super::threads, default_value = "1", allow_negative_numbers = true)]
     threads: NonZeroUsize,
+    /// Also write a page that a browser opens: the city moves, and every decision says why
+    #[arg(long, value_name = "FILE", conflicts_with = "no_trace")]
+    html: Option<PathBuf>,
     /// Write the trace only
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["pack", "difficulty"])]
     no_pictures: bool,
+    #[command(flatten)]
+    icons: IconOptions,
     /// Write nothing, print the summary only
     #[arg(long)]
     no_trace: bool,
@@ -137,7 +143,12 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
     bar.finish_and_clear();
 
-    let written = record.map_or_else(|| Ok(Vec::new()), |record| record.finish(&simulation))?;
+    let mut written = record.map_or_else(|| Ok(Vec::new()), |record| record.finish(&simulation))?;
+    if let (Some(page), Some(trace)) = (&arguments.html, written.first()) {
+        let files = [Some(arguments.config.as_path()), arguments.rules.as_deref()];
+        super::view::write(trace, page, (0, u64::MAX), files, &arguments.icons, &mut Sources::new())?;
+        written.push(page.clone());
+    }
     let mut out = anstream::stdout();
     write!(out, "{}", summary(&mut simulation, &tally, sources, &written))?;
     if tally.ticks < ticks {
@@ -160,7 +171,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 struct Record {
     folder: PathBuf,
     trace: TraceWriter<Output>,
-    pictures: Option<(Painter, Animation<Output>)>,
+    pictures: Option<(Overview, Animation<Output>)>,
     names: Vec<String>,
 }
 
@@ -179,19 +190,23 @@ impl Record {
         let trace = create("trace.jsonl")
             .and_then(|file| TraceWriter::new(file, simulation, sources, &config, rule_file, rules_hash))
             .map_err(|error| Failure::file("write", &folder.join("trace.jsonl"), error))?;
+        let names: Vec<String> = (simulation.agents().iter().map(|agent| agent.name().to_string())).collect();
         let pictures = if arguments.no_pictures {
             None
         } else {
-            let painter = Painter::new(simulation.world().map())
-                .map_err(|error| Diagnostic::new(Code::InvalidMap, error.to_string()))?;
+            let overview = Overview::new(
+                simulation.world().map(),
+                Arc::new(arguments.icons.load(simulation.seed())?),
+            )
+            .map_err(|error| Diagnostic::new(Code::InvalidMap, error.to_string()))?;
+            let first = overview.draw(0, &sprites(simulation, &names));
             let animation = create("city.gif")
-                .and_then(|file| Animation::new(file, &painter, FRAME_DELAY))
+                .and_then(|file| Animation::new(file, &first, FRAME_DELAY))
                 .map_err(|error| Failure::file("write", &folder.join("city.gif"), error))?;
-            Some((painter, animation))
+            Some((overview, animation))
         };
-        let names = simulation.agents().iter().map(|agent| agent.name().to_string());
         Ok(Record {
-            names: names.collect(),
+            names,
             folder,
             trace,
             pictures,
@@ -206,10 +221,10 @@ impl Record {
     fn tick(&mut self, simulation: &Simulation) -> Result<(), Failure> {
         (self.trace.tick(simulation)).map_err(|error| self.fault("trace.jsonl", error))?;
         let tick = simulation.report().tick;
-        if let Some((painter, animation)) = &mut self.pictures
+        if let Some((overview, animation)) = &mut self.pictures
             && tick < MAX_FRAMES
         {
-            let frame = painter.frame(tick, &sprites(simulation, &self.names));
+            let frame = overview.draw(tick, &sprites(simulation, &self.names));
             animation.push(&frame).map_err(|error| self.fault("city.gif", error))?;
         }
         Ok(())
@@ -221,11 +236,11 @@ impl Record {
         let fault = |name: &str, error: io::Error| Failure::file("write", &path(name), error);
         (self.trace.into_inner().finish()).map_err(|error| fault("trace.jsonl", error))?;
         let mut written = vec![path("trace.jsonl")];
-        if let Some((painter, animation)) = self.pictures {
+        if let Some((overview, animation)) = self.pictures {
             (animation.finish())
                 .and_then(Output::finish)
                 .map_err(|error| fault("city.gif", error))?;
-            let frame = painter.frame(simulation.now(), &sprites(simulation, &self.names));
+            let frame = overview.draw(simulation.now(), &sprites(simulation, &self.names));
             Output::create(&path("last.png"))
                 .and_then(|mut file| {
                     write_png(&frame, &mut file)?;

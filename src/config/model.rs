@@ -62,6 +62,17 @@ pub enum Building {
     GasStation,
 }
 
+impl Building {
+    /// All five.
+    pub const ALL: [Building; 5] = [
+        Building::House,
+        Building::Office,
+        Building::Garage,
+        Building::Store,
+        Building::GasStation,
+    ];
+}
+
 /// A map file (`configs/maps/*.yaml`).
 #[derive(Clone, Debug, Serialize)]
 pub struct MapConfig {
@@ -213,21 +224,34 @@ impl AgentSet {
 
     /// The agents in list order: first car, which is the ego of a task, all pedestrians, the other cars.
     pub fn agents(&self) -> impl Iterator<Item = AgentConfig> + '_ {
+        self.members().map(AgentConfig::of)
+    }
+
+    /// The same: the name of each and its entry.
+    pub fn members(&self) -> impl Iterator<Item = (AgentName, &AgentGroup)> {
         self.listed(self.repeat)
     }
 
-    fn listed(&self, repeat: u32) -> impl Iterator<Item = AgentConfig> + '_ {
+    fn listed(&self, repeat: u32) -> impl Iterator<Item = (AgentName, &AgentGroup)> {
         let of = move |kind| {
             let groups = (0..repeat).flat_map(move |_| self.groups(kind));
             let alike = groups.flat_map(|group| std::iter::repeat_n(group, group.count as usize));
-            (1..).zip(alike).map(move |(number, group)| AgentConfig {
-                name: AgentName { kind, number },
-                concepts: Arc::clone(&group.concepts),
-                priority: group.priority,
-            })
+            (1..)
+                .zip(alike)
+                .map(move |(number, group)| (AgentName { kind, number }, group))
         };
         let mut cars = of(AgentKind::Car);
         (cars.next().into_iter()).chain(of(AgentKind::Pedestrian)).chain(cars)
+    }
+}
+
+impl AgentConfig {
+    fn of((name, group): (AgentName, &AgentGroup)) -> AgentConfig {
+        AgentConfig {
+            name,
+            concepts: Arc::clone(&group.concepts),
+            priority: group.priority,
+        }
     }
 }
 
@@ -251,7 +275,7 @@ struct Listed<'a>(&'a AgentSet);
 
 impl Serialize for Listed<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_seq(self.0.listed(1))
+        serializer.collect_seq(self.0.listed(1).map(AgentConfig::of))
     }
 }
 

@@ -64,6 +64,11 @@ impl Diagnostic {
         }
     }
 
+    /// That work was given up because whoever wanted it would not wait longer.
+    pub fn interrupted() -> Self {
+        Diagnostic::new(Code::LimitExceeded, "the work was interrupted")
+    }
+
     /// Sets the primary place and what to say there.
     pub fn at(mut self, span: Span, message: impl Into<String>) -> Self {
         self.primary = Some(Label {

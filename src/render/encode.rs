@@ -1,26 +1,31 @@
-//! Frames to PNG and GIF.
+//! Pictures to PNG and GIF.
 
-use super::canvas::Frame;
-use super::ink::{Ink, PALETTE};
-use super::painter::Painter;
+use super::picture::{Picture, Rgb};
 use std::borrow::Cow;
 use std::io::{self, Write};
 use std::time::Duration;
 
-/// Writes a frame as an indexed PNG.
+/// Writes a picture as a PNG of red, green and blue, quickly rather than as small as could be.
 ///
 /// # Errors
 /// Those of the output.
-pub fn write_png(frame: &Frame, out: impl Write) -> io::Result<()> {
-    let mut encoder = png::Encoder::new(out, frame.width().into(), frame.height().into());
-    encoder.set_color(png::ColorType::Indexed);
+pub fn write_png(picture: &Picture, out: impl Write) -> io::Result<()> {
+    let (width, height) = (picture.width(), picture.height());
+    write(picture.pixels(), width, height, png::ColorType::Rgb, out)
+}
+
+/// Writes pixels of red, green, blue and opacity.
+pub(super) fn write_rgba(pixels: &[u8], width: u32, height: u32, out: impl Write) -> io::Result<()> {
+    write(pixels, width, height, png::ColorType::Rgba, out)
+}
+
+fn write(pixels: &[u8], width: u32, height: u32, colours: png::ColorType, out: impl Write) -> io::Result<()> {
+    let mut encoder = png::Encoder::new(out, width, height);
+    encoder.set_color(colours);
     encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_palette(frame.palette().as_flattened());
-    // Neighbouring palette indices are unrelated numbers: a filter only hides the repetition from the compressor.
-    encoder.set_compression(png::Compression::Balanced);
-    encoder.set_filter(png::Filter::NoFilter);
+    encoder.set_compression(png::Compression::Fast);
     let written = encoder.write_header().and_then(|mut writer| {
-        writer.write_image_data(frame.pixels())?;
+        writer.write_image_data(pixels)?;
         writer.finish()
     });
     written.map_err(|error| match error {
@@ -29,12 +34,146 @@ pub fn write_png(frame: &Frame, out: impl Write) -> io::Result<()> {
     })
 }
 
+/// The index that means "as before" in a frame.
+const UNCHANGED: u8 = 255;
+
+/// At most 255 colours, and for every colour the one that stands for it.
+struct Palette {
+    colours: Vec<Rgb>,
+    /// By the upper five bits of red, green and blue.
+    nearest: Vec<u8>,
+}
+
+/// A colour among those of a picture: its bin, and how much it counts.
+#[derive(Clone, Copy)]
+struct Weighed {
+    rgb: Rgb,
+    weight: u64,
+}
+
+fn bin([r, g, b]: Rgb) -> usize {
+    usize::from(r >> 3) << 10 | usize::from(g >> 3) << 5 | usize::from(b >> 3)
+}
+
+impl Palette {
+    /// The colours of a picture, by median cut: the box of colours that is most uneven is cut in two where half of its weight is, until
+    /// there are enough. Nothing is drawn at random, and no order but that of colours counts.
+    fn of(picture: &Picture) -> Palette {
+        let mut boxes = vec![ColourBox::new(weighed(picture))];
+        while boxes.len() < usize::from(UNCHANGED) {
+            let worst = (0..boxes.len()).max_by_key(|&at| (boxes[at].uneven, usize::MAX - at));
+            let Some(worst) = worst.filter(|&at| boxes[at].uneven > 0) else {
+                break;
+            };
+            let (low, high) = boxes.swap_remove(worst).cut();
+            boxes.extend([low, high]);
+        }
+        let mut colours: Vec<Rgb> = boxes.iter().map(ColourBox::mean).collect();
+        colours.sort_unstable();
+        let nearest = (0..1 << 15).map(|bin: usize| {
+            let rgb = [bin >> 10, bin >> 5 & 31, bin & 31].map(|part| (part as u8) << 3 | 4);
+            let far = |colour: &Rgb| -> i32 {
+                (0..3)
+                    .map(|at| (i32::from(colour[at]) - i32::from(rgb[at])).pow(2))
+                    .sum()
+            };
+            let best = colours.iter().enumerate().min_by_key(|(_, colour)| far(colour));
+            best.map_or(0, |(index, _)| index as u8)
+        });
+        Palette {
+            nearest: nearest.collect(),
+            colours,
+        }
+    }
+
+    /// Indices of what stands for the pixels of a picture.
+    fn indices(&self, picture: &Picture) -> Vec<u8> {
+        picture
+            .pixels()
+            .as_chunks::<3>()
+            .0
+            .iter()
+            .map(|&rgb| self.nearest[bin(rgb)])
+            .collect()
+    }
+}
+
+/// The colours of a picture, one a bin. Icons are small and the ground is large: however often a colour occurs, it counts no more than some
+/// hundred times one that is rare.
+fn weighed(picture: &Picture) -> Vec<Weighed> {
+    let mut bins = vec![([0_u64; 3], 0_u64); 1 << 15];
+    for rgb in picture.pixels().as_chunks::<3>().0 {
+        let (sum, count) = &mut bins[bin(*rgb)];
+        *count += 1;
+        for (sum, &channel) in sum.iter_mut().zip(rgb) {
+            *sum += u64::from(channel);
+        }
+    }
+    let present = bins.into_iter().filter(|&(_, count)| count > 0);
+    present
+        .map(|(sum, count)| Weighed {
+            rgb: sum.map(|sum| (sum / count) as u8),
+            weight: count.isqrt().clamp(1, 200),
+        })
+        .collect()
+}
+
+/// Colours that are to become one, or two boxes.
+struct ColourBox {
+    colours: Vec<Weighed>,
+    weight: u64,
+    /// The channel in which they differ most.
+    channel: usize,
+    /// How much they differ in it, times their weight.
+    uneven: u64,
+}
+
+impl ColourBox {
+    fn new(colours: Vec<Weighed>) -> ColourBox {
+        let width = |channel: usize| {
+            let values = || colours.iter().map(|colour| u64::from(colour.rgb[channel]));
+            values().max().unwrap_or(0) - values().min().unwrap_or(0)
+        };
+        let widths = [0, 1, 2].map(width);
+        let channel = (0..3).rev().max_by_key(|&channel| widths[channel]).unwrap_or(0);
+        let weight = colours.iter().map(|colour| colour.weight).sum();
+        ColourBox {
+            uneven: widths[channel] * weight,
+            colours,
+            weight,
+            channel,
+        }
+    }
+
+    /// In two, about equal in weight. There are at least two colours.
+    fn cut(self) -> (ColourBox, ColourBox) {
+        let mut low = self.colours;
+        low.sort_by_key(|colour| (colour.rgb[self.channel], colour.rgb));
+        let mut sum = 0;
+        let half = low.iter().position(|colour| {
+            sum += colour.weight;
+            2 * sum >= self.weight
+        });
+        let high = low.split_off((half.unwrap_or(0) + 1).clamp(1, low.len() - 1));
+        (ColourBox::new(low), ColourBox::new(high))
+    }
+
+    fn mean(&self) -> Rgb {
+        [0, 1, 2].map(|channel| {
+            let weighted = |colour: &Weighed| u64::from(colour.rgb[channel]) * colour.weight;
+            let sum: u64 = self.colours.iter().map(weighted).sum();
+            ((sum + self.weight / 2) / self.weight.max(1)) as u8
+        })
+    }
+}
+
 /// A GIF being written; it repeats for ever.
 ///
-/// The first frame is stored whole, each later one as the smallest rectangle that holds all changes, with the unchanged
-/// pixels in it transparent. A viewer shows exactly the frames that were pushed.
+/// All frames have one palette, made of the colours of a sample. The first frame is stored whole, each later one as the smallest rectangle
+/// that holds all changes, with the unchanged pixels in it transparent.
 pub struct Animation<W: Write> {
     encoder: gif::Encoder<W>,
+    palette: Palette,
     /// The pixels that a viewer shows now; empty before the first frame.
     shown: Vec<u8>,
     size: (u16, u16),
@@ -43,15 +182,21 @@ pub struct Animation<W: Write> {
 }
 
 impl<W: Write> Animation<W> {
-    /// Begins an animation of the frames of a painter, each shown for `frame_delay`: GIF rounds it to hundredths of a
-    /// second, at most 655.35 s. Many viewers slow delays under 0.02 s down to 0.1 s.
-    pub fn new(out: W, painter: &Painter, frame_delay: Duration) -> io::Result<Animation<W>> {
-        let size = painter.size();
-        let mut encoder = gif::Encoder::new(out, size.0, size.1, PALETTE.as_flattened()).map_err(to_io)?;
+    /// Begins an animation of pictures of the size of `sample` and of about its colours, each shown for `frame_delay`: GIF rounds it to
+    /// hundredths of a second, at most 655.35 s. Many viewers slow delays under 0.02 s down to 0.1 s.
+    ///
+    /// # Errors
+    /// Those of the output, and `InvalidInput` for pictures that are too large for a GIF: no side may have more than 65,535 pixels.
+    pub fn new(out: W, sample: &Picture, frame_delay: Duration) -> io::Result<Animation<W>> {
+        let side = |length: u32| u16::try_from(length).map_err(|_| wrong("a side has more than 65,535 pixels"));
+        let size = (side(sample.width())?, side(sample.height())?);
+        let palette = Palette::of(sample);
+        let mut encoder = gif::Encoder::new(out, size.0, size.1, palette.colours.as_flattened()).map_err(to_io)?;
         encoder.set_repeat(gif::Repeat::Infinite).map_err(to_io)?;
         let hundredths = (frame_delay.as_millis() + 5) / 10;
         Ok(Animation {
             encoder,
+            palette,
             shown: Vec::new(),
             size,
             delay: u16::try_from(hundredths).unwrap_or(u16::MAX),
@@ -61,36 +206,41 @@ impl<W: Write> Animation<W> {
     /// Appends a frame.
     ///
     /// # Errors
-    /// Those of the output, and `InvalidInput` for a frame of another size than the painter's.
-    pub fn push(&mut self, frame: &Frame) -> io::Result<()> {
-        if (frame.width(), frame.height()) != self.size {
-            return Err(io::Error::new(
-                io::ErrorKind::InvalidInput,
-                "the frames of an animation must have one size",
-            ));
+    /// Those of the output, and `InvalidInput` for a picture of another size than the sample's.
+    pub fn push(&mut self, picture: &Picture) -> io::Result<()> {
+        if (picture.width(), picture.height()) != (self.size.0.into(), self.size.1.into()) {
+            return Err(wrong("the frames of an animation must have one size"));
         }
+        let pixels = self.palette.indices(picture);
         let mut image = if self.shown.is_empty() {
             gif::Frame {
-                width: frame.width(),
-                height: frame.height(),
-                buffer: Cow::Borrowed(frame.pixels()),
+                width: self.size.0,
+                height: self.size.1,
+                buffer: Cow::Borrowed(&pixels),
                 ..gif::Frame::default()
             }
         } else {
-            difference(&self.shown, frame.pixels(), frame.width().into())
+            difference(&self.shown, &pixels, self.size.0.into())
         };
         image.delay = self.delay;
         image.dispose = gif::DisposalMethod::Keep;
         self.encoder.write_frame(&image).map_err(to_io)?;
-        self.shown.clear();
-        self.shown.extend_from_slice(frame.pixels());
+        drop(image);
+        self.shown = pixels;
         Ok(())
     }
 
     /// Ends the file and hands the output back, not flushed.
+    ///
+    /// # Errors
+    /// Those of the output.
     pub fn finish(self) -> io::Result<W> {
         self.encoder.into_inner().map_err(to_io)
     }
+}
+
+fn wrong(message: &str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, message)
 }
 
 /// What turns the pixels `old` into `new`, both of this width and one height. Without a difference: one transparent
@@ -120,7 +270,7 @@ fn difference(old: &[u8], new: &[u8], width: usize) -> gif::Frame<'static> {
             before
                 .iter()
                 .zip(after)
-                .map(|(a, b)| if a == b { Ink::UNCHANGED.0 } else { *b }),
+                .map(|(a, b)| if a == b { UNCHANGED } else { *b }),
         );
     }
     // Every one of these is at most a side of the frame, which is a u16.
@@ -130,7 +280,7 @@ fn difference(old: &[u8], new: &[u8], width: usize) -> gif::Frame<'static> {
         width: columns.len() as u16,
         height: rows.len() as u16,
         buffer: Cow::Owned(buffer),
-        transparent: Some(Ink::UNCHANGED.0),
+        transparent: Some(UNCHANGED),
         ..gif::Frame::default()
     }
 }

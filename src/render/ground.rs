@@ -1,212 +1,67 @@
-//! The map without agents: streets, crossings, buildings.
+//! The map without agents: streets, crossings, sidewalks, buildings.
+//!
+//! What a pixel of the ground is depends on its place on the map only, never on the part of the map that is shown.
 
-use super::canvas::Frame;
-use super::ink::Ink;
+use super::class::{Class, Facing};
+use super::icon::Icons;
+use super::picture::{Picture, Rgb};
+use super::view::{Scale, View};
 use crate::city::{Cell, CityMap, Ground, Heading};
 use crate::config::Building;
-use embedded_graphics::mono_font::MonoFont;
-use embedded_graphics::mono_font::iso_8859_1::{FONT_5X8, FONT_6X13_BOLD, FONT_9X18_BOLD, FONT_10X20};
-use embedded_graphics::text::Alignment;
+use crate::rng::{Purpose, RngExt, Seed};
 
-/// How cells become pixels. One of the two numbers is 1: a cell is a square of pixels, or a pixel samples a square of
-/// cells.
+/// The mid line, in every picture.
+pub(super) const MID_LINE: Rgb = [255, 215, 0];
+pub(super) const PAINT: Rgb = [236, 236, 230];
+
+/// The colours and the texture of the ground.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Texture {
+    pub(super) asphalt: Rgb,
+    pub(super) sidewalk: Rgb,
+    pub(super) curb: Rgb,
+    meadow: Rgb,
+    /// Makes other textures of the same colours.
+    salt: u32,
+    /// The difficulty, 0..=256.
+    noise: i32,
+}
+
+/// What is in a cell, as far as colours need it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Zoom {
-    /// Side of a cell in pixels.
-    pub(super) pixels: i32,
-    /// Cells a pixel stands for along each axis.
-    pub(super) cells: i32,
+enum Surface {
+    Meadow,
+    Building(Building),
+    /// Whether asphalt lies to each side, in the order of [`Heading::ALL`].
+    Sidewalk([bool; 4]),
+    /// The mid line, whether along a row.
+    MidLine(bool),
+    /// Whether cars stop at a line to each side.
+    Asphalt([bool; 4]),
+    /// A crossing, and whether it is walked along a row.
+    Crossing(bool),
 }
 
-impl Zoom {
-    /// The longer side of a map is at most this many pixels when cells are enlarged.
-    const ENLARGED: i32 = 1000;
-    /// The longer side of a map is at most this many pixels.
-    const MOST: i32 = 1600;
-    /// The largest cell, in pixels.
-    const LARGEST_CELL: i32 = 12;
-
-    /// The zoom for a map of that many cells on its longer side, which is at least 1.
-    pub(super) fn fit(side_cells: i32) -> Zoom {
-        Zoom {
-            pixels: (Self::ENLARGED / side_cells).clamp(1, Self::LARGEST_CELL),
-            // Rounded up.
-            cells: (side_cells - 1) / Self::MOST + 1,
+impl Surface {
+    fn of(map: &CityMap, cell: Cell) -> Surface {
+        let beside = |is: &dyn Fn(Cell) -> bool| Heading::ALL.map(|heading| is(cell.ahead(heading, 1)));
+        if let Some(building) = map.building_at(cell) {
+            return Surface::Building(building);
         }
-    }
-
-    /// Length in pixels of a side of that many cells.
-    pub(super) fn length(self, cells: i32) -> i32 {
-        (cells - 1) / self.cells * self.pixels + self.pixels
-    }
-
-    /// The pixel in the middle of a cell on the map, along one axis.
-    pub(super) fn middle(self, cell: i32) -> i32 {
-        cell / self.cells * self.pixels + self.pixels / 2
-    }
-
-    /// The cell under a pixel and the pixel's offset inside the cell, along one axis.
-    fn under(self, pixel: i32, side_cells: i32) -> (i32, i32) {
-        if self.cells > 1 {
-            ((pixel * self.cells + self.cells / 2).min(side_cells - 1), 0)
-        } else {
-            (pixel / self.pixels, pixel % self.pixels)
-        }
-    }
-}
-
-/// The colours and the name of a building type.
-pub(super) struct BuildingStyle {
-    pub(super) building: Building,
-    pub(super) letter: &'static str,
-    pub(super) name: &'static str,
-    pub(super) roof: Ink,
-    pub(super) edge: Ink,
-    pub(super) ink: Ink,
-}
-
-/// All building types, as the legend lists them.
-pub(super) const BUILDINGS: [BuildingStyle; 5] = [
-    BuildingStyle {
-        building: Building::House,
-        letter: "H",
-        name: "House",
-        roof: Ink::HOUSE,
-        edge: Ink::HOUSE_EDGE,
-        ink: Ink::HOUSE_LETTER,
-    },
-    BuildingStyle {
-        building: Building::Office,
-        letter: "O",
-        name: "Office",
-        roof: Ink::OFFICE,
-        edge: Ink::OFFICE_EDGE,
-        ink: Ink::OFFICE_LETTER,
-    },
-    BuildingStyle {
-        building: Building::Store,
-        letter: "S",
-        name: "Store",
-        roof: Ink::STORE,
-        edge: Ink::STORE_EDGE,
-        ink: Ink::STORE_LETTER,
-    },
-    BuildingStyle {
-        building: Building::Garage,
-        letter: "A",
-        name: "Garage",
-        roof: Ink::GARAGE,
-        edge: Ink::GARAGE_EDGE,
-        ink: Ink::GARAGE_LETTER,
-    },
-    BuildingStyle {
-        building: Building::GasStation,
-        letter: "G",
-        name: "Gas station",
-        roof: Ink::GAS_STATION,
-        edge: Ink::GAS_STATION_EDGE,
-        ink: Ink::GAS_STATION_LETTER,
-    },
-];
-
-impl BuildingStyle {
-    pub(super) fn of(building: Building) -> &'static BuildingStyle {
-        let position = match building {
-            Building::House => 0,
-            Building::Office => 1,
-            Building::Store => 2,
-            Building::Garage => 3,
-            Building::GasStation => 4,
-        };
-        &BUILDINGS[position]
-    }
-}
-
-/// Draws the whole map with its top left corner at (`left`, `top`).
-pub(super) fn draw(map: &CityMap, zoom: Zoom, frame: &mut Frame, left: i32, top: i32) {
-    let (rows, cols) = (map.rows(), map.cols());
-    for y in 0..zoom.length(rows) {
-        let (row, down) = zoom.under(y, rows);
-        for x in 0..zoom.length(cols) {
-            let (col, right) = zoom.under(x, cols);
-            let ink = ink_at(map, zoom, Cell::new(row, col), down, right);
-            frame.fill(left + x, top + y, 1, 1, ink);
-        }
-    }
-    if zoom.cells == 1 {
-        letters(map, zoom, frame, left, top);
-    }
-}
-
-/// The building of a cell and its block: equal for cells of one roof.
-fn roof(map: &CityMap, cell: Cell) -> Option<(Building, Option<u32>)> {
-    map.building_at(cell)
-        .map(|building| (building, map.layout.block_at(cell)))
-}
-
-/// The colour of one pixel of a cell, `down` and `right` of the cell's corner.
-fn ink_at(map: &CityMap, zoom: Zoom, cell: Cell, down: i32, right: i32) -> Ink {
-    // The neighbours that this pixel touches.
-    let touched = Heading::ALL.into_iter().filter(|heading| match heading {
-        Heading::Left => right == 0,
-        Heading::Right => right == zoom.pixels - 1,
-        Heading::Up => down == 0,
-        Heading::Down => down == zoom.pixels - 1,
-    });
-    let fine = zoom.pixels > 2;
-    if let Some(own) = roof(map, cell) {
-        let style = BuildingStyle::of(own.0);
-        let same = |other: Cell| roof(map, other) == Some(own);
-        let edge = fine && touched.into_iter().any(|heading| !same(cell.ahead(heading, 1)));
-        return if edge { style.edge } else { style.roof };
-    }
-    match map.ground_at(cell) {
-        None | Some(Ground::Other) => Ink::GRASS,
-        Some(Ground::Walking) => {
-            let curb = |heading| map.ground_at(cell.ahead(heading, 1)) == Some(Ground::Traffic);
-            if fine && touched.into_iter().any(curb) {
-                Ink::CURB
-            } else if fine && (cell.row % 5 == 0 && down == 0 || cell.col % 5 == 0 && right == 0) {
-                Ink::JOINT
-            } else {
-                Ink::SIDEWALK
+        match map.ground_at(cell) {
+            None | Some(Ground::Other) => Surface::Meadow,
+            Some(Ground::Walking) => Surface::Sidewalk(beside(&|other| map.ground_at(other) == Some(Ground::Traffic))),
+            Some(Ground::Crossing) => Surface::Crossing(walks_along_row(map, cell)),
+            Some(Ground::Traffic) if map.is_mid_line(cell) => {
+                let along = |heading: Heading| map.is_mid_line(cell.ahead(heading, 1));
+                Surface::MidLine(along(Heading::Left) || along(Heading::Right))
             }
+            Some(Ground::Traffic) if map.junction(cell).car_is_at() => Surface::Asphalt([false; 4]),
+            Some(Ground::Traffic) => Surface::Asphalt(beside(&|other| {
+                map.junction(other).car_is_at() && map.ground_at(other) == Some(Ground::Crossing)
+            })),
         }
-        Some(Ground::Traffic) => traffic(map, zoom, cell, down, right),
-        // Stripes lie along the traffic, so they alternate along the walk.
-        Some(Ground::Crossing) => match if walks_along_row(map, cell) { cell.col } else { cell.row } % 2 {
-            0 => Ink::WHITE_PAINT,
-            _ => Ink::ASPHALT,
-        },
     }
-}
-
-/// Asphalt with its dashed mid line and the stop lines in front of crossings.
-fn traffic(map: &CityMap, zoom: Zoom, cell: Cell, down: i32, right: i32) -> Ink {
-    let size = zoom.pixels;
-    let mid = |heading| map.is_mid_line(cell.ahead(heading, 1));
-    if map.is_mid_line(cell) {
-        let along_row = mid(Heading::Left) || mid(Heading::Right);
-        let (along, across) = if along_row { (cell.col, down) } else { (cell.row, right) };
-        let painted = (size / 3..size - size / 3).contains(&across) && along % 5 < 3;
-        return if painted { Ink::YELLOW_PAINT } else { Ink::ASPHALT };
-    }
-    let stops = |heading| {
-        let ahead = cell.ahead(heading, 1);
-        map.junction(ahead).car_is_at() && map.ground_at(ahead) == Some(Ground::Crossing)
-    };
-    let far_half = |heading| match heading {
-        Heading::Left => right >= size / 2,
-        Heading::Right => right < size / 2,
-        Heading::Up => down >= size / 2,
-        Heading::Down => down < size / 2,
-    };
-    let line = size > 1
-        && !map.junction(cell).car_is_at()
-        && Heading::ALL
-            .into_iter()
-            .any(|heading| far_half(heading) && stops(heading));
-    if line { Ink::WHITE_PAINT } else { Ink::ASPHALT }
 }
 
 /// Whether pedestrians use this crossing cell along its row: it ends, along the row, in no traffic street.
@@ -223,40 +78,207 @@ fn walks_along_row(map: &CityMap, cell: Cell) -> bool {
     end(Heading::Left) != Some(Ground::Traffic) && end(Heading::Right) != Some(Ground::Traffic)
 }
 
-/// A letter on every building that has room for one.
-fn letters(map: &CityMap, zoom: Zoom, frame: &mut Frame, left: i32, top: i32) {
-    let cells = (0..map.rows()).flat_map(|row| (0..map.cols()).map(move |col| Cell::new(row, col)));
-    for (corner, own) in cells.filter_map(|cell| Some((cell, roof(map, cell)?))) {
-        let same = |other: Cell| roof(map, other) == Some(own);
-        if same(corner.ahead(Heading::Left, 1)) || same(corner.ahead(Heading::Up, 1)) {
-            continue;
-        }
-        let extent = |heading| {
-            let mut cells = 1;
-            while same(corner.ahead(heading, cells)) {
-                cells += 1;
-            }
-            cells * zoom.pixels
+impl Texture {
+    /// The texture that goes with icons of a seed, as uneven as the difficulty says (0..=1).
+    pub(super) fn new(seed: Seed, difficulty: f32) -> Texture {
+        let mut stream = seed.stream(Purpose::Texture, 0, 0);
+        let mut tone = |rgb: Rgb, spread: i32| {
+            let light = stream.random_range(-spread..=spread);
+            rgb.map(|channel| (i32::from(channel) + light + stream.random_range(-4..=4)).clamp(0, 255) as u8)
         };
-        let (width, height) = (extent(Heading::Right), extent(Heading::Down));
-        let style = BuildingStyle::of(own.0);
-        if let Some(font) = letter_font(width.min(height)) {
-            let (x, y) = (
-                left + corner.col * zoom.pixels + width / 2,
-                top + corner.row * zoom.pixels + height / 2,
-            );
-            frame.text(style.letter, x, y, font, style.ink, Alignment::Center);
+        Texture {
+            asphalt: tone([118, 122, 128], 10),
+            sidewalk: tone([206, 200, 188], 12),
+            curb: tone([158, 152, 142], 8),
+            meadow: tone([150, 184, 116], 10),
+            salt: stream.random(),
+            #[allow(clippy::cast_possible_truncation)]
+            noise: (difficulty * 256.0) as i32,
         }
+    }
+
+    /// 32 bits that differ from place to place and from layer to layer.
+    fn hash(self, x: i64, y: i64, layer: u32) -> u32 {
+        let mut word = self.salt ^ layer.wrapping_mul(0x9e37_79b9);
+        for part in [x as u32, y as u32] {
+            word = (word ^ part).wrapping_mul(0x85eb_ca6b);
+            word ^= word >> 15;
+            word = word.wrapping_mul(0xc2b2_ae35);
+            word ^= word >> 13;
+        }
+        word
+    }
+
+    /// A number from -256 to 256 that changes smoothly from one corner of a lattice of that many pixels to the next.
+    fn wave(self, x: i64, y: i64, lattice: i64, layer: u32) -> i32 {
+        let (col, row) = (x.div_euclid(lattice), y.div_euclid(lattice));
+        let (right, down) = (x.rem_euclid(lattice), y.rem_euclid(lattice));
+        let corner = |dx: i64, dy: i64| i64::from(self.hash(col + dx, row + dy, layer) & 511) - 256;
+        let along = |dy: i64| corner(0, dy) * (lattice - right) + corner(1, dy) * right;
+        ((along(0) * (lattice - down) + along(1) * down) / (lattice * lattice)) as i32
+    }
+
+    /// Lightens or darkens a colour from place to place: clouds over some cells, single specks, stains, and under noise uneven light.
+    fn weathered(self, rgb: Rgb, x: i64, y: i64, scale: Scale, layer: u32) -> Rgb {
+        let cell = i64::from(scale.pixels);
+        let mut light = (self.wave(x, y, 6 * cell, layer) * (5 * 256 + 18 * self.noise)) >> 16;
+        let speck = self.hash(x, y, layer);
+        // Specks are rare where all is clean, so that pictures stay small.
+        if (speck & 255) < 14 + ((self.noise as u32 * 150) >> 8) {
+            light += (((speck >> 8) as i32 % 19 - 9) * (256 + self.noise)) >> 8;
+        }
+        if self.noise > 0 {
+            light += (self.wave(x, y, 37 * cell, layer + 1) * self.noise * 50) >> 16;
+            light += self.stain(x, y, cell, layer);
+        }
+        rgb.map(|channel| (i32::from(channel) + light).clamp(0, 255) as u8)
+    }
+
+    /// At most one round stain lies in every square of 9 x 9 cells.
+    fn stain(self, x: i64, y: i64, cell: i64, layer: u32) -> i32 {
+        let side = 9 * cell;
+        let (col, row) = (x.div_euclid(side), y.div_euclid(side));
+        let dice = self.hash(col, row, layer + 2);
+        if (dice & 255) as i32 >= self.noise / 2 {
+            return 0;
+        }
+        let radius = cell + cell * i64::from(dice >> 8 & 15) / 8;
+        let place = |bits: u32| radius + (side - 2 * radius) * i64::from(bits & 63) / 63;
+        let (dx, dy) = (
+            x.rem_euclid(side) - place(dice >> 12),
+            y.rem_euclid(side) - place(dice >> 18),
+        );
+        if dx * dx + dy * dy < radius * radius {
+            -12 - (dice >> 24 & 31) as i32
+        } else {
+            0
+        }
+    }
+
+    /// The colour of a pixel of a cell, `right` and `down` of its corner; `x` and `y` are its place on the map, in pixels.
+    fn colour(self, surface: Surface, cell: Cell, (right, down): (i32, i32), (x, y): (i64, i64), scale: Scale) -> Rgb {
+        let side = scale.pixels;
+        let touched = |beside: [bool; 4], deep: i32| {
+            let at = [right < deep, right >= side - deep, down < deep, down >= side - deep];
+            beside.into_iter().zip(at).any(|(beside, at)| beside && at)
+        };
+        match surface {
+            Surface::Meadow => self.weathered(self.meadow, x, y, scale, 10),
+            Surface::Building(building) => roof(building),
+            Surface::Sidewalk(curbs) => {
+                if side > 2 && touched(curbs, (side / 5).max(1)) {
+                    return self.weathered(self.curb, x, y, scale, 20);
+                }
+                let slab = if side >= 6 { 2 } else { 5 };
+                let joint = right == 0 && cell.col % slab == 0 || down == 0 && cell.row % slab == 0;
+                let tint = (self.hash(i64::from(cell.col / slab), i64::from(cell.row / slab), 30) & 7) as i32 - 4;
+                let tint = if joint && side > 2 { -16 } else { tint };
+                let stone = self
+                    .sidewalk
+                    .map(|channel| (i32::from(channel) + tint).clamp(0, 255) as u8);
+                self.weathered(stone, x, y, scale, 20)
+            }
+            Surface::MidLine(along_row) => {
+                let (along, across) = if along_row { (cell.col, down) } else { (cell.row, right) };
+                let edge = 3 * side / 8;
+                if (edge..side - edge).contains(&across) && along.rem_euclid(5) < 3 {
+                    MID_LINE
+                } else {
+                    self.weathered(self.asphalt, x, y, scale, 40)
+                }
+            }
+            Surface::Asphalt(stops) if side > 1 && touched(stops, side / 2) => self.paint(x, y),
+            // Stripes lie along the traffic, so they alternate along the walk.
+            Surface::Crossing(along_row) if (if along_row { cell.col } else { cell.row }) % 2 == 0 => self.paint(x, y),
+            Surface::Asphalt(_) | Surface::Crossing(_) => self.weathered(self.asphalt, x, y, scale, 40),
+        }
+    }
+
+    /// White paint, under noise worn here and there.
+    fn paint(self, x: i64, y: i64) -> Rgb {
+        let worn = ((self.hash(x >> 1, y >> 1, 50) & 255) as i32) < self.noise / 6;
+        if worn { self.asphalt } else { PAINT }
     }
 }
 
-/// The font for a letter in a square of that side, in pixels.
-pub(super) fn letter_font(side: i32) -> Option<&'static MonoFont<'static>> {
-    match side {
-        ..10 => None,
-        10..16 => Some(&FONT_5X8),
-        16..26 => Some(&FONT_6X13_BOLD),
-        26..60 => Some(&FONT_9X18_BOLD),
-        _ => Some(&FONT_10X20),
+/// The colour of a building where a cell is less than a pixel.
+pub(super) const fn roof(building: Building) -> Rgb {
+    match building {
+        Building::House => [176, 84, 60],
+        Building::Office => [104, 138, 176],
+        Building::Garage => [150, 142, 156],
+        Building::Store => [214, 160, 92],
+        Building::GasStation => [196, 60, 72],
+    }
+}
+
+/// The picture of a view without agents.
+pub(super) fn draw(map: &CityMap, icons: &Icons, view: &View) -> Picture {
+    let (width, height) = view.size();
+    let mut picture = Picture::new(width, height, [0; 3]);
+    let texture = Texture::new(icons.seed(), icons.difficulty().share());
+    let scale = view.scale;
+    let (left, top) = (scale.start(view.corner.col), scale.start(view.corner.row));
+    let side = scale.pixels as usize;
+    // From the cell of one pixel to that of the next, and of several cells the middle one.
+    for (row, y) in (0..height as usize).step_by(side).enumerate() {
+        for (col, x) in (0..width as usize).step_by(side).enumerate() {
+            let along = |from: i32, at: usize| match scale.cells {
+                1 => from + at as i32,
+                cells => (from.div_euclid(cells) + at as i32)
+                    .saturating_mul(cells)
+                    .saturating_add(cells / 2),
+            };
+            let cell = Cell::new(along(view.corner.row, row), along(view.corner.col, col));
+            let surface = Surface::of(map, cell);
+            if scale.cells == 1 && matches!(surface, Surface::Building(_)) {
+                continue;
+            }
+            for down in 0..side {
+                for right in 0..side {
+                    let (x, y) = (x + right, y + down);
+                    let place = (left + x as i64, top + y as i64);
+                    let rgb = texture.colour(surface, cell, (right as i32, down as i32), place, scale);
+                    picture.pixel_mut(x, y).copy_from_slice(&rgb);
+                }
+            }
+        }
+    }
+    if scale.cells == 1 {
+        buildings(map, icons, view, &mut picture);
+    }
+    picture
+}
+
+/// Every building that the view shows a part of.
+fn buildings(map: &CityMap, icons: &Icons, view: &View, picture: &mut Picture) {
+    let layout = map.layout;
+    let [block_rows, block_cols] = layout.blocks();
+    let shown = |from: i32, cells: i32, blocks: i32| {
+        let block = |at: i32| at.div_euclid(layout.period()).clamp(0, blocks);
+        block(from)..(block(from + (cells - 1)) + 1).min(blocks)
+    };
+    for row in shown(view.corner.row, view.rows, block_rows) {
+        for col in shown(view.corner.col, view.cols, block_cols) {
+            let number = row * block_cols + col;
+            for (which, &building) in (0..).zip(&map.buildings()[number as usize]) {
+                let (rows, cols) = (
+                    layout.building_span(row, which / 2),
+                    layout.building_span(col, which % 2),
+                );
+                let size = (rows.len() as i64 * i64::from(view.scale.pixels)) as u32;
+                let instance = (4 * number + which).cast_unsigned();
+                let stamp = icons.stamp(&Class::building(building), instance, Facing::Up, size);
+                let along = |start: i32, corner: i32| {
+                    let pixels = view.scale.start(start) - view.scale.start(corner);
+                    i32::try_from(pixels + i64::from(size / 2)).expect("it is near the picture")
+                };
+                picture.stamp(
+                    &stamp,
+                    along(cols.start, view.corner.col),
+                    along(rows.start, view.corner.row),
+                );
+            }
+        }
     }
 }

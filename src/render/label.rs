@@ -1,11 +1,14 @@
 //! Labels: short names next to agents, never one over another.
 
-use super::agent::Sprite;
-use super::canvas::Frame;
-use super::ink::Ink;
-use crate::city::Heading;
+use super::class::Facing;
+use super::icon::PixelBox;
+use super::picture::{Picture, Rgb};
+use super::sprite::Sprite;
 use embedded_graphics::mono_font::iso_8859_1::FONT_6X10;
 use embedded_graphics::text::Alignment;
+
+pub(super) const PAPER: Rgb = [0xfb, 0xfa, 0xf7];
+pub(super) const TEXT: Rgb = [0x26, 0x2b, 0x33];
 
 /// At most this many agents are labelled: more would be unreadable, and the search for room takes time.
 const MOST: usize = 300;
@@ -13,26 +16,17 @@ const MOST: usize = 300;
 /// The longest label in characters.
 const LONGEST: usize = 10;
 
-/// A rectangle in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct PixelArea {
-    pub(super) left: i32,
-    pub(super) top: i32,
-    pub(super) width: i32,
-    pub(super) height: i32,
+/// The size in square pixels of what two rectangles have in common.
+pub(super) fn overlap(a: PixelBox, b: PixelBox) -> i32 {
+    let common = |a: i32, a_length: u32, b: i32, b_length: u32| {
+        ((a + a_length.cast_signed()).min(b + b_length.cast_signed()) - a.max(b)).max(0)
+    };
+    common(a.x, a.width, b.x, b.width) * common(a.y, a.height, b.y, b.height)
 }
 
-impl PixelArea {
-    /// The common part's size in square pixels.
-    pub(super) fn overlap(self, other: PixelArea) -> i32 {
-        let common =
-            |a: i32, a_length: i32, b: i32, b_length: i32| ((a + a_length).min(b + b_length) - a.max(b)).max(0);
-        common(self.left, self.width, other.left, other.width) * common(self.top, self.height, other.top, other.height)
-    }
-
-    pub(super) fn contains(self, other: PixelArea) -> bool {
-        self.overlap(other) == other.width * other.height
-    }
+/// Whether a rectangle lies in another.
+pub(super) fn contains(outer: PixelBox, inner: PixelBox) -> bool {
+    overlap(outer, inner).cast_unsigned() == inner.width * inner.height
 }
 
 /// `C12` for `Car_12`, `P3` for `Pedestrian_3`, else the name itself, shortened.
@@ -62,8 +56,8 @@ pub(super) fn one_line(text: &str, most: usize) -> String {
 
 /// Finds room inside `bounds` for the label of each sprite, whose figure covers the area next to it. A label avoids
 /// figures if it can and other labels always: one without room is left out.
-pub(super) fn place(sprites: &[(Sprite<'_>, PixelArea)], bounds: PixelArea) -> Vec<(String, PixelArea)> {
-    let mut placed: Vec<(String, PixelArea)> = Vec::new();
+pub(super) fn place(sprites: &[(Sprite<'_>, PixelBox)], bounds: PixelBox) -> Vec<(String, PixelBox)> {
+    let mut placed: Vec<(String, PixelBox)> = Vec::new();
     for (sprite, figure) in sprites.iter().take(MOST) {
         let text = short(sprite);
         if text.is_empty() {
@@ -71,10 +65,10 @@ pub(super) fn place(sprites: &[(Sprite<'_>, PixelArea)], bounds: PixelArea) -> V
         }
         // A character is 6 wide and 10 high, and the plate has a margin.
         let (width, height) = (6 * text.chars().count() as i32 + 3, 11);
-        let free = candidates(*figure, sprite.heading, width, height)
-            .filter(|&area| bounds.contains(area) && placed.iter().all(|(_, other)| area.overlap(*other) == 0));
-        let covered = |area: PixelArea| sprites.iter().map(|(_, figure)| area.overlap(*figure)).sum::<i32>();
-        let mut best: Option<(i32, PixelArea)> = None;
+        let free = candidates(*figure, sprite.facing, width, height)
+            .filter(|&area| contains(bounds, area) && placed.iter().all(|(_, other)| overlap(area, *other) == 0));
+        let covered = |area: PixelBox| sprites.iter().map(|(_, figure)| overlap(area, *figure)).sum::<i32>();
+        let mut best: Option<(i32, PixelBox)> = None;
         for area in free {
             let cost = covered(area);
             if best.is_none_or(|(least, _)| cost < least) {
@@ -92,18 +86,19 @@ pub(super) fn place(sprites: &[(Sprite<'_>, PixelArea)], bounds: PixelArea) -> V
 }
 
 /// Places around a figure, the best first: beside it but not behind it, then a little further off.
-fn candidates(figure: PixelArea, heading: Option<Heading>, width: i32, height: i32) -> impl Iterator<Item = PixelArea> {
+fn candidates(figure: PixelBox, facing: Facing, width: i32, height: i32) -> impl Iterator<Item = PixelBox> {
     [1, 6, 12].into_iter().flat_map(move |gap| {
-        let (west, east) = (figure.left - gap - width, figure.left + figure.width + gap);
-        let (ahead, behind) = if heading == Some(Heading::Left) {
+        let (figure_wide, figure_high) = (figure.width.cast_signed(), figure.height.cast_signed());
+        let (west, east) = (figure.x - gap - width, figure.x + figure_wide + gap);
+        let (ahead, behind) = if matches!(facing, Facing::Left | Facing::UpLeft | Facing::DownLeft) {
             (west, east)
         } else {
             (east, west)
         };
-        let (north, south) = (figure.top - gap - height, figure.top + figure.height + gap);
+        let (north, south) = (figure.y - gap - height, figure.y + figure_high + gap);
         let (middle_x, middle_y) = (
-            figure.left + (figure.width - width) / 2,
-            figure.top + (figure.height - height) / 2,
+            figure.x + (figure_wide - width) / 2,
+            figure.y + (figure_high - height) / 2,
         );
         [
             (ahead, middle_y),
@@ -115,28 +110,20 @@ fn candidates(figure: PixelArea, heading: Option<Heading>, width: i32, height: i
             (west, north),
             (west, south),
         ]
-        .map(|(left, top)| PixelArea {
-            left,
-            top,
-            width,
-            height,
+        .map(|(x, y)| PixelBox {
+            x,
+            y,
+            width: width.cast_unsigned(),
+            height: height.cast_unsigned(),
         })
     })
 }
 
 /// Draws placed labels.
-pub(super) fn draw(labels: &[(String, PixelArea)], frame: &mut Frame) {
-    for (
-        text,
-        PixelArea {
-            left,
-            top,
-            width,
-            height,
-        },
-    ) in labels
-    {
-        frame.fill(*left, *top, *width, *height, Ink::PAPER);
-        frame.text(text, left + 2, top + height / 2, &FONT_6X10, Ink::TEXT, Alignment::Left);
+pub(super) fn draw(labels: &[(String, PixelBox)], picture: &mut Picture) {
+    for (text, area) in labels {
+        picture.fill(*area, PAPER);
+        let middle = area.y + area.height.cast_signed() / 2;
+        picture.text(text, (area.x + 2, middle), &FONT_6X10, TEXT, Alignment::Left);
     }
 }

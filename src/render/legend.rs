@@ -1,28 +1,59 @@
 //! What stands beside and above the map: the legend and the line that says what happens.
 
-use super::agent::{Look, Sprite, Wardrobe, sample_action};
-use super::canvas::Frame;
-use super::ground::{BUILDINGS, BuildingStyle, letter_font};
-use super::ink::Ink;
-use super::label::one_line;
+use super::class::{Class, Facing};
+use super::ground::{MID_LINE, PAINT, Texture, roof};
+use super::icon::{Icons, PixelBox};
+use super::label::{TEXT, one_line};
+use super::picture::{Picture, Rgb};
+use super::sprite::Sprite;
 use crate::city::CityMap;
-use crate::config::{AgentKind, Speed};
+use crate::config::{AgentKind, Building, Speed};
 use embedded_graphics::mono_font::iso_8859_1::{FONT_6X13, FONT_7X13_BOLD, FONT_9X15_BOLD};
 use embedded_graphics::text::Alignment;
+use std::collections::BTreeMap;
 
 /// Width of the legend in pixels.
-pub(super) const WIDTH: i32 = 200;
+pub(super) const WIDTH: i32 = 210;
 /// Height of a row of the legend in pixels.
-const ROW: i32 = 22;
+const ROW: i32 = 24;
 /// Extra space above a heading in pixels.
-const BREAK: i32 = 10;
-
+const BREAK: i32 = 8;
 /// The longest name in characters that fits beside a picture and a count.
-const NAME: usize = 16;
+const NAME: usize = 18;
+pub(super) const MUTED: Rgb = [0x74, 0x7a, 0x85];
+
+/// The colour that stands for an action.
+pub(super) const fn action_colour(action: Speed) -> Rgb {
+    match action {
+        Speed::Stop => [0xe5, 0x23, 0x2b],
+        Speed::Slow => [0xff, 0xb4, 0x1f],
+        Speed::Normal => [0x2f, 0xb8, 0x4f],
+        Speed::Fast => [0x2f, 0x7f, 0xff],
+    }
+}
+
+/// A mark of an action around a place.
+pub(super) fn draw_action(action: Speed, (x, y): (i32, i32), picture: &mut Picture) {
+    for (reach, rgb) in [(3, [0x20, 0x25, 0x2d]), (2, action_colour(action))] {
+        for (wide, high) in [(reach, reach - 1), (reach - 1, reach)] {
+            picture.fill(around(x, y, wide, high), rgb);
+        }
+    }
+}
+
+/// The rectangle that reaches so far from a pixel to both sides.
+fn around(x: i32, y: i32, wide: i32, high: i32) -> PixelBox {
+    PixelBox {
+        x: x - wide,
+        y: y - high,
+        width: (2 * wide + 1).cast_unsigned(),
+        height: (2 * high + 1).cast_unsigned(),
+    }
+}
 
 /// A column of rows, filled from the top.
 struct Column<'a> {
-    frame: &'a mut Frame,
+    picture: &'a mut Picture,
     left: i32,
     /// Middle of the next row.
     y: i32,
@@ -30,127 +61,130 @@ struct Column<'a> {
 
 impl Column<'_> {
     fn heading(&mut self, text: &str) {
-        self.frame
-            .text(text, self.left, self.y, &FONT_7X13_BOLD, Ink::MUTED, Alignment::Left);
+        (self.picture).text(text, (self.left, self.y), &FONT_7X13_BOLD, MUTED, Alignment::Left);
         self.y += ROW;
     }
 
-    /// A row whose picture is drawn by `picture` around a middle.
-    fn row(&mut self, text: &str, count: Option<usize>, picture: impl FnOnce(&mut Frame, i32, i32)) {
-        picture(self.frame, self.left + 24, self.y);
-        self.frame
-            .text(text, self.left + 58, self.y, &FONT_6X13, Ink::TEXT, Alignment::Left);
+    /// A row whose sample is drawn around a middle.
+    fn row(&mut self, text: &str, count: Option<usize>, sample: impl FnOnce(&mut Picture, i32, i32)) {
+        sample(self.picture, self.left + 24, self.y);
+        let name = (self.left + 58, self.y);
+        (self.picture).text(text, name, &FONT_6X13, TEXT, Alignment::Left);
         if let Some(count) = count {
-            let right = self.left + WIDTH - 8;
-            self.frame.text(
-                &count.to_string(),
-                right,
-                self.y,
-                &FONT_6X13,
-                Ink::MUTED,
-                Alignment::Right,
-            );
+            let right = (self.left + WIDTH - 8, self.y);
+            (self.picture).text(&count.to_string(), right, &FONT_6X13, MUTED, Alignment::Right);
         }
         self.y += ROW;
     }
 }
 
-/// A tile of ground or roof, 25 x 17 pixels.
-fn tile(frame: &mut Frame, x: i32, y: i32, edge: Ink, ink: Ink) {
-    frame.fill(x - 12, y - 8, 25, 17, edge);
-    frame.fill(x - 11, y - 7, 23, 15, ink);
+/// A tile of ground, 25 x 17 pixels.
+fn tile(picture: &mut Picture, x: i32, y: i32, edge: Rgb, rgb: Rgb) {
+    picture.fill(around(x, y, 12, 8), edge);
+    picture.fill(around(x, y, 11, 7), rgb);
 }
 
-/// Draws the part that is the same in every frame: streets, buildings, actions. Returns where the rest begins.
-pub(super) fn draw_static(map: &CityMap, frame: &mut Frame, left: i32, top: i32) -> i32 {
+/// Draws the part that is the same in every picture: buildings, streets, actions. Returns where the rest begins.
+pub(super) fn draw_static(map: &CityMap, icons: &Icons, fine: bool, picture: &mut Picture, left: i32, top: i32) -> i32 {
     let mut column = Column {
-        frame,
+        picture,
         left,
         y: top + ROW / 2,
     };
-    let occurs: Vec<&BuildingStyle> = BUILDINGS
-        .iter()
-        .filter(|style| map.buildings().iter().any(|block| block.contains(&style.building)))
-        .collect();
-    if !occurs.is_empty() {
+    let occurs = |building: &Building| map.buildings().iter().any(|block| block.contains(building));
+    let buildings: Vec<Building> = Building::ALL.into_iter().filter(occurs).collect();
+    if !buildings.is_empty() {
         column.heading("BUILDINGS");
-        for style in occurs {
-            column.row(style.name, None, |frame, x, y| {
-                tile(frame, x, y, style.edge, style.roof);
-                if let Some(font) = letter_font(17) {
-                    frame.text(style.letter, x, y, font, style.ink, Alignment::Center);
-                }
-            });
+        for building in buildings {
+            let class = Class::building(building);
+            column.row(
+                &capitalised(&class.to_string().replace('-', " ")),
+                None,
+                |picture, x, y| {
+                    if fine {
+                        picture.stamp(&icons.stamp(&class, 0, Facing::Up, 22), x, y);
+                    } else {
+                        tile(picture, x, y, MUTED, roof(building));
+                    }
+                },
+            );
         }
         column.y += BREAK;
     }
+    let ground = Texture::new(icons.seed(), 0.0);
     column.heading("STREETS");
-    column.row("Sidewalk", None, |frame, x, y| {
-        tile(frame, x, y, Ink::CURB, Ink::SIDEWALK)
+    column.row("Sidewalk", None, |picture, x, y| {
+        tile(picture, x, y, ground.curb, ground.sidewalk)
     });
+    let street = |picture: &mut Picture, x, y| tile(picture, x, y, ground.asphalt, ground.asphalt);
     if map.layout.has_inner_streets() {
-        column.row("Crossing", None, |frame, x, y| {
-            tile(frame, x, y, Ink::ASPHALT, Ink::ASPHALT);
-            for stripe in 0..3 {
-                frame.fill(x - 10 + 8 * stripe, y - 8, 4, 17, Ink::WHITE_PAINT);
+        column.row("Crossing", None, |picture, x, y| {
+            street(picture, x, y);
+            for stripe in [-8, 0, 8] {
+                picture.fill(around(x + stripe, y, 1, 8), PAINT);
             }
         });
     }
-    column.row("Mid line", None, |frame, x, y| {
-        tile(frame, x, y, Ink::ASPHALT, Ink::ASPHALT);
-        frame.fill(x - 9, y - 1, 7, 2, Ink::YELLOW_PAINT);
-        frame.fill(x + 2, y - 1, 7, 2, Ink::YELLOW_PAINT);
+    column.row("Mid line", None, |picture, x, y| {
+        street(picture, x, y);
+        for dash in [-6, 6] {
+            picture.fill(around(x + dash, y, 3, 0), MID_LINE);
+        }
     });
     if map.layout.has_inner_streets() {
-        column.row("Stop line", None, |frame, x, y| {
-            tile(frame, x, y, Ink::ASPHALT, Ink::ASPHALT);
-            frame.fill(x + 4, y - 8, 2, 17, Ink::WHITE_PAINT);
+        column.row("Stop line", None, |picture, x, y| {
+            street(picture, x, y);
+            picture.fill(around(x + 5, y, 1, 8), PAINT);
         });
     }
     column.y += BREAK;
     column.heading("ACTIONS");
     for action in [Speed::Stop, Speed::Slow, Speed::Normal, Speed::Fast] {
-        column.row(action.name(), None, |frame, x, y| {
-            frame.fill(x - 24, y - 9, 49, 19, Ink::ASPHALT);
-            sample_action(AgentKind::Car, action, x + 10, y, frame);
-            if action == Speed::Stop {
-                sample_action(AgentKind::Pedestrian, action, x - 13, y, frame);
-            }
+        column.row(action.name(), None, |picture, x, y| {
+            draw_action(action, (x, y), picture)
         });
     }
     column.y + BREAK
 }
 
 /// Draws which agents there are, above `bottom`.
-pub(super) fn draw_agents(wardrobe: &Wardrobe<'_>, frame: &mut Frame, left: i32, top: i32, bottom: i32) {
-    let mut column = Column { frame, left, y: top };
+pub(super) fn draw_agents(
+    agents: &[Sprite<'_>],
+    icons: &Icons,
+    picture: &mut Picture,
+    (left, top): (i32, i32),
+    bottom: i32,
+) {
+    let mut column = Column { picture, left, y: top };
     for (kind, heading, labels) in [
         (AgentKind::Car, "CARS", "C1, C2, .."),
         (AgentKind::Pedestrian, "PEDESTRIANS", "P1, P2, .."),
     ] {
-        let looks: Vec<(Look<'_>, usize)> = wardrobe
-            .looks
-            .iter()
-            .copied()
-            .filter(|(look, _)| look.kind() == kind)
-            .collect();
-        // A heading, one look, and the line that says how many are left out.
-        if looks.is_empty() || column.y + 3 * ROW > bottom {
+        let mut classes: BTreeMap<Class, usize> = BTreeMap::new();
+        for agent in agents.iter().filter(|agent| agent.kind == kind) {
+            *classes.entry(agent.class()).or_default() += 1;
+        }
+        // A heading, one class, and the line that says how many are left out.
+        if classes.is_empty() || column.y + 3 * ROW > bottom {
             continue;
         }
-        let right = left + WIDTH - 8;
-        column
-            .frame
-            .text(labels, right, column.y, &FONT_6X13, Ink::MUTED, Alignment::Right);
+        let right = (left + WIDTH - 8, column.y);
+        (column.picture).text(labels, right, &FONT_6X13, MUTED, Alignment::Right);
         column.heading(heading);
-        for (position, &(look, count)) in looks.iter().enumerate() {
-            let left_over = looks.len() - position;
+        for (position, (class, count)) in classes.iter().enumerate() {
+            let left_over = classes.len() - position;
             if left_over > 1 && column.y + 2 * ROW > bottom {
                 column.row(&format!("and {left_over} more"), None, |_, _, _| {});
                 break;
             }
-            let name = capitalised(&one_line(look.name(), NAME));
-            column.row(&name, Some(count), |frame, x, y| wardrobe.sample(look, x, y, frame));
+            let name = capitalised(&one_line(&class.to_string(), NAME));
+            column.row(&name, Some(*count), |picture, x, y| {
+                let size = match kind {
+                    AgentKind::Car => 15,
+                    AgentKind::Pedestrian => 23,
+                };
+                picture.stamp(&icons.stamp(class, 0, Facing::Right, size), x, y);
+            });
         }
         column.y += BREAK;
     }
@@ -164,20 +198,21 @@ fn capitalised(name: &str) -> String {
 }
 
 /// Draws the name of the map.
-pub(super) fn draw_title(name: &str, frame: &mut Frame, left: i32, middle: i32) {
-    frame.text(
-        &one_line(name, NAME),
-        left,
-        middle,
-        &FONT_9X15_BOLD,
-        Ink::TEXT,
-        Alignment::Left,
-    );
+pub(super) fn draw_title(name: &str, picture: &mut Picture, left: i32, middle: i32) {
+    let name = one_line(name, NAME);
+    picture.text(&name, (left, middle), &FONT_9X15_BOLD, TEXT, Alignment::Left);
 }
 
 /// Draws the line above the map, from `left` to the right: all that changes from tick to tick besides the agents
 /// themselves.
-pub(super) fn draw_status(tick: u64, agents: &[Sprite<'_>], off_map: usize, frame: &mut Frame, left: i32, middle: i32) {
+pub(super) fn draw_status(
+    tick: u64,
+    agents: &[Sprite<'_>],
+    off_map: usize,
+    picture: &mut Picture,
+    left: i32,
+    middle: i32,
+) {
     let count = |action: Speed| agents.iter().filter(|sprite| sprite.action == Some(action)).count();
     let (slow, normal, fast, stop) = (
         count(Speed::Slow),
@@ -186,7 +221,7 @@ pub(super) fn draw_status(tick: u64, agents: &[Sprite<'_>], off_map: usize, fram
         count(Speed::Stop),
     );
     let tick = format!("Tick {tick}");
-    frame.text(&tick, left, middle, &FONT_9X15_BOLD, Ink::TEXT, Alignment::Left);
+    picture.text(&tick, (left, middle), &FONT_9X15_BOLD, TEXT, Alignment::Left);
     let mut line = format!("{} agents", agents.len());
     if slow + normal + fast + stop > 0 {
         let moving = slow + normal + fast;
@@ -196,5 +231,5 @@ pub(super) fn draw_status(tick: u64, agents: &[Sprite<'_>], off_map: usize, fram
         line += &format!("   {off_map} off the map");
     }
     let after = left + 9 * (tick.len() + 2).max(10) as i32;
-    frame.text(&line, after, middle, &FONT_6X13, Ink::TEXT, Alignment::Left);
+    picture.text(&line, (after, middle), &FONT_6X13, TEXT, Alignment::Left);
 }

@@ -9,9 +9,8 @@ use super::world::World;
 use crate::city::{Agent, Cell, CityMap};
 use crate::config::Speed;
 use crate::diag::{Code, Diagnostic};
-use crate::engine::Program;
 use crate::engine::dense::{BitFacts, Counting, Dense, Set, choose, has, members};
-use crate::lang::{ClauseId, RelId};
+use crate::lang::{ClauseId, RelId, Rules};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Mutex;
@@ -193,8 +192,7 @@ enum Shape {
 ///
 /// # Errors
 /// `limit-exceeded` if it cannot take them; the message tells why.
-pub(super) fn compile(program: &Program, vocabulary: &Vocabulary, counting: Counting) -> Result<Dense, Diagnostic> {
-    let rules = program.rules();
+pub(super) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: Counting) -> Result<Dense, Diagnostic> {
     let choice = choose(rules);
     if let Some(reason) = choice.relational.iter().flatten().next() {
         return Err(not_dense(&reason.show(rules)));
@@ -255,7 +253,8 @@ impl Crowd {
             clauses: clauses.iter().map(|clause| (*clause, of_action(clause))).collect(),
             actions,
         };
-        let bodies = bodies(&mut reading.grounder, world.map(), agents);
+        let mut bodies = Vec::new();
+        list_bodies(&mut bodies, &mut reading.grounder, world.map(), agents);
         let shape = match width {
             Some(width) if agents.len() <= WHOLE_MAX || !in_tiles => {
                 Shape::One(in_words!(width, W => Box::new(One::<W>::new(&reading.grounder, world.map(), bodies))))
@@ -267,10 +266,10 @@ impl Crowd {
 
     /// Takes note of other agents, as many as before.
     pub fn restart(&mut self, map: &CityMap, agents: &[Agent]) {
-        let bodies = bodies(&mut self.reading.grounder, map, agents);
+        let grounder = &mut self.reading.grounder;
         match &mut self.shape {
-            Shape::One(one) => one.restart(&self.reading.grounder, map, bodies),
-            Shape::Tiles(tiles) => tiles.bodies = bodies,
+            Shape::One(one) => one.restart(grounder, map, agents),
+            Shape::Tiles(tiles) => list_bodies(&mut tiles.bodies, grounder, map, agents),
         }
     }
 
@@ -310,18 +309,19 @@ impl Crowd {
     }
 }
 
-/// What the predicates can see of the agents of a list.
-fn bodies(grounder: &mut Grounder, map: &CityMap, agents: &[Agent]) -> Vec<Body> {
+/// Makes a list of what the predicates can see of agents.
+fn list_bodies(bodies: &mut Vec<Body>, grounder: &mut Grounder, map: &CityMap, agents: &[Agent]) {
     let body = |(position, agent): (usize, &Agent)| Body {
         class: grounder.class_of(agent.kind, &agent.concepts),
         ..Body::new(map, position, agent)
     };
-    agents.iter().enumerate().map(body).collect()
+    bodies.clear();
+    bodies.extend(agents.iter().enumerate().map(body));
 }
 
 /// A whole city in one window.
 trait OneWindow: Send + Sync {
-    fn restart(&mut self, grounder: &Grounder, map: &CityMap, bodies: Vec<Body>);
+    fn restart(&mut self, grounder: &mut Grounder, map: &CityMap, agents: &[Agent]);
     fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions);
     fn follow(&mut self, grounder: &Grounder, map: &CityMap, positions: &[Position]);
     fn count_facts(&mut self, grounder: &Grounder, draws: Draws) -> u64;
@@ -338,15 +338,20 @@ impl<const W: usize> One<W> {
             window: Window::new(grounder),
             all: crate::engine::dense::first(bodies.len()),
         };
-        one.restart(grounder, map, bodies);
+        one.window.bodies = bodies;
+        one.fill(grounder, map);
         one
+    }
+
+    fn fill(&mut self, grounder: &Grounder, map: &CityMap) {
+        (self.window).fill(grounder, Cell::new(0, 0), [map.rows(), map.cols()]);
     }
 }
 
 impl<const W: usize> OneWindow for One<W> {
-    fn restart(&mut self, grounder: &Grounder, map: &CityMap, bodies: Vec<Body>) {
-        self.window.bodies = bodies;
-        (self.window).fill(grounder, Cell::new(0, 0), [map.rows(), map.cols()]);
+    fn restart(&mut self, grounder: &mut Grounder, map: &CityMap, agents: &[Agent]) {
+        list_bodies(&mut self.window.bodies, grounder, map, agents);
+        self.fill(grounder, map);
     }
 
     fn decide(&mut self, reading: &Reading, draws: Draws, out: &mut Decisions) {

@@ -45,6 +45,20 @@ pub fn ground(
     chance: &impl Chance,
     skip: impl Fn(usize) -> bool,
 ) -> Facts {
+    let facts = ground_until(vocabulary, map, view, entities, chance, skip, &|| false);
+    facts.expect("nobody gives it up")
+}
+
+/// The same, given up when `stop` says so, which is asked for every entity: then there is nothing.
+pub(super) fn ground_until(
+    vocabulary: &Vocabulary,
+    map: &CityMap,
+    view: u32,
+    entities: &[Entity<'_>],
+    chance: &impl Chance,
+    skip: impl Fn(usize) -> bool,
+    stop: &dyn Fn() -> bool,
+) -> Option<Facts> {
     let mut facts = Facts {
         rows: vec![Vec::new(); vocabulary.predicates.len()],
     };
@@ -54,6 +68,9 @@ pub fn ground(
         }
         let rows = &mut facts.rows[index];
         for (x, first) in entities.iter().enumerate() {
+            if stop() {
+                return None;
+            }
             if *arity == 1 {
                 if unary(definition, map, first) {
                     rows.push([number(x), 0]);
@@ -76,7 +93,7 @@ pub fn ground(
             }
         }
     }
-    facts
+    Some(facts)
 }
 
 fn number(index: usize) -> u32 {
@@ -147,12 +164,16 @@ pub(super) fn is_near_enough(definition: &Definition, d: f64) -> bool {
     below.is_none_or(|bound| d < bound) && at_most.is_none_or(|bound| d <= bound)
 }
 
-/// Where x lies, seen along y's heading (dr, dc): positive left, negative right, zero straight or no heading. With
-/// (rr, rc) = x - y it is dr * rc - dc * rr.
+/// Where x lies, seen along y's heading: see [`side_of`]. Zero if y has no heading.
 pub(super) fn side(x: &Entity<'_>, y: &Entity<'_>) -> i64 {
-    let Some(heading) = y.heading else { return 0 };
+    y.heading.map_or(0, |heading| side_of(heading, x.at, y.at))
+}
+
+/// Where x lies, seen from y along a heading (dr, dc): positive left, negative right, zero straight. With (rr, rc) = x - y it is
+/// dr * rc - dc * rr.
+pub(super) fn side_of(heading: Heading, x: Cell, y: Cell) -> i64 {
     let (dr, dc) = heading.delta();
-    let (rr, rc) = x.at.offset_from(y.at);
+    let (rr, rc) = x.offset_from(y);
     i64::from(dr) * rc - i64::from(dc) * rr
 }
 

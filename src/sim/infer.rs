@@ -1,19 +1,20 @@
 //! Inference: what the rules decide in one scene.
 
 use super::executor::{Choice, Executor, compile};
-use super::ground::{Chance, Entity, Facts, ground};
+use super::ground::{Chance, Entity, Facts, ground_until};
 use super::scene::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
 use super::vocabulary::{Actions, Vocabulary};
 use super::width::{Width, in_words};
 use crate::city::CityMap;
 use crate::config::{Definition, Scenario, Speed, load_map};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
-use crate::engine::dense::{BitFacts, Counting, Dense, Frame, has};
+use crate::engine::dense::{BitFacts, Counting, Dense, Frame, Pairs, Set, has};
 use crate::engine::{EvalError, Program, Session, promise};
 use crate::files::ReadError;
 use crate::lang::{RelId, Value};
 use crate::rng::{Purpose, RngExt, Seed};
 use serde_json::{Map, json};
+use std::cell::Cell;
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -114,7 +115,7 @@ impl Inference {
         read: impl Fn(&Path) -> Result<String, ReadError> + Send + Sync + 'static,
     ) -> Result<Self, Vec<Diagnostic>> {
         let vocabulary = Vocabulary::bind(&scenario, &program)?;
-        let chosen = executor.choose(|| compile(&program, &vocabulary, Counting::Off));
+        let chosen = executor.choose(|| compile(program.rules(), &vocabulary, Counting::Off));
         Ok(Inference {
             dense: match chosen.map_err(|fault| vec![fault.at(scenario.rules.span, "these rules")])? {
                 Choice::Dense(dense) => Some(dense),
@@ -140,7 +141,7 @@ impl Inference {
     /// # Errors
     /// `limit-exceeded` if it cannot evaluate them; the message tells why.
     pub fn compile(&self) -> Result<Dense, Diagnostic> {
-        compile(&self.program, &self.vocabulary, Counting::Off)
+        compile(self.program.rules(), &self.vocabulary, Counting::Off)
             .map_err(|fault| fault.at(self.scenario.rules.span, "these rules"))
     }
 
@@ -157,10 +158,23 @@ impl Inference {
     /// All faults of the scene: `invalid-scene`; `limit-exceeded` if it is too large or the rules derive too much from it;
     /// `broken-promise` after [`Inference::check_promises`].
     pub fn answer(&mut self, sources: &Sources, source: SourceId) -> Result<Answer, Vec<Diagnostic>> {
-        let scene = self.ground(sources, source)?;
+        self.answer_until(sources, source, &|| false)
+    }
+
+    /// The same, given up when `stop` says so, which is asked now and then.
+    ///
+    /// # Errors
+    /// As [`Inference::answer`]; `limit-exceeded` if it was given up.
+    pub fn answer_until(
+        &mut self,
+        sources: &Sources,
+        source: SourceId,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Answer, Vec<Diagnostic>> {
+        let scene = self.ground_until(sources, source, stop)?;
         // What the rules derive stands in no text; it follows from the scene as a whole.
         let whole = Span::new(source, 0..sources.text(source).len());
-        (self.decide(&scene)).map_err(|fault| vec![fault.at(whole, "in this scene")])
+        (self.decide(&scene, stop)).map_err(|fault| vec![fault.at(whole, "in this scene")])
     }
 
     /// The facts of the scene in `source`: those that it gives, and those that follow from where its agents are.
@@ -168,6 +182,15 @@ impl Inference {
     /// # Errors
     /// As [`Inference::answer`], but for what the rules derive.
     pub fn ground(&mut self, sources: &Sources, source: SourceId) -> Result<SceneFacts, Vec<Diagnostic>> {
+        self.ground_until(sources, source, &|| false)
+    }
+
+    fn ground_until(
+        &mut self,
+        sources: &Sources,
+        source: SourceId,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<SceneFacts, Vec<Diagnostic>> {
         let terms = Terms {
             predicates: (self.vocabulary.predicates.iter())
                 .map(|predicate| (predicate.name.as_str(), predicate.arity))
@@ -180,12 +203,12 @@ impl Inference {
                 .collect(),
         };
         match parse_scene(sources, source, &terms)? {
-            Scene::Geometric(scene) => self.geometric(scene),
+            Scene::Geometric(scene) => self.geometric(scene, stop),
             Scene::Symbolic(scene) => Ok(self.symbolic(scene)),
         }
     }
 
-    fn geometric(&mut self, scene: GeometricScene) -> Result<SceneFacts, Vec<Diagnostic>> {
+    fn geometric(&mut self, scene: GeometricScene, stop: &dyn Fn() -> bool) -> Result<SceneFacts, Vec<Diagnostic>> {
         let map = self.map(&scene).map_err(|fault| vec![fault])?;
         scene.check_cells(&map)?;
         let entities: Vec<Entity<'_>> = scene
@@ -200,7 +223,7 @@ impl Inference {
             })
             .collect();
         let given = |index: usize| given(&self.vocabulary, &scene.given, index);
-        let mut facts = ground(
+        let grounded = ground_until(
             &self.vocabulary,
             &map,
             self.scenario.view,
@@ -210,7 +233,9 @@ impl Inference {
                 time: scene.tick,
             },
             |index| given(index).is_some(),
+            stop,
         );
+        let mut facts = grounded.ok_or_else(|| vec![Diagnostic::interrupted()])?;
         for index in 0..facts.rows.len() {
             if let Some(rows) = given(index) {
                 facts.rows[index] = rows;
@@ -270,10 +295,10 @@ impl Inference {
         }
     }
 
-    fn decide(&self, scene: &SceneFacts) -> Result<Answer, Diagnostic> {
+    fn decide(&self, scene: &SceneFacts, stop: &dyn Fn() -> bool) -> Result<Answer, Diagnostic> {
         let SceneFacts { names, egos, facts } = scene;
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let derived = self.derive(scene, &names)?;
+        let derived = self.derive(scene, &names, stop)?;
         let egos = egos.iter().zip(derived).map(|(&ego, derived)| {
             let sees = entities_in_view(&facts.rows[self.vocabulary.sees], ego);
             EgoAnswer {
@@ -288,13 +313,13 @@ impl Inference {
     }
 
     /// The actions that hold for each ego.
-    fn derive(&self, scene: &SceneFacts, names: &[&str]) -> Result<Vec<Actions>, Diagnostic> {
+    fn derive(&self, scene: &SceneFacts, names: &[&str], stop: &dyn Fn() -> bool) -> Result<Vec<Actions>, Diagnostic> {
         if let (Some(dense), false) = (&self.dense, self.check_promises) {
             let width = Width::of(names.len()).expect("a scene has fewer entities than the widest set");
-            return Ok(in_words!(width, W => self.derive_dense::<W>(dense, scene)));
+            return in_words!(width, W => self.derive_dense::<W>(dense, scene, stop));
         }
         let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
-        state.set(&scene.facts)?;
+        state.set_until(&scene.facts, stop)?;
         if self.check_promises {
             // The rules are another text than the scene, so where it was promised is not pointed at.
             let mut broken = promise::broken(state.session()).into_iter();
@@ -308,18 +333,61 @@ impl Inference {
             .collect())
     }
 
-    fn derive_dense<const W: usize>(&self, dense: &Dense, scene: &SceneFacts) -> Vec<Actions> {
+    fn derive_dense<const W: usize>(
+        &self,
+        dense: &Dense,
+        scene: &SceneFacts,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Vec<Actions>, Diagnostic> {
         let count = scene.names.len();
         let bits: BitFacts<W> = scene.facts.to_bits(&self.vocabulary, dense, count);
         let mut frame = Frame::new(dense, count);
         bits.load(dense, &mut frame);
-        frame.run(dense, &bits);
+        let asking = Asking {
+            facts: &bits,
+            stop,
+            looks: Cell::new(0),
+            stopped: Cell::new(false),
+        };
+        frame.run(dense, &asking);
+        if asking.stopped.get() {
+            return Err(Diagnostic::interrupted());
+        }
         let holds = |action: Speed, ego: usize| {
             let relation = self.vocabulary.action(action);
             relation.is_some_and(|relation| frame.set(dense, relation).is_some_and(|set| has(set, ego)))
         };
         let derived = |&ego: &usize| Speed::ALL.into_iter().filter(|&action| holds(action, ego)).collect();
-        scene.egos.iter().map(derived).collect()
+        Ok(scene.egos.iter().map(derived).collect())
+    }
+}
+
+/// Facts about pairs, and now and then the question whether to give up.
+struct Asking<'a, const W: usize> {
+    facts: &'a BitFacts<W>,
+    stop: &'a dyn Fn() -> bool,
+    looks: Cell<u32>,
+    stopped: Cell<bool>,
+}
+
+impl<const W: usize> Pairs<W> for Asking<'_, W> {
+    #[inline]
+    fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
+        self.facts.narrow(list, at, among)
+    }
+
+    #[inline]
+    fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
+        self.facts.any(lists, demand, among)
+    }
+
+    #[inline]
+    fn stopped(&self) -> bool {
+        self.looks.set(self.looks.get().wrapping_add(1));
+        if self.looks.get().is_multiple_of(1024) && (self.stop)() {
+            self.stopped.set(true);
+        }
+        self.stopped.get()
     }
 }
 
@@ -438,6 +506,11 @@ impl GroundState {
     /// Makes `facts` the true ones: inserts and retracts the difference from those before, and commits. If that fails, all is
     /// as before.
     pub fn set(&mut self, facts: &Facts) -> Result<(), EvalError> {
+        self.set_until(facts, &|| false)
+    }
+
+    /// The same, given up when `stop` says so; see [`Session::commit_until`].
+    pub fn set_until(&mut self, facts: &Facts, stop: &dyn Fn() -> bool) -> Result<(), EvalError> {
         for (index, relation) in self.relations.iter().enumerate() {
             let Some((relation, arity)) = *relation else { continue };
             let (old, new) = (&self.facts.rows[index], &facts.rows[index]);
@@ -455,7 +528,7 @@ impl GroundState {
                     .expect("bound relations fit");
             }
         }
-        if let Err(error) = self.session.commit() {
+        if let Err(error) = self.session.commit_until(stop) {
             self.session.rollback();
             return Err(error);
         }

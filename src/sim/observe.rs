@@ -7,32 +7,23 @@
 //! when an action is judged: of the four action predicates just this one holds, of the ego, in the bodies of all clauses. What the
 //! others do next nobody can observe, so no action holds of them there.
 
-use super::executor::compile;
-use super::ground::{Chance, Facts};
+use super::ground::Chance;
 use super::infer::{Draws, GroundState};
+use super::judge::{Atoms, Demand, Judge, Observed, Verdict};
 use super::simulation::Simulation;
-use super::vocabulary::{Actions, Vocabulary};
+use super::vocabulary::Actions;
 use super::window::{Body, Reach, Relation, holds_of, views};
 use super::world::World;
-use crate::city::{Agent, Cell, View};
-use crate::config::{Definition, Speed};
+use crate::city::{Cell, View};
+use crate::config::{AgentKind, Definition, Speed};
 use crate::diag::Diagnostic;
-use crate::engine::dense::{Axis, Counting, Dense, Frame, Input, List, Pairs, Set, first, has, members};
-use crate::engine::{Program, Session};
-use crate::lang::{self, ClauseId, Literal, RelId, Rules, Value};
+use crate::engine::Session;
+use crate::engine::dense::members;
+use crate::lang::Value;
 use std::sync::Arc;
 
 /// The most entities that are observed.
 pub const OBSERVED_MAX: usize = 64;
-
-/// A clause that asks an action of an agent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Demand {
-    /// The clause.
-    pub clause: ClauseId,
-    /// The action of its head.
-    pub action: Speed,
-}
 
 /// What the rules say of one agent and what it observes. Immutable, shared by every [`Observer`].
 #[derive(Debug)]
@@ -40,14 +31,10 @@ pub struct Oracle {
     world: Arc<World>,
     /// How many entities are observed.
     entities: usize,
-    demands: Vec<Demand>,
     /// By predicate of the vocabulary.
     how: Vec<How>,
     views: [Reach; 5],
-    /// What the rules derive.
-    wanted: Evaluator,
-    /// Which bodies hold if the ego's action is given.
-    judged: Evaluator,
+    judge: Judge,
 }
 
 /// How a predicate is computed.
@@ -57,115 +44,6 @@ enum How {
     AtIntersection,
     InIntersection,
     Pair(Relation),
-}
-
-/// Rules, ready to be evaluated.
-#[derive(Debug)]
-enum Evaluator {
-    Dense(Box<DenseRules>),
-    Relational {
-        program: Program,
-        /// With its number of columns, by predicate of the vocabulary and then by action that is given.
-        relations: Vec<Option<(RelId, usize)>>,
-    },
-}
-
-#[derive(Debug)]
-struct DenseRules {
-    dense: Dense,
-    /// Of the predicate that is an input of the program: its place among those of the vocabulary and then the actions that are given.
-    inputs: Vec<Option<(usize, bool)>>,
-    lists: Vec<(Option<usize>, Axis)>,
-}
-
-/// The rules with the actions in all bodies replaced by predicates that are given, which come last.
-fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option<RelId>; 4]) {
-    let mut rules = rules.clone();
-    let given = Speed::ALL.map(|speed| {
-        let action = vocabulary.action(speed)?;
-        let place = RelId(u32::try_from(rules.relations.len()).expect("fewer than 2^32 predicates"));
-        let relation = lang::Relation {
-            name: format!("+given {}", speed.name()),
-            doc: format!("the action `{}` that is given", speed.name()),
-            input: true,
-            given: None,
-            output: false,
-            printsize: false,
-            derived: false,
-            hidden: true,
-            directives: Vec::new(),
-            ..rules.relations[action.index()].clone()
-        };
-        rules.relations.push(relation);
-        Some((action, place))
-    });
-    for literal in rules.clauses.iter_mut().flat_map(|clause| &mut clause.body) {
-        let (Literal::Positive(atom)
-        | Literal::Negative(atom)
-        | Literal::Guard(atom)
-        | Literal::Aggregate { atom, .. }) = literal
-        else {
-            continue;
-        };
-        if let Some((_, place)) = given.iter().flatten().find(|(action, _)| *action == atom.relation) {
-            atom.relation = *place;
-        }
-    }
-    (rules, given.map(|given| given.map(|(_, place)| place)))
-}
-
-/// The clauses that ask an action. The default is none: a clause for it that looks only at the other actions and the ego itself.
-fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<Demand> {
-    let action_of = |relation| (Speed::ALL.into_iter()).find(|&speed| vocabulary.action(speed) == Some(relation));
-    let sees = vocabulary.predicates[vocabulary.sees].relation;
-    let is_default = |clause: &lang::Clause| {
-        clause.body.iter().all(|literal| match literal {
-            Literal::Negative(atom) => action_of(atom.relation).is_some() && atom.terms == clause.head.terms,
-            Literal::Positive(atom) | Literal::Guard(atom) => {
-                Some(atom.relation) == sees && atom.terms.iter().all(|term| Some(term) == clause.head.terms.first())
-            }
-            _ => false,
-        })
-    };
-    let demand = |(position, clause): (u32, &lang::Clause)| {
-        let action = action_of(clause.head.relation)?;
-        let default = action == vocabulary.default_action() && is_default(clause);
-        (!clause.body.is_empty() && !default).then_some(Demand {
-            clause: ClauseId(position),
-            action,
-        })
-    };
-    (0..).zip(&rules.clauses).filter_map(demand).collect()
-}
-
-impl Evaluator {
-    fn new(program: Program, vocabulary: &Vocabulary, given: [Option<RelId>; 4], counting: Counting) -> Evaluator {
-        let Ok(dense) = compile(&program, vocabulary, counting) else {
-            let predicates = vocabulary.predicates.iter();
-            let predicates = predicates.map(|predicate| predicate.relation.map(|relation| (relation, predicate.arity)));
-            let given = given.into_iter().map(|relation| relation.map(|relation| (relation, 1)));
-            return Evaluator::Relational {
-                program,
-                relations: predicates.chain(given).collect(),
-            };
-        };
-        let bound = vocabulary.predicates.iter().map(|predicate| predicate.relation);
-        let bound: Vec<Option<RelId>> = bound.chain(given).collect();
-        let place = |relation: RelId| bound.iter().position(|bound| *bound == Some(relation));
-        let input = |input: &Input| match *input {
-            Input::Unary(relation) => place(relation).map(|place| (place, false)),
-            Input::Diagonal(relation) => place(relation).map(|place| (place, true)),
-        };
-        Evaluator::Dense(Box::new(DenseRules {
-            inputs: dense.inputs().iter().map(input).collect(),
-            lists: dense
-                .lists()
-                .iter()
-                .map(|&List(relation, axis)| (place(relation), axis))
-                .collect(),
-            dense,
-        }))
-    }
 }
 
 impl Oracle {
@@ -178,8 +56,7 @@ impl Oracle {
     /// If the entities are none or more than [`OBSERVED_MAX`].
     pub fn new(world: Arc<World>, entities: usize) -> Result<Oracle, Diagnostic> {
         assert!((1..=OBSERVED_MAX).contains(&entities), "{entities} entities");
-        let (rules, vocabulary) = (world.program.rules(), &world.vocabulary);
-        let (judged, given) = with_actions_given(rules, vocabulary);
+        let vocabulary = &world.vocabulary;
         let how = |(position, definition): (usize, &Definition)| match definition {
             Definition::Kind(_) | Definition::Concept { .. } => How::Steady(definition.clone()),
             Definition::AtIntersection => How::AtIntersection,
@@ -189,11 +66,9 @@ impl Oracle {
         let definitions = vocabulary.predicates.iter().map(|predicate| &predicate.definition);
         Ok(Oracle {
             entities,
-            demands: demands(rules, vocabulary),
             how: definitions.enumerate().map(how).collect(),
             views: views(world.scenario.view),
-            wanted: Evaluator::new(world.program.clone(), vocabulary, [None; 4], Counting::Off),
-            judged: Evaluator::new(Program::new(judged)?, vocabulary, given, Counting::Each),
+            judge: Judge::new(&world.program, vocabulary)?,
             world,
         })
     }
@@ -210,12 +85,15 @@ impl Oracle {
 
     /// The clauses that ask an action, in the order of the text. The default is not among them.
     pub fn demands(&self) -> &[Demand] {
-        &self.demands
+        self.judge.demands()
     }
 
-    fn sees(&self, ego: &Body, at: Cell) -> bool {
-        let reach = self.views[ego.heading.map_or(0, |heading| heading as usize + 1)];
-        View::around(ego.at, reach).contains(at)
+    /// What the ego sees.
+    fn view(&self, ego: &Body) -> View {
+        View::around(
+            ego.at,
+            self.views[ego.heading.map_or(0, |heading| heading as usize + 1)],
+        )
     }
 
     /// How many numbers [`Observer::write`] writes: for each predicate, `Sees` left out, one for each entity or pair of entities.
@@ -246,155 +124,33 @@ pub struct Observer {
     ego: usize,
     /// For each agent a bit for each predicate that depends on what it is, `words` words.
     steady: Vec<u64>,
+    /// What the agents were when `steady` was computed.
+    like: Vec<(AgentKind, Arc<[String]>)>,
     words: usize,
     /// The observed entities, the ego first.
     bodies: Vec<Body>,
     atoms: Atoms,
-    wanted: State,
-    judged: State,
+    verdict: Verdict,
     broken: Vec<usize>,
-}
-
-/// The facts about up to 64 entities.
-#[derive(Clone, Debug, Default)]
-struct Atoms {
-    /// By predicate of the vocabulary, and then by action that is given: the entities of which it holds.
-    unary: Vec<u64>,
-    /// For each predicate [`OBSERVED_MAX`] sets or as many as there are entities at most: what it relates the first entity to, the second, ...
-    rows: Vec<u64>,
-    entities: usize,
-}
-
-enum State {
-    Dense(Box<Frame<1>>),
-    Relational(Option<Box<GroundState>>),
-}
-
-impl Atoms {
-    fn row(&self, predicate: usize, entity: usize) -> u64 {
-        self.rows[predicate * self.entities + entity]
-    }
-}
-
-/// Answers what a dense program asks about pairs.
-struct Related<'a> {
-    atoms: &'a Atoms,
-    lists: &'a [(Option<usize>, Axis)],
-}
-
-impl Pairs<1> for Related<'_> {
-    #[inline]
-    fn narrow(&self, list: usize, at: usize, among: Set<1>) -> Set<1> {
-        match self.lists[list] {
-            (None, _) => [0],
-            (Some(predicate), Axis::Second) => [among[0] & self.atoms.row(predicate, at)],
-            (Some(predicate), Axis::First) => {
-                let related = |first: &usize| self.atoms.row(predicate, *first) >> at & 1 != 0;
-                [members(&among).filter(related).fold(0, |set, first| set | 1 << first)]
-            }
-        }
-    }
-}
-
-impl State {
-    fn new(evaluator: &Evaluator) -> State {
-        match evaluator {
-            Evaluator::Dense(rules) => State::Dense(Box::new(Frame::new(&rules.dense, 0))),
-            Evaluator::Relational { .. } => State::Relational(None),
-        }
-    }
-
-    /// Evaluates the rules on the facts.
-    fn run(&mut self, evaluator: &Evaluator, observed: Observed<'_>) -> Result<(), Diagnostic> {
-        let atoms = observed.atoms;
-        match (self, evaluator) {
-            (State::Dense(frame), Evaluator::Dense(rules)) => {
-                let count = observed.bodies.len();
-                if frame.count() != count {
-                    frame.reset(&rules.dense, count);
-                    if rules.dense.is_local() {
-                        frame.set_egos(first(1));
-                    }
-                }
-                for (input, source) in rules.inputs.iter().enumerate() {
-                    let set = match *source {
-                        None => 0,
-                        Some((predicate, false)) => atoms.unary[predicate],
-                        Some((predicate, true)) => {
-                            (0..count).fold(0, |set, at| set | atoms.row(predicate, at) & 1 << at)
-                        }
-                    };
-                    frame.set_input(&rules.dense, input, [set]);
-                }
-                let lists = &rules.lists;
-                frame.run(&rules.dense, &Related { atoms, lists });
-                Ok(())
-            }
-            (State::Relational(state), Evaluator::Relational { program, relations }) => {
-                let state = state.get_or_insert_with(|| {
-                    let names: Vec<String> = observed.agents.iter().map(|agent| agent.name().to_string()).collect();
-                    let names = names.iter().map(String::as_str);
-                    Box::new(GroundState::over(program, relations.clone(), names))
-                });
-                let facts = observed.facts(relations.len());
-                state.set(&facts).map_err(|error| error.diagnostic(program.rules()))
-            }
-            _ => unreachable!("a state is made for its evaluator"),
-        }
-    }
-}
-
-/// What a state is set from.
-#[derive(Clone, Copy)]
-struct Observed<'a> {
-    atoms: &'a Atoms,
-    bodies: &'a [Body],
-    agents: &'a [Agent],
-}
-
-impl<'a> Observed<'a> {
-    fn new(atoms: &'a Atoms, bodies: &'a [Body], city: &'a Simulation) -> Self {
-        Observed {
-            atoms,
-            bodies,
-            agents: city.agents(),
-        }
-    }
-
-    /// The facts by their positions in the list of agents.
-    fn facts(&self, predicates: usize) -> Facts {
-        let agent = |entity: usize| self.bodies[entity].agent;
-        let rows = (0..predicates).map(|predicate| {
-            let alone = members(&[self.atoms.unary[predicate]]).map(|entity| [agent(entity), 0]);
-            let pairs = (0..self.bodies.len())
-                .filter(|_| (predicate + 1) * self.atoms.entities <= self.atoms.rows.len())
-                .flat_map(|x| members(&[self.atoms.row(predicate, x)]).map(move |y| (x, y)));
-            let mut rows: Vec<[u32; 2]> = alone.chain(pairs.map(|(x, y)| [agent(x), agent(y)])).collect();
-            rows.sort_unstable();
-            rows
-        });
-        Facts { rows: rows.collect() }
-    }
 }
 
 impl Observer {
     /// Observes for one agent, by its position in the list. [`Observer::begin`] comes next.
     pub fn new(oracle: Arc<Oracle>, ego: usize) -> Observer {
         let predicates = oracle.how.len();
-        let unary = vec![0; predicates + Speed::ALL.len()];
         Observer {
             ego,
             steady: Vec::new(),
+            like: Vec::new(),
             words: predicates.div_ceil(64),
             bodies: Vec::with_capacity(oracle.entities),
             atoms: Atoms {
-                unary,
+                unary: vec![0; predicates],
                 rows: vec![0; predicates * oracle.entities],
                 entities: oracle.entities,
             },
-            wanted: State::new(&oracle.wanted),
-            judged: State::new(&oracle.judged),
-            broken: Vec::with_capacity(oracle.demands.len()),
+            verdict: Verdict::new(&oracle.judge),
+            broken: Vec::with_capacity(oracle.demands().len()),
             oracle,
         }
     }
@@ -416,9 +172,27 @@ impl Observer {
 
     /// Takes note of what the agents of a city are. They may have changed since the last time if the city was restarted.
     pub fn begin(&mut self, city: &Simulation) {
-        self.steady.clear();
-        self.steady.resize(city.agents().len() * self.words, 0);
-        for (agent, words) in city.agents().iter().zip(self.steady.chunks_exact_mut(self.words)) {
+        self.verdict.forget();
+        let agents = city.agents();
+        if self.like.len() != agents.len() {
+            self.like.clear();
+            self.steady.resize(agents.len() * self.words, 0);
+        }
+        for (position, agent) in agents.iter().enumerate() {
+            // Nearly all are what they were: then their concepts are the very same.
+            let as_before = |(kind, concepts): &(AgentKind, Arc<[String]>)| {
+                *kind == agent.kind && Arc::ptr_eq(concepts, &agent.concepts)
+            };
+            if self.like.get(position).is_some_and(as_before) {
+                continue;
+            }
+            let is = (agent.kind, Arc::clone(&agent.concepts));
+            match self.like.get_mut(position) {
+                Some(like) => *like = is,
+                None => self.like.push(is),
+            }
+            let words = &mut self.steady[position * self.words..][..self.words];
+            words.fill(0);
             for (predicate, how) in self.oracle.how.iter().enumerate() {
                 if let How::Steady(definition) = how
                     && holds_of(definition, agent.kind, &agent.concepts)
@@ -443,15 +217,17 @@ impl Observer {
         let (oracle, map) = (&*self.oracle, self.oracle.world.map());
         self.bodies.clear();
         let ego = Body::new(map, self.ego, &city.agents()[self.ego]);
+        let view = oracle.view(&ego);
         self.bodies.push(ego);
         for (position, agent) in city.agents().iter().enumerate() {
             if self.bodies.len() == oracle.entities {
                 break;
             }
-            if position != self.ego && oracle.sees(&ego, agent.cell) {
+            if view.contains(agent.cell) && position != self.ego {
                 self.bodies.push(Body::new(map, position, agent));
             }
         }
+        self.verdict.forget();
         self.compute(chance);
     }
 
@@ -460,6 +236,7 @@ impl Observer {
         let (oracle, bodies) = (&*self.oracle, &self.bodies);
         let unary = &mut self.atoms.unary;
         unary.fill(0);
+        self.atoms.rows.fill(0);
         for (entity, body) in bodies.iter().enumerate() {
             let of = &self.steady[body.agent as usize * self.words..][..self.words];
             for predicate in of
@@ -480,13 +257,8 @@ impl Observer {
                 How::AtIntersection => unary[predicate] = collect(|body| body.junction.is_at(body.kind)),
                 How::InIntersection => unary[predicate] = collect(|body| body.junction.is_inside()),
                 How::Pair(relation) => {
-                    for (first, x) in bodies.iter().enumerate() {
-                        let mut row = 0;
-                        for (second, y) in bodies.iter().enumerate() {
-                            row |= u64::from(relation.holds(&oracle.views, chance, x, y)) << second;
-                        }
-                        self.atoms.rows[predicate * self.atoms.entities + first] = row;
-                    }
+                    let rows = &mut self.atoms.rows[predicate * self.atoms.entities..][..bodies.len()];
+                    relation.relate(&oracle.views, chance, bodies, rows);
                 }
             }
         }
@@ -500,28 +272,25 @@ impl Observer {
     /// If there is not room for [`Oracle::width`] numbers.
     pub fn write(&self, out: &mut [f32]) {
         let (n, sees) = (self.oracle.entities, self.oracle.world.vocabulary.sees);
-        let out = &mut out[..self.oracle.width()];
-        out.fill(0.0);
-        let mut base = 0;
-        for (predicate, how) in self
-            .oracle
-            .how
-            .iter()
-            .enumerate()
-            .filter(|(predicate, _)| *predicate != sees)
-        {
-            if let How::Pair(_) = how {
-                for first in 0..self.bodies.len() {
-                    for second in members(&[self.atoms.row(predicate, first)]) {
-                        out[base + n * first + second] = 1.0;
+        let mut rest = &mut out[..self.oracle.width()];
+        let mut next = |bits| {
+            let (row, after) = std::mem::take(&mut rest).split_at_mut(n);
+            spread(bits, row);
+            rest = after;
+        };
+        for (predicate, how) in self.oracle.how.iter().enumerate() {
+            match how {
+                _ if predicate == sees => {}
+                How::Pair(_) => {
+                    for first in 0..n {
+                        next(if first < self.bodies.len() {
+                            self.atoms.row(predicate, first)
+                        } else {
+                            0
+                        });
                     }
                 }
-                base += n * n;
-            } else {
-                for entity in members(&[self.atoms.unary[predicate]]) {
-                    out[base + entity] = 1.0;
-                }
-                base += n;
+                _ => next(self.atoms.unary[predicate]),
             }
         }
     }
@@ -566,9 +335,10 @@ impl Observer {
             }
         };
         let ego = Body::new(oracle.world.map(), self.ego, &city.agents()[self.ego]);
+        let view = oracle.view(&ego);
         write(&ego, ego.at);
         for (position, agent) in city.agents().iter().enumerate() {
-            if position != self.ego && oracle.sees(&ego, agent.cell) {
+            if position != self.ego && view.contains(agent.cell) {
                 write(&Body::new(oracle.world.map(), position, agent), ego.at);
             }
         }
@@ -602,8 +372,9 @@ impl Observer {
         let world = &self.oracle.world;
         let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
         let mut state = GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str));
-        let observed = Observed::new(&self.atoms, &self.bodies, city);
-        (state.set(&observed.facts(self.oracle.how.len()))).map_err(|error| error.diagnostic(world.program.rules()))?;
+        let facts = observed(&self.atoms, &self.bodies, city).facts(self.oracle.how.len());
+        let set = state.set_until(&facts, city.stop());
+        set.map_err(|error| error.diagnostic(world.program.rules()))?;
         let (session, values) = state.into_parts();
         Ok((session, values[self.ego]))
     }
@@ -613,22 +384,9 @@ impl Observer {
     /// # Errors
     /// `limit-exceeded` for rules that derive too much.
     pub fn derived(&mut self, city: &Simulation) -> Result<Actions, Diagnostic> {
-        let oracle = &*self.oracle;
-        self.atoms.unary[oracle.how.len()..].fill(0);
-        let observed = Observed::new(&self.atoms, &self.bodies, city);
-        self.wanted.run(&oracle.wanted, observed)?;
-        let vocabulary = &oracle.world.vocabulary;
-        let derived = match (&self.wanted, &oracle.wanted) {
-            (State::Dense(frame), Evaluator::Dense(rules)) => {
-                let holds = |speed: &Speed| {
-                    let relation = vocabulary.action(*speed);
-                    relation.is_some_and(|action| frame.set(&rules.dense, action).is_some_and(|set| has(set, 0)))
-                };
-                Speed::ALL.into_iter().filter(holds).collect()
-            }
-            (State::Relational(Some(state)), _) => state.derived(vocabulary, self.ego),
-            _ => unreachable!("it has been evaluated"),
-        };
+        let (oracle, vocabulary) = (&*self.oracle, &self.oracle.world.vocabulary);
+        let observed = observed(&self.atoms, &self.bodies, city);
+        let derived = self.verdict.derived(&oracle.judge, vocabulary, observed)?;
         Ok(vocabulary.before_default(derived))
     }
 
@@ -638,27 +396,62 @@ impl Observer {
     /// # Errors
     /// `limit-exceeded` for rules that derive too much.
     pub fn broken(&mut self, city: &Simulation, action: Speed) -> Result<&[usize], Diagnostic> {
-        let oracle = &*self.oracle;
-        let given = &mut self.atoms.unary[oracle.how.len()..];
-        given.fill(0);
-        given[action as usize] = 1;
-        let observed = Observed::new(&self.atoms, &self.bodies, city);
-        self.judged.run(&oracle.judged, observed)?;
-        self.broken.clear();
-        let (judged, ego) = (&self.judged, self.ego);
-        let holds = |clause: ClauseId| match (judged, &oracle.judged) {
-            (State::Dense(frame), Evaluator::Dense(rules)) => {
-                frame.fired(&rules.dense, clause).is_some_and(|set| has(set, 0))
-            }
-            (State::Relational(Some(state)), _) => {
-                let value = state.value(ego);
-                state.session().fired(clause).iter().any(|row| row[0] == value)
-            }
-            _ => unreachable!("it has been evaluated"),
-        };
-        let demands = oracle.demands.iter().enumerate();
-        let broken = demands.filter(|(_, demand)| demand.action != action && holds(demand.clause));
-        self.broken.extend(broken.map(|(position, _)| position));
+        let observed = observed(&self.atoms, &self.bodies, city);
+        self.verdict
+            .broken(&self.oracle.judge, observed, action, &mut self.broken)?;
         Ok(&self.broken)
+    }
+}
+
+fn observed<'a>(atoms: &'a Atoms, bodies: &'a [Body], city: &'a Simulation) -> Observed<'a> {
+    Observed {
+        atoms,
+        bodies,
+        agents: city.agents(),
+        given: None,
+        stop: city.stop(),
+    }
+}
+
+/// The numbers of four bits.
+const FOUR_BITS: [[f32; 4]; 16] = {
+    let mut numbers = [[0.0; 4]; 16];
+    let mut bits = 0;
+    while bits < 64 {
+        if ((bits / 4) >> (bits % 4)) & 1 != 0 {
+            numbers[bits / 4][bits % 4] = 1.0;
+        }
+        bits += 1;
+    }
+    numbers
+};
+
+/// Writes 1 for each bit that is set and 0 for the others, the lowest first. Without branches: which are set is hard to guess.
+fn spread(mut bits: u64, out: &mut [f32]) {
+    let (fours, rest) = out.as_chunks_mut::<4>();
+    for four in fours {
+        *four = FOUR_BITS[(bits & 15) as usize];
+        bits >>= 4;
+    }
+    for (at, number) in rest.iter_mut().enumerate() {
+        *number = FOUR_BITS[(bits & 15) as usize][at];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::{Purpose, RngExt, Seed};
+
+    #[test]
+    fn bits_are_spread_in_order() {
+        let mut random = Seed(1).stream(Purpose::Scene, 0, 0);
+        for width in 0..=OBSERVED_MAX {
+            let bits: u64 = random.random();
+            let mut numbers = vec![0.5; width];
+            spread(bits, &mut numbers);
+            let expected: Vec<f32> = (0..width).map(|at| f32::from((bits >> at & 1) as u8)).collect();
+            assert_eq!(numbers, expected);
+        }
     }
 }

@@ -1,12 +1,13 @@
 //! A trace read again: the state of every tick, as facts of a session.
 
-use super::ground::{Chance, Entity, ground};
+use super::ground::{Chance, Entity, Facts, ground};
 use super::infer::GroundState;
+use super::simulation::Moment;
 use super::trace::TRACE_VERSION;
 use super::vocabulary::Actions;
 use super::world::World;
 use crate::city::{Cell, Heading};
-use crate::config::AgentKind;
+use crate::config::{AgentKind, Speed};
 use crate::diag::{Code, Diagnostic};
 use crate::engine::Session;
 use crate::lang::Value;
@@ -25,6 +26,10 @@ pub struct TraceHeader {
     pub config_file: Option<String>,
     /// Stands for the content of the configuration.
     pub config_hash: String,
+    /// Name of the split.
+    pub split: String,
+    /// Seed of the run.
+    pub seed: u64,
     /// The file of the rules.
     pub rules: String,
     /// Stands for the rules and all they include.
@@ -38,11 +43,13 @@ pub struct TraceHeader {
 pub struct TraceAgent {
     /// Its name.
     pub id: String,
+    /// Name of its type.
     #[serde(rename = "type")]
-    kind: String,
+    pub kind: String,
     /// Names of its concepts.
     pub concepts: Vec<String>,
-    priority: i32,
+    /// Its priority.
+    pub priority: i32,
 }
 
 /// A tick of a trace.
@@ -64,10 +71,38 @@ pub struct TraceState {
     pub at: [i32; 2],
     /// Direction of the last move.
     pub heading: Option<String>,
+    /// Where it was going.
+    pub goal: [i32; 2],
     /// Names of the actions that were derived before the default.
     pub derived: Vec<String>,
     /// Name of the action.
     pub action: String,
+    /// The clauses that fired: positions in [`World::clauses`].
+    pub clauses: Vec<usize>,
+    /// Where it was afterwards.
+    pub next: [i32; 2],
+}
+
+impl TraceState {
+    /// The heading.
+    ///
+    /// # Errors
+    /// `invalid-trace`, without a place.
+    pub fn heading(&self) -> Result<Option<Heading>, Diagnostic> {
+        let named = |name: &String| {
+            Heading::from_name(name).ok_or_else(|| invalid(format!("`{name}` is not the name of a heading")))
+        };
+        self.heading.as_ref().map(named).transpose()
+    }
+
+    /// The action.
+    ///
+    /// # Errors
+    /// `invalid-trace`, without a place.
+    pub fn action(&self) -> Result<Speed, Diagnostic> {
+        let known = Speed::ALL.into_iter().find(|speed| speed.name() == self.action);
+        known.ok_or_else(|| invalid(format!("`{}` is not the name of an action", self.action)))
+    }
 }
 
 fn invalid(message: impl Into<String>) -> Diagnostic {
@@ -110,6 +145,7 @@ pub struct Replay {
     kinds: Vec<AgentKind>,
     positions: HashMap<String, usize>,
     state: GroundState,
+    facts: Facts,
 }
 
 impl Replay {
@@ -136,6 +172,7 @@ impl Replay {
             agents: header.agents.clone(),
             kinds,
             positions,
+            facts: Facts::default(),
             world,
         })
     }
@@ -160,13 +197,7 @@ impl Replay {
             if !map.contains(at) {
                 return Err(invalid(format!("`{}` at [{row}, {col}] is not on the map", agent.id)));
             }
-            let heading = match &state.heading {
-                None => None,
-                Some(name) => Some(
-                    Heading::from_name(name)
-                        .ok_or_else(|| invalid(format!("`{name}` of `{}` is not a heading", agent.id)))?,
-                ),
-            };
+            let heading = state.heading()?;
             entities.push(Entity {
                 kind,
                 concepts: &agent.concepts,
@@ -194,7 +225,27 @@ impl Replay {
             facts.rows[index].sort_unstable();
             facts.rows[index].dedup();
         }
-        (self.state.set(&facts)).map_err(|error| Diagnostic::new(Code::LimitExceeded, error.to_string()))
+        (self.state.set(&facts)).map_err(|error| Diagnostic::new(Code::LimitExceeded, error.to_string()))?;
+        self.facts = facts;
+        Ok(())
+    }
+
+    /// The base facts of that state, by the predicates of the vocabulary.
+    pub fn facts(&self) -> &Facts {
+        &self.facts
+    }
+
+    /// The state as a whole.
+    pub fn moment(&self) -> Moment<'_> {
+        Moment {
+            world: &self.world,
+            state: &self.state,
+        }
+    }
+
+    /// What the agents are, in the order of the header.
+    pub fn kinds(&self) -> &[AgentKind] {
+        &self.kinds
     }
 
     /// What the rules derive from that state.

@@ -1,13 +1,13 @@
 //! The tick: all agents decide on the same state, then all move.
 
 use super::executor::{Choice, Crowd, Decisions, Executor, WHOLE_MAX};
-use super::ground::{Entity, Facts, ground};
+use super::ground::{Entity, Facts, ground_until};
 use super::infer::{Draws, GroundState};
 use super::scene::MAX_ENTITIES;
 use super::vocabulary::Actions;
 use super::window::Position;
 use super::world::World;
-use crate::city::{Agent, Cell, Heading, Moved, Places, Reason, Surroundings, advance, place_agents};
+use crate::city::{Agent, Cell, Heading, Moved, Places, Reason, Surroundings, advance, place_agents_until};
 use crate::config::{Speed, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::engine::Session;
@@ -39,6 +39,9 @@ impl Default for Settings {
     }
 }
 
+/// Asked now and then in long work whether to give it up, on any thread that takes part. To be asked often, so it should be cheap.
+pub type Stop = Arc<dyn Fn() -> bool + Send + Sync>;
+
 /// A city in motion. The same world, split and seed give the same ticks.
 pub struct Simulation {
     world: Arc<World>,
@@ -64,6 +67,7 @@ pub struct Simulation {
     /// The clauses whose firings can be counted: all with a body, hidden ones left out.
     clauses: Vec<ClauseId>,
     threads: Option<ThreadPool>,
+    stop: Stop,
 }
 
 /// What happened in a tick.
@@ -107,8 +111,8 @@ impl Phase {
 /// The state on which the last tick was decided, as facts of a session.
 #[derive(Clone, Copy)]
 pub struct Moment<'a> {
-    world: &'a World,
-    state: &'a GroundState,
+    pub(super) world: &'a World,
+    pub(super) state: &'a GroundState,
 }
 
 impl<'a> Moment<'a> {
@@ -141,6 +145,20 @@ impl Simulation {
     /// [`MAX_ENTITIES`] agents, since its facts about pairs of them take memory in the square of their number, or the dense one is
     /// to evaluate rules that it cannot.
     pub fn new(world: Arc<World>, split: Split, seed: Seed, settings: Settings) -> Result<Simulation, Diagnostic> {
+        Simulation::new_until(world, split, seed, settings, Arc::new(|| false))
+    }
+
+    /// The same. Long work, this and all that follows, is given up when `stop` says so: with `limit-exceeded`, the city being as before.
+    ///
+    /// # Errors
+    /// As [`Simulation::new`].
+    pub fn new_until(
+        world: Arc<World>,
+        split: Split,
+        seed: Seed,
+        settings: Settings,
+        stop: Stop,
+    ) -> Result<Simulation, Diagnostic> {
         let scenario = &world.scenario;
         let set = scenario.agent_set(split).ok_or_else(|| {
             let message = format!("the configuration `{}` has no split `{}`", scenario.name, split.name());
@@ -148,16 +166,9 @@ impl Simulation {
             Diagnostic::new(Code::UnknownSplit, message).help(format!("it has: {}", known.join(", ")))
         })?;
         let places = world.places(split, set);
-        let agents = place_agents(set, &world.router, &places, seed)?;
-        let rules = world.program.rules();
-        let counted = |clause: &ClauseId| {
-            let clause = &rules.clauses[clause.index()];
-            !clause.body.is_empty() && !rules.relations[clause.head.relation.index()].hidden
-        };
-        let clauses: Vec<ClauseId> = (0..rules.clauses.len())
-            .map(|index| ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")))
-            .filter(counted)
-            .collect();
+        let mut agents = Vec::with_capacity(set.len());
+        place_agents_until(&mut agents, set, &world.router, &places, seed, &*stop)?;
+        let clauses: Vec<ClauseId> = world.clauses().collect();
         let to_count: &[ClauseId] = if settings.count_firings { &clauses } else { &[] };
         // Fewer agents are decided about faster than threads are woken.
         let threads = match agents.len() > WHOLE_MAX {
@@ -205,23 +216,23 @@ impl Simulation {
             report,
             clauses,
             threads: pool,
+            stop,
             world,
         })
     }
 
-    /// Starts a new run with other agents, as many and named alike: tick 0 with this seed, as a new simulation with them would.
+    /// Starts a new run with other agents, as many and named alike: tick 0 with this seed, as a new simulation with them would. Those
+    /// of before take their places in the list.
     ///
     /// # Panics
     /// If they are more or fewer than before, or named otherwise.
-    pub fn restart(&mut self, seed: Seed, agents: impl IntoIterator<Item = Agent>) {
-        let mut count = 0;
-        for (position, agent) in agents.into_iter().enumerate() {
-            assert!(agent.name() == self.agents[position].name(), "agents named otherwise");
-            self.positions[position] = Position::of(&agent);
-            self.agents[position] = agent;
-            count += 1;
+    pub fn restart(&mut self, seed: Seed, agents: &mut Vec<Agent>) {
+        assert!(agents.len() == self.agents.len(), "more or fewer agents");
+        std::mem::swap(&mut self.agents, agents);
+        for ((agent, before), position) in self.agents.iter().zip(agents).zip(&mut self.positions) {
+            assert!(agent.name() == before.name(), "agents named otherwise");
+            *position = Position::of(agent);
         }
-        assert!(count == self.agents.len(), "fewer agents");
         self.seed = seed;
         (self.tick, self.stated) = (0, None);
         if let Some(crowd) = &mut self.crowd {
@@ -234,22 +245,27 @@ impl Simulation {
         }
     }
 
-    /// Places the agents of the split as a new simulation with this seed would.
+    /// Places the agents of the split as a new simulation with this seed would, in a list of other agents, whose memory is used again.
     ///
     /// # Errors
     /// `no-start-cell`, `no-route`.
-    pub fn draw_agents(&self, seed: Seed) -> Result<Vec<Agent>, Diagnostic> {
+    pub fn draw_agents(&self, seed: Seed, agents: &mut Vec<Agent>) -> Result<(), Diagnostic> {
         let set = self
             .world
             .scenario
             .agent_set(self.split)
             .expect("the simulation was made for it");
-        place_agents(set, &self.world.router, &self.places, seed)
+        place_agents_until(agents, set, &self.world.router, &self.places, seed, &*self.stop)
     }
 
     /// Where agents start and arrive.
     pub fn places(&self) -> &Places {
         &self.places
+    }
+
+    /// Whether to give up long work on it.
+    pub fn stop(&self) -> &dyn Fn() -> bool {
+        &*self.stop
     }
 
     /// What does not change.
@@ -443,10 +459,11 @@ impl Simulation {
         let entities: Vec<Entity<'_>> = self.agents.iter().map(entity).collect();
         let (vocabulary, view) = (&world.vocabulary, world.scenario.view);
         let unread = |index: usize| !vocabulary.is_read(index);
-        let facts = ground(vocabulary, world.map(), view, &entities, &draws, unread);
+        let facts = ground_until(vocabulary, world.map(), view, &entities, &draws, unread, self.stop());
+        let facts = facts.ok_or_else(Diagnostic::interrupted)?;
         let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
         state
-            .set(&facts)
+            .set_until(&facts, &*self.stop)
             .map_err(|error| error.diagnostic(self.world.program.rules()))?;
         self.stated = Some(draws.time);
         self.decisions.clear();
@@ -485,10 +502,10 @@ impl Simulation {
                 );
                 return Err(Diagnostic::new(Code::LimitExceeded, message));
             }
-            let facts = self.facts(|index| self.world.vocabulary.is_read(index));
+            let facts = self.facts_until(|index| self.world.vocabulary.is_read(index), self.stop())?;
             let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
             state
-                .set(&facts)
+                .set_until(&facts, &*self.stop)
                 .map_err(|error| error.diagnostic(self.world.program.rules()))?;
             self.stated = (self.tick > 0).then_some(tick);
         }
@@ -501,15 +518,24 @@ impl Simulation {
     /// The base facts on which the last tick was decided: of the predicates, by their positions in the vocabulary, for which
     /// `wanted` holds.
     pub fn facts(&self, wanted: impl Fn(usize) -> bool) -> Facts {
+        self.facts_until(wanted, &|| false).expect("nobody gives it up")
+    }
+
+    /// The same, given up when `stop` says so.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if it was given up.
+    pub fn facts_until(&self, wanted: impl Fn(usize) -> bool, stop: &dyn Fn() -> bool) -> Result<Facts, Diagnostic> {
         let world = &self.world;
         let draws = Draws {
             seed: self.seed,
             time: self.report.tick,
         };
         let view = world.scenario.view;
-        ground(&world.vocabulary, world.map(), view, &self.judged(), &draws, |index| {
-            !wanted(index)
-        })
+        let unwanted = |index| !wanted(index);
+        let judged = self.judged();
+        let facts = ground_until(&world.vocabulary, world.map(), view, &judged, &draws, unwanted, stop);
+        facts.ok_or_else(Diagnostic::interrupted)
     }
 
     /// Evaluates the rules on other facts, by the relational executor and its differences.
@@ -519,7 +545,7 @@ impl Simulation {
     pub fn evaluate(&mut self, facts: &Facts) -> Result<(), Diagnostic> {
         self.stated = None;
         let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
-        (state.set(facts)).map_err(|error| error.diagnostic(self.world.program.rules()))
+        (state.set_until(facts, &*self.stop)).map_err(|error| error.diagnostic(self.world.program.rules()))
     }
 
     /// Computes all facts about the present state that the rules can ask for, as bits; how many there are. `None` unless the dense

@@ -1,7 +1,7 @@
 //! Some entities of a city and what relates them, as bits for the dense executor. Facts about pairs are computed where a rule asks
 //! for them, from whole numbers; [`super::ground`] has the definitions, and tests compare the two.
 
-use super::ground::{Chance, Entity, binary, is_far_enough, is_near_enough, side};
+use super::ground::{Chance, Entity, binary, is_far_enough, is_near_enough, side, side_of};
 use super::infer::Draws;
 use super::vocabulary::Vocabulary;
 use crate::city::{Agent, Cell, CityMap, Heading, Junction, View, view_reach};
@@ -120,6 +120,8 @@ pub(super) struct Colliding {
 struct Asked {
     relation: Relation,
     axis: Axis,
+    /// Whether whom it relates to an entity is in that one's field of view.
+    in_view: bool,
 }
 
 /// How everything that a dense program asks for is computed. Cities of one world share it, which keeps it in the cache when many of them
@@ -128,8 +130,8 @@ struct Asked {
 pub(super) struct Plan {
     pub dense: Dense,
     inputs: Vec<Unary>,
-    /// The inputs that depend on the cell where an agent is.
-    placed: Vec<usize>,
+    /// The inputs that depend on the cell where an agent is: whether it is inside an intersection, or at one.
+    placed: Vec<(usize, bool)>,
     lists: Vec<Asked>,
     /// The inputs of which what an agent is decides.
     steady: Vec<(usize, Definition)>,
@@ -143,6 +145,9 @@ pub(super) struct Grounder {
     plan: Arc<Plan>,
     /// The classes of agents that are known.
     known: BTreeMap<(AgentKind, Arc<[String]>), u32>,
+    /// The first of them, up to [`Grounder::LIKELY`]. Agents of one entry of a set share their concepts, so it is enough to look whether
+    /// they are the very same.
+    likely: Vec<(AgentKind, Arc<[String]>)>,
     /// By class: the inputs that hold of its members.
     classes: Vec<Vec<usize>>,
 }
@@ -178,12 +183,17 @@ impl Plan {
                 },
             })
             .collect();
+        let views = views(view);
         let lists = (dense.lists().iter())
-            .map(|&List(relation, axis)| Asked {
-                relation: find(relation).map_or(Relation::Never, |(predicate, definition)| {
+            .map(|&List(relation, axis)| {
+                let relation = find(relation).map_or(Relation::Never, |(predicate, definition)| {
                     Relation::new(predicate, definition)
-                }),
-                axis,
+                });
+                Asked {
+                    in_view: axis == Axis::Second && relation.is_in_view(&views),
+                    relation,
+                    axis,
+                }
             })
             .collect();
         let steady = (dense.inputs().iter().enumerate())
@@ -193,13 +203,17 @@ impl Plan {
             })
             .filter(|(_, definition)| definition.is_steady())
             .collect();
-        let placed = |&input: &usize| matches!(inputs[input], Unary::AtIntersection | Unary::InIntersection);
+        let placed = |(input, how): (usize, &Unary)| match how {
+            Unary::InIntersection => Some((input, true)),
+            Unary::AtIntersection => Some((input, false)),
+            Unary::Class | Unary::Always | Unary::Never => None,
+        };
         Plan {
-            placed: (0..inputs.len()).filter(placed).collect(),
+            placed: inputs.iter().enumerate().filter_map(placed).collect(),
             inputs,
             lists,
             steady,
-            views: views(view),
+            views,
             dense,
         }
     }
@@ -216,15 +230,30 @@ impl Grounder {
         Grounder {
             plan,
             known: BTreeMap::new(),
+            likely: Vec::new(),
             classes: Vec::new(),
         }
     }
 
+    const LIKELY: usize = 16;
+
     /// The class of agents of this kind that carry these concepts.
     pub fn class_of(&mut self, kind: AgentKind, concepts: &Arc<[String]>) -> u32 {
-        let Grounder { plan, known, classes } = self;
+        let Grounder {
+            plan,
+            known,
+            likely,
+            classes,
+        } = self;
+        let same = |(of, carried): &(AgentKind, Arc<[String]>)| *of == kind && Arc::ptr_eq(carried, concepts);
+        if let Some(class) = likely.iter().position(same) {
+            return u32::try_from(class).expect("it is less than 16");
+        }
         let next = u32::try_from(known.len()).expect("fewer classes than agents");
         *(known.entry((kind, Arc::clone(concepts)))).or_insert_with(|| {
+            if likely.len() < Self::LIKELY {
+                likely.push((kind, Arc::clone(concepts)));
+            }
             let holds = (plan.steady.iter()).filter(|(_, definition)| holds_of(definition, kind, concepts));
             classes.push(holds.map(|(input, _)| *input).collect());
             next
@@ -279,6 +308,22 @@ impl Relation {
             | Definition::Concept { .. }
             | Definition::AtIntersection
             | Definition::InIntersection => unreachable!("a unary definition"),
+        }
+    }
+}
+
+impl Relation {
+    /// Whether the first sees the second wherever it holds.
+    fn is_in_view(&self, views: &[Reach; 5]) -> bool {
+        match self {
+            Relation::Colliding(colliding) => {
+                let within = |cone: &Reach, view: &Reach| cone.iter().zip(view).all(|(cone, view)| cone <= view);
+                let all_within =
+                    |cones: &[Reach; 4]| cones.iter().zip(&views[1..]).all(|(cone, view)| within(cone, view));
+                colliding.cones.iter().all(all_within)
+            }
+            Relation::Never => true,
+            _ => false,
         }
     }
 }
@@ -463,11 +508,9 @@ impl<const W: usize> Window<W> {
     /// Sets what depends on the cell where an entity is.
     fn look(&mut self, grounder: &Grounder, entity: usize) {
         let body = &self.bodies[entity];
-        for &input in &grounder.placed {
-            let holds = match grounder.inputs[input] {
-                Unary::InIntersection => body.junction.is_inside(),
-                _ => body.junction.is_at(body.kind),
-            };
+        let (is_inside, is_at) = (body.junction.is_inside(), body.junction.is_at(body.kind));
+        for &(input, inside) in &grounder.placed {
+            let holds = (inside & is_inside) | (!inside & is_at);
             let word = &mut self.inputs[input][entity / 64];
             *word = *word & !(1 << (entity % 64)) | u64::from(holds) << (entity % 64);
         }
@@ -548,6 +591,36 @@ impl<const W: usize> Pairs<W> for Scene<'_, W> {
             (_, Axis::First) => keep(among, |other| self.holds(&asked.relation, other, at)),
         }
     }
+
+    #[inline]
+    fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
+        let asked = |list: usize| &self.grounder.lists[list];
+        let is_view = |list: usize| {
+            matches!(
+                (&asked(list).relation, asked(list).axis),
+                (Relation::Sees, Axis::Second)
+            )
+        };
+        // Who is in view need not be found out where another list has none but those.
+        let skips = lists.iter().any(|&list| asked(list).in_view);
+        let mut found = [0; W];
+        for at in members(&demand) {
+            let mut set = among;
+            for list in lists {
+                if skips && is_view(list) {
+                    continue;
+                }
+                set = self.narrow(list, at, set);
+                if is_empty(&set) {
+                    break;
+                }
+            }
+            if !is_empty(&set) {
+                found[at / 64] |= 1 << (at % 64);
+            }
+        }
+        found
+    }
 }
 
 impl<const W: usize> Scene<'_, W> {
@@ -574,13 +647,68 @@ impl Relation {
             _ if same => false,
             Relation::Distance { least, most, .. } => (least..=most).contains(&square(x.at, y.at)),
             Relation::HigherPriority => x.priority < y.priority,
-            Relation::Side(wanted) => side(&x.entity(), &y.entity()).signum() == wanted,
+            Relation::Side(wanted) => side(&x.entity(), &y.entity()) * wanted > 0,
             Relation::Never => false,
             Relation::Colliding(ref colliding) => {
                 let probability = binary(&colliding.definition, &x.entity(), &y.entity());
                 probability >= 1.0
                     || probability > 0.0
                         && chance.happens(colliding.predicate, x.agent as usize, y.agent as usize, probability)
+            }
+        }
+    }
+}
+
+impl Relation {
+    /// Adds to the row of each body those to which it relates it. Agrees with [`Relation::holds`].
+    pub fn relate(&self, views: &[Reach; 5], chance: &impl Chance, bodies: &[Body], rows: &mut [u64]) {
+        let set = |rows: &mut [u64], first: usize, second: usize, holds: bool| {
+            rows[first] |= u64::from(holds) << second;
+        };
+        match *self {
+            Relation::Sees => {
+                for (first, x) in bodies.iter().enumerate() {
+                    let view = View::around(x.at, views[x.heading.map_or(0, |heading| heading as usize + 1)]);
+                    for (second, y) in bodies.iter().enumerate() {
+                        set(rows, first, second, first == second || view.contains(y.at));
+                    }
+                }
+            }
+            Relation::Distance { least, most, .. } => {
+                for (first, x) in bodies.iter().enumerate() {
+                    for (second, y) in bodies[..first].iter().enumerate() {
+                        let holds = (least..=most).contains(&square(x.at, y.at));
+                        set(rows, first, second, holds);
+                        set(rows, second, first, holds);
+                    }
+                }
+            }
+            Relation::HigherPriority => {
+                for (first, x) in bodies.iter().enumerate() {
+                    for (second, y) in bodies.iter().enumerate() {
+                        set(rows, first, second, x.priority < y.priority);
+                    }
+                }
+            }
+            Relation::Side(wanted) => {
+                for (second, y) in bodies.iter().enumerate() {
+                    let Some(heading) = y.heading else { continue };
+                    for (first, x) in bodies.iter().enumerate() {
+                        set(rows, first, second, side_of(heading, x.at, y.at) * wanted > 0);
+                    }
+                }
+            }
+            Relation::Never => {}
+            Relation::Colliding(ref colliding) => {
+                for (first, x) in bodies.iter().enumerate() {
+                    let Some(heading) = x.heading else { continue };
+                    let cone = View::around(x.at, colliding.cones[x.kind as usize][heading as usize]);
+                    for (second, y) in bodies.iter().enumerate() {
+                        if cone.contains(y.at) {
+                            set(rows, first, second, self.holds(views, chance, x, y));
+                        }
+                    }
+                }
             }
         }
     }
@@ -616,4 +744,79 @@ fn keep<const W: usize>(set: Set<W>, holds: impl Fn(usize) -> bool) -> Set<W> {
         }
     }
     kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::{Purpose, RngExt, Seed};
+
+    /// Holds of about half of all pairs.
+    struct Parity;
+
+    impl Chance for Parity {
+        fn happens(&self, predicate: usize, first: usize, second: usize, _: f64) -> bool {
+            (predicate + first * 3 + second * 5 + first * second).is_multiple_of(2)
+        }
+    }
+
+    fn distance(above: Option<f64>, at_least: Option<f64>, below: Option<f64>, at_most: Option<f64>) -> Definition {
+        Definition::Distance {
+            above,
+            at_least,
+            below,
+            at_most,
+        }
+    }
+
+    #[test]
+    fn all_pairs_at_once_are_as_one_by_one() {
+        let definitions = [
+            Definition::Sees,
+            distance(Some(3.0), None, None, Some(8.0)),
+            distance(None, Some(2.5), Some(6.0), None),
+            Definition::HigherPriority,
+            Definition::LeftOf,
+            Definition::RightOf,
+            Definition::Colliding {
+                car_range: 8.0,
+                pedestrian_range: 3.0,
+                angle: 0.6,
+                pedestrian_chance: 0.5,
+                same_cell_chance: 0.5,
+            },
+        ];
+        let definitions = definitions.iter().enumerate();
+        let relations: Vec<Relation> = definitions
+            .map(|(place, definition)| Relation::new(place, definition))
+            .collect();
+        let views = views(6);
+        let mut random = Seed(1).stream(Purpose::Scene, 0, 0);
+        let mut found = vec![0; relations.len()];
+        for _ in 0..400 {
+            let count = random.random_range(1..=9);
+            let body = |agent| Body {
+                at: Cell::new(random.random_range(0..12), random.random_range(0..12)),
+                priority: random.random_range(0..4),
+                agent,
+                class: 0,
+                kind: AgentKind::ALL[random.random_range(0..2)],
+                heading: (Heading::ALL.get(random.random_range(0..5))).copied(),
+                junction: Junction::default(),
+            };
+            let bodies: Vec<Body> = (0..count).map(body).collect();
+            for (relation, found) in relations.iter().zip(&mut found) {
+                let mut rows = vec![0; bodies.len()];
+                relation.relate(&views, &Parity, &bodies, &mut rows);
+                let row = |x: &Body| {
+                    let holds = |y: &Body| relation.holds(&views, &Parity, x, y);
+                    (bodies.iter().enumerate()).fold(0, |row, (at, y)| row | u64::from(holds(y)) << at)
+                };
+                let expected: Vec<u64> = bodies.iter().map(row).collect();
+                assert_eq!(rows, expected, "{relation:?} {bodies:?}");
+                *found += expected.iter().map(|row| row.count_ones()).sum::<u32>();
+            }
+        }
+        assert!(found.iter().all(|found| *found > 100), "{found:?}");
+    }
 }

@@ -8,6 +8,7 @@ use crate::config::{AgentSet, Scenario, Split};
 use crate::diag::Diagnostic;
 use crate::engine::Program;
 use crate::engine::dense::{Counting, Dense};
+use crate::lang::ClauseId;
 use std::sync::{Arc, OnceLock};
 
 /// A scenario made ready: immutable, shared by every simulation over it.
@@ -75,7 +76,19 @@ impl World {
     /// # Errors
     /// `limit-exceeded` if it cannot evaluate them; the message tells why.
     pub fn compile(&self, counting: Counting) -> Result<Dense, Diagnostic> {
-        compile(&self.program, &self.vocabulary, counting)
+        compile(self.program.rules(), &self.vocabulary, counting)
+    }
+
+    /// The clauses whose firings are counted, in the order of the text: those with a body that the author wrote.
+    pub fn clauses(&self) -> impl Iterator<Item = ClauseId> + '_ {
+        let rules = self.program.rules();
+        let counted = |clause: &ClauseId| {
+            let clause = &rules.clauses[clause.index()];
+            !clause.body.is_empty() && !rules.relations[clause.head.relation.index()].hidden
+        };
+        (0..rules.clauses.len())
+            .map(|index| ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")))
+            .filter(counted)
     }
 
     /// The map.

@@ -1,27 +1,73 @@
 //! Worlds of the shipped configurations, for tests and benches.
+#![allow(dead_code, reason = "each target uses its own part")]
 
 use logicity::config::{Scenario, load_scenario};
-use logicity::diag::Sources;
+use logicity::diag::{Diagnostic, Sources};
 use logicity::engine::Program;
+use logicity::files::{ReadError, read_or_builtin};
 use logicity::sim::World;
-use logicity::{files, lang};
+use logicity::task::path::PathTask;
 use std::path::Path;
 use std::sync::Arc;
 
+/// The modes of the paper: configurations, and rule files of the same names.
+pub const MODES: &[&str] = &[
+    "easy",
+    "medium",
+    "hard",
+    "expert",
+    "transfer-easy",
+    "transfer-medium",
+    "transfer-hard",
+    "vap-easy",
+    "vap-hard",
+];
+
+/// Those of Safe Path Following.
+pub const PATH_MODES: &[&str] = MODES.split_at(7).0;
+
 /// A world of a built-in configuration, changed by `edit`; with its rules, or those of `text`.
 pub fn world(config: &str, text: Option<&str>, edit: impl FnOnce(&mut Scenario)) -> Arc<World> {
-    let mut sources = Sources::new();
-    let mut scenario = load_scenario(&mut sources, Path::new(config), &files::read_or_builtin).expect("built in");
-    edit(&mut scenario);
-    let entry = match text {
-        Some(text) => sources.add("test.dl", text),
-        None => {
-            let rules = &scenario.rules.value;
-            let text = files::read_or_builtin(rules).expect("built in");
-            sources.add(rules.display().to_string(), text)
-        }
+    load(config, &read_or_builtin, text, edit).expect("it is built in").0
+}
+
+/// A world of a built-in configuration, and the texts it was made of.
+pub fn with_sources(config: &str) -> (Arc<World>, Sources) {
+    load(config, &read_or_builtin, None, |_| ()).expect("it is built in")
+}
+
+/// Safe Path Following in a built-in configuration; with its rules, or those of `text`.
+pub fn task(config: &str, text: Option<&str>) -> Arc<PathTask> {
+    let (world, sources) = load(config, &read_or_builtin, text, |_| ()).expect("it is built in");
+    Arc::new(PathTask::new(world, &sources).unwrap_or_else(|faults| panic!("{faults:?}")))
+}
+
+/// Safe Path Following as the text of a configuration has it.
+pub fn task_of(config: &str) -> Result<PathTask, Vec<Diagnostic>> {
+    let read = |path: &Path| match path.to_str() {
+        Some("mine.yaml") => Ok(config.to_owned()),
+        _ => Err(ReadError::NotFound),
     };
-    let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
-    let program = Program::new(loaded.rules.expect("clean rules")).expect("within limits");
-    Arc::new(World::new(scenario, program).expect("rules and configuration fit"))
+    let (world, sources) = load("mine.yaml", &read, None, |_| ())?;
+    PathTask::new(world, &sources)
+}
+
+fn load(
+    config: &str,
+    read: &dyn Fn(&Path) -> Result<String, ReadError>,
+    text: Option<&str>,
+    edit: impl FnOnce(&mut Scenario),
+) -> Result<(Arc<World>, Sources), Vec<Diagnostic>> {
+    let mut sources = Sources::new();
+    let mut scenario = load_scenario(&mut sources, Path::new(config), read)?;
+    edit(&mut scenario);
+    let name = scenario.rules.value.display().to_string();
+    let rules = text.map_or_else(
+        || read_or_builtin(&scenario.rules.value).expect("built in"),
+        str::to_owned,
+    );
+    let entry = sources.add(name, rules);
+    let (program, faults) = Program::load(&mut sources, entry, &read_or_builtin);
+    let world = World::new(scenario, program.ok_or(faults)?)?;
+    Ok((Arc::new(world), sources))
 }

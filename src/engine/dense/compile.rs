@@ -113,7 +113,7 @@ impl<'a> Compiler<'a> {
                 ops: Vec::new(),
                 cleared: Vec::new(),
                 homes: vec![Home::Given; rules.relations.len()],
-                fired: BTreeMap::new(),
+                fired: vec![None; rules.clauses.len()],
                 local: true,
                 guards: Vec::new(),
             },
@@ -255,7 +255,7 @@ impl<'a> Compiler<'a> {
             Home::Set(dst) => {
                 self.add(dst, found, found);
                 if self.counting == Counting::Each {
-                    self.out.fired.insert(id, Fired::Set(found));
+                    self.out.fired[id.index()] = Some(Fired::Set(found));
                 }
             }
             Home::Rows(rows) => {
@@ -270,7 +270,7 @@ impl<'a> Compiler<'a> {
                 let demand = found;
                 self.out.ops.push(Op::Rare(Rare::Rows { dst, demand, steps }));
                 if self.counting == Counting::Each {
-                    self.out.fired.insert(id, Fired::Rows(dst));
+                    self.out.fired[id.index()] = Some(Fired::Rows(dst));
                     self.out.ops.push(Op::Rare(Rare::OrRows { dst: rows, from: dst }));
                 }
             }

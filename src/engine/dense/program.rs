@@ -1,7 +1,6 @@
 //! What the dense executor runs: a list of operations on numbered sets.
 
 use crate::lang::{ClauseId, RelId};
-use std::collections::BTreeMap;
 
 /// A set of the frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -187,7 +186,8 @@ pub struct Dense {
     pub(super) cleared: Vec<Reg>,
     /// By [`RelId`]: where it is.
     pub(super) homes: Vec<Home>,
-    pub(super) fired: BTreeMap<ClauseId, Fired>,
+    /// By [`ClauseId`]: where what it derives is, if clauses are counted.
+    pub(super) fired: Vec<Option<Fired>>,
     pub(super) local: bool,
     pub(super) guards: Vec<RelId>,
 }
@@ -259,15 +259,15 @@ impl Dense {
     }
 
     pub(super) fn fired(&self, clause: ClauseId) -> Option<Reg> {
-        match self.fired.get(&clause) {
-            Some(Fired::Set(set)) => Some(*set),
+        match self.fired.get(clause.index()) {
+            Some(Some(Fired::Set(set))) => Some(*set),
             _ => None,
         }
     }
 
     pub(super) fn fired_rows(&self, clause: ClauseId) -> Option<usize> {
-        match self.fired.get(&clause) {
-            Some(Fired::Rows(rows)) => Some(*rows),
+        match self.fired.get(clause.index()) {
+            Some(Some(Fired::Rows(rows))) => Some(*rows),
             _ => None,
         }
     }

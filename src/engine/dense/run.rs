@@ -9,6 +9,12 @@ pub trait Pairs<const W: usize> {
     /// Those of `among` that stand in the relation of the list to entity `at`. `list` is a position in [`Dense::lists`].
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W>;
 
+    /// Whether to give up. What is computed from then on means nothing.
+    #[inline]
+    fn stopped(&self) -> bool {
+        false
+    }
+
     /// Those of `demand` to which one and the same member of `among` stands in the relations of all lists.
     #[inline]
     fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
@@ -124,7 +130,8 @@ impl<const W: usize> Frame<W> {
     pub fn reset(&mut self, program: &Dense, count: usize) {
         assert!(count <= 64 * W, "{count} entities in sets of {}", 64 * W);
         self.count = count;
-        self.sets[..program.set_count].fill([0; W]);
+        // All others are written before they are read.
+        self.sets[Reg::INPUTS.index()..][..program.inputs.len()].fill([0; W]);
         self.rows.clear();
         self.rows.resize(program.row_lists * count, [0; W]);
         self.unsettled = true;
@@ -350,7 +357,7 @@ impl<const W: usize, P: Pairs<W>> Search<'_, W, P> {
         let Some(next) = steps.get(depth + 1) else {
             return !is_empty(&set);
         };
-        if is_empty(&set) || is_empty(&self.sets[next.among.index()]) {
+        if is_empty(&set) || is_empty(&self.sets[next.among.index()]) || self.pairs.stopped() {
             return false;
         }
         members(&set).any(|value| {

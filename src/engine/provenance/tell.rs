@@ -310,6 +310,11 @@ impl<'a> Teller<'a> {
         }
     }
 
+    /// A clause as its author wrote it.
+    pub fn source(&self, clause: ClauseId) -> &'a str {
+        self.sources.slice(self.rules.clauses[clause.index()].span)
+    }
+
     /// `file:line` of a clause, without the folder.
     fn place(&self, clause: &Clause) -> String {
         let name = self.sources.name(clause.span.source);

@@ -1,11 +1,11 @@
 //! One city in which cars are driven from outside.
 
-use super::{Episode, EpisodeAgent, PathTask};
+use super::{Episode, PathTask};
 use crate::city::Agent;
 use crate::config::{AgentKind, Speed, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::{Actions, Observer, Settings, Simulation};
+use crate::sim::{Actions, Observer, Settings, Simulation, Stop};
 use std::sync::Arc;
 
 /// Who is driven from outside.
@@ -27,6 +27,8 @@ pub struct Env {
     steps: u32,
     controls: Vec<(usize, Speed)>,
     episode: Episode,
+    /// The agents of the episode before, whose memory the next one uses again.
+    spare: Vec<Agent>,
 }
 
 /// A car that is driven from outside.
@@ -92,7 +94,15 @@ impl Env {
     /// # Errors
     /// `unknown-split`, `no-start-cell`, `no-route`, `limit-exceeded`: see [`Simulation::new`]; `invalid-value` if the split has no car.
     pub fn new(task: Arc<PathTask>, split: Split, egos: Egos) -> Result<Env, Diagnostic> {
-        let city = Simulation::new(Arc::clone(task.world()), split, Seed(0), Settings::default())?;
+        Env::new_until(task, split, egos, Arc::new(|| false))
+    }
+
+    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `limit-exceeded`; a reset comes next then.
+    ///
+    /// # Errors
+    /// As [`Env::new`].
+    pub fn new_until(task: Arc<PathTask>, split: Split, egos: Egos, stop: Stop) -> Result<Env, Diagnostic> {
+        let city = Simulation::new_until(Arc::clone(task.world()), split, Seed(0), Settings::default(), stop)?;
         let agents = city.agents().iter().enumerate();
         let cars = agents
             .filter(|(_, agent)| agent.kind == AgentKind::Car)
@@ -118,6 +128,7 @@ impl Env {
             steps: 0,
             controls: Vec::with_capacity(riders.len()),
             episode: Episode::of(0, city.agents()),
+            spare: Vec::new(),
             riders,
             city,
             task,
@@ -165,12 +176,12 @@ impl Env {
     /// # Errors
     /// `no-start-cell`, `no-route`, `limit-exceeded`.
     pub fn reset(&mut self, seed: u64) -> Result<(), Diagnostic> {
-        let mut agents = self.city.draw_agents(Seed(seed))?;
-        let first = self.riders[0].agent();
+        self.city.draw_agents(Seed(seed), &mut self.spare)?;
+        let first = &mut self.spare[self.riders[0].agent()];
         if let Some(ego) = &self.task.config().ego {
             let mut stream = Seed(seed).stream(Purpose::Ego, 0, 0);
             let most = ego.priority[self.city.split() as usize];
-            agents[first].priority = stream.random_range(1..=most).cast_signed();
+            first.priority = stream.random_range(1..=most).cast_signed();
             let sum: f64 = ego.concepts.iter().map(|(weight, _)| weight).sum();
             let mut left = stream.random::<f64>() * sum;
             // Rounding may leave a little after the last one, which must not be one of weight 0.
@@ -180,10 +191,10 @@ impl Env {
                 left < 0.0
             });
             let (_, concepts) = drawn.or(possible.next_back()).expect("a weight is not 0");
-            agents[first].concepts = Arc::clone(concepts);
+            first.concepts = Arc::clone(concepts);
         }
         self.horizon = self.task.config().horizon;
-        self.begin(seed, agents)
+        self.begin(seed)
     }
 
     /// Begins a given episode. It has as many steps as the configuration allows of the oracle's, or as a drawn one if those are not known.
@@ -191,14 +202,14 @@ impl Env {
     /// # Errors
     /// `invalid-episode` if its agents are not those of the split or cannot go their ways; `limit-exceeded`.
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
-        let agents = episode.place(&self.task.world().router, self.city.agents())?;
+        self.spare = episode.place(&self.task.world().router, self.city.agents())?;
         let config = self.task.config();
         let horizon = episode
             .oracle
             .as_ref()
             .map(|oracle| oracle.steps.saturating_mul(config.patience));
         self.horizon = horizon.unwrap_or(config.horizon).max(1);
-        self.begin(episode.seed, agents)?;
+        self.begin(episode.seed)?;
         self.episode.oracle.clone_from(&episode.oracle);
         Ok(())
     }
@@ -208,12 +219,14 @@ impl Env {
         self.horizon = steps.max(1);
     }
 
-    fn begin(&mut self, seed: u64, agents: Vec<Agent>) -> Result<(), Diagnostic> {
+    /// With the spare agents.
+    fn begin(&mut self, seed: u64) -> Result<(), Diagnostic> {
         self.episode.seed = seed;
         self.episode.oracle = None;
-        self.episode.agents.clear();
-        self.episode.agents.extend(agents.iter().map(EpisodeAgent::of));
-        self.city.restart(Seed(seed), agents);
+        for (noted, agent) in self.episode.agents.iter_mut().zip(&self.spare) {
+            noted.note(agent);
+        }
+        self.city.restart(Seed(seed), &mut self.spare);
         self.steps = 0;
         for rider in &mut self.riders {
             rider.cells = self.city.agents()[rider.agent()].route().steps() + 1;

@@ -71,7 +71,7 @@ pub struct OracleRun {
 }
 
 impl EpisodeAgent {
-    pub(super) fn of(agent: &Agent) -> EpisodeAgent {
+    fn of(agent: &Agent) -> EpisodeAgent {
         EpisodeAgent {
             name: agent.name(),
             concepts: Arc::clone(&agent.concepts),
@@ -79,6 +79,15 @@ impl EpisodeAgent {
             start: agent.start(),
             goal: agent.goal(),
         }
+    }
+
+    /// Takes note of an agent of the same name.
+    pub(super) fn note(&mut self, agent: &Agent) {
+        if !Arc::ptr_eq(&self.concepts, &agent.concepts) {
+            self.concepts = Arc::clone(&agent.concepts);
+        }
+        self.priority = agent.priority;
+        (self.start, self.goal) = (agent.start(), agent.goal());
     }
 }
 

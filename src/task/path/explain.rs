@@ -57,6 +57,6 @@ pub fn explain(env: &Env, rider: usize, sources: &Sources) -> Result<String, Dia
         derived: ego.derived(),
         action: env.oracle_action(rider),
     };
-    let account = decision.account(None, &|| false).map_err(Diagnostic::from)?;
+    let account = decision.account(None, env.city().stop()).map_err(Diagnostic::from)?;
     Ok(account.text(sources))
 }

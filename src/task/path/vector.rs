@@ -4,12 +4,18 @@ use super::{Egos, Env, Episode, PathTask};
 use crate::config::{Speed, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
+use crate::sim::Stop;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::Duration;
 
 /// So many environments at least are one thread's work.
 const SHARE: usize = 8;
+
+/// While other threads work, the one that waits for them asks so often whether to give up.
+const PAUSE: Duration = Duration::from_millis(50);
 
 /// The episodes of one environment: each is a function of the seed and of how many there were before it.
 #[derive(Clone, Debug)]
@@ -178,6 +184,8 @@ pub struct Ended {
     happened: bool,
     observation: Vec<f32>,
     info: Info,
+    /// As [`Observer::atoms`](crate::sim::Observer::atoms) tells them, if they are to be kept.
+    atoms: Option<Vec<(usize, Vec<usize>)>>,
 }
 
 impl Member {
@@ -212,6 +220,11 @@ impl Member {
         self.ended.happened.then_some((observation, info))
     }
 
+    /// The atoms that were true then, see [`VectorEnv::keep_last_atoms`].
+    pub fn ended_atoms(&self) -> Option<&[(usize, Vec<usize>)]> {
+        self.ended.atoms.as_deref().filter(|_| self.ended.happened)
+    }
+
     /// Whether it can take a step without being told to begin an episode.
     pub fn is_ready(&self, autoreset: Autoreset) -> bool {
         match self.stage {
@@ -219,6 +232,11 @@ impl Member {
             Stage::Running => true,
             Stage::Over => autoreset == Autoreset::NextStep,
         }
+    }
+
+    fn give_up(&mut self) -> Result<(), Diagnostic> {
+        self.stage = Stage::Idle;
+        Err(Diagnostic::interrupted())
     }
 
     fn begin(&mut self, how: &Begin) -> Result<(), Diagnostic> {
@@ -254,6 +272,10 @@ impl Member {
         if over && autoreset == Autoreset::SameStep {
             view.write(&self.env, 0, &mut self.ended.observation);
             self.ended.info.note(&self.env, 0);
+            if let Some(atoms) = &mut self.ended.atoms {
+                atoms.clear();
+                atoms.extend(self.env.riders()[0].observer().atoms());
+            }
             self.begin(&Begin::Next)?;
             self.ended.happened = true;
         } else {
@@ -273,6 +295,7 @@ pub struct VectorEnv {
     /// Numbers of an observation.
     width: usize,
     threads: Option<ThreadPool>,
+    stop: Stop,
 }
 
 impl VectorEnv {
@@ -288,10 +311,30 @@ impl VectorEnv {
         view: View,
         threads: usize,
     ) -> Result<VectorEnv, Diagnostic> {
+        VectorEnv::new_until(task, split, sources, autoreset, view, threads, Arc::new(|| false))
+    }
+
+    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `limit-exceeded`; the environments that have
+    /// not gone on then need a reset.
+    ///
+    /// # Errors
+    /// As [`VectorEnv::new`].
+    pub fn new_until(
+        task: &Arc<PathTask>,
+        split: Split,
+        sources: impl IntoIterator<Item = EpisodeSource>,
+        autoreset: Autoreset,
+        view: View,
+        threads: usize,
+        stop: Stop,
+    ) -> Result<VectorEnv, Diagnostic> {
         let width = view.shape(task).iter().product();
         let member = |source| {
-            Ok::<_, Diagnostic>(Member {
-                env: Env::new(Arc::clone(task), split, Egos::First)?,
+            if stop() {
+                return Err(Diagnostic::interrupted());
+            }
+            Ok(Member {
+                env: Env::new_until(Arc::clone(task), split, Egos::First, Arc::clone(&stop))?,
                 source,
                 stage: Stage::Idle,
                 outcome: Outcome::default(),
@@ -313,6 +356,7 @@ impl VectorEnv {
             view,
             width,
             threads,
+            stop,
         })
     }
 
@@ -336,6 +380,13 @@ impl VectorEnv {
         self.autoreset
     }
 
+    /// From here on it is kept what was true when an episode ended and the next one began in the same step.
+    pub fn keep_last_atoms(&mut self) {
+        for member in &mut self.members {
+            member.ended.atoms = Some(Vec::new());
+        }
+    }
+
     /// Gives an environment other episodes from now on.
     pub fn set_source(&mut self, member: usize, source: EpisodeSource) {
         self.members[member].source = source;
@@ -350,8 +401,11 @@ impl VectorEnv {
     /// If there are not as many as environments.
     pub fn reset(&mut self, begin: &[Option<Begin>], observations: &mut [f32]) -> Result<(), Diagnostic> {
         let view = self.view;
-        self.each(begin, observations, |member, how, row| {
+        self.each(begin, observations, |member, how, row, stopped| {
             let Some(how) = how else { return Ok(()) };
+            if stopped {
+                return member.give_up();
+            }
             member.begin(how)?;
             view.write(&member.env, 0, row);
             Ok(())
@@ -368,8 +422,11 @@ impl VectorEnv {
     /// If there are not as many actions as environments, or one is not [ready](Member::is_ready).
     pub fn step(&mut self, actions: &[Speed], observations: &mut [f32]) -> Result<(), Diagnostic> {
         let (autoreset, view) = (self.autoreset, self.view);
-        self.each(actions, observations, |member, &action, row| {
+        self.each(actions, observations, |member, &action, row, stopped| {
             assert!(member.is_ready(autoreset), "an episode must begin first");
+            if stopped {
+                return member.give_up();
+            }
             member.step(action, autoreset, view)?;
             view.write(&member.env, 0, row);
             Ok(())
@@ -380,7 +437,7 @@ impl VectorEnv {
         &mut self,
         given: &[T],
         observations: &mut [f32],
-        act: impl Fn(&mut Member, &T, &mut [f32]) -> Result<(), Diagnostic> + Sync,
+        act: impl Fn(&mut Member, &T, &mut [f32], bool) -> Result<(), Diagnostic> + Sync,
     ) -> Result<(), Diagnostic> {
         let count = self.members.len();
         assert!(given.len() == count, "{} given for {count} environments", given.len());
@@ -391,11 +448,16 @@ impl VectorEnv {
             (Some(a), Some(b)) => Some(if a.0 <= b.0 { a } else { b }),
             (a, b) => a.or(b),
         };
+        let (stop, stopped) = (&*self.stop, AtomicBool::new(false));
         let act = |(position, ((member, given), row)): (usize, ((&mut Member, &T), &mut [f32]))| {
-            act(member, given, row).err().map(|fault| (position, fault))
+            if position % SHARE == 0 && stop() {
+                stopped.store(true, Ordering::Relaxed);
+            }
+            let stopped = stopped.load(Ordering::Relaxed);
+            act(member, given, row, stopped).err().map(|fault| (position, fault))
         };
         let fault = match &self.threads {
-            Some(pool) => pool.install(|| {
+            Some(pool) => wait_asking(pool, stop, || {
                 (self.members.par_iter_mut().with_min_len(SHARE))
                     .zip(given)
                     .zip(observations.par_chunks_exact_mut(width))
@@ -414,4 +476,19 @@ impl VectorEnv {
         };
         fault.map_or(Ok(()), |(_, fault)| Err(fault))
     }
+}
+
+/// Does work in a pool. Meanwhile this thread asks `stop`, which may be able to tell here what it cannot tell in the pool.
+fn wait_asking<R: Send>(pool: &ThreadPool, stop: &(dyn Fn() -> bool + Sync), work: impl FnOnce() -> R + Send) -> R {
+    let (done, result) = mpsc::channel();
+    let told = pool.in_place_scope(|scope| {
+        scope.spawn(move |_| done.send(work()).expect("it is waited for"));
+        loop {
+            match result.recv_timeout(PAUSE) {
+                Err(mpsc::RecvTimeoutError::Timeout) => drop(stop()),
+                told => break told,
+            }
+        }
+    });
+    told.expect("a panic of the work goes on at the end of the scope")
 }

@@ -322,7 +322,9 @@ impl<'w> Search<'w> {
         stream: &mut impl Rng,
     ) -> Result<(), Diagnostic> {
         let seed: u64 = stream.random();
-        city.restart(Seed(seed), city.draw_agents(Seed(seed))?);
+        let mut agents = Vec::new();
+        city.draw_agents(Seed(seed), &mut agents)?;
+        city.restart(Seed(seed), &mut agents);
         let carries = |concepts: &[String]| about.is_empty() || concepts.iter().any(|concept| about.contains(concept));
         // By answer the decisions with the lowest lots.
         let mut drawn: [Vec<(u64, Question)>; 4] = Default::default();

@@ -1,0 +1,173 @@
+"""Fill a pack of icons with a diffusion model (`pip install './python[icons]'`).
+
+A pack is a folder that `logicity icons sheet --pack` and `logicity run --pack` take: a folder a class, PNG files in it.
+What the model is asked for is written from templates, or by whatever turns one text into another, such as a language
+model.
+
+>>> pipeline = load_pipeline("stabilityai/sd-turbo")  # doctest: +SKIP
+>>> fill("pack", ["ambulance", "bus+tiro"], 20, pipeline)  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__all__ = ["SUBJECTS", "cut_out", "fill", "load_pipeline", "prompts"]
+
+#: What is to be seen for each concept, kind of agent and building.
+SUBJECTS = {
+    "car": ["a saloon car", "a hatchback", "an estate car", "a pickup"],
+    "ambulance": ["an ambulance van with a light bar and a large cross on its roof"],
+    "bus": ["a long city bus with hatches on its roof"],
+    "police": ["a police car with red and blue lights"],
+    "tiro": ["a driving school car with a large L plate on its roof"],
+    "reckless": ["a sports car with racing stripes and a spoiler"],
+    "pedestrian": ["a woman walking", "a man walking", "a man in a coat", "a woman with a bag"],
+    "old": ["an old man with a walking stick", "an old woman with grey hair and a cane"],
+    "young": ["a child with a school bag", "a small girl with a cap", "a small boy with a balloon"],
+    "house": ["a family house with a pitched roof and a garden"],
+    "office": ["an office tower with many windows"],
+    "garage": ["a car repair shop with roller doors"],
+    "store": ["a shop with a striped awning"],
+    "gas-station": ["a gas station with pumps under a canopy"],
+}
+_CARS = {"car", "ambulance", "bus", "police", "tiro", "reckless"}
+_BUILDINGS = {"house", "office", "garage", "store", "gas-station"}
+_COLOURS = ["white", "silver", "black", "red", "blue", "green", "yellow", "orange", "brown"]
+_STYLES = ["flat vector icon", "clean 3D render", "hand-painted game sprite", "photo"]
+
+
+def prompts(name: str, count: int, *, seed: int = 0, write: Callable[[str], str] | None = None) -> list[str]:
+    """Texts that ask for `count` different icons of a class, the same for the same `seed`.
+
+    `name` is a class as `logicity icons` names it: `bus`, `bus+tiro`, `car+taxi`. `write` is given each text of the
+    template and returns the one to use: a call of a language model, for example.
+    """
+    parts = name.split("+")
+    if any(not part or {"/", "\\"} & set(part) for part in parts):
+        raise ValueError(f"`{name}` is no name of a class")
+    if parts[0] not in SUBJECTS:
+        raise ValueError(f"there is no class `{name}`: it begins with one of {', '.join(SUBJECTS)}")
+    if count < 0:
+        raise ValueError(f"cannot write {count} prompts")
+    draw = random.Random(f"{seed} {name}")
+    if parts[0] in _BUILDINGS:
+        view = "seen from the front"
+    elif parts[0] in _CARS:
+        view = "seen from exactly above, front at the top of the picture"
+    else:
+        view = "full figure from head to feet"
+    texts = []
+    for _ in range(count):
+        subject = " that is also ".join(draw.choice(SUBJECTS.get(part, [f"a {part}"])) for part in parts)
+        text = (
+            f"{draw.choice(_STYLES)} of {subject}, {draw.choice(_COLOURS)}, {view}, one object, centred, "
+            "plain white background, no text, no shadow"
+        )
+        texts.append(text if write is None else write(text))
+    return texts
+
+
+def cut_out(image: Any, tolerance: int = 24) -> Any:
+    """The picture with its background transparent, cropped to the rest.
+
+    The background is what hangs together with the border and differs from the mean colour of the corners by at most
+    `tolerance` of 255 in every channel. `image` is a `PIL.Image.Image`, and so is what is returned.
+
+    :raises ValueError: if nothing but background is left.
+    """
+    from PIL import Image
+
+    pixels = np.asarray(image.convert("RGB")).astype(np.int16)
+    corners = pixels[[0, 0, -1, -1], [0, -1, 0, -1]]
+    near = (np.abs(pixels - corners.mean(axis=0)) <= tolerance).all(axis=2)
+    outside = np.zeros_like(near)
+    outside[[0, -1], :] = near[[0, -1], :]
+    outside[:, [0, -1]] = near[:, [0, -1]]
+    while True:
+        grown = outside.copy()
+        grown[1:] |= outside[:-1]
+        grown[:-1] |= outside[1:]
+        grown[:, 1:] |= outside[:, :-1]
+        grown[:, :-1] |= outside[:, 1:]
+        grown &= near
+        if (grown == outside).all():
+            break
+        outside = grown
+    if outside.all():
+        raise ValueError("the picture is of one colour: there is nothing to cut out")
+    rows, columns = (np.flatnonzero((~outside).any(axis=axis)) for axis in (1, 0))
+    rgba = np.dstack([pixels.astype(np.uint8), np.where(outside, 0, 255).astype(np.uint8)])
+    return Image.fromarray(rgba[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])
+
+
+def load_pipeline(model: str | Path, *, device: str | None = None, **options: Any) -> Any:
+    """A text-to-image pipeline of `diffusers`, from the hub or a folder.
+
+    :param device: where it runs, such as `cuda`; a GPU if there is one, unless given.
+    :param options: passed on to `AutoPipelineForText2Image.from_pretrained`, such as `torch_dtype`.
+    """
+    try:
+        import torch
+        from diffusers import AutoPipelineForText2Image
+    except ImportError as error:
+        raise ImportError("icons need diffusers: pip install './python[icons]'") from error
+    pipeline = AutoPipelineForText2Image.from_pretrained(str(model), **options)
+    pipeline.set_progress_bar_config(disable=True)
+    return pipeline.to(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+
+
+def fill(
+    folder: str | Path,
+    names: Iterable[str],
+    count: int,
+    pipeline: Any,
+    *,
+    seed: int = 0,
+    side: int = 256,
+    tolerance: int = 24,
+    write: Callable[[str], str] | None = None,
+    **options: Any,
+) -> list[Path]:
+    """Draw `count` icons of every class into a pack and return their files.
+
+    Icon `k` of a class is drawn from prompt `k` with a generator seeded by `seed + k`; where its file is there already,
+    nothing is drawn, so that a run that was broken off goes on.
+
+    :param pipeline: from :func:`load_pipeline`, or anything that is called with `prompt`, `generator` and `options` and
+        returns an object whose `images` are PIL images.
+    :param side: the longest side of an icon in pixels, at most 2048; the model draws at the size it was trained for, or
+        that of `options`.
+    :param tolerance: see :func:`cut_out`; buildings keep their background.
+    :param options: passed on to the pipeline, such as `num_inference_steps` and `guidance_scale`.
+    """
+    if not 1 <= side <= 2048:
+        raise ValueError(f"an icon of {side} pixels: it has 1 to 2048")
+    texts = {name: prompts(name, count, seed=seed, write=write) for name in names}
+    files = []
+    for name, asked in texts.items():
+        place = Path(folder) / name
+        place.mkdir(parents=True, exist_ok=True)
+        for number, text in enumerate(asked):
+            file = place / f"{number:04}.png"
+            files.append(file)
+            if not file.exists():
+                image = _draw(pipeline, text, seed + number, options)
+                icon = image.convert("RGB") if name in _BUILDINGS else cut_out(image, tolerance)
+                icon.thumbnail((side, side))
+                icon.save(file)
+    return files
+
+
+def _draw(pipeline: Any, text: str, seed: int, options: dict[str, Any]) -> Any:
+    import torch
+
+    # On the CPU whatever the pipeline runs on, so that the noise is the same everywhere.
+    generator = torch.Generator("cpu").manual_seed(seed)
+    images: Sequence[Any] = pipeline(prompt=text, generator=generator, **options).images
+    return images[0]

@@ -1,0 +1,198 @@
+//! What is to be driven: Safe Path Following in one world, which environments share.
+
+use crate::city::{Loaded, one_of};
+use crate::{Signals, held, input_error};
+use logicity::config::{Speed, Split};
+use logicity::diag::{Diagnostic, Sources};
+use logicity::files::read_or_builtin;
+use logicity::render::{Icons, Overview, Sprite};
+use logicity::sim::World;
+use logicity::task::path::{Env, Episode, EpisodeSet, Info, PathTask, View, explain};
+use numpy::{IntoPyArray, PyArray3, PyArrayMethods};
+use pyo3::exceptions::PyValueError;
+use pyo3::intern;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyString, PyTuple};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, OnceLock};
+
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyTask>()
+}
+
+/// Safe Path Following in one world: what environments share.
+#[pyclass(name = "Task", module = "logicity._logicity", frozen)]
+pub struct PyTask {
+    pub task: Arc<PathTask>,
+    sources: Mutex<Sources>,
+    /// Names of the clauses that can be broken.
+    labels: Vec<Py<PyString>>,
+    recorded: [OnceLock<Arc<[Episode]>>; 3],
+    overview: OnceLock<Overview>,
+}
+
+pub fn split_named(name: &str) -> PyResult<Split> {
+    one_of("split", name, &Split::ALL, Split::name)
+}
+
+pub fn view_named(name: &str) -> PyResult<View> {
+    one_of("observation", name, &[View::Atoms, View::Points], |view| match view {
+        View::Atoms => "atoms",
+        View::Points => "points",
+    })
+}
+
+/// An exception of gymnasium.
+pub fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
+    let class = py.import("gymnasium.error").and_then(|module| module.getattr(name));
+    match class.and_then(|class| class.call1((message,))) {
+        Ok(error) => PyErr::from_value(error),
+        Err(error) => error,
+    }
+}
+
+pub fn speed(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Speed> {
+    let known = usize::try_from(action).ok().and_then(|action| Speed::ALL.get(action));
+    known.copied().ok_or_else(|| {
+        let message = format!(
+            "{action}{} is no action: they are 0 Slow, 1 Normal, 2 Fast, 3 Stop",
+            of()
+        );
+        gymnasium_error(py, "InvalidAction", message)
+    })
+}
+
+#[pymethods]
+impl PyTask {
+    #[new]
+    fn new(py: Python<'_>, config: PathBuf, rules: Option<PathBuf>, overrides: Option<String>) -> PyResult<Self> {
+        let signals = Signals::new();
+        let Loaded {
+            sources,
+            scenario,
+            program,
+            ..
+        } = Loaded::new(py, &signals, config, rules, None, overrides)?;
+        let (made, sources) = signals.aside(py, move || {
+            let world = World::new(scenario, program).map(Arc::new);
+            (world.and_then(|world| PathTask::new(world, &sources)), sources)
+        })?;
+        let task = made.map_err(|faults| input_error(py, &faults, &sources))?;
+        let demands = 0..task.oracle().demands().len();
+        Ok(PyTask {
+            labels: demands
+                .map(|demand| PyString::new(py, task.label(demand)).unbind())
+                .collect(),
+            sources: Mutex::new(sources),
+            recorded: Default::default(),
+            overview: OnceLock::new(),
+            task: Arc::new(task),
+        })
+    }
+
+    /// The shape of an observation of that kind.
+    fn shape(&self, observation: &str) -> PyResult<Vec<usize>> {
+        Ok(view_named(observation)?.shape(&self.task))
+    }
+
+    /// How many recorded episodes a split has.
+    fn recorded(&self, py: Python<'_>, split: &str) -> PyResult<usize> {
+        Ok(self.recorded_episodes(py, split_named(split)?)?.len())
+    }
+}
+
+impl PyTask {
+    pub fn error(&self, py: Python<'_>, fault: Diagnostic) -> PyErr {
+        input_error(py, &[fault], &self.sources())
+    }
+
+    /// A copy, since what is held while Python works may be waited for by a thread that Python waits for.
+    fn sources(&self) -> Sources {
+        held(&self.sources).clone()
+    }
+
+    /// The recorded episodes of a split, as they are on disk or built in.
+    pub fn episode_set(&self, py: Python<'_>, split: Split) -> PyResult<EpisodeSet> {
+        let set = {
+            let mut sources = held(&self.sources);
+            EpisodeSet::load(&self.task, split, &mut sources, &read_or_builtin)
+        };
+        set.map_err(|fault| self.error(py, fault))
+    }
+
+    pub fn recorded_episodes(&self, py: Python<'_>, split: Split) -> PyResult<&Arc<[Episode]>> {
+        let place = &self.recorded[split as usize];
+        if let Some(episodes) = place.get() {
+            return Ok(episodes);
+        }
+        let episodes: Arc<[Episode]> = self.episode_set(py, split)?.episodes.into();
+        if episodes.is_empty() {
+            return Err(PyValueError::new_err(format!(
+                "no episodes are recorded for the split `{}`",
+                split.name()
+            )));
+        }
+        Ok(place.get_or_init(|| episodes))
+    }
+
+    /// The names of the clauses that were broken.
+    pub fn labels<'py>(&self, py: Python<'py>, broken: &[usize]) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(py, broken.iter().map(|&demand| self.labels[demand].bind(py)))
+    }
+
+    pub fn info<'py>(&self, py: Python<'py>, info: &Info) -> PyResult<Bound<'py, PyDict>> {
+        let dict = PyDict::new(py);
+        dict.set_item(intern!(py, "oracle_action"), info.oracle_action)?;
+        dict.set_item(intern!(py, "violations"), self.labels(py, &info.broken)?)?;
+        dict.set_item(intern!(py, "progress"), info.progress)?;
+        dict.set_item(intern!(py, "success"), info.success)?;
+        dict.set_item(intern!(py, "steps"), info.steps)?;
+        dict.set_item(intern!(py, "seed"), info.seed)?;
+        Ok(dict)
+    }
+
+    /// Atoms about the agents of an environment, as rules write them.
+    pub fn atoms<'py>(
+        &self,
+        py: Python<'py>,
+        env: &Env,
+        atoms: impl Iterator<Item = (usize, Vec<usize>)>,
+    ) -> PyResult<Bound<'py, PyTuple>> {
+        let (vocabulary, agents) = (&self.task.world().vocabulary, env.city().agents());
+        let atoms = atoms.map(|(predicate, of)| {
+            let names: Vec<String> = of.iter().map(|&agent| agents[agent].name().to_string()).collect();
+            format!("{}({})", vocabulary.predicates[predicate].name, names.join(", "))
+        });
+        PyTuple::new(py, atoms.collect::<Vec<String>>())
+    }
+
+    pub fn explain(&self, py: Python<'_>, env: &Env, rider: usize, signals: &Signals) -> PyResult<String> {
+        let sources = self.sources();
+        let told = signals.detach(py, || explain(env, rider, &sources))?;
+        told.map_err(|fault| input_error(py, &[fault], &sources))
+    }
+
+    /// Red, green and blue, row by row.
+    pub fn picture<'py>(&self, py: Python<'py>, env: &Env) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let map = self.task.world().map();
+        if self.overview.get().is_none() {
+            let overview = Overview::new(map, Arc::new(Icons::default()));
+            let _ = (self.overview).set(overview.map_err(|error| PyValueError::new_err(error.to_string()))?);
+        }
+        let overview = self.overview.get().expect("it has just been set");
+        let city = env.city();
+        let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
+        let decided = city
+            .report()
+            .agents
+            .iter()
+            .map(|done| (city.now() > 0).then_some(done.action));
+        let named = city.agents().iter().zip(&names).zip(decided);
+        let sprites: Vec<_> = named
+            .map(|((agent, name), action)| Sprite::of(agent, name, action))
+            .collect();
+        let picture = overview.draw(city.now(), &sprites);
+        let shape = [picture.height() as usize, picture.width() as usize, 3];
+        picture.into_pixels().into_pyarray(py).reshape(shape)
+    }
+}

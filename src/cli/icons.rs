@@ -1,0 +1,104 @@
+//! `logicity icons`, and the icons of other commands.
+
+use super::{Failure, one_of};
+use crate::files::{self, Output};
+use crate::render::{Class, Difficulty, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png};
+use crate::rng::Seed;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Which icons pictures have.
+#[derive(clap::Args)]
+pub struct IconOptions {
+    /// Folder of icons: CLASS/NAME.png or .svg, where CLASS is car, ambulance, bus+tiro, old, gas-station, ..
+    #[arg(long, value_name = "DIR")]
+    pack: Option<PathBuf>,
+    /// extend: its icons come in addition to those drawn by parameters. replace: a class that it has shows only its icons
+    #[arg(long, value_parser = one_of(&Mode::ALL, Mode::name), default_value = "extend", requires = "pack")]
+    pack_mode: Mode,
+    /// From clean (0) to noisy (100 percent): how much colours, light, sharpness, markings and what lies around vary
+    #[arg(long, value_name = "PERCENT", value_parser = difficulty, default_value = "0", allow_negative_numbers = true)]
+    difficulty: Difficulty,
+}
+
+fn difficulty(text: &str) -> Result<Difficulty, String> {
+    let percent = text.parse().ok().and_then(Difficulty::percent);
+    percent.ok_or_else(|| "expected a whole number from 0 to 100".to_owned())
+}
+
+impl IconOptions {
+    /// The icons of a seed. Which classes a pack lacks is told on standard error.
+    pub fn load(&self, seed: Seed) -> Result<Icons, Failure> {
+        let icons = Icons::new(seed, self.difficulty);
+        let Some(folder) = &self.pack else { return Ok(icons) };
+        let pack = load_pack(folder, self.pack_mode)?;
+        let lacks: Vec<String> = (Class::known().into_iter())
+            .filter(|class| !pack.classes().any(|(has, _)| has == class))
+            .map(|class| class.to_string())
+            .collect();
+        if !lacks.is_empty() {
+            let place = folder.display();
+            let _ = writeln!(
+                anstream::stderr(),
+                "note: `{place}` has no icons of {}; those are drawn",
+                lacks.join(", ")
+            );
+        }
+        Ok(icons.with_pack(pack))
+    }
+}
+
+fn load_pack(folder: &Path, mode: Mode) -> Result<Pack, Failure> {
+    let files = files::read_folders(folder, PACK_FILES_MAX, PACK_FILE_MAX as u64)
+        .map_err(|(path, error)| Failure::file("read", &path, error))?;
+    Pack::new(mode, files).map_err(|faults| {
+        let told = |PackFault { file, reason }: &PackFault| format!("icon `{}`: {reason}", folder.join(file).display());
+        Failure::Usage(faults.iter().map(told).collect::<Vec<_>>().join("\nerror: "))
+    })
+}
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(clap::Subcommand)]
+enum Command {
+    /// Draw eight icons of every class on one picture
+    Sheet(SheetArguments),
+}
+
+#[derive(clap::Args)]
+struct SheetArguments {
+    #[command(flatten)]
+    icons: IconOptions,
+    /// Seed of everything random in the icons
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    seed: u64,
+    /// More classes, such as bus+tiro or car+taxi
+    #[arg(long = "class", value_name = "CLASS", value_parser = class)]
+    classes: Vec<Class>,
+    /// Where the picture goes
+    #[arg(short, long, value_name = "FILE", default_value = "sheet.png")]
+    output: PathBuf,
+}
+
+fn class(text: &str) -> Result<Class, String> {
+    let unknown =
+        || "expected a building type, a kind of agent, or concepts joined by `+` that begin with a known one or a kind";
+    Class::from_name(text).ok_or_else(|| unknown().to_owned())
+}
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let Command::Sheet(sheet_of) = &arguments.command;
+    let icons = sheet_of.icons.load(Seed(sheet_of.seed))?;
+    let picture = sheet(&icons, &sheet_of.classes);
+    let path = &sheet_of.output;
+    Output::create(path)
+        .and_then(|mut file| {
+            write_png(&picture, &mut file)?;
+            file.finish()
+        })
+        .map_err(|error| Failure::file("write", path, error))
+}

@@ -1,0 +1,92 @@
+//! `logicity view`
+
+use super::Failure;
+use super::icons::IconOptions;
+use super::trace::TraceReader;
+use crate::diag::{Code, Diagnostic, Sources};
+use crate::files::Output;
+use crate::page::Page;
+use crate::rng::Seed;
+use indicatif::ProgressBar;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// A trace that `run` has written
+    trace: PathBuf,
+    /// The page to write
+    #[arg(short, long, value_name = "FILE", default_value = "city.html")]
+    output: PathBuf,
+    /// Number of the first tick to show
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    from: u64,
+    /// How many ticks to show; all unless given
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
+    ticks: Option<u64>,
+    /// Configuration of the run, if it is no longer where the trace says
+    #[arg(long)]
+    config: Option<PathBuf>,
+    /// Rules of the run, if they are no longer where the trace says
+    #[arg(long)]
+    rules: Option<PathBuf>,
+    #[command(flatten)]
+    icons: IconOptions,
+}
+
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
+    let range = (arguments.from, arguments.ticks.unwrap_or(u64::MAX));
+    let files = [arguments.config.as_deref(), arguments.rules.as_deref()];
+    write(
+        &arguments.trace,
+        &arguments.output,
+        range,
+        files,
+        &arguments.icons,
+        sources,
+    )?;
+    writeln!(io::stdout(), "wrote {}", arguments.output.display())?;
+    Ok(())
+}
+
+/// Makes a page of the ticks of a trace from the first number on, at most so many as the second. `files` are configuration and rules, if they
+/// are not where the trace says.
+pub fn write(
+    trace: &Path,
+    output: &Path,
+    (from, most): (u64, u64),
+    [config, rules]: [Option<&Path>; 2],
+    icons: &IconOptions,
+    sources: &mut Sources,
+) -> Result<(), Failure> {
+    let mut reader = TraceReader::open(trace)?;
+    let mut replay = reader.replay(sources, config, rules, true)?;
+    let icons = icons.load(Seed(reader.header.seed))?;
+    let mut page = Page::new(&replay, &reader.header, &icons, sources);
+    let bar = ProgressBar::no_length().with_message("explaining ticks");
+    let (mut shown, mut last) = (0, None);
+    while let Some(tick) = reader.tick()? {
+        if tick.tick >= from && shown < most {
+            (replay.set(&tick))
+                .and_then(|()| page.push(&replay, &tick, sources))
+                .map_err(|fault| reader.placed(fault))?;
+            shown += 1;
+        }
+        last = Some(tick.tick);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    match last {
+        None => return Err(Diagnostic::new(Code::InvalidTrace, format!("`{}` has no ticks", trace.display())).into()),
+        Some(last) if shown == 0 => {
+            return Err(Failure::Usage(format!(
+                "the trace ends with tick {last}, before tick {from}"
+            )));
+        }
+        Some(_) => {}
+    }
+    let fail = |error| Failure::file("write", output, error);
+    let mut out = Output::create(output).map_err(fail)?;
+    page.write(&mut out).map_err(fail)?;
+    out.finish().map_err(fail)
+}

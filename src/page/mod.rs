@@ -1,0 +1,456 @@
+//! A run as one file that a browser opens from the disk: the city moves, and every decision says why.
+//!
+//! ```text
+//! trace --Replay--> state of a tick --Page::push--> columns, explanations --Page::write--> HTML with everything in it
+//! ```
+//!
+//! All of it is computed here, by the engine; the script in the page only shows it and evaluates no rule. Explanations repeat each other: equal nodes are
+//! stored once for the whole run ([`proofs`]). The data are JSON, deflated and written in base 64.
+
+mod proofs;
+
+use crate::city::{Cell, Heading, Route, field_of_view};
+use crate::config::{AgentKind, Speed};
+use crate::diag::{Code, Diagnostic, Sources};
+use crate::engine::provenance::{Explainer, Teller};
+use crate::lang::{ClauseId, Value};
+use crate::render::{Class, Facing, Icons};
+use crate::sim::{Replay, TraceAgent, TraceHeader, TraceTick, Wait, standstill, waits};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use flate2::Compression;
+use flate2::write::ZlibEncoder;
+use proofs::Proofs;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+
+/// The most decisions that a page holds; more make it slow to open.
+pub const DECISIONS_MAX: usize = 400_000;
+
+/// An agent that has not moved in this many ticks is called stuck; a circle of stuck agents that wait for each other is a deadlock.
+pub const STUCK_TICKS: u64 = 50;
+
+/// So many different icons of a class are shown at most.
+const CROWD: u32 = 20;
+
+/// How often it is looked for deadlocks, in ticks.
+const LOOK_TICKS: u64 = 10;
+
+const TEMPLATE: &str = include_str!("page.html");
+const STYLE: &str = include_str!("page.css");
+const SCRIPT: &str = include_str!("page.js");
+
+/// A page in the making.
+#[derive(Serialize)]
+pub struct Page {
+    title: String,
+    config: String,
+    rules: String,
+    split: String,
+    seed: u64,
+    hash: String,
+    map: Map,
+    agents: Vec<Agent>,
+    /// Icons as PNG in base 64; see [`Agent::icons`].
+    icons: Vec<String>,
+    actions: [&'static str; 4],
+    headings: [&'static str; 4],
+    predicates: Vec<Predicate>,
+    /// How many of the clauses that [`Proofs::clauses`] lists are those whose firings the trace has, in its order.
+    counted: usize,
+    #[serde(flatten)]
+    proofs: Proofs,
+    /// Number of the first tick.
+    first: u64,
+    /// For every tick, the state it was decided on, all agents together.
+    ticks: Vec<Tick>,
+    /// Where the agents were after the last tick.
+    last: Vec<[i32; 2]>,
+    /// For each agent, the routes it took: the position among `ticks` at which it set out, and the corners.
+    routes: Vec<Vec<(usize, Vec<[i32; 2]>)>>,
+    deadlocks: Vec<Deadlock>,
+    #[serde(skip)]
+    most: usize,
+    /// For each agent the tick after its last move.
+    #[serde(skip)]
+    still_since: Vec<u64>,
+    /// The rows of each predicate that were written last.
+    #[serde(skip)]
+    rows: Vec<Vec<[u32; 2]>>,
+}
+
+/// The map: what the ground of each cell is.
+#[derive(Serialize)]
+struct Map {
+    name: String,
+    rows: i32,
+    cols: i32,
+    /// For each row, pairs of a kind of ground and how many cells of it follow.
+    ground: Vec<Vec<u32>>,
+    /// Names of the kinds of ground.
+    kinds: [&'static str; 10],
+}
+
+#[derive(Serialize)]
+struct Agent {
+    id: String,
+    kind: &'static str,
+    concepts: Vec<String>,
+    priority: i32,
+    /// Positions in [`Page::icons`]: of a car the one that faces up, of a pedestrian those that face as `headings` are ordered.
+    icons: Vec<usize>,
+}
+
+#[derive(Serialize)]
+struct Predicate {
+    name: String,
+    arity: usize,
+}
+
+/// What a tick was decided on, and how.
+#[derive(Serialize)]
+struct Tick {
+    at: Vec<[i32; 2]>,
+    /// Positions in `headings`; -1 for none.
+    heading: Vec<i8>,
+    /// Positions in `actions`.
+    action: Vec<u8>,
+    /// The actions derived before the default, a bit each.
+    derived: Vec<u8>,
+    goal: Vec<[i32; 2]>,
+    /// First and last cell of each field of view.
+    view: Vec<[i32; 4]>,
+    /// The clauses that fired for each agent.
+    fired: Vec<Vec<usize>>,
+    /// For each agent and action, the node that tells why it was derived, or why not; -1 if the rules do not mention the action.
+    why: Vec<[i64; 4]>,
+    /// The predicates whose rows are others than in the tick before, and the rows: positions of agents.
+    facts: Vec<(usize, Vec<u32>)>,
+}
+
+/// Agents that wait for each other.
+#[derive(Serialize)]
+struct Deadlock {
+    /// In a circle: each waits for the next, the last for the first.
+    agents: Vec<usize>,
+    /// The clauses by which they wait.
+    clauses: Vec<usize>,
+    /// The tick in which the last of them came to a stop.
+    since: u64,
+    /// The tick in which it was seen last.
+    until: u64,
+}
+
+impl Page {
+    /// A page without ticks, for the trace of that header.
+    pub fn new(replay: &Replay, header: &TraceHeader, icons: &Icons, sources: &Sources) -> Page {
+        let world = replay.world();
+        let teller = Teller::new(world.program.rules(), replay.session().symbols(), sources);
+        let mut proofs = Proofs::default();
+        let counted = world.clauses().map(|clause| proofs.clause(&teller, clause)).count();
+        for index in 0..world.program.rules().clauses.len() {
+            proofs.clause(
+                &teller,
+                ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")),
+            );
+        }
+        let mut shown = Shown::default();
+        let agents: Vec<Agent> = (header.agents.iter().zip(replay.kinds()).enumerate())
+            .map(|(position, (agent, &kind))| Agent {
+                id: agent.id.clone(),
+                kind: kind.name(),
+                concepts: agent.concepts.clone(),
+                priority: agent.priority,
+                icons: shown.of(icons, kind, agent, position),
+            })
+            .collect();
+        let predicates = (world.vocabulary.predicates.iter()).map(|predicate| Predicate {
+            name: predicate.name.clone(),
+            arity: predicate.arity,
+        });
+        Page {
+            title: format!("{} ({}), seed {}", header.config, header.split, header.seed),
+            config: header.config.clone(),
+            rules: header.rules.clone(),
+            split: header.split.clone(),
+            seed: header.seed,
+            hash: header.rules_hash.clone(),
+            map: Map::new(world.map()),
+            actions: Speed::ALL.map(Speed::name),
+            headings: Heading::ALL.map(Heading::name),
+            predicates: predicates.collect(),
+            counted,
+            proofs,
+            first: 0,
+            ticks: Vec::new(),
+            last: Vec::new(),
+            routes: vec![Vec::new(); agents.len()],
+            deadlocks: Vec::new(),
+            most: DECISIONS_MAX,
+            still_since: vec![0; agents.len()],
+            rows: vec![Vec::new(); world.vocabulary.predicates.len()],
+            agents,
+            icons: shown.icons,
+        }
+    }
+
+    /// Sets another limit than [`DECISIONS_MAX`].
+    pub fn set_limit(&mut self, decisions: usize) {
+        self.most = decisions;
+    }
+
+    /// Adds a tick, which `replay` has been set to. Ticks come in order.
+    ///
+    /// # Errors
+    /// `invalid-trace`, without a place, for a tick that cannot be; `limit-exceeded` for more decisions than the limit, or an
+    /// explanation that takes too many steps.
+    pub fn push(&mut self, replay: &Replay, tick: &TraceTick, sources: &Sources) -> Result<(), Diagnostic> {
+        if (self.ticks.len() + 1) * self.agents.len() > self.most {
+            let message = format!("a page of more than {} decisions would be slow to open", self.most);
+            return Err(Diagnostic::new(Code::LimitExceeded, message).help("choose ticks with `--from` and `--ticks`"));
+        }
+        if self.ticks.is_empty() {
+            self.first = tick.tick;
+            self.still_since.fill(tick.tick);
+        }
+        self.follow_routes(replay, tick);
+        let (world, view) = (replay.world(), replay.world().scenario.view);
+        let mut column = Tick {
+            at: tick.agents.iter().map(|agent| agent.at).collect(),
+            heading: Vec::new(),
+            action: Vec::new(),
+            derived: Vec::new(),
+            goal: tick.agents.iter().map(|agent| agent.goal).collect(),
+            view: Vec::new(),
+            fired: tick.agents.iter().map(|agent| agent.clauses.clone()).collect(),
+            why: self.explain(replay, sources)?,
+            facts: self.changed(replay),
+        };
+        for (position, agent) in tick.agents.iter().enumerate() {
+            if let Some(clause) = agent.clauses.iter().find(|clause| **clause >= self.counted) {
+                let message = format!("there is no clause {clause}: the rules have {}", self.counted);
+                return Err(Diagnostic::new(Code::InvalidTrace, message));
+            }
+            let heading = agent.heading()?;
+            let seen = field_of_view(cell(agent.at), heading, view, world.map());
+            let derived = replay.derived(position).iter();
+            column.heading.push(heading.map_or(-1, |heading| heading as i8));
+            column.action.push(agent.action()? as u8);
+            column
+                .derived
+                .push(derived.fold(0, |bits, action| bits | 1 << action as u8));
+            column
+                .view
+                .push([seen.first.row, seen.first.col, seen.last.row, seen.last.col]);
+            if agent.next != agent.at {
+                self.still_since[position] = tick.tick + 1;
+            }
+        }
+        self.ticks.push(column);
+        self.last = tick.agents.iter().map(|agent| agent.next).collect();
+        if (tick.tick + 1).is_multiple_of(LOOK_TICKS) {
+            self.look_for_deadlocks(replay, tick.tick)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the page.
+    ///
+    /// # Errors
+    /// Whatever `out` reports.
+    pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
+        let mut packed = ZlibEncoder::new(Vec::new(), Compression::best());
+        serde_json::to_writer(&mut packed, self)?;
+        let data = STANDARD.encode(packed.finish()?);
+        let title = self.title.replace('&', "&amp;").replace('<', "&lt;");
+        let parts = [
+            ("TITLE", title.as_str()),
+            ("STYLE", STYLE),
+            ("DATA", &data),
+            ("SCRIPT", SCRIPT),
+        ];
+        let mut rest = TEMPLATE;
+        for (name, text) in parts {
+            let (before, after) = rest
+                .split_once(&format!("{{{{{name}}}}}"))
+                .expect("the template has all parts in order");
+            out.write_all(before.as_bytes())?;
+            out.write_all(text.as_bytes())?;
+            rest = after;
+        }
+        out.write_all(rest.as_bytes())
+    }
+
+    /// Why each agent did each action or did not.
+    fn explain(&mut self, replay: &Replay, sources: &Sources) -> Result<Vec<[i64; 4]>, Diagnostic> {
+        let session = replay.session();
+        let teller = Teller::new(session.program().rules(), session.symbols(), sources);
+        let mut explainer = Explainer::new(session);
+        let mut all = Vec::with_capacity(self.agents.len());
+        for position in 0..self.agents.len() {
+            let mut nodes = [-1; 4];
+            for (node, action) in nodes.iter_mut().zip(Speed::ALL) {
+                let Some(relation) = replay.world().vocabulary.action(action) else {
+                    continue;
+                };
+                let asked: [Option<Value>; 1] = [Some(replay.value(position))];
+                if let (_, Some(explanation)) = explainer.explain_either(relation, &asked)? {
+                    *node = i64::from(self.proofs.add(&teller, &explanation));
+                }
+            }
+            all.push(nodes);
+        }
+        Ok(all)
+    }
+
+    /// The rows of predicates that differ from those of the tick before.
+    fn changed(&mut self, replay: &Replay) -> Vec<(usize, Vec<u32>)> {
+        let mut changed = Vec::new();
+        for (index, (rows, old)) in replay.facts().rows.iter().zip(&mut self.rows).enumerate() {
+            if rows == old && !self.ticks.is_empty() {
+                continue;
+            }
+            old.clone_from(rows);
+            let arity = self.predicates[index].arity;
+            changed.push((index, rows.iter().flat_map(|row| row[..arity].to_vec()).collect()));
+        }
+        changed
+    }
+
+    /// Plans the routes of the agents that have a new goal. A trace has only goals, but a route follows from start and goal. Who reaches its
+    /// goal sets out for the next in the same tick, and the tick after that is the first to tell which.
+    fn follow_routes(&mut self, replay: &Replay, tick: &TraceTick) {
+        let router = &replay.world().router;
+        for (position, agent) in tick.agents.iter().enumerate() {
+            let (now, before) = (self.ticks.len(), self.ticks.last());
+            let (since, start) = match before.map(|before| (before.at[position], before.goal[position])) {
+                Some((_, goal)) if goal == agent.goal => continue,
+                Some((at, goal)) if at == goal => (now - 1, at),
+                _ => (now, agent.at),
+            };
+            let route = router.plan(replay.kinds()[position], cell(start), cell(agent.goal));
+            let corners = route.map_or_else(|_| Vec::new(), |route| corners(&route));
+            self.routes[position].push((since, corners));
+        }
+    }
+
+    fn look_for_deadlocks(&mut self, replay: &Replay, now: u64) -> Result<(), Diagnostic> {
+        let stuck: Vec<usize> = (0..self.agents.len())
+            .filter(|&agent| now + 1 - self.still_since[agent] >= STUCK_TICKS)
+            .collect();
+        if stuck.is_empty() {
+            return Ok(());
+        }
+        let found = standstill(&stuck, &waits(&replay.moment(), &stuck)?);
+        for circle in found.deadlocks {
+            let agents: Vec<usize> = circle.iter().map(|wait| wait.agent).collect();
+            let same = |known: &&mut Deadlock| known.agents == agents && known.until + LOOK_TICKS >= now;
+            if let Some(known) = self.deadlocks.iter_mut().find(same) {
+                known.until = now;
+                continue;
+            }
+            let position = |wait: &Wait| replay.world().clauses().position(|clause| clause == wait.clause);
+            self.deadlocks.push(Deadlock {
+                clauses: circle.iter().filter_map(position).collect(),
+                since: agents.iter().map(|&agent| self.still_since[agent]).max().unwrap_or(now),
+                until: now,
+                agents,
+            });
+        }
+        Ok(())
+    }
+}
+
+/// The icons of a page, each once.
+#[derive(Default)]
+struct Shown {
+    icons: Vec<String>,
+    known: BTreeMap<(Class, u32, Facing), usize>,
+}
+
+impl Shown {
+    /// The side of an icon in pixels.
+    const SIDE: u32 = 96;
+
+    /// The icons of an agent. Which instance of its class shows it follows from the number in its name, as in other pictures of the run; in
+    /// crowds few instances are enough.
+    fn of(&mut self, icons: &Icons, kind: AgentKind, agent: &TraceAgent, position: usize) -> Vec<usize> {
+        let class = Class::agent(kind, &agent.concepts);
+        let number = agent.id.rsplit('_').next().and_then(|number| number.parse().ok());
+        let instance = number.unwrap_or(u32::try_from(position).unwrap_or(0)) % CROWD;
+        let facings = match kind {
+            AgentKind::Car => vec![Facing::Up],
+            AgentKind::Pedestrian => Heading::ALL.map(Facing::from).to_vec(),
+        };
+        let mut one = |facing: Facing| {
+            let next = self.icons.len();
+            let place = *self.known.entry((class.clone(), instance, facing)).or_insert(next);
+            if place == next {
+                self.icons
+                    .push(STANDARD.encode(icons.png(&class, instance, facing, Self::SIDE)));
+            }
+            place
+        };
+        facings.into_iter().map(&mut one).collect()
+    }
+}
+
+impl Map {
+    const KINDS: [&'static str; 10] = [
+        "other",
+        "walking",
+        "traffic",
+        "crossing",
+        "mid line",
+        "house",
+        "office",
+        "garage",
+        "store",
+        "gas station",
+    ];
+
+    fn new(map: &crate::city::CityMap) -> Map {
+        let kind = |cell: Cell| match (map.building_at(cell), map.is_mid_line(cell)) {
+            (Some(building), _) => 5 + building as u32,
+            (None, true) => 4,
+            (None, false) => map.ground_at(cell).map_or(0, |ground| ground as u32),
+        };
+        let row = |row: i32| {
+            let mut runs: Vec<u32> = Vec::new();
+            for col in 0..map.cols() {
+                match (runs.len().checked_sub(2).map(|at| runs[at]), kind(Cell { row, col })) {
+                    (Some(before), now) if before == now => *runs.last_mut().expect("there is a run") += 1,
+                    (_, now) => runs.extend([now, 1]),
+                }
+            }
+            runs
+        };
+        Map {
+            name: map.name.clone(),
+            rows: map.rows(),
+            cols: map.cols(),
+            ground: (0..map.rows()).map(row).collect(),
+            kinds: Self::KINDS,
+        }
+    }
+}
+
+fn cell([row, col]: [i32; 2]) -> Cell {
+    Cell { row, col }
+}
+
+/// Start and goal of a route and the cells between them where it turns.
+fn corners(route: &Route) -> Vec<[i32; 2]> {
+    let mut corners: Vec<[i32; 2]> = Vec::new();
+    for cell in route.cells() {
+        let now = [cell.row, cell.col];
+        if let [.., a, b] = corners[..]
+            && (a[0] == b[0] && b[0] == now[0] || a[1] == b[1] && b[1] == now[1])
+        {
+            corners.pop();
+        }
+        corners.push(now);
+    }
+    corners
+}

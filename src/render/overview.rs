@@ -1,0 +1,147 @@
+//! The whole city on one picture, with rulers, a legend and labels.
+
+use super::icon::{Icons, PixelBox};
+use super::label::{self, PAPER};
+use super::legend::{self, MUTED};
+use super::picture::Picture;
+use super::renderer::Renderer;
+use super::sprite::Sprite;
+use super::view::{Scale, View, ViewError};
+use crate::city::{CityMap, Heading};
+use crate::config::AgentKind;
+use embedded_graphics::mono_font::iso_8859_1::FONT_5X8;
+use embedded_graphics::text::Alignment;
+use std::sync::Arc;
+
+/// Space around everything, and between map and legend, in pixels.
+const MARGIN: i32 = 14;
+/// Height of the line above the map, in pixels.
+const STATUS: i32 = 30;
+/// Width of the row numbers and height of the column numbers, in pixels.
+const RULER: (i32, i32) = (20, 12);
+/// A legend with the known concepts of an ordinary scenario needs about this much, in pixels.
+const LEAST_HEIGHT: i32 = 800;
+/// The line above the map needs about this much, in pixels.
+const LEAST_WIDTH: i32 = 440;
+/// The longer side of a map is at most this many pixels when cells are enlarged, else at most [`MOST`].
+const ENLARGED: i32 = 1000;
+const MOST: i32 = 1600;
+/// The largest cell, in pixels.
+const LARGEST_CELL: i32 = 12;
+
+/// Draws overviews of one city.
+///
+/// A picture is a line of numbers, the map with row and column numbers, and a legend. The longer side of the map
+/// becomes up to 1000 pixels (square-5x5: 4 pixels a cell, 974 x 964), with cells of at most 12. A map of more than
+/// 1600 cells is sampled down to at most 1600 pixels, so a picture takes at most 12 MB whatever the map; agents never
+/// shrink below some pixels. Beside every agent a coloured dot tells what it decided.
+#[derive(Clone, Debug)]
+pub struct Overview {
+    /// All but the map.
+    frame: Picture,
+    map: Renderer,
+    /// Where the map is on the picture.
+    area: PixelBox,
+    /// Where the legend of the agents begins (left, top).
+    agents: (i32, i32),
+}
+
+impl Overview {
+    /// Draws what does not change.
+    ///
+    /// # Errors
+    /// If the map has no rows or no columns.
+    pub fn new(map: &CityMap, icons: Arc<Icons>) -> Result<Overview, ViewError> {
+        let (rows, cols) = (map.rows(), map.cols());
+        if rows == 0 || cols == 0 {
+            return Err(ViewError::Empty);
+        }
+        let longer = rows.max(cols);
+        let scale = Scale::fit(longer, if longer > ENLARGED { MOST } else { ENLARGED }, LARGEST_CELL);
+        let view = View::whole(map, scale)?;
+        let (width, height) = view.size();
+        let area = PixelBox {
+            x: MARGIN + RULER.0,
+            y: STATUS + RULER.1,
+            width,
+            height,
+        };
+        let (map_wide, map_high) = (width.cast_signed(), height.cast_signed());
+        let left = area.x + map_wide.max(LEAST_WIDTH) + MARGIN;
+        let width = left + legend::WIDTH + MARGIN;
+        let height = (area.y + map_high).max(LEAST_HEIGHT) + MARGIN;
+        let mut frame = Picture::new(width.cast_unsigned(), height.cast_unsigned(), PAPER);
+        rulers(&mut frame, scale, area, (rows, cols));
+        legend::draw_title(&map.name, &mut frame, left, STATUS / 2);
+        let fine = scale.cells == 1;
+        let top = legend::draw_static(map, &icons, fine, &mut frame, left, STATUS);
+        Ok(Overview {
+            frame,
+            map: Renderer::new(map, icons, view),
+            area,
+            agents: (left, top),
+        })
+    }
+
+    /// Width and height of every picture in pixels.
+    pub fn size(&self) -> (u32, u32) {
+        (self.frame.width(), self.frame.height())
+    }
+
+    /// The picture of a state. It depends on the arguments alone, not on pictures drawn before.
+    ///
+    /// Cars lie under pedestrians, and otherwise agents that come later lie on those before. The first 300 agents get a
+    /// label, except where it would cover another one.
+    pub fn draw(&self, tick: u64, agents: &[Sprite<'_>]) -> Picture {
+        let mut picture = self.frame.clone();
+        picture.lay(&self.map.draw(agents), self.area.x, self.area.y);
+        let shown = self.figures(agents);
+        for (sprite, area) in &shown {
+            if let Some(action) = sprite.action {
+                legend::draw_action(action, (area.x + area.width.cast_signed(), area.y), &mut picture);
+            }
+        }
+        label::draw(&label::place(&shown, self.area), &mut picture);
+        let off_map = agents.len() - shown.len();
+        legend::draw_status(tick, agents, off_map, &mut picture, self.area.x, STATUS / 2);
+        let bottom = picture.height().cast_signed() - MARGIN;
+        legend::draw_agents(agents, self.map.icons(), &mut picture, self.agents, bottom);
+        picture
+    }
+
+    /// The agents on the map in the order of drawing, each with what it covers of the picture.
+    fn figures<'a>(&self, agents: &[Sprite<'a>]) -> Vec<(Sprite<'a>, PixelBox)> {
+        let on_picture = |agent: &Sprite<'a>| {
+            let area = self.map.pixel_box(agent)?;
+            let (x, y) = (area.x + self.area.x, area.y + self.area.y);
+            Some((*agent, PixelBox { x, y, ..area }))
+        };
+        let mut figures: Vec<_> = agents.iter().filter_map(on_picture).collect();
+        figures.sort_by_key(|(sprite, _)| sprite.kind == AgentKind::Pedestrian);
+        figures
+    }
+}
+
+/// Row numbers left of the map and column numbers above it.
+fn rulers(frame: &mut Picture, scale: Scale, map: PixelBox, (rows, cols): (i32, i32)) {
+    // Room for a number of five digits.
+    let step = [10, 20, 50, 100, 200, 500, 1000, 2000, 5000]
+        .into_iter()
+        .find(|&step| scale.length(step) >= 36)
+        .unwrap_or(10_000);
+    for (heading, side) in [(Heading::Down, rows), (Heading::Right, cols)] {
+        for cell in (0..side).step_by(step as usize) {
+            // The whole map fits the picture.
+            let (at, text) = (scale.middle(cell) as i32, cell.to_string());
+            let (x, y) = (map.x + at, map.y + at);
+            let (place, align, tick) = if heading == Heading::Down {
+                ((map.x - 5, y), Alignment::Right, (map.x - 3, y, 3, 1))
+            } else {
+                ((x, map.y - 8), Alignment::Center, (x, map.y - 3, 1, 3))
+            };
+            frame.text(&text, place, &FONT_5X8, MUTED, align);
+            let (x, y, width, height) = tick;
+            frame.fill(PixelBox { x, y, width, height }, MUTED);
+        }
+    }
+}

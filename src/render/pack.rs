@@ -1,0 +1,468 @@
+//! Icon packs: pictures and drawings of others, a folder a class.
+
+use super::class::Class;
+use resvg::tiny_skia::{IntSize, Pixmap, Transform};
+use resvg::usvg::{self, ImageHrefResolver, Options, Tree, roxmltree};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// The largest file of a pack, in bytes.
+pub const PACK_FILE_MAX: usize = 4 << 20;
+/// The longest side of a picture in a pack, in pixels.
+const SIDE_MAX: u32 = 2048;
+/// The longest side of an icon that is kept, in pixels; drawings are painted at that size, once.
+const KEPT_MAX: u32 = 384;
+/// An icon is at most that many times as long as wide.
+const ASPECT_MAX: f32 = 6.0;
+/// The most XML nodes of a drawing, and the most of them that refer to others.
+const NODES_MAX: u32 = 20_000;
+const USES_MAX: usize = 64;
+/// How deep elements lie in elements, with those that they refer to.
+const DEPTH_MAX: usize = 48;
+const SVG: &str = "http://www.w3.org/2000/svg";
+/// The most files of a pack.
+pub const PACK_FILES_MAX: usize = 2_000;
+
+/// What a pack does to the icons that are drawn by parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Its icons come in addition.
+    Extend,
+    /// A class that it has shows only its icons.
+    Replace,
+}
+
+impl Mode {
+    /// Both.
+    pub const ALL: [Mode; 2] = [Mode::Extend, Mode::Replace];
+
+    /// Its name on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Mode::Extend => "extend",
+            Mode::Replace => "replace",
+        }
+    }
+}
+
+/// A file of a pack that cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PackFault {
+    /// Its path in the pack.
+    pub file: String,
+    /// Why.
+    pub reason: String,
+}
+
+impl fmt::Display for PackFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "icon `{}`: {}", self.file, self.reason)
+    }
+}
+
+impl std::error::Error for PackFault {}
+
+/// Icons that were read. In a file a car heads up; the short side of its picture is the car's width.
+#[derive(Clone, Debug)]
+pub struct Pack {
+    mode: Mode,
+    classes: BTreeMap<Class, Vec<Pixmap>>,
+}
+
+impl Pack {
+    /// Makes a pack of files, each with its path in the pack, `CLASS/NAME.png` or `CLASS/NAME.svg`. Within a class they are counted in
+    /// the order of their paths. A drawing is taken for what it is alone: it may name no other file, and show no text and no filters.
+    ///
+    /// # Errors
+    /// Every file that cannot be used, and why; a pack without icons.
+    pub fn new(mode: Mode, mut files: Vec<(String, Vec<u8>)>) -> Result<Pack, Vec<PackFault>> {
+        files.sort();
+        let mut faults = Vec::new();
+        let mut classes: BTreeMap<Class, Vec<Pixmap>> = BTreeMap::new();
+        for (file, bytes) in files {
+            match icon(&file, &bytes) {
+                Ok((class, art)) => classes.entry(class).or_default().push(art),
+                Err(reason) => faults.push(PackFault { file, reason }),
+            }
+        }
+        if classes.is_empty() && faults.is_empty() {
+            faults.push(PackFault {
+                file: "*/*".into(),
+                reason: "there is none; a pack has a folder a class, such as `ambulance/1.png` or `bus+tiro/a.svg`"
+                    .into(),
+            });
+        }
+        if faults.is_empty() {
+            Ok(Pack { mode, classes })
+        } else {
+            Err(faults)
+        }
+    }
+
+    /// What it does to the icons that are drawn.
+    pub fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// The classes it has icons of, each with their number.
+    pub fn classes(&self) -> impl Iterator<Item = (&Class, usize)> {
+        self.classes.iter().map(|(class, icons)| (class, icons.len()))
+    }
+
+    pub(super) fn of(&self, class: &Class) -> &[Pixmap] {
+        self.classes.get(class).map_or(&[], Vec::as_slice)
+    }
+}
+
+/// The class and the icon of a file, or why there is none.
+fn icon(file: &str, bytes: &[u8]) -> Result<(Class, Pixmap), String> {
+    let (folder, name) = file
+        .split_once('/')
+        .ok_or("it lies in no folder; the folder is the class")?;
+    let class = Class::from_name(folder).ok_or_else(|| {
+        let known: Vec<String> = Class::known().iter().map(Class::to_string).collect();
+        format!(
+            "there is no class `{folder}`; there are {}, and concepts joined by `+`",
+            known.join(", ")
+        )
+    })?;
+    if bytes.len() > PACK_FILE_MAX {
+        return Err(format!("it is larger than {} MiB", PACK_FILE_MAX >> 20));
+    }
+    let art = match name
+        .rsplit_once('.')
+        .map(|(_, ending)| ending.to_ascii_lowercase())
+        .as_deref()
+    {
+        Some("png") => picture(bytes)?,
+        Some("svg") => drawing(bytes)?,
+        _ => return Err("it is neither `.png` nor `.svg`".into()),
+    };
+    let largest = art.width().max(art.height());
+    if largest <= KEPT_MAX {
+        return Ok((class, art));
+    }
+    let side = |length: u32| (length * KEPT_MAX / largest).max(1);
+    let art = shrunk(&art, side(art.width()), side(art.height()));
+    Ok((class, art))
+}
+
+fn picture(bytes: &[u8]) -> Result<Pixmap, String> {
+    let fault = |error: png::DecodingError| format!("not a PNG picture that can be read: {error}");
+    let mut decoder = png::Decoder::new(std::io::Cursor::new(bytes));
+    // Whatever the depth and the palette: bytes of grey or colours.
+    decoder.set_transformations(png::Transformations::normalize_to_color8());
+    let mut reader = decoder.read_info().map_err(fault)?;
+    let (width, height) = (reader.info().width, reader.info().height);
+    // What is not decoded cannot be too much.
+    if width.max(height) > SIDE_MAX {
+        return Err(format!(
+            "{width} x {height} pixels; no side may have more than {SIDE_MAX}"
+        ));
+    }
+    let mut data = vec![0; reader.output_buffer_size().ok_or("its size cannot be counted")?];
+    let info = reader.next_frame(&mut data).map_err(fault)?;
+    let samples = info.color_type.samples();
+    let pixels = data
+        .chunks_exact(samples)
+        .take((width * height) as usize)
+        .flat_map(|pixel| {
+            let [r, g, b, alpha] = match *pixel {
+                [grey] => [grey, grey, grey, 255],
+                [grey, alpha] => [grey, grey, grey, alpha],
+                [r, g, b] => [r, g, b, 255],
+                [r, g, b, alpha] => [r, g, b, alpha],
+                _ => [0; 4],
+            };
+            let times = |channel: u8| ((u32::from(channel) * u32::from(alpha) + 127) / 255) as u8;
+            [times(r), times(g), times(b), alpha]
+        });
+    #[allow(clippy::cast_precision_loss)]
+    check_aspect(width as f32, height as f32)?;
+    let size = IntSize::from_wh(width, height).ok_or("it has no pixels")?;
+    Pixmap::from_vec(pixels.collect(), size).ok_or_else(|| "it ends too soon".into())
+}
+
+/// Refuses what is too long for its width, since what is turned takes a square.
+fn check_aspect(width: f32, height: f32) -> Result<(), String> {
+    match width.max(height) > width.min(height) * ASPECT_MAX {
+        true => Err(format!(
+            "{width} x {height}: one side is more than {ASPECT_MAX} times the other"
+        )),
+        false => Ok(()),
+    }
+}
+
+fn drawing(bytes: &[u8]) -> Result<Pixmap, String> {
+    let text = std::str::from_utf8(bytes).map_err(|_| "not UTF-8 text")?;
+    // Neither entities, which can grow without bounds, nor more nodes than a drawing needs.
+    let limits = roxmltree::ParsingOptions {
+        allow_dtd: false,
+        nodes_limit: NODES_MAX,
+        ..roxmltree::ParsingOptions::default()
+    };
+    let document = roxmltree::Document::parse_with_options(text, limits)
+        .map_err(|error| format!("not an SVG drawing: {error}"))?;
+    check_elements(&document)?;
+    check_depth(&document)?;
+    let options = Options {
+        image_href_resolver: ImageHrefResolver {
+            resolve_data: Box::new(|_, _, _| None),
+            resolve_string: Box::new(|_, _| None),
+        },
+        ..Options::default()
+    };
+    let tree =
+        Tree::from_xmltree(&document, &options).map_err(|error: usvg::Error| format!("not an SVG drawing: {error}"))?;
+    let (width, height) = (tree.size().width(), tree.size().height());
+    check_aspect(width, height)?;
+    let extent = tree.root().abs_stroke_bounding_box();
+    let far = [extent.left(), extent.top(), extent.right(), extent.bottom()];
+    if far.into_iter().any(|at| at.abs() > 100.0 * width.max(height)) {
+        return Err("it reaches more than 100 times as far as what is shown".into());
+    }
+    if tree.root().children().is_empty() {
+        return Err("nothing is drawn in it".into());
+    }
+    #[allow(clippy::cast_precision_loss)]
+    let scale = KEPT_MAX as f32 / width.max(height);
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+    let side = |length: f32| ((length * scale).round() as u32).clamp(1, KEPT_MAX);
+    let mut pixmap = Pixmap::new(side(width), side(height)).ok_or("it has no size")?;
+    // Painters assert what coordinates without bounds can break, in clips and masks too, which have no extent here.
+    let painted = catch_unwind(AssertUnwindSafe(|| {
+        resvg::render(&tree, Transform::from_scale(scale, scale), &mut pixmap.as_mut());
+    }));
+    painted.map_err(|_| "it cannot be drawn: look for numbers that are very large or very small")?;
+    Ok(pixmap)
+}
+
+/// Refuses elements that show what is not in the drawing, or that take long.
+fn check_elements(document: &roxmltree::Document<'_>) -> Result<(), String> {
+    let mut uses = 0;
+    let patterns = document.descendants().any(|node| node.has_tag_name((SVG, "pattern")));
+    for node in document.descendants().filter(roxmltree::Node::is_element) {
+        let name = node.tag_name().name();
+        let fault = |why: String| Err(format!("line {}: {why}", document.text_pos_at(node.range().start).row));
+        match name {
+            "image" | "feImage" => return fault(format!("`{name}` shows another picture; draw it instead")),
+            "text" => return fault("text is not shown; turn it into paths".into()),
+            "filter" | "foreignObject" | "script" => return fault(format!("`{name}` is not taken")),
+            "use" => uses += 1,
+            _ => {}
+        }
+        let outside = |value: &str| value.contains("@import") || urls(value).any(|url| !url.starts_with('#'));
+        let style = node.text().filter(|_| name == "style").unwrap_or_default();
+        let foreign = node.attributes().any(|attribute| {
+            let link = attribute.name() == "href" && !attribute.value().starts_with('#');
+            link || outside(attribute.value())
+        });
+        if foreign || outside(style) {
+            return fault(format!("`{name}` refers to another file"));
+        }
+        // How deep these lead is not seen in the elements.
+        let deep = ["mask", "clip-path", "marker"];
+        if let Some(property) = deep.into_iter().find(|property| style.contains(property)) {
+            return fault(format!("`{property}` in a style sheet; write it as an attribute"));
+        }
+        if patterns && urls(style).next().is_some() {
+            return fault("a style sheet and a `pattern`; write `fill` and `stroke` as attributes".into());
+        }
+    }
+    if uses > USES_MAX {
+        return Err(format!("{uses} elements `use`; there may be {USES_MAX}"));
+    }
+    Ok(())
+}
+
+/// What stands in `url(..)`.
+fn urls(text: &str) -> impl Iterator<Item = &str> {
+    let inner = |rest: &'_ str| -> Option<usize> { rest.find(')') };
+    (text.split("url(").skip(1))
+        .map(move |rest| rest[..inner(rest).unwrap_or(rest.len())].trim_matches([' ', '\'', '"']))
+}
+
+/// Refuses elements within elements, and references from them to others, that are too deep: whoever draws them goes as deep.
+fn check_depth(document: &roxmltree::Document<'_>) -> Result<(), String> {
+    type Node<'a> = roxmltree::Node<'a, 'a>;
+    /// How deep it goes below a node; `None` if that is too deep.
+    fn below<'a>(
+        node: Node<'a>,
+        left: usize,
+        ids: &BTreeMap<&str, Node<'a>>,
+        known: &mut BTreeMap<usize, usize>,
+    ) -> Option<usize> {
+        if let Some(&depth) = known.get(&node.id().get_usize()) {
+            return (depth <= left).then_some(depth);
+        }
+        let left = left.checked_sub(1)?;
+        let links = node.attributes().flat_map(|attribute| {
+            let href = Some(attribute.value()).filter(|_| attribute.name() == "href");
+            href.into_iter().chain(urls(attribute.value()))
+        });
+        let targets = links.filter_map(|link| ids.get(link.strip_prefix('#')?).copied());
+        let mut deepest = 0;
+        for next in node.children().filter(Node::is_element).chain(targets) {
+            deepest = deepest.max(below(next, left, ids, known)?);
+        }
+        known.insert(node.id().get_usize(), deepest + 1);
+        Some(deepest + 1)
+    }
+    let elements = || document.descendants().filter(Node::is_element);
+    let ids = elements()
+        .filter_map(|node| Some((node.attribute("id")?, node)))
+        .collect();
+    match below(document.root_element(), DEPTH_MAX, &ids, &mut BTreeMap::new()) {
+        Some(_) => Ok(()),
+        None => Err(format!(
+            "elements within elements, or references to others, are more than {DEPTH_MAX} deep"
+        )),
+    }
+}
+
+/// A picture made smaller by averaging; no side grows.
+pub(super) fn shrunk(picture: &Pixmap, width: u32, height: u32) -> Pixmap {
+    let (from_w, from_h) = (picture.width(), picture.height());
+    let (width, height) = (width.min(from_w), height.min(from_h));
+    let mut small = Pixmap::new(width, height).expect("no side is 0");
+    let span = |at: u32, to: u32, from: u32| {
+        let (at, to, from) = (u64::from(at), u64::from(to), u64::from(from));
+        let start = at * from / to;
+        (start as usize, ((at + 1) * from).div_ceil(to).max(start + 1) as usize)
+    };
+    for y in 0..height {
+        let (top, bottom) = span(y, height, from_h);
+        for x in 0..width {
+            let (left, right) = span(x, width, from_w);
+            let mut sum = [0_u64; 4];
+            for row in top..bottom {
+                for col in left..right {
+                    let at = 4 * (row * from_w as usize + col);
+                    for (sum, &channel) in sum.iter_mut().zip(&picture.data()[at..at + 4]) {
+                        *sum += u64::from(channel);
+                    }
+                }
+            }
+            let count = ((bottom - top) * (right - left)) as u64;
+            let at = 4 * (y * width + x) as usize;
+            for (to, sum) in small.data_mut()[at..at + 4].iter_mut().zip(sum) {
+                *to = ((sum + count / 2) / count) as u8;
+            }
+        }
+    }
+    small
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn svg(body: &str) -> String {
+        format!(
+            r#"<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" viewBox="0 0 10 20">{body}</svg>"#
+        )
+    }
+
+    fn fault(file: &str, bytes: &[u8]) -> String {
+        let faults = Pack::new(Mode::Extend, vec![(file.into(), bytes.to_vec())]).expect_err(file);
+        assert_eq!(faults.len(), 1);
+        assert_eq!(faults[0].file, file);
+        faults[0].to_string()
+    }
+
+    #[test]
+    fn what_cannot_be_used_is_told_with_the_file_and_why() {
+        // Each level shows the one before four times.
+        let bomb = (1..16).fold(svg_group(0, r#"<rect width="1" height="1"/>"#), |all, level| {
+            let before = format!("<use href='#g{}'/>", level - 1);
+            all + &svg_group(level, &before.repeat(4))
+        });
+        let nested = svg(&("<g>".repeat(100_000) + &"</g>".repeat(100_000)));
+        let deep = svg(&("<g>".repeat(5_000) + r#"<rect width="1" height="1"/>"# + &"</g>".repeat(5_000)));
+        let chain: String = (1..60)
+            .map(|at| format!("<mask id='m{at}' mask='url(#m{})'/>", at - 1))
+            .collect();
+        let chain = svg(&chain);
+        let entities =
+            r#"<!DOCTYPE s [<!ENTITY a "aaaa">]><svg xmlns="http://www.w3.org/2000/svg"><g id="&a;"/></svg>"#;
+        let long = svg("<rect width='1' height='1'/>").replace("0 0 10 20", "0 0 10 61");
+        for (file, bytes, reason) in [
+            ("car.png", String::new(), "no folder"),
+            (
+                "plane/1.png",
+                String::new(),
+                "no class `plane`; there are car, ambulance,",
+            ),
+            ("car/1.gif", String::new(), "neither `.png` nor `.svg`"),
+            ("car/1.png", "no".into(), "not a PNG picture"),
+            ("car/1.svg", "<svg".into(), "not an SVG drawing"),
+            ("car/1.svg", svg(""), "nothing is drawn"),
+            ("car/1.svg", long, "more than 6 times"),
+            ("car/1.svg", svg("\n<image href='/etc/passwd'/>"), "line 2: `image`"),
+            ("car/1.svg", svg("<text>a</text>"), "turn it into paths"),
+            ("car/1.svg", svg("<filter/>"), "`filter` is not taken"),
+            (
+                "car/1.svg",
+                svg("<use xlink:href='other.svg#a'/>"),
+                "`use` refers to another file",
+            ),
+            (
+                "car/1.svg",
+                svg("<rect style='fill: url( http://a/b )'/>"),
+                "refers to another file",
+            ),
+            ("car/1.svg", svg("<style>@import 'a'</style>"), "refers to another file"),
+            ("car/1.svg", svg(&"<use href='#a'/>".repeat(65)), "65 elements `use`"),
+            ("car/1.svg", svg(&bomb), "not an SVG drawing"),
+            ("car/1.svg", nested, "not an SVG drawing"),
+            ("car/1.svg", deep, "more than 48 deep"),
+            ("car/1.svg", chain, "more than 48 deep"),
+            ("car/1.svg", svg("<g id='a'><use href='#a'/></g>"), "more than 48 deep"),
+            (
+                "car/1.svg",
+                svg("<style>.a { mask: url(#m) }</style>"),
+                "`mask` in a style sheet",
+            ),
+            (
+                "car/1.svg",
+                svg("<pattern/><style>.a { fill: url(#m) }</style>"),
+                "a style sheet and a `pattern`",
+            ),
+            ("car/1.svg", entities.into(), "not an SVG drawing"),
+        ] {
+            let told = fault(file, bytes.as_bytes());
+            assert!(told.contains(reason), "{told}");
+        }
+        assert!(fault("car/1.svg", &vec![b' '; PACK_FILE_MAX + 1]).contains("larger than 4 MiB"));
+        assert!(
+            Pack::new(Mode::Replace, Vec::new()).expect_err("empty")[0]
+                .reason
+                .contains("there is none")
+        );
+    }
+
+    fn svg_group(level: usize, body: &str) -> String {
+        format!(r#"<g id="g{level}">{body}</g>"#)
+    }
+
+    #[test]
+    fn a_picture_too_large_is_not_decoded() {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, 40_000, 1);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder
+            .write_header()
+            .and_then(|mut writer| writer.write_image_data(&[7; 40_000]))
+            .expect("written");
+        assert!(fault("old/1.png", &bytes).contains("40000 x 1 pixels"));
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, 7, 1);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder
+            .write_header()
+            .and_then(|mut writer| writer.write_image_data(&[7; 7]))
+            .expect("written");
+        assert!(fault("old/1.png", &bytes).contains("7 x 1: one side is more than 6 times"));
+    }
+}

@@ -1,0 +1,181 @@
+//! Pixels, and how to put icons, rectangles and text on them.
+
+use super::icon::{PixelBox, Stamp};
+use embedded_graphics::Pixel;
+use embedded_graphics::draw_target::DrawTarget;
+use embedded_graphics::geometry::{OriginDimensions, Point, Size};
+use embedded_graphics::mono_font::{MonoFont, MonoTextStyle};
+use embedded_graphics::pixelcolor::{Rgb888, RgbColor};
+use embedded_graphics::prelude::Drawable;
+use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
+use std::convert::Infallible;
+
+/// Red, green and blue.
+pub(super) type Rgb = [u8; 3];
+
+/// A picture: red, green and blue of every pixel, row after row.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Picture {
+    width: u32,
+    height: u32,
+    pixels: Vec<u8>,
+}
+
+impl Picture {
+    /// A picture of one colour.
+    pub(super) fn new(width: u32, height: u32, rgb: Rgb) -> Picture {
+        Picture {
+            width,
+            height,
+            pixels: rgb.repeat(width as usize * height as usize),
+        }
+    }
+
+    /// Width in pixels.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height in pixels.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Three bytes a pixel, `width` x `height` pixels, the top row first.
+    pub fn pixels(&self) -> &[u8] {
+        &self.pixels
+    }
+
+    /// The bytes, without a copy.
+    pub fn into_pixels(self) -> Vec<u8> {
+        self.pixels
+    }
+
+    /// Becomes a copy of another picture, in the memory it has.
+    pub(super) fn copy_from(&mut self, other: &Picture) {
+        (self.width, self.height) = (other.width, other.height);
+        self.pixels.clone_from(&other.pixels);
+    }
+
+    /// The part of a rectangle that is on the picture: columns and rows.
+    fn clip(&self, area: PixelBox) -> Option<(usize, usize, usize, usize)> {
+        let PixelBox { x, y, width, height } = area.clipped(self.width, self.height)?;
+        Some((
+            x.cast_unsigned() as usize,
+            y.cast_unsigned() as usize,
+            width as usize,
+            height as usize,
+        ))
+    }
+
+    pub(super) fn pixel_mut(&mut self, x: usize, y: usize) -> &mut [u8] {
+        let at = 3 * (y * self.width as usize + x);
+        &mut self.pixels[at..at + 3]
+    }
+
+    /// Fills the part of a rectangle that is on the picture.
+    pub(super) fn fill(&mut self, area: PixelBox, rgb: Rgb) {
+        let Some((left, top, width, height)) = self.clip(area) else {
+            return;
+        };
+        for row in top..top + height {
+            let start = 3 * (row * self.width as usize + left);
+            for pixel in self.pixels[start..start + 3 * width].as_chunks_mut::<3>().0 {
+                *pixel = rgb;
+            }
+        }
+    }
+
+    /// Lays a picture over a part of this one.
+    pub(super) fn lay(&mut self, other: &Picture, x: i32, y: i32) {
+        let area = PixelBox {
+            x,
+            y,
+            width: other.width,
+            height: other.height,
+        };
+        let Some((left, top, width, height)) = self.clip(area) else {
+            return;
+        };
+        let (skip_x, skip_y) = (skipped(left, x), skipped(top, y));
+        for row in 0..height {
+            let to = 3 * ((top + row) * self.width as usize + left);
+            let from = 3 * ((skip_y + row) * other.width as usize + skip_x);
+            self.pixels[to..to + 3 * width].copy_from_slice(&other.pixels[from..from + 3 * width]);
+        }
+    }
+
+    /// Lays an icon over the picture, its middle at a place.
+    pub(super) fn stamp(&mut self, stamp: &Stamp, x: i32, y: i32) {
+        let area = PixelBox {
+            x: x.saturating_add(stamp.area.x),
+            y: y.saturating_add(stamp.area.y),
+            ..stamp.area
+        };
+        let Some((left, top, width, height)) = self.clip(area) else {
+            return;
+        };
+        let (skip_x, skip_y) = (skipped(left, area.x), skipped(top, area.y));
+        for row in 0..height {
+            let to = 3 * ((top + row) * self.width as usize + left);
+            let from = 4 * ((skip_y + row) * stamp.area.width as usize + skip_x);
+            let below = self.pixels[to..to + 3 * width].as_chunks_mut::<3>().0;
+            let over = stamp.pixels[from..from + 4 * width].as_chunks::<4>().0;
+            for (below, &[r, g, b, alpha]) in below.iter_mut().zip(over) {
+                match alpha {
+                    0 => {}
+                    255 => *below = [r, g, b],
+                    _ => {
+                        let rest = 255 - u32::from(alpha);
+                        for (below, over) in below.iter_mut().zip([r, g, b]) {
+                            // At most 255, since no channel exceeds the opacity.
+                            *below = over + ((u32::from(*below) * rest + 127) / 255) as u8;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// One line of text; `x` is its left edge, centre or right edge and `y` its middle.
+    pub(super) fn text(&mut self, text: &str, (x, y): (i32, i32), font: &MonoFont<'_>, rgb: Rgb, align: Alignment) {
+        let style = TextStyleBuilder::new()
+            .alignment(align)
+            .baseline(Baseline::Middle)
+            .build();
+        let colour = MonoTextStyle::new(font, Rgb888::new(rgb[0], rgb[1], rgb[2]));
+        let Ok(_) = Text::with_text_style(text, Point::new(x, y), colour, style).draw(&mut Target(self));
+    }
+}
+
+/// How far a place on the picture is from the start of what is laid there, which may be off the picture.
+fn skipped(at: usize, start: i32) -> usize {
+    (at as i64 - i64::from(start)).unsigned_abs() as usize
+}
+
+/// A picture as something to draw on; apart from [`Picture`] so that the drawing crate stays out of the public interface.
+struct Target<'a>(&'a mut Picture);
+
+impl OriginDimensions for Target<'_> {
+    fn size(&self) -> Size {
+        Size::new(self.0.width, self.0.height)
+    }
+}
+
+impl DrawTarget for Target<'_> {
+    type Color = Rgb888;
+    type Error = Infallible;
+
+    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
+        let (width, height) = (self.0.width as usize, self.0.height as usize);
+        for Pixel(Point { x, y }, colour) in pixels {
+            if let (Ok(x), Ok(y)) = (usize::try_from(x), usize::try_from(y))
+                && x < width
+                && y < height
+            {
+                (self.0.pixel_mut(x, y)).copy_from_slice(&[colour.r(), colour.g(), colour.b()]);
+            }
+        }
+        Ok(())
+    }
+}

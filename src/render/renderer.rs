@@ -1,0 +1,228 @@
+//! Pictures of one view of a map: the ground once, the agents every time.
+
+use super::ground;
+use super::icon::{Icons, PixelBox, Stamp};
+use super::picture::Picture;
+use super::sprite::Sprite;
+use super::view::View;
+use crate::city::CityMap;
+use crate::config::AgentKind;
+use std::sync::Arc;
+
+/// Draws pictures of one view of one map.
+///
+/// The ground is drawn once, and every icon once; a picture is a copy of the ground with icons laid over it. It is a function of map, icons,
+/// view and agents, whatever was drawn before, on however many threads.
+#[derive(Clone, Debug)]
+pub struct Renderer {
+    icons: Arc<Icons>,
+    view: View,
+    /// Rows and columns of the map.
+    cells: (i32, i32),
+    ground: Picture,
+}
+
+/// An icon at its place.
+struct Placed {
+    stamp: Arc<Stamp>,
+    /// Its middle.
+    x: i32,
+    y: i32,
+}
+
+impl Renderer {
+    /// Draws the ground.
+    pub fn new(map: &CityMap, icons: Arc<Icons>, view: View) -> Renderer {
+        Renderer {
+            ground: ground::draw(map, &icons, &view),
+            cells: (map.rows(), map.cols()),
+            icons,
+            view,
+        }
+    }
+
+    /// What it shows.
+    pub fn view(&self) -> &View {
+        &self.view
+    }
+
+    /// The icons it draws with.
+    pub fn icons(&self) -> &Arc<Icons> {
+        &self.icons
+    }
+
+    /// The picture without agents.
+    pub fn ground(&self) -> &Picture {
+        &self.ground
+    }
+
+    /// The picture of some agents. Cars lie under pedestrians, and otherwise agents that come later lie on those before.
+    pub fn draw(&self, agents: &[Sprite<'_>]) -> Picture {
+        let mut picture = self.ground.clone();
+        self.add_agents(agents, &mut picture);
+        picture
+    }
+
+    /// The same in the memory of an earlier picture.
+    pub fn draw_into(&self, agents: &[Sprite<'_>], picture: &mut Picture) {
+        picture.copy_from(&self.ground);
+        self.add_agents(agents, picture);
+    }
+
+    fn add_agents(&self, agents: &[Sprite<'_>], picture: &mut Picture) {
+        for kind in [AgentKind::Car, AgentKind::Pedestrian] {
+            for agent in agents.iter().filter(|agent| agent.kind == kind) {
+                if let Some(Placed { stamp, x, y }) = self.place(agent) {
+                    picture.stamp(&stamp, x, y);
+                }
+            }
+        }
+    }
+
+    /// What each agent covers, without shadow and skid marks, clipped to the picture; `None` if it is off the map or the picture.
+    pub fn boxes(&self, agents: &[Sprite<'_>]) -> Vec<Option<PixelBox>> {
+        agents.iter().map(|agent| self.pixel_box(agent)).collect()
+    }
+
+    pub(super) fn pixel_box(&self, agent: &Sprite<'_>) -> Option<PixelBox> {
+        let Placed { stamp, x, y } = self.place(agent)?;
+        let body = PixelBox {
+            x: x + stamp.body.x,
+            y: y + stamp.body.y,
+            ..stamp.body
+        };
+        body.clipped(self.ground.width(), self.ground.height())
+    }
+
+    fn place(&self, agent: &Sprite<'_>) -> Option<Placed> {
+        let (rows, cols) = self.cells;
+        if !(0..rows).contains(&agent.at.row) || !(0..cols).contains(&agent.at.col) {
+            return None;
+        }
+        let (x, y) = self.view.middle(agent.at)?;
+        let size = match agent.kind {
+            AgentKind::Car => self.view.car,
+            AgentKind::Pedestrian => self.view.pedestrian,
+        };
+        let stamp = self.icons.stamp(&agent.class(), agent.instance, agent.facing, size);
+        Some(Placed { stamp, x, y })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Class, Difficulty, Facing, Scale};
+    use super::*;
+    use crate::city::Cell;
+    use crate::config::{Building, Buildings, Located, MapConfig, Widths};
+    use crate::diag::{Sources, Span};
+    use crate::rng::{Purpose, RngExt, Seed};
+
+    fn map() -> CityMap {
+        let mut sources = Sources::new();
+        let span = Span::new(sources.add("map", ""), 0..0);
+        let widths = Widths {
+            street: 7,
+            sidewalk: 3,
+            building: 5,
+            inner_sidewalk: 2,
+        };
+        let config = MapConfig {
+            name: "test".into(),
+            blocks: Located { value: [2, 2], span },
+            widths: Located { value: widths, span },
+            buildings: Located {
+                value: Buildings::Random {
+                    seed: 4,
+                    weights: Building::ALL.map(|building| (building, 1.0)).to_vec(),
+                },
+                span,
+            },
+        };
+        CityMap::generate(&config).unwrap_or_else(|fault| panic!("{fault:?}"))
+    }
+
+    /// The picture pixel by pixel, nothing drawn before or kept.
+    fn slowly(map: &CityMap, icons: &dyn Fn() -> Icons, view: &View, agents: &[Sprite<'_>]) -> Vec<u8> {
+        let (width, height) = view.size();
+        let mut pixels = vec![0; 3 * (width * height) as usize];
+        let side = view.scale.pixels as usize;
+        for row in 0..view.rows {
+            for col in 0..view.cols {
+                let corner = Cell::new(view.corner.row + row, view.corner.col + col);
+                let cell = ground::draw(map, &icons(), &View::new(corner, 1, 1, view.scale).expect("a cell"));
+                for (line, from) in cell.pixels().chunks_exact(3 * side).enumerate() {
+                    let at = 3 * ((row as usize * side + line) * width as usize + col as usize * side);
+                    pixels[at..at + 3 * side].copy_from_slice(from);
+                }
+            }
+        }
+        let mut order: Vec<&Sprite<'_>> = agents.iter().filter(|agent| map.contains(agent.at)).collect();
+        order.sort_by_key(|agent| agent.kind == AgentKind::Pedestrian);
+        for agent in order {
+            let size = if agent.kind == AgentKind::Car {
+                view.car
+            } else {
+                view.pedestrian
+            };
+            let Stamp { area, pixels: icon, .. } = icons().draw(
+                &Class::agent(agent.kind, agent.concepts),
+                agent.instance,
+                agent.facing,
+                size,
+            );
+            let middle = |cell: i32, corner: i32| (cell - corner) * view.scale.pixels + view.scale.pixels / 2;
+            let left = middle(agent.at.col, view.corner.col) + area.x;
+            let top = middle(agent.at.row, view.corner.row) + area.y;
+            for (at, pixel) in pixels.chunks_exact_mut(3).enumerate() {
+                let (x, y) = (at as i32 % width as i32 - left, at as i32 / width as i32 - top);
+                if (0..area.width as i32).contains(&x) && (0..area.height as i32).contains(&y) {
+                    let over = &icon[4 * (y * area.width as i32 + x) as usize..][..4];
+                    for (below, over_channel) in pixel.iter_mut().zip(over) {
+                        let through = f64::from(*below) * f64::from(255 - over[3]) / 255.0;
+                        *below = over_channel + (through + 0.5 - 1e-9) as u8;
+                    }
+                }
+            }
+        }
+        pixels
+    }
+
+    #[test]
+    fn what_is_kept_makes_no_difference() {
+        let map = map();
+        let concepts = ["bus", "tiro", "ambulance", "taxi", "old", "young"].map(str::to_owned);
+        for case in 0..6 {
+            let mut stream = Seed(9).stream(Purpose::Scene, case, 0);
+            let percent = stream.random_range(0..=100);
+            let icons = || Icons::new(Seed(case), Difficulty::percent(percent).expect("a percentage"));
+            let corner = Cell::new(stream.random_range(-3..20), stream.random_range(-3..20));
+            let scale = Scale::pixels(stream.random_range(1..9)).expect("a scale");
+            let view = View::new(corner, 14, 11, scale).expect("a view");
+            let renderer = Renderer::new(&map, Arc::new(icons()), view);
+            for _ in 0..2 {
+                let agents: Vec<Sprite<'_>> = (0..5)
+                    .map(|_| {
+                        let first = stream.random_range(0..concepts.len());
+                        Sprite {
+                            name: "",
+                            kind: AgentKind::ALL[stream.random_range(0..2)],
+                            concepts: &concepts[first..stream.random_range(first..=concepts.len())],
+                            at: Cell::new(
+                                corner.row + stream.random_range(-4..18),
+                                corner.col + stream.random_range(-4..15),
+                            ),
+                            facing: Facing::ALL[stream.random_range(0..8)],
+                            instance: stream.random_range(0..3),
+                            action: None,
+                        }
+                    })
+                    .collect();
+                assert!(
+                    renderer.draw(&agents).pixels() == slowly(&map, &icons, &view, &agents),
+                    "case {case}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,183 @@
+//! Which cells a picture shows, and how large.
+
+use super::icon::ICON_MAX;
+use crate::city::{Cell, CityMap};
+use std::fmt;
+
+/// How cells become pixels: a cell is a square of pixels, or a pixel stands for a square of cells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Scale {
+    /// Side of a cell in pixels.
+    pub(super) pixels: i32,
+    /// Cells that a pixel stands for along each axis. One of the two numbers is 1.
+    pub(super) cells: i32,
+}
+
+impl Scale {
+    /// Cells of that many pixels along each side: 1 to 64; `None` otherwise.
+    pub fn pixels(pixels: u32) -> Option<Scale> {
+        let pixels = i32::try_from(pixels).ok().filter(|pixels| (1..=64).contains(pixels))?;
+        Some(Scale { pixels, cells: 1 })
+    }
+
+    /// Pixels that each stand for so many cells along each side: 1 to 65,536; `None` otherwise.
+    pub fn cells(cells: u32) -> Option<Scale> {
+        let cells = i32::try_from(cells)
+            .ok()
+            .filter(|cells| (1..=1 << 16).contains(cells))?;
+        Some(Scale { pixels: 1, cells })
+    }
+
+    /// The largest scale at which so many cells take at most so many pixels, with cells of at most `largest` pixels.
+    pub(super) fn fit(cells: i32, pixels: i32, largest: i32) -> Scale {
+        Scale {
+            pixels: (pixels / cells).clamp(1, largest),
+            // Rounded up.
+            cells: (cells - 1) / pixels + 1,
+        }
+    }
+
+    /// The pixel where a cell begins, along one axis; cell 0 begins at pixel 0.
+    pub(super) fn start(self, cell: i32) -> i64 {
+        i64::from(cell.div_euclid(self.cells)) * i64::from(self.pixels)
+    }
+
+    /// The pixel in the middle of a cell, along one axis.
+    pub(super) fn middle(self, cell: i32) -> i64 {
+        self.start(cell) + i64::from(self.pixels / 2)
+    }
+
+    /// Length in pixels of that many cells from cell 0 on.
+    pub(super) fn length(self, cells: i32) -> i64 {
+        self.start(cells - 1) + i64::from(self.pixels)
+    }
+}
+
+/// Why there is no picture of a view.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ViewError {
+    /// It has no cells.
+    Empty,
+    /// It would have too many pixels: no side may have more than 16,384, the whole not more than 2^26.
+    TooLarge,
+    /// Icons have 1 to [`ICON_MAX`] pixels.
+    IconSize,
+}
+
+impl fmt::Display for ViewError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            ViewError::Empty => write!(f, "a picture without cells"),
+            ViewError::TooLarge => write!(
+                f,
+                "a picture of more than {SIDE_MAX} pixels a side or {PIXELS_MAX} in all"
+            ),
+            ViewError::IconSize => write!(f, "an icon of no pixels or more than {ICON_MAX}"),
+        }
+    }
+}
+
+impl std::error::Error for ViewError {}
+
+const SIDE_MAX: i64 = 1 << 14;
+const PIXELS_MAX: i64 = 1 << 26;
+
+/// A rectangle of cells, its scale, and the sizes of agents. Cells off the map are shown as meadow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct View {
+    /// The first cell.
+    pub(super) corner: Cell,
+    pub(super) rows: i32,
+    pub(super) cols: i32,
+    pub(super) scale: Scale,
+    /// Short side of a car, in pixels.
+    pub(super) car: u32,
+    /// Side of a pedestrian, in pixels.
+    pub(super) pedestrian: u32,
+}
+
+impl View {
+    /// So many rows and columns of cells from a corner on. Agents are four cells wide, and at least some pixels.
+    ///
+    /// # Errors
+    /// If there are no cells, or too many pixels.
+    pub fn new(corner: Cell, rows: u32, cols: u32, scale: Scale) -> Result<View, ViewError> {
+        let side = |from: i32, cells: u32| {
+            if cells == 0 {
+                return Err(ViewError::Empty);
+            }
+            let end = i32::try_from(cells).ok().and_then(|cells| from.checked_add(cells - 1));
+            let length = end.map(|end| scale.start(end) - scale.start(from) + i64::from(scale.pixels));
+            length.filter(|&length| length <= SIDE_MAX).ok_or(ViewError::TooLarge)
+        };
+        if side(corner.row, rows)? * side(corner.col, cols)? > PIXELS_MAX {
+            return Err(ViewError::TooLarge);
+        }
+        let size = (4 * scale.pixels).cast_unsigned();
+        Ok(View {
+            corner,
+            rows: rows.cast_signed(),
+            cols: cols.cast_signed(),
+            scale,
+            car: size.max(7),
+            pedestrian: size.max(9),
+        })
+    }
+
+    /// The whole map.
+    ///
+    /// # Errors
+    /// If the map has no cells, or the picture too many pixels.
+    pub fn whole(map: &CityMap, scale: Scale) -> Result<View, ViewError> {
+        let side = |cells: i32| u32::try_from(cells).unwrap_or(0);
+        View::new(Cell::new(0, 0), side(map.rows()), side(map.cols()), scale)
+    }
+
+    /// As the published visual data set has it: 128 x 128 cells of 8 pixels, buildings of 10 cells thus 80, cars 48 and pedestrians 32 pixels.
+    ///
+    /// # Errors
+    /// If the corner is at the end of what coordinates there are.
+    pub fn published(corner: Cell) -> Result<View, ViewError> {
+        let scale = Scale::pixels(8).expect("within bounds");
+        View::new(corner, 128, 128, scale)?.with_agents(48, 32)
+    }
+
+    /// The same with agents of other sizes: the short side of a car and the side of a pedestrian, in pixels.
+    ///
+    /// # Errors
+    /// If one is 0 or larger than [`ICON_MAX`].
+    pub fn with_agents(self, car: u32, pedestrian: u32) -> Result<View, ViewError> {
+        let fits = |size: u32| (1..=ICON_MAX).contains(&size);
+        if !fits(car) || !fits(pedestrian) {
+            return Err(ViewError::IconSize);
+        }
+        Ok(View {
+            car,
+            pedestrian,
+            ..self
+        })
+    }
+
+    /// The first cell.
+    pub fn corner(&self) -> Cell {
+        self.corner
+    }
+
+    /// Width and height of the picture in pixels.
+    pub fn size(&self) -> (u32, u32) {
+        let side = |from: i32, cells: i32| {
+            let length = self.scale.start(from + (cells - 1)) - self.scale.start(from) + i64::from(self.scale.pixels);
+            u32::try_from(length).expect("views are bounded")
+        };
+        (side(self.corner.col, self.cols), side(self.corner.row, self.rows))
+    }
+
+    /// The pixel in the middle of a cell, column and row; `None` if it is far off the picture.
+    pub fn middle(&self, cell: Cell) -> Option<(i32, i32)> {
+        let along = |cell: i32, from: i32| {
+            let at = self.scale.middle(cell) - self.scale.start(from);
+            i32::try_from(at).ok().filter(|at| at.unsigned_abs() <= 1 << 20)
+        };
+        Some((along(cell.col, self.corner.col)?, along(cell.row, self.corner.row)?))
+    }
+}

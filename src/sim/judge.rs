@@ -1,0 +1,572 @@
+//! What the rules want of one agent, given the facts about what it observes, and which clauses an action breaks.
+//!
+//! Both follow from one evaluation wherever bodies ask for no actions but those of their head's own agent: what else they ask does not
+//! depend on what it does ([`Conditions`]). Other rules are evaluated as they stand for what is wanted, and once more for each action that
+//! is judged, with the actions in all bodies replaced by inputs.
+
+use super::executor::compile;
+use super::ground::Facts;
+use super::infer::GroundState;
+use super::vocabulary::{Actions, Vocabulary};
+use super::window::Body;
+use crate::city::Agent;
+use crate::config::Speed;
+use crate::diag::Diagnostic;
+use crate::engine::Program;
+use crate::engine::dense::{Axis, Counting, Dense, Frame, Input, List, Pairs, Set, first, has, members};
+use crate::lang::{self, ClauseId, Literal, RelId, Rules};
+
+/// A clause that asks an action of an agent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Demand {
+    /// The clause.
+    pub clause: ClauseId,
+    /// The action of its head.
+    pub action: Speed,
+}
+
+/// The rules as far as they decide about one agent. Immutable; what changes is in a [`Verdict`].
+#[derive(Debug)]
+pub(super) struct Judge {
+    demands: Vec<Demand>,
+    how: How,
+}
+
+#[derive(Debug)]
+enum How {
+    Once(Conditions),
+    Twice {
+        /// What the rules derive.
+        wanted: Evaluator,
+        /// Which bodies hold if the ego's action is given.
+        judged: Evaluator,
+    },
+}
+
+/// The clauses of actions, taken apart into what they ask of the actions of the ego and what else they ask.
+#[derive(Debug)]
+struct Conditions {
+    /// The rules with no action in any body.
+    rules: Box<DenseRules>,
+    /// In the order of the strata: what a clause asks of actions is derived by those before.
+    clauses: Vec<Condition>,
+}
+
+#[derive(Debug)]
+struct Condition {
+    clause: ClauseId,
+    action: Speed,
+    /// The actions that must hold of the ego, and those that must not.
+    given: Actions,
+    refused: Actions,
+    /// Its position among the demands; `None` for the default.
+    demand: Option<usize>,
+}
+
+impl Condition {
+    /// Whether it holds besides, if these are the actions of the ego.
+    fn allows(&self, actions: Actions) -> bool {
+        let (given, refused) = (self.given.bits(), self.refused.bits());
+        actions.bits() & (given | refused) == given
+    }
+}
+
+/// Rules, ready to be evaluated.
+#[derive(Debug)]
+enum Evaluator {
+    Dense(Box<DenseRules>),
+    Relational {
+        program: Program,
+        /// With its number of columns, by predicate of the vocabulary and then by action that is given.
+        relations: Vec<Option<(RelId, usize)>>,
+    },
+}
+
+#[derive(Debug)]
+struct DenseRules {
+    dense: Dense,
+    /// Of the predicate that is an input of the program: its place among those of the vocabulary and then the actions that are given.
+    inputs: Vec<Option<(usize, bool)>>,
+    lists: Vec<(Option<usize>, Axis)>,
+}
+
+/// The action that a predicate is.
+fn action_of(vocabulary: &Vocabulary, relation: RelId) -> Option<Speed> {
+    (Speed::ALL.into_iter()).find(|&speed| vocabulary.action(speed) == Some(relation))
+}
+
+/// The rules with the actions in all bodies replaced by predicates that are given, which come last.
+fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option<RelId>; 4]) {
+    let mut rules = rules.clone();
+    let given = Speed::ALL.map(|speed| {
+        let action = vocabulary.action(speed)?;
+        let place = RelId(u32::try_from(rules.relations.len()).expect("fewer than 2^32 predicates"));
+        let relation = lang::Relation {
+            name: format!("+given {}", speed.name()),
+            doc: format!("the action `{}` that is given", speed.name()),
+            input: true,
+            given: None,
+            output: false,
+            printsize: false,
+            derived: false,
+            hidden: true,
+            directives: Vec::new(),
+            ..rules.relations[action.index()].clone()
+        };
+        rules.relations.push(relation);
+        Some((action, place))
+    });
+    for literal in rules.clauses.iter_mut().flat_map(|clause| &mut clause.body) {
+        let (Literal::Positive(atom)
+        | Literal::Negative(atom)
+        | Literal::Guard(atom)
+        | Literal::Aggregate { atom, .. }) = literal
+        else {
+            continue;
+        };
+        if let Some((_, place)) = given.iter().flatten().find(|(action, _)| *action == atom.relation) {
+            atom.relation = *place;
+        }
+    }
+    (rules, given.map(|given| given.map(|(_, place)| place)))
+}
+
+/// The clauses that ask an action. The default is none: a clause for it that looks only at the other actions and the ego itself.
+fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<Demand> {
+    let sees = vocabulary.predicates[vocabulary.sees].relation;
+    let is_default = |clause: &lang::Clause| {
+        clause.body.iter().all(|literal| match literal {
+            Literal::Negative(atom) => {
+                action_of(vocabulary, atom.relation).is_some() && atom.terms == clause.head.terms
+            }
+            Literal::Positive(atom) | Literal::Guard(atom) => {
+                Some(atom.relation) == sees && atom.terms.iter().all(|term| Some(term) == clause.head.terms.first())
+            }
+            _ => false,
+        })
+    };
+    let demand = |(position, clause): (u32, &lang::Clause)| {
+        let action = action_of(vocabulary, clause.head.relation)?;
+        let default = action == vocabulary.default_action() && is_default(clause);
+        (!clause.body.is_empty() && !default).then_some(Demand {
+            clause: ClauseId(position),
+            action,
+        })
+    };
+    (0..).zip(&rules.clauses).filter_map(demand).collect()
+}
+
+impl Conditions {
+    /// `None` if some body asks for an action otherwise than of the head's own agent, or the dense executor cannot evaluate the rules.
+    fn new(rules: &Rules, vocabulary: &Vocabulary, demands: &[Demand]) -> Option<Conditions> {
+        // Not all rules that can be evaluated without the actions in their bodies can be with them.
+        compile(rules, vocabulary, Counting::Off).ok()?;
+        let mut others = rules.clone();
+        let mut clauses = Vec::new();
+        for id in rules.strata.iter().flat_map(|stratum| &stratum.clauses) {
+            let body = &mut others.clauses[id.index()].body;
+            let clause = &rules.clauses[id.index()];
+            body.retain(|literal| {
+                literal
+                    .atom()
+                    .is_none_or(|atom| action_of(vocabulary, atom.relation).is_none())
+            });
+            let mut asked = [Actions::default(); 2];
+            for literal in &clause.body {
+                let Some((atom, action)) = literal
+                    .atom()
+                    .and_then(|atom| Some((atom, action_of(vocabulary, atom.relation)?)))
+                else {
+                    continue;
+                };
+                let holds = match literal {
+                    Literal::Positive(_) => 0,
+                    Literal::Negative(_) => 1,
+                    _ => return None,
+                };
+                if atom.terms != clause.head.terms {
+                    return None;
+                }
+                asked[holds].insert(action);
+            }
+            let [given, refused] = asked;
+            match action_of(vocabulary, clause.head.relation) {
+                // What binds the head's variable must be left, and what is never empty must have been so.
+                Some(_) if body.is_empty() => return None,
+                Some(action) => clauses.push(Condition {
+                    clause: *id,
+                    action,
+                    given,
+                    refused,
+                    demand: demands.iter().position(|demand| demand.clause == *id),
+                }),
+                None if given.is_empty() && refused.is_empty() => {}
+                None => return None,
+            }
+        }
+        let rules = DenseRules::new(&others, vocabulary, [None; 4], Counting::Each)?;
+        Some(Conditions {
+            rules: Box::new(rules),
+            clauses,
+        })
+    }
+
+    /// Finds out which conditions hold, unless that is known.
+    fn evaluate(&self, frame: &mut Frame<1>, held: &mut Vec<usize>, known: &mut bool, observed: Observed<'_>) {
+        if *known {
+            return;
+        }
+        self.rules.run(frame, observed);
+        let holds = |clause| frame.fired(&self.rules.dense, clause).is_some_and(|set| has(set, 0));
+        let clauses = self.clauses.iter().enumerate();
+        held.clear();
+        held.extend(
+            clauses
+                .filter(|(_, condition)| holds(condition.clause))
+                .map(|(position, _)| position),
+        );
+        *known = true;
+    }
+
+    /// The actions that are derived, given the positions of the conditions that hold, in ascending order.
+    fn derived(&self, held: &[usize]) -> Actions {
+        held.iter().fold(Actions::default(), |mut derived, &position| {
+            let condition = &self.clauses[position];
+            if condition.allows(derived) {
+                derived.insert(condition.action);
+            }
+            derived
+        })
+    }
+
+    /// Collects the demands that an action breaks, in ascending order.
+    fn broken(&self, held: &[usize], action: Speed, broken: &mut Vec<usize>) {
+        let given = [action].into_iter().collect();
+        let conditions = held.iter().map(|&position| &self.clauses[position]);
+        let refusing = conditions.filter(|condition| condition.action != action && condition.allows(given));
+        broken.extend(refusing.filter_map(|condition| condition.demand));
+        broken.sort_unstable();
+    }
+}
+
+impl DenseRules {
+    /// `None` if the dense executor cannot evaluate them.
+    fn new(
+        rules: &Rules,
+        vocabulary: &Vocabulary,
+        given: [Option<RelId>; 4],
+        counting: Counting,
+    ) -> Option<DenseRules> {
+        let dense = compile(rules, vocabulary, counting).ok()?;
+        let bound = vocabulary.predicates.iter().map(|predicate| predicate.relation);
+        let bound: Vec<Option<RelId>> = bound.chain(given).collect();
+        let place = |relation: RelId| bound.iter().position(|bound| *bound == Some(relation));
+        let input = |input: &Input| match *input {
+            Input::Unary(relation) => place(relation).map(|place| (place, false)),
+            Input::Diagonal(relation) => place(relation).map(|place| (place, true)),
+        };
+        Some(DenseRules {
+            inputs: dense.inputs().iter().map(input).collect(),
+            lists: (dense.lists().iter())
+                .map(|&List(relation, axis)| (place(relation), axis))
+                .collect(),
+            dense,
+        })
+    }
+
+    /// Evaluates them for the first entity.
+    fn run(&self, frame: &mut Frame<1>, observed: Observed<'_>) {
+        let (atoms, count) = (observed.atoms, observed.bodies.len());
+        if frame.count() != count {
+            frame.reset(&self.dense, count);
+            if self.dense.is_local() {
+                frame.set_egos(first(1));
+            }
+        }
+        for (input, source) in self.inputs.iter().enumerate() {
+            let set = match *source {
+                None => 0,
+                Some((predicate, false)) => observed.unary(predicate),
+                Some((predicate, true)) => (0..count).fold(0, |set, at| set | atoms.row(predicate, at) & 1 << at),
+            };
+            frame.set_input(&self.dense, input, [set]);
+        }
+        let lists = &self.lists;
+        frame.run(&self.dense, &Related { atoms, lists });
+    }
+}
+
+impl Evaluator {
+    fn new(program: Program, vocabulary: &Vocabulary, given: [Option<RelId>; 4], counting: Counting) -> Evaluator {
+        if let Some(rules) = DenseRules::new(program.rules(), vocabulary, given, counting) {
+            return Evaluator::Dense(Box::new(rules));
+        }
+        let predicates = vocabulary.predicates.iter();
+        let predicates = predicates.map(|predicate| predicate.relation.map(|relation| (relation, predicate.arity)));
+        let given = given.into_iter().map(|relation| relation.map(|relation| (relation, 1)));
+        Evaluator::Relational {
+            program,
+            relations: predicates.chain(given).collect(),
+        }
+    }
+}
+
+impl Judge {
+    /// # Errors
+    /// Rules that cannot be planned.
+    pub fn new(program: &Program, vocabulary: &Vocabulary) -> Result<Judge, Diagnostic> {
+        let rules = program.rules();
+        let demands = demands(rules, vocabulary);
+        let how = match Conditions::new(rules, vocabulary, &demands) {
+            Some(conditions) => How::Once(conditions),
+            None => {
+                let (judged, given) = with_actions_given(rules, vocabulary);
+                How::Twice {
+                    wanted: Evaluator::new(program.clone(), vocabulary, [None; 4], Counting::Off),
+                    judged: Evaluator::new(Program::new(judged)?, vocabulary, given, Counting::Each),
+                }
+            }
+        };
+        Ok(Judge { demands, how })
+    }
+
+    /// The clauses that ask an action, in the order of the text. The default is not among them.
+    pub fn demands(&self) -> &[Demand] {
+        &self.demands
+    }
+}
+
+/// The facts about up to 64 entities.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Atoms {
+    /// By predicate of the vocabulary: the entities of which it holds.
+    pub unary: Vec<u64>,
+    /// For each predicate [`OBSERVED_MAX`] sets or as many as there are entities at most: what it relates the first entity to, the second, ...
+    pub rows: Vec<u64>,
+    pub entities: usize,
+}
+
+impl Atoms {
+    /// The entities that a predicate relates one to.
+    pub fn row(&self, predicate: usize, entity: usize) -> u64 {
+        self.rows[predicate * self.entities + entity]
+    }
+}
+
+/// Answers what a dense program asks about pairs.
+struct Related<'a> {
+    atoms: &'a Atoms,
+    lists: &'a [(Option<usize>, Axis)],
+}
+
+impl Pairs<1> for Related<'_> {
+    #[inline]
+    fn narrow(&self, list: usize, at: usize, among: Set<1>) -> Set<1> {
+        match self.lists[list] {
+            (None, _) => [0],
+            (Some(predicate), Axis::Second) => [among[0] & self.atoms.row(predicate, at)],
+            (Some(predicate), Axis::First) => {
+                let related = |first: &usize| self.atoms.row(predicate, *first) >> at & 1 != 0;
+                [members(&among).filter(related).fold(0, |set, first| set | 1 << first)]
+            }
+        }
+    }
+}
+
+/// What is evaluated.
+#[derive(Clone, Copy)]
+pub(super) struct Observed<'a> {
+    pub atoms: &'a Atoms,
+    /// The observed entities, the ego first.
+    pub bodies: &'a [Body],
+    pub agents: &'a [Agent],
+    /// What the ego does, where that is an input.
+    pub given: Option<Speed>,
+    /// Whether to give up.
+    pub stop: &'a dyn Fn() -> bool,
+}
+
+impl Observed<'_> {
+    /// Of whom a predicate of the vocabulary holds, or an action that is given; these come after them.
+    fn unary(&self, predicate: usize) -> u64 {
+        match predicate.checked_sub(self.atoms.unary.len()) {
+            None => self.atoms.unary[predicate],
+            Some(action) => u64::from(self.given.is_some_and(|given| given as usize == action)),
+        }
+    }
+
+    /// The facts by their positions in the list of agents.
+    pub fn facts(&self, predicates: usize) -> Facts {
+        let agent = |entity: usize| self.bodies[entity].agent;
+        let rows = (0..predicates).map(|predicate| {
+            let alone = members(&[self.unary(predicate)]).map(|entity| [agent(entity), 0]);
+            let pairs = (0..self.bodies.len())
+                .filter(|_| predicate < self.atoms.unary.len())
+                .flat_map(|x| members(&[self.atoms.row(predicate, x)]).map(move |y| (x, y)));
+            let mut rows: Vec<[u32; 2]> = alone.chain(pairs.map(|(x, y)| [agent(x), agent(y)])).collect();
+            rows.sort_unstable();
+            rows
+        });
+        Facts { rows: rows.collect() }
+    }
+}
+
+/// What a [`Judge`] says at a moment.
+pub(super) enum Verdict {
+    Once {
+        frame: Box<Frame<1>>,
+        /// The conditions that hold, by position.
+        held: Vec<usize>,
+        /// Whether they are those of the present moment.
+        known: bool,
+    },
+    Twice {
+        wanted: State,
+        judged: State,
+    },
+}
+
+pub(super) enum State {
+    Dense(Box<Frame<1>>),
+    Relational(Option<Box<GroundState>>),
+}
+
+impl State {
+    fn new(evaluator: &Evaluator) -> State {
+        match evaluator {
+            Evaluator::Dense(rules) => State::Dense(Box::new(Frame::new(&rules.dense, 0))),
+            Evaluator::Relational { .. } => State::Relational(None),
+        }
+    }
+
+    /// Evaluates the rules on the facts.
+    fn run(&mut self, evaluator: &Evaluator, observed: Observed<'_>) -> Result<(), Diagnostic> {
+        match (self, evaluator) {
+            (State::Dense(frame), Evaluator::Dense(rules)) => {
+                rules.run(frame, observed);
+                Ok(())
+            }
+            (State::Relational(state), Evaluator::Relational { program, relations }) => {
+                let state = state.get_or_insert_with(|| {
+                    let names: Vec<String> = observed.agents.iter().map(|agent| agent.name().to_string()).collect();
+                    let names = names.iter().map(String::as_str);
+                    Box::new(GroundState::over(program, relations.clone(), names))
+                });
+                let facts = observed.facts(relations.len());
+                let set = state.set_until(&facts, observed.stop);
+                set.map_err(|error| error.diagnostic(program.rules()))
+            }
+            _ => unreachable!("a state is made for its evaluator"),
+        }
+    }
+
+    /// The actions derived for the ego.
+    fn derived(&self, evaluator: &Evaluator, vocabulary: &Vocabulary, ego: usize) -> Actions {
+        match (self, evaluator) {
+            (State::Dense(frame), Evaluator::Dense(rules)) => {
+                let holds = |speed: &Speed| {
+                    let relation = vocabulary.action(*speed);
+                    relation.is_some_and(|action| frame.set(&rules.dense, action).is_some_and(|set| has(set, 0)))
+                };
+                Speed::ALL.into_iter().filter(holds).collect()
+            }
+            (State::Relational(Some(state)), _) => state.derived(vocabulary, ego),
+            _ => unreachable!("it has been evaluated"),
+        }
+    }
+
+    /// Whether a clause derives its head of the ego.
+    fn fired(&self, evaluator: &Evaluator, clause: ClauseId, ego: usize) -> bool {
+        match (self, evaluator) {
+            (State::Dense(frame), Evaluator::Dense(rules)) => {
+                frame.fired(&rules.dense, clause).is_some_and(|set| has(set, 0))
+            }
+            (State::Relational(Some(state)), _) => {
+                let value = state.value(ego);
+                state.session().fired(clause).iter().any(|row| row[0] == value)
+            }
+            _ => unreachable!("it has been evaluated"),
+        }
+    }
+}
+
+impl Verdict {
+    pub fn new(judge: &Judge) -> Verdict {
+        match &judge.how {
+            How::Once(conditions) => Verdict::Once {
+                frame: Box::new(Frame::new(&conditions.rules.dense, 0)),
+                held: Vec::with_capacity(conditions.clauses.len()),
+                known: false,
+            },
+            How::Twice { wanted, judged } => Verdict::Twice {
+                wanted: State::new(wanted),
+                judged: State::new(judged),
+            },
+        }
+    }
+
+    /// Takes note that the facts are others.
+    pub fn forget(&mut self) {
+        if let Verdict::Once { known, .. } = self {
+            *known = false;
+        }
+    }
+
+    /// The actions that the rules derive for the ego, which is the first of the observed entities.
+    ///
+    /// # Errors
+    /// `limit-exceeded` for rules that derive too much.
+    pub fn derived(
+        &mut self,
+        judge: &Judge,
+        vocabulary: &Vocabulary,
+        observed: Observed<'_>,
+    ) -> Result<Actions, Diagnostic> {
+        let ego = observed.bodies[0].agent as usize;
+        match (self, &judge.how) {
+            (Verdict::Once { frame, held, known }, How::Once(conditions)) => {
+                conditions.evaluate(frame, held, known, observed);
+                Ok(conditions.derived(held))
+            }
+            (Verdict::Twice { wanted: state, .. }, How::Twice { wanted, .. }) => {
+                state.run(wanted, observed)?;
+                Ok(state.derived(wanted, vocabulary, ego))
+            }
+            _ => unreachable!("a verdict is made for its judge"),
+        }
+    }
+
+    /// Collects the demands that an action of the ego breaks, in ascending order.
+    ///
+    /// # Errors
+    /// `limit-exceeded` for rules that derive too much.
+    pub fn broken(
+        &mut self,
+        judge: &Judge,
+        observed: Observed<'_>,
+        action: Speed,
+        broken: &mut Vec<usize>,
+    ) -> Result<(), Diagnostic> {
+        let ego = observed.bodies[0].agent as usize;
+        broken.clear();
+        match (self, &judge.how) {
+            (Verdict::Once { frame, held, known }, How::Once(conditions)) => {
+                conditions.evaluate(frame, held, known, observed);
+                conditions.broken(held, action, broken);
+            }
+            (Verdict::Twice { judged: state, .. }, How::Twice { judged, .. }) => {
+                let given = Some(action);
+                state.run(judged, Observed { given, ..observed })?;
+                let demands = judge.demands.iter().enumerate();
+                let holds = |demand: &Demand| demand.action != action && state.fired(judged, demand.clause, ego);
+                broken.extend(
+                    demands
+                        .filter(|(_, demand)| holds(demand))
+                        .map(|(position, _)| position),
+                );
+            }
+            _ => unreachable!("a verdict is made for its judge"),
+        }
+        Ok(())
+    }
+}

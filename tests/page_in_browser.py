@@ -1,0 +1,245 @@
+"""The page of a run, opened from the disk in headless Chromium: clicked, scrubbed, read, photographed.
+
+`make page` runs it. Without chromium and chromedriver (on Debian: apt-get install chromium chromium-driver) it is
+skipped, except where CI is set. Screenshots are left in the folder that LOGICITY_SCREENSHOTS names, if it does.
+"""
+
+import json
+import os
+import pathlib
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.chrome.options import Options
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.remote.webdriver import WebDriver
+from selenium.webdriver.support.wait import WebDriverWait
+
+ROOT = pathlib.Path(__file__).parent.parent
+PROGRAM = ROOT / "target/debug/logicity"
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+DRIVER = shutil.which("chromedriver")
+if not (CHROMIUM and DRIVER) and not os.environ.get("CI"):
+    pytest.skip("needs chromium and chromedriver", allow_module_level=True)
+
+TICKS = 300
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
+    folder = tmp_path_factory.mktemp("page")
+    page = folder / "city.html"
+    run = ["run", "configs/expert.yaml", "--ticks", str(TICKS), "--no-pictures", "--out", folder, "--html", page]
+    subprocess.run([PROGRAM, *run], cwd=ROOT, check=True, capture_output=True)
+    assert page.stat().st_size < 3_000_000
+    return folder
+
+
+@pytest.fixture(scope="module")
+def trace(folder: pathlib.Path) -> list[dict]:
+    return [json.loads(line) for line in (folder / "trace.jsonl").read_text().splitlines()]
+
+
+def start(width: int, height: int) -> WebDriver:
+    assert CHROMIUM and DRIVER, "chromium and chromedriver are missing"
+    options = Options()
+    options.binary_location = CHROMIUM
+    quiet = ["no-first-run", "disable-background-networking", "disable-component-update", "disable-sync"]
+    for argument in ["headless=new", "no-sandbox", "disable-gpu", f"window-size={width},{height}", *quiet]:
+        options.add_argument(f"--{argument}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    return webdriver.Chrome(options=options, service=Service(DRIVER))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[WebDriver]:
+    browser = start(1400, 1000)
+    yield browser
+    browser.quit()
+
+
+@pytest.fixture
+def page(browser: WebDriver, folder: pathlib.Path) -> Iterator[Callable[[str], WebDriver]]:
+    """Opens the page anew at an address; afterwards nothing may have been complained of."""
+
+    def open_at(address: str = "") -> WebDriver:
+        browser.get("about:blank")
+        browser.get((folder / "city.html").as_uri() + address)
+        WebDriverWait(browser, 20).until(lambda _: browser.find_element(By.ID, "tick").text)
+        return browser
+
+    yield open_at
+    assert browser.get_log("browser") == []
+    assert not browser.find_element(By.ID, "fault").is_displayed()
+
+
+def photograph(browser: WebDriver, name: str) -> None:
+    if target := os.environ.get("LOGICITY_SCREENSHOTS"):
+        browser.save_screenshot(os.path.join(target, name))
+
+
+def text(browser: WebDriver, element: str) -> str:
+    return browser.find_element(By.ID, element).text
+
+
+def scrub(browser: WebDriver, tick: int) -> None:
+    change = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))"
+    browser.execute_script(change, browser.find_element(By.ID, "scrub"), tick)
+
+
+def click_strip(browser: WebDriver, tick: int, agent: int, agents: int) -> None:
+    """Clicks a decision on the strip chart."""
+    strip = browser.find_element(By.ID, "strip")
+    width, height = strip.size["width"], strip.size["height"]
+    across = (tick + 0.5) / TICKS * width - width / 2
+    down = (agent + 0.5) / agents * height - height / 2
+    ActionChains(browser).move_to_element_with_offset(strip, round(across), round(down)).click().perform()
+
+
+def test_three_agents_with_different_actions_say_why(page: Callable[..., WebDriver], trace: list[dict]) -> None:
+    browser = page()
+    header, ticks = trace[0], trace[1:]
+    names = [agent["id"] for agent in header["agents"]]
+    asked = 0
+    for wanted in ["Stop", "Fast", "Slow"]:
+        tick, agent = next(
+            (tick["tick"], position)
+            for tick in ticks
+            for position, state in enumerate(tick["agents"])
+            if state["action"] == wanted and tick["tick"] > 10
+        )
+        click_strip(browser, tick, agent, len(names))
+        # The chart has fewer pixels than ticks may need: the slider sets the tick exactly.
+        scrub(browser, tick)
+        shown = text(browser, "agent")
+        assert names[agent] in shown and text(browser, "action") == wanted
+        proof = subprocess.run(
+            [PROGRAM, "explain", "--tick", str(tick), "--agent", names[agent], "--json", trace_file(browser)],
+            cwd=ROOT,
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        nodes = json.loads(proof.stdout)["explanations"][0]["nodes"]
+        assert nodes[0]["clause"]["doc"].splitlines()[0] in shown
+        for premise in nodes[0]["premises"]:
+            assert premise["literal"] in shown, premise
+        assert "Why not" in shown
+        photograph(browser, f"{wanted.lower()}.png")
+        asked += 1
+    assert asked == 3
+
+
+def trace_file(browser: WebDriver) -> str:
+    return browser.current_url.split("#")[0].removeprefix("file://").replace("city.html", "trace.jsonl")
+
+
+def test_why_not_and_atoms_unfold_and_partners_can_be_clicked(
+    page: Callable[..., WebDriver], trace: list[dict]
+) -> None:
+    tick, state = next(
+        (tick["tick"], state)
+        for tick in trace[1:]
+        for state in [dict(zip([agent["id"] for agent in trace[0]["agents"]], tick["agents"], strict=True))]
+        if state["Car_6"]["action"] == "Stop"
+    )
+    assert state["Car_6"]["derived"] == ["Stop"]
+    browser = page(f"#tick={tick}&agent=Car_6")
+    for summary in browser.find_elements(By.CSS_SELECTOR, "#agent > details > summary"):
+        summary.click()
+    WebDriverWait(browser, 5).until(lambda _: "IsCar(Car_6)" in text(browser, "agent"))
+    shown = text(browser, "agent")
+    assert "Not(Stop(Car_6)) fails" in shown and "Why not Normal?" in shown
+    partner = browser.find_element(By.CSS_SELECTOR, "#agent .tree .agent-link")
+    name = partner.text
+    partner.click()
+    assert text(browser, "agent").startswith(name) and f"agent={name}" in browser.current_url
+
+
+def test_a_click_on_the_map_chooses_an_agent(page: Callable[..., WebDriver], trace: list[dict]) -> None:
+    # Somebody far from the edges, at which the map is held back, and from all others.
+    places = [state["at"] for state in trace[51]["agents"]]
+
+    def apart(agent: int) -> bool:
+        row, col = places[agent]
+        others = [max(abs(row - r), abs(col - c)) for at, (r, c) in enumerate(places) if at != agent]
+        return min(others) > 6 and 60 < row < 180 and 60 < col < 180
+
+    agent = next(agent for agent in range(len(places)) if apart(agent))
+    name = trace[0]["agents"][agent]["id"]
+    browser = page(f"#tick=50&agent={name}")
+    body = browser.find_element(By.TAG_NAME, "body")
+    body.send_keys("f", *"++++++", Keys.ESCAPE)
+    assert "Click an agent" in text(browser, "agent")
+    ActionChains(browser).move_to_element(browser.find_element(By.ID, "map")).click().perform()
+    assert text(browser, "agent").startswith(name)
+
+
+def test_time_runs_and_stops(page: Callable[..., WebDriver]) -> None:
+    browser = page("#tick=5")
+    body = browser.find_element(By.TAG_NAME, "body")
+    body.send_keys(Keys.ARROW_RIGHT)
+    assert text(browser, "tick") == "tick 6"
+    body.send_keys(Keys.END)
+    assert text(browser, "tick") == f"tick {TICKS - 1}"
+    body.send_keys(Keys.HOME, "]", "]")
+    body.send_keys(Keys.SPACE)
+    WebDriverWait(browser, 10).until(lambda _: int(text(browser, "tick").split()[1]) > 3)
+    body.send_keys(Keys.SPACE)
+    stopped = text(browser, "tick")
+    time.sleep(0.3)
+    assert text(browser, "tick") == stopped
+
+
+def test_clauses_filter_the_chart(page: Callable[..., WebDriver], trace: list[dict]) -> None:
+    browser = page()
+    fired = [
+        (tick["tick"], trace[0]["agents"][position]["id"])
+        for tick in trace[1:]
+        for position, state in enumerate(tick["agents"])
+        if any(trace[0]["clauses"][clause]["doc"].startswith("F3") for clause in state["clauses"])
+    ]
+    row = next(row for row in browser.find_elements(By.CSS_SELECTOR, "#clauses tr") if "F3" in row.text)
+    assert row.text.split()[0] == str(len(fired))
+    row.find_element(By.TAG_NAME, "button").click()
+    assert f"fired {len(fired)} times" in text(browser, "filter")
+    for tick, agent in fired:
+        browser.find_element(By.TAG_NAME, "body").send_keys(".")
+        assert text(browser, "tick") == f"tick {tick}" and text(browser, "agent").startswith(agent)
+    photograph(browser, "filter.png")
+
+
+def test_deadlocks_are_marked(page: Callable[..., WebDriver]) -> None:
+    browser = page()
+    button = browser.find_element(By.XPATH, "//*[@id='deadlocks']/button[contains(., 'deadlock since tick 201')]")
+    assert "Car_6" in button.text and "Car_8" in button.text
+    button.click()
+    assert text(browser, "tick") == "tick 201"
+
+
+def test_dark_and_light(page: Callable[..., WebDriver]) -> None:
+    browser = page("#tick=100&agent=Car_1")
+    colour = "return getComputedStyle(document.body).backgroundColor"
+    light = browser.execute_script(colour)
+    browser.find_element(By.ID, "theme").click()
+    assert browser.execute_script(colour) != light
+    photograph(browser, "dark.png")
+
+
+def test_it_fits_a_phone(folder: pathlib.Path) -> None:
+    browser = start(500, 900)
+    try:
+        browser.get((folder / "city.html").as_uri() + "#tick=210&agent=Car_6")
+        WebDriverWait(browser, 20).until(lambda _: text(browser, "tick"))
+        wide, room = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+        assert wide <= room, "nothing has to be scrolled sideways"
+        photograph(browser, "phone.png")
+    finally:
+        browser.quit()
