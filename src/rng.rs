@@ -34,6 +34,14 @@ pub enum Purpose {
     Icon = 10,
     /// The texture of the ground.
     Texture = 11,
+    /// Language questions: the worlds they are from, which decisions are asked about, and the order of entities.
+    Question = 12,
+    /// The seeds of the worlds of a data set; index: number of the world, tick: the split.
+    World = 13,
+    /// The agents of a world whose agents are drawn.
+    Cast = 14,
+    /// Which instance of its class a picture shows; index: agent.
+    Look = 15,
 }
 
 /// The seed of a run, from which every stream is made.

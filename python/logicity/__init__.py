@@ -7,7 +7,8 @@ What to reach for:
 - a city that runs: `Simulation`;
 - Datalog without a city: `Program` and `Session`;
 - a car to drive: `gymnasium.make("logicity/SPF-Expert-v0")`, see `logicity.envs`; every car: `parallel_env`;
-- how well a policy drives: `evaluate`, or `Benchmark` for many; what the oracle does, as data: `demonstrations`.
+- how well a policy drives: `evaluate`, or `Benchmark` for many; what the oracle does, as data: `demonstrations`;
+- a language model to question about cars: `logicity.questions`.
 
 Faulty input raises `InputError`, which has every fault with its place; input that is too large its subclass
 `LimitError`.

@@ -1,8 +1,10 @@
-"""`python -m logicity`: measure policies, train them, and print the tables of what they are trained in."""
+"""`python -m logicity`: measure policies, train them, question language models, and print tables of environments."""
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import sys
 from pathlib import Path
 
@@ -12,6 +14,9 @@ from . import InputError, __version__
 from .describe import describe
 from .evaluation import Benchmark, Evaluation, Policy, table, write_json
 from .modes import ENVIRONMENTS
+from .questions import Endpoint, ask_with_progress, grade, load_answers, load_questions
+
+QUESTIONS = "as `logicity questions` writes it; default: questions.jsonl"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -19,7 +24,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser = _parser()
     given = parser.parse_args(arguments)
     try:
-        return {"evaluate": _evaluate, "train": _train, "describe": _describe}[given.command](given)
+        commands = {"evaluate": _evaluate, "train": _train, "ask": _ask, "grade": _grade, "describe": _describe}
+        return commands[given.command](given)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
@@ -49,6 +55,27 @@ def _parser() -> argparse.ArgumentParser:
     learn.add_argument("--run", type=Path, metavar="FOLDER", help="of the run; default: runs/CONFIG-SEED")
     learn.add_argument("--seed", type=int, help="instead of the configuration's")
 
+    put = commands.add_parser("ask", help="put questions of `logicity questions` to a chat endpoint, or go on doing so")
+    put.add_argument("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
+    put.add_argument("--url", required=True, help="such as http://localhost:8000/v1")
+    put.add_argument("--model", required=True, help="the name that the server knows the model by")
+    put.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="where replies are added")
+    put.add_argument(
+        "--key-from",
+        metavar="VARIABLE",
+        help="the environment variable with the key of the server; none is sent unless given",
+    )
+    put.add_argument(
+        "--settings", type=_object, default={"temperature": 0}, metavar="JSON", help='default: {"temperature": 0}'
+    )
+    put.add_argument("--timeout", type=float, default=120.0, metavar="SECONDS", help="default: 120")
+    put.add_argument("--tries", type=int, default=6, help="how often a failed request is made; default: 6")
+
+    mark = commands.add_parser("grade", help="compare answers with what the rules want")
+    mark.add_argument("answers", type=Path, help='JSON lines {"id": .., "answer": ..}: letters or whole replies')
+    mark.add_argument("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
+    mark.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+
     commands.add_parser("describe", help="print tables of environments, observations and rewards, as Markdown")
     return parser
 
@@ -59,6 +86,16 @@ def _modes(text: str) -> list[str]:
         if mode not in ENVIRONMENTS:
             raise argparse.ArgumentTypeError(f"unknown mode `{mode}`: it is one of {', '.join(ENVIRONMENTS)}")
     return modes
+
+
+def _object(text: str) -> dict[str, object]:
+    try:
+        value = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise argparse.ArgumentTypeError(f"not JSON: {error}") from None
+    if not isinstance(value, dict):
+        raise argparse.ArgumentTypeError("not an object of JSON")
+    return value
 
 
 def _evaluate(given: argparse.Namespace) -> int:
@@ -91,6 +128,33 @@ def _train(given: argparse.Namespace) -> int:
     print(f"{result['steps']} steps in {result['minutes']} minutes; best after {result['best']['steps']}")
     print(f"TSR on test episodes: {tsr['value']:.2f} [{tsr['low']:.2f}, {tsr['high']:.2f}]")
     print(f"all in {run / 'result.json'}")
+    return 0
+
+
+def _ask(given: argparse.Namespace) -> int:
+    key = None
+    if given.key_from is not None:
+        key = os.environ.get(given.key_from, "").strip()
+        if not key:
+            raise ValueError(f"the environment variable `{given.key_from}` is not set")
+    questions = load_questions(given.questions)
+    endpoint = Endpoint(given.url, given.model, key, given.settings, given.timeout, given.tries)
+    print(grade(questions, ask_with_progress(questions, endpoint, given.output)))
+    return 0
+
+
+def _grade(given: argparse.Namespace) -> int:
+    graded = grade(load_questions(given.questions), load_answers(given.answers))
+    print(graded)
+    for what, names in [
+        ("counted as wrong, without an answer", graded.missing),
+        ("counted as wrong, with an answer that chooses no option", graded.unread),
+        ("left out, answers to no question", graded.unknown),
+    ]:
+        if names:
+            print(f"{what}: {len(names)}: {', '.join(names[:5])}{', ...' * (len(names) > 5)}", file=sys.stderr)
+    if given.json is not None:
+        write_json(given.json, graded.to_dict())
     return 0
 
 

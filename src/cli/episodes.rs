@@ -1,6 +1,6 @@
 //! `logicity episodes`
 
-use super::{Failure, load_city, one_of};
+use super::{Failure, load_city, one_of, progress};
 use crate::config::{Speed, Split};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::{self, Output};
@@ -8,7 +8,6 @@ use crate::sim::World;
 use crate::task::path::{
     Baseline, Egos, Env, Episode, EpisodeSet, PathTask, Policy, RANDOM_RUNS, Rollout, make_episodes, rollout, summarise,
 };
-use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -367,12 +366,6 @@ impl Spread {
         let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         [mean, (squares / (n - 1.0)).sqrt(), least, most]
     }
-}
-
-/// A bar on a terminal.
-fn progress(what: &str, count: u64) -> ProgressBar {
-    let template = format!("{{bar:30}} {what} {{pos}} of {{len}}, {{eta}} left");
-    ProgressBar::new(count).with_style(ProgressStyle::with_template(&template).expect("a valid template"))
 }
 
 /// `Stop 3, Fast 1`

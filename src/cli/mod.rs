@@ -13,6 +13,7 @@ mod icons;
 mod infer;
 mod lsp;
 mod query;
+mod questions;
 mod repl;
 mod route;
 mod run;
@@ -27,6 +28,7 @@ use crate::files::{self, ReadError};
 use crate::lang::{Inputs, Rules, Texts};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, Parser, Subcommand};
+use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{self, IsTerminal, Write};
 use std::num::NonZeroUsize;
 use std::path::Path;
@@ -62,6 +64,8 @@ enum Command {
     View(view::Arguments),
     /// Make, check or show recorded episodes of Safe Path Following
     Episodes(episodes::Arguments),
+    /// Make multiple-choice questions in words about what cars do, with solved examples
+    Questions(questions::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
     /// Show the icons that pictures are made of
@@ -146,6 +150,7 @@ pub fn main() -> ExitCode {
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
         Command::View(arguments) => view::run(&arguments, &mut sources),
         Command::Episodes(arguments) => episodes::run(&arguments, &mut sources),
+        Command::Questions(arguments) => questions::run(&arguments, &mut sources),
         Command::Lsp(arguments) => lsp::run(&arguments),
         Command::Icons(arguments) => icons::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),
@@ -386,4 +391,10 @@ fn make_folder(path: &Path) -> Result<(), Failure> {
         ),
         _ => Failure::file("make the folder", path, error),
     })
+}
+
+/// A bar on a terminal.
+fn progress(what: &str, count: u64) -> ProgressBar {
+    let template = format!("{{bar:30}} {what} {{pos}} of {{len}}, {{eta}} left");
+    ProgressBar::new(count).with_style(ProgressStyle::with_template(&template).expect("a valid template"))
 }

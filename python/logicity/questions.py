@@ -1,0 +1,417 @@
+"""Language questions: ask a model over HTTP, read what it replies, grade it.
+
+`logicity questions` makes the questions. `ask` sends them to a chat endpoint and writes the replies down; `grade`
+compares replies, from there or from anywhere else, with what the rules want.
+"""
+
+from __future__ import annotations
+
+import http.client
+import json
+import math
+import os
+import re
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from .city import ACTIONS
+from .evaluation import Interval, Progress
+
+__all__ = ["Endpoint", "Grade", "Question", "Recall", "ask", "grade", "load_answers", "load_questions", "read_letter"]
+
+LETTERS = "ABCD"
+UNREAD, MISSING = "unread", "missing"
+RESPONSE_BYTES = 16 << 20
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question of a file that `logicity questions` has written.
+
+    `demonstrations` are pairs of a question and the letter of its answer; `options` are the actions by letter; `answer`
+    is the letter that is right.
+    """
+
+    id: str
+    system: str
+    demonstrations: tuple[tuple[str, str], ...]
+    text: str
+    options: Mapping[str, str]
+    answer: str
+
+    def messages(self) -> list[dict[str, str]]:
+        """What a chat model is told: the instructions, then the examples and the question."""
+        options = "\n".join(f"({letter}) {action}" for letter, action in self.options.items())
+        shown = [
+            f"Example {number}\n{text}\n{options}\nAnswer: {answer}"
+            for number, (text, answer) in enumerate(self.demonstrations, 1)
+        ]
+        asked = "\n\n".join([*shown, f"Question\n{self.text}\n{options}"])
+        return [{"role": "system", "content": self.system}, {"role": "user", "content": asked}]
+
+
+def _lines(path: str | os.PathLike[str]) -> Iterable[tuple[str, dict[str, Any]]]:
+    """The objects of a file of JSON lines, and where each stands."""
+    with open(path, encoding="utf-8") as file:
+        for number, line in enumerate(file, 1):
+            if not line.strip():
+                continue
+            place = f"{os.fspath(path)}:{number}"
+            try:
+                value = json.loads(line)
+            except json.JSONDecodeError as error:
+                raise ValueError(f"{place}: not JSON: {error}") from None
+            if not isinstance(value, dict) or not isinstance(value.get("id"), str):
+                raise ValueError(f"{place}: expected an object with an `id`, a text")
+            yield place, value
+
+
+def load_questions(path: str | os.PathLike[str]) -> list[Question]:
+    """Read a file of questions.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is not as `logicity questions` writes it; the message tells the line.
+    """
+    questions: dict[str, Question] = {}
+    for place, line in _lines(path):
+        try:
+            question = Question(
+                id=line["id"],
+                system=line["system"],
+                demonstrations=tuple((shown["question"], shown["answer"]) for shown in line["demonstrations"]),
+                text=line["question"],
+                options=dict(line["options"]),
+                answer=line["answer"],
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{place}: not a question of `logicity questions`: {error!r}") from None
+        if list(question.options.items()) != list(zip(LETTERS, ACTIONS, strict=True)):
+            raise ValueError(f"{place}: the options are not {', '.join(ACTIONS)}")
+        if question.answer not in question.options:
+            raise ValueError(f"{place}: the answer {question.answer!r} is none of the options")
+        if question.id in questions:
+            raise ValueError(f"{place}: the id {question.id!r} is there twice")
+        questions[question.id] = question
+    if not questions:
+        raise ValueError(f"{os.fspath(path)}: there are no questions")
+    return list(questions.values())
+
+
+def load_answers(path: str | os.PathLike[str]) -> dict[str, str]:
+    """Read a file of answers, `{"id": .., "answer": ..}` a line: the answers by id. An answer is a letter or any text.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: a line is otherwise, or an id is there twice; the message tells the line.
+    """
+    answers: dict[str, str] = {}
+    for place, line in _lines(path):
+        if not isinstance(line.get("answer"), str):
+            raise ValueError(f"{place}: expected an `answer`, a text")
+        if line["id"] in answers:
+            raise ValueError(f"{place}: the id {line['id']!r} is answered twice")
+        answers[line["id"]] = line["answer"]
+    return answers
+
+
+_NAMES = "|".join(ACTIONS)
+# Emphasis, code and TeX around an answer.
+_MARKUP = re.compile(r"\\boxed|\\text|[*_`${}\"']")
+_MARKER = re.compile(r"\banswer\b(?:\s+(?:is|would\s+be|should\s+be))?\s*[:=-]?\s*(?:option\s+)?", flags=re.IGNORECASE)
+# A letter, or nothing before a name; what stands between; perhaps a name; the rest.
+_OPTION = re.compile(
+    rf"[(\[]?\s*(?:([A-D])\b\s*[)\]]?|(?=(?:{_NAMES})\b))([\s.:)\-–—]*)((?:{_NAMES})\b)?(.*)", flags=re.IGNORECASE
+)
+_ALTERNATIVE = re.compile(r"\s*(?:(?:,|/|&|\bor\b|\band\b)\s*\(?[A-D]\b|[A-D]\W*$)", flags=re.IGNORECASE)
+_REMARK = re.compile(r"\s*(?:$|[.,;:!)\]]|\(|because\b|since\b)", flags=re.IGNORECASE)
+
+
+def read_letter(reply: str) -> str | None:
+    """Read the option that a reply chooses: `"A"` to `"D"`, or `None` if it chooses none or several.
+
+    What follows the last "answer:" or "answer is" that can be read counts; else the last line, if it is no more than an
+    option.
+    """
+    text = re.sub(r"<(\w+)>", r"\1: ", re.sub(r"</\w+>", "\n", reply))
+    text = _MARKUP.sub("", text)
+    for marker in reversed(list(_MARKER.finditer(text))):
+        letter = _option(text[marker.end() :].lstrip().split("\n", 1)[0])
+        if letter is not None:
+            return letter
+    lines = [line for line in text.splitlines() if line.strip()]
+    return _option(lines[-1]) if lines else None
+
+
+def _option(text: str) -> str | None:
+    """The option with which a text begins: a letter, a name or both, then nothing, or a remark set apart."""
+    found = _OPTION.match(text.strip())
+    if found is None:
+        return None
+    letter, gap, name, rest = found.groups()
+    named = LETTERS[[action.lower() for action in ACTIONS].index(name.lower())] if name else None
+    if (letter and named and letter.upper() != named) or _ALTERNATIVE.match(rest):
+        return None
+    # "A car" and "Stop signs" go on as a sentence; "B. The car" does not.
+    set_apart = name is None and any(mark in gap for mark in ".:)-–—")
+    if not set_apart and not _REMARK.match(rest):
+        return None
+    return letter.upper() if letter else named
+
+
+@dataclass(frozen=True)
+class Recall:
+    """How many questions were answered right: `correct` of `total`, as a share with its interval."""
+
+    correct: int
+    total: int
+    accuracy: Interval
+
+    @classmethod
+    def of(cls, correct: int, total: int) -> Recall:
+        """The share and its 95 % interval after Wilson (1927); of nothing, 0 with the interval 0 to 1."""
+        if total == 0:
+            return cls(0, 0, Interval(0.0, 0.0, 1.0))
+        z = 1.959963984540054
+        share = correct / total
+        centre = (share + z * z / (2 * total)) / (1 + z * z / total)
+        spread = z / (1 + z * z / total) * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total))
+        return cls(correct, total, Interval(share, max(0.0, centre - spread), min(1.0, centre + spread)))
+
+
+@dataclass(frozen=True)
+class Grade:
+    """How well questions were answered.
+
+    - `overall`: of all questions; what was not answered, or not legibly, is wrong.
+    - `by_action`: of the questions with this right answer, for actions that are the right answer of some.
+    - `confusion`: by right answer, how often each letter was chosen, `"unread"` for replies that choose none,
+      `"missing"` for questions without a reply.
+    - `missing`, `unread`: the ids of those questions.
+    - `unknown`: ids of answers to questions that are not in the file.
+    """
+
+    overall: Recall
+    by_action: Mapping[str, Recall]
+    confusion: Mapping[str, Mapping[str, int]]
+    missing: tuple[str, ...]
+    unread: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, as they are written to JSON."""
+        return asdict(self)
+
+    def __str__(self) -> str:
+        """A table for people."""
+        columns = [*LETTERS, UNREAD, MISSING]
+        head = ["right answer", "questions", "accuracy", *columns]
+        rows = [
+            [f"{letter} {action}", str(recall.total), str(recall.accuracy)]
+            + [str(self.confusion[letter][column]) for column in columns]
+            for letter, action in zip(LETTERS, ACTIONS, strict=True)
+            if (recall := self.by_action.get(action)) is not None
+        ]
+        chosen = [str(sum(row[column] for row in self.confusion.values())) for column in columns]
+        rows.append(["all", str(self.overall.total), str(self.overall.accuracy), *chosen])
+        widths = [max(len(row[place]) for row in [head, *rows]) for place in range(len(head))]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in [head, *rows]]
+        return "\n".join(line.rstrip() for line in lines)
+
+
+def grade(questions: Sequence[Question], answers: Mapping[str, str]) -> Grade:
+    """Grade answers, letters or whole replies, by the ids of questions."""
+    confusion = {letter: dict.fromkeys([*LETTERS, UNREAD, MISSING], 0) for letter in LETTERS}
+    missing: list[str] = []
+    unread: list[str] = []
+    for question in questions:
+        reply = answers.get(question.id)
+        chosen = MISSING if reply is None else read_letter(reply) or UNREAD
+        confusion[question.answer][chosen] += 1
+        if chosen == MISSING:
+            missing.append(question.id)
+        if chosen == UNREAD:
+            unread.append(question.id)
+    totals = Counter(question.answer for question in questions)
+    known = {question.id for question in questions}
+    return Grade(
+        overall=Recall.of(sum(confusion[letter][letter] for letter in LETTERS), len(questions)),
+        by_action={
+            action: Recall.of(confusion[letter][letter], totals[letter])
+            for letter, action in zip(LETTERS, ACTIONS, strict=True)
+            if totals[letter]
+        },
+        confusion={letter: row for letter, row in confusion.items() if totals[letter]},
+        missing=tuple(missing),
+        unread=tuple(unread),
+        unknown=tuple(name for name in answers if name not in known),
+    )
+
+
+class _Again(Exception):
+    """A request failed in a way that may pass; `wait` is how many seconds the server asks for."""
+
+    def __init__(self, reason: str, wait: float | None = None) -> None:
+        super().__init__(reason)
+        self.wait = wait
+
+
+class _Stay(urllib.request.HTTPRedirectHandler):
+    """Follows no redirection: the key would go along to wherever it leads."""
+
+    def redirect_request(self, *given: Any, **named: Any) -> None:
+        return None
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A chat endpoint as OpenAI's and many local servers have it.
+
+    Args:
+        url: of the interface, such as `http://localhost:8000/v1`; `/chat/completions` is added unless it ends so.
+        model: the name the server knows the model by.
+        key: sent as a bearer token; none for servers that want none.
+        settings: more values of the request, such as a temperature.
+        timeout: seconds without a byte after which a request has failed.
+        tries: how often a request is made before giving up.
+        pause: seconds before the second try, doubled before each further one up to 60, unless the server asks for
+            another.
+
+    Raises:
+        ValueError: a URL that is not http or https, a key that no header can hold, or `settings` that set the model or
+            the messages.
+    """
+
+    url: str
+    model: str
+    key: str | None = None
+    settings: Mapping[str, Any] | None = None
+    timeout: float = 120.0
+    tries: int = 6
+    pause: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what could only fail later."""
+        parts = urllib.parse.urlsplit(self.url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise ValueError(f"not a URL of http or https: `{self.url}`")
+        # The key is not to be told, so it is not in the message.
+        if self.key is not None and not re.fullmatch(r"[\x21-\x7e]+", self.key):
+            raise ValueError("the key is empty, or has characters other than printable ASCII")
+        if set(self.settings or ()) & {"model", "messages", "stream"}:
+            raise ValueError("the settings of a request cannot hold model, messages or stream")
+        if not (self.timeout > 0 and self.tries >= 1 and self.pause >= 0):
+            raise ValueError("timeout and tries are positive, pause is not negative")
+
+    def reply(self, messages: list[dict[str, str]]) -> str:
+        """What the model replies; "" if it replies with no text.
+
+        Raises:
+            ConnectionError: the server refuses the request, or it failed as often as there are tries.
+        """
+        for tried in range(1, self.tries + 1):
+            try:
+                return self._once(messages)
+            except _Again as error:
+                if tried == self.tries:
+                    raise ConnectionError(f"no reply from {self.url} in {tried} tries: {error}") from None
+                usual = min(self.pause * 2 ** (tried - 1), 60.0)
+                time.sleep(usual if error.wait is None else error.wait)
+        raise AssertionError("there is at least one try")
+
+    def _once(self, messages: list[dict[str, str]]) -> str:
+        url = self.url.rstrip("/")
+        url = url if url.endswith("/chat/completions") else f"{url}/chat/completions"
+        body = json.dumps({"model": self.model, "messages": messages, **(self.settings or {})}).encode()
+        headers = {"Content-Type": "application/json", "Accept": "application/json"}
+        if self.key is not None:
+            headers["Authorization"] = f"Bearer {self.key}"
+        request = urllib.request.Request(url, body, headers, method="POST")
+        try:
+            with urllib.request.build_opener(_Stay).open(request, timeout=self.timeout) as response:
+                text = response.read(RESPONSE_BYTES)
+        except urllib.error.HTTPError as error:
+            with error:
+                said = error.read(2000).decode(errors="replace").strip()
+            reason = f"{error.code} {error.reason}" + (f": {said}" if said else "")
+            if error.code in (408, 409, 425, 429) or error.code >= 500:
+                raise _Again(reason, _seconds(error.headers.get("Retry-After"))) from None
+            raise ConnectionError(f"{url} refuses the request: {reason}") from None
+        except (OSError, http.client.HTTPException) as error:
+            raise _Again(str(getattr(error, "reason", None) or error) or type(error).__name__) from None
+        try:
+            content = json.loads(text)["choices"][0]["message"].get("content")
+        except (ValueError, KeyError, IndexError, TypeError, AttributeError):
+            raise _Again(f"not a reply of a chat endpoint: {text[:200].decode(errors='replace')}") from None
+        return content if isinstance(content, str) else ""
+
+
+def _seconds(header: str | None) -> float | None:
+    """How long a server asks to wait, in seconds, at most ten minutes; it may also name a date, which is not read."""
+    try:
+        wait = float(header or "")
+    except ValueError:
+        return None
+    return min(wait, 600.0) if wait >= 0 else None
+
+
+def ask(
+    questions: Sequence[Question],
+    endpoint: Endpoint,
+    path: str | os.PathLike[str],
+    watch: Callable[[int], None] = lambda answered: None,
+) -> dict[str, str]:
+    """Ask every question that the file at `path` has no answer to, and append the replies to it, one at a time.
+
+    A line is `{"id": .., "model": .., "answer": ..}`. Where a run has ended early, by whatever cause, the next goes on.
+    `watch` is told how many questions are answered. Returns all replies by id.
+
+    Raises:
+        ConnectionError: as `Endpoint.reply`; what was replied before is in the file.
+        ValueError: the file has answers to other questions or of another model.
+        OSError: the file cannot be read or written.
+    """
+    _cut_torn_line(Path(path))
+    known = {question.id for question in questions}
+    answers: dict[str, str] = {}
+    with open(path, "a+", encoding="utf-8") as file:
+        for place, line in _lines(path):
+            if line["id"] not in known:
+                raise ValueError(f"{place}: answers `{line['id']}`, which is not asked: give another file to write")
+            if line.get("model") != endpoint.model:
+                raise ValueError(f"{place}: an answer of `{line.get('model')}`: give another file to write")
+        answers = load_answers(path)
+        watch(len(answers))
+        for question in questions:
+            if question.id in answers:
+                continue
+            answers[question.id] = endpoint.reply(question.messages())
+            json.dump({"id": question.id, "model": endpoint.model, "answer": answers[question.id]}, file)
+            file.write("\n")
+            file.flush()
+            watch(len(answers))
+    return answers
+
+
+def _cut_torn_line(path: Path) -> None:
+    """Drop the end of a last line that was not written to its end."""
+    if not path.exists():
+        return
+    with open(path, "r+b") as file:
+        text = file.read()
+        whole = text.rfind(b"\n") + 1
+        if whole < len(text):
+            file.truncate(whole)
+
+
+def ask_with_progress(questions: Sequence[Question], endpoint: Endpoint, path: Path) -> dict[str, str]:
+    """The same as `ask`, with a line on a terminal that says how far it is."""
+    with Progress(f"questions answered by {endpoint.model}", len(questions)) as progress:
+        return ask(questions, endpoint, path, progress.tell)

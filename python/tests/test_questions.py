@@ -1,0 +1,357 @@
+from __future__ import annotations
+
+import json
+import random
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from logicity import infer
+from logicity.__main__ import main
+from logicity.questions import Endpoint, Question, ask, grade, load_answers, load_questions, read_letter
+
+QUESTIONS = Path(__file__).parents[2] / "tests" / "fixtures" / "questions.jsonl"
+ACTIONS = {"A": "Slow", "B": "Normal", "C": "Fast", "D": "Stop"}
+
+
+def made_up(count: int) -> list[Question]:
+    return [Question(str(n), "Decide.", (), f"Scene {n}?", ACTIONS, "ABCD"[n % 4]) for n in range(count)]
+
+
+def test_questions_are_read_and_are_what_the_rules_say() -> None:
+    questions = load_questions(QUESTIONS)
+    lines = [json.loads(line) for line in QUESTIONS.read_text(encoding="utf-8").splitlines()]
+    assert len(questions) == len(lines) == 8
+    for question, line in zip(questions, lines, strict=True):
+        answer = infer(line["scene"], "vap-hard")["egos"][line["scene"]["ego"]]["action"]
+        assert question.options[question.answer] == answer == line["action"]
+        system, user = question.messages()
+        assert (system["role"], user["role"]) == ("system", "user") and "Answer: " in system["content"]
+        assert user["content"].count("(A) Slow\n(B) Normal\n(C) Fast\n(D) Stop") == 5
+        assert [user["content"].count(f"\nAnswer: {letter}") for letter in "ABCD"] == [1, 1, 1, 1]
+        assert user["content"].rfind(line["question"]) > user["content"].rfind("Answer: ")
+
+
+@pytest.mark.parametrize(
+    ("reply", "letter"),
+    [
+        ("B", "B"),
+        ("b", "B"),
+        (" (C) ", "C"),
+        ("D.", "D"),
+        ("D) Stop", "D"),
+        ("Stop", "D"),
+        ("normal.", "B"),
+        ("Answer: A", "A"),
+        ("answer: a", "A"),
+        ("**Answer: D**", "D"),
+        ("Answer:\n\nC", "C"),
+        ("The answer is B.", "B"),
+        ("The correct answer would be (C), since it is a bus.", "C"),
+        ("Answer: B. Because nothing holds it.", "B"),
+        ("Answer: B because nothing holds it.", "B"),
+        ("Final answer: $\\boxed{C}$", "C"),
+        ("\\boxed{\\text{Stop}}", "D"),
+        ('{"answer": "C"}', "C"),
+        ("<answer>D</answer>", "D"),
+        ("Answer: Fast", "C"),
+        ("Answer: C Fast", "C"),
+        ("Answer: option D", "D"),
+        ("At first I thought the answer is A.\nIt is at an intersection.\nAnswer: D", "D"),
+        ("Answer: D\n\nThis answer is based on the second example.", "D"),
+        ("Let me see.\nIt is a bus.\n(C) Fast", "C"),
+        ("", None),
+        ("I cannot tell.", None),
+        ("A car ahead stops it.", None),
+        ("Answer: A car ahead stops it.", None),
+        ("Answer: A stop sign is there.", None),
+        ("Stop signs are nowhere.", None),
+        ("Answer: A or B", None),
+        ("Answer: A, B", None),
+        ("Answer: (A) or (B)", None),
+        ("Answer: A-D", None),
+        ("Answer: A Stop", None),
+        ("Answer: E", None),
+        ("Answer: _", None),
+        ("The answer is not B", None),
+        ("(A) Slow\n(B) Normal\nI cannot decide.", None),
+        ("Answer: Entity_3", None),
+        ("Answer: Bus", None),
+    ],
+)
+def test_letters_are_read_from_replies(reply: str, letter: str | None) -> None:
+    assert read_letter(reply) == letter
+
+
+def test_any_text_is_a_reply() -> None:
+    draws = random.Random(1)
+    parts = [
+        "answer",
+        "Answer: ",
+        "A",
+        "b",
+        " ",
+        "(",
+        ")",
+        "\n",
+        "**",
+        "Stop",
+        "or",
+        "\\boxed{",
+        ".",
+        "-",
+        "é",
+        "<",
+        ">",
+    ]
+    for _ in range(3000):
+        reply = "".join(draws.choices(parts, k=draws.randrange(12)))
+        assert read_letter(reply) in (None, "A", "B", "C", "D")
+
+
+def test_the_oracle_scores_all_and_a_guesser_a_quarter() -> None:
+    questions = made_up(2000)
+    oracle = grade(questions, {question.id: question.answer for question in questions})
+    assert oracle.overall.correct == 2000 and oracle.overall.accuracy.value == 1.0
+    assert all(recall.accuracy.value == 1.0 for recall in oracle.by_action.values())
+    draws = random.Random(7)
+    guesser = grade(questions, {question.id: f"Answer: {draws.choice('ABCD')}" for question in questions})
+    # Four standard deviations of a binomial with a quarter are 77.
+    assert abs(guesser.overall.correct - 500) < 77
+    assert guesser.overall.accuracy.low < 0.25 < guesser.overall.accuracy.high
+    for letter in "ABCD":
+        always = grade(questions, {question.id: letter for question in questions})
+        assert always.overall.correct == 500 and always.by_action[ACTIONS[letter]].correct == 500
+
+
+def test_a_grade_counts_every_question_once() -> None:
+    questions = made_up(6)
+    graded = grade(questions, {"0": "A", "1": "Answer: C", "2": "who knows", "4": "A", "9": "A"})
+    assert graded.overall.correct == 2 and graded.overall.total == 6
+    assert (graded.missing, graded.unread, graded.unknown) == (("3", "5"), ("2",), ("9",))
+    assert graded.confusion["B"] == {"A": 0, "B": 0, "C": 1, "D": 0, "unread": 0, "missing": 1}
+    assert sum(sum(row.values()) for row in graded.confusion.values()) == 6
+    # Wilson's interval of 2 of 6, by hand: centre (1/3 + z²/12) / (1 + z²/6) and so on.
+    assert (round(graded.overall.accuracy.low, 4), round(graded.overall.accuracy.high, 4)) == (0.0968, 0.7000)
+    assert json.loads(json.dumps(graded.to_dict()))["by_action"]["Slow"]["correct"] == 2
+    assert list(grade(questions[:2], {}).by_action) == ["Slow", "Normal"]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "there are no questions"),
+        ("{", ":1: not JSON"),
+        ("[]", ":1: expected an object"),
+        ('{"id": "x"}', ":1: not a question"),
+        (
+            json.dumps({"id": "x", "system": "", "demonstrations": [], "question": "", "options": {}, "answer": "A"}),
+            "options",
+        ),
+        (
+            QUESTIONS.read_text(encoding="utf-8").splitlines()[0] + "\n" + QUESTIONS.read_text(encoding="utf-8"),
+            ":2: the id",
+        ),
+    ],
+)
+def test_faulty_questions_are_told_with_their_line(text: str, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "questions.jsonl"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=told):
+        load_questions(path)
+
+
+def test_faulty_answers_are_told_with_their_line(tmp_path: Path) -> None:
+    path = tmp_path / "answers.jsonl"
+    for text, told in [
+        ('{"id": "a"}', ":1: expected an `answer`"),
+        ('{"id": "a", "answer": "A"}\n\n{"id": "a", "answer": "B"}', ":3: the id 'a' is answered twice"),
+    ]:
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match=told):
+            load_answers(path)
+
+
+@dataclass
+class Server:
+    """A chat endpoint on this machine. `act` is called for each request with its number; it replies as it likes."""
+
+    act: Callable[[BaseHTTPRequestHandler, int, dict[str, Any]], None]
+    requests: list[dict[str, Any]] = field(default_factory=list)
+    keys: list[str | None] = field(default_factory=list)
+    url: str = ""
+
+
+def send(handler: BaseHTTPRequestHandler, code: int, body: bytes, **headers: str) -> None:
+    handler.send_response(code)
+    for name, value in {"Content-Length": str(len(body)), **headers}.items():
+        handler.send_header(name.replace("_", "-"), value)
+    handler.end_headers()
+    handler.wfile.write(body)
+
+
+def say(handler: BaseHTTPRequestHandler, text: object) -> None:
+    send(handler, 200, json.dumps({"choices": [{"message": {"role": "assistant", "content": text}}]}).encode())
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[[Callable[[BaseHTTPRequestHandler, int, dict[str, Any]], None]], Server]]:
+    running: list[ThreadingHTTPServer] = []
+
+    def start(act: Callable[[BaseHTTPRequestHandler, int, dict[str, Any]], None]) -> Server:
+        server = Server(act)
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+                server.requests.append({"path": self.path, **body})
+                server.keys.append(self.headers.get("Authorization"))
+                server.act(self, len(server.requests) - 1, body)
+
+            def log_message(self, *told: Any) -> None:
+                pass
+
+        http = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        running.append(http)
+        threading.Thread(target=http.serve_forever, daemon=True).start()
+        server.url = f"http://127.0.0.1:{http.server_port}/v1"
+        return server
+
+    yield start
+    for http in running:
+        http.shutdown()
+        http.server_close()
+
+
+Serve = Callable[[Callable[[BaseHTTPRequestHandler, int, dict[str, Any]], None]], Server]
+
+
+def test_all_questions_are_asked_and_graded(
+    serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    right = {question.messages()[1]["content"]: question.answer for question in load_questions(QUESTIONS)}
+    server = serve(lambda handler, _, body: say(handler, f"So.\nAnswer: {right[body['messages'][1]['content']]}"))
+    monkeypatch.setenv("CITY_KEY", "sesame\n")
+    replies, figures = tmp_path / "replies.jsonl", tmp_path / "figures.json"
+    questions = ["--questions", str(QUESTIONS)]
+    arguments = ["--url", server.url, "--model", "oracle", "-o", str(replies), "--key-from", "CITY_KEY"]
+    assert main(["ask", *questions, *arguments]) == 0
+    asked = capsys.readouterr().out
+    assert "1.00 [0.68, 1.00]" in asked
+    assert {request["path"] for request in server.requests} == {"/v1/chat/completions"}
+    assert {(request["model"], request["temperature"]) for request in server.requests} == {("oracle", 0)}
+    assert set(server.keys) == {"Bearer sesame"} and len(server.keys) == 8
+    assert main(["grade", str(replies), *questions, "--json", str(figures)]) == 0
+    assert capsys.readouterr().out == asked
+    assert json.loads(figures.read_text())["overall"]["correct"] == 8
+    # Nothing is asked again.
+    assert main(["ask", *questions, *arguments]) == 0 and len(server.requests) == 8
+    # Another model and other questions want another file.
+    assert main(["ask", *questions, *arguments[:3], "other", *arguments[4:]]) == 1
+    with pytest.raises(ValueError, match="which is not asked"):
+        ask(made_up(2), Endpoint(server.url, "oracle"), replies)
+    assert len(server.requests) == 8
+
+
+def test_what_fails_is_tried_again(serve: Serve, tmp_path: Path) -> None:
+    stalled = threading.Event()
+
+    def act(handler: BaseHTTPRequestHandler, number: int, body: dict[str, Any]) -> None:
+        match number:
+            case 0:
+                send(handler, 429, b"slow down", Retry_After="0")
+            case 1:
+                send(handler, 500, b"oops")
+            case 2:
+                send(handler, 200, b"not JSON")
+            case 3:
+                send(handler, 200, b'{"choices": []}')
+            case 4:
+                handler.connection.close()
+            case 5:
+                stalled.wait(10)
+            case 6:
+                handler.wfile.write(b"HTTP/1.1 200 OK\r\nContent-Length: 100\r\n\r\n{")
+            case _:
+                say(handler, None if number == 8 else "B")
+
+    server = serve(act)
+    endpoint = Endpoint(server.url, "stub", timeout=0.5, tries=8, pause=0.01)
+    watched: list[int] = []
+    answers = ask(made_up(3), endpoint, tmp_path / "replies.jsonl", watched.append)
+    stalled.set()
+    assert answers == {"0": "B", "1": "", "2": "B"} == load_answers(tmp_path / "replies.jsonl")
+    assert len(server.requests) == 10 and watched == [0, 1, 2, 3]
+    assert server.keys == [None] * 10
+
+
+def test_what_was_replied_is_kept_when_the_server_gives_out(
+    serve: Serve, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "replies.jsonl"
+    server = serve(lambda handler, number, _: say(handler, "A") if number < 2 else send(handler, 503, b"full"))
+    endpoint = Endpoint(server.url, "stub", tries=3, pause=0.01)
+    with pytest.raises(ConnectionError, match="in 3 tries: 503 .*: full"):
+        ask(made_up(4), endpoint, path)
+    assert len(server.requests) == 5 and list(load_answers(path)) == ["0", "1"]
+    # A run was killed while it wrote.
+    with path.open("a", encoding="utf-8") as file:
+        file.write('{"id": "2", "ans')
+    server.act = lambda handler, number, _: say(handler, "D")
+    assert ask(made_up(4), endpoint, path) == {"0": "A", "1": "A", "2": "D", "3": "D"}
+    assert len(server.requests) == 7 and len(load_answers(path)) == 4
+
+
+def test_what_is_refused_is_not_tried_again(serve: Serve, tmp_path: Path) -> None:
+    other = serve(lambda handler, number, _: say(handler, "A"))
+    for code, told in [(401, "401 .*: who are you"), (404, "404"), (302, "302"), (307, "307")]:
+        server = serve(lambda handler, _, __, code=code: send(handler, code, b"who are you", Location=other.url))  # type: ignore[misc]
+        with pytest.raises(ConnectionError, match=told):
+            ask(made_up(1), Endpoint(server.url, "stub", key="sesame"), tmp_path / "replies.jsonl")
+        assert len(server.requests) == 1
+    # A key follows no redirection.
+    assert other.requests == []
+
+
+def test_faulty_endpoints_are_refused_without_telling_the_key(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for faulty in (
+        {"url": "file:///etc/passwd"},
+        {"url": "localhost:8000"},
+        {"key": "two words"},
+        {"settings": {"model": "another"}},
+        {"tries": 0},
+    ):
+        with pytest.raises(ValueError) as error:
+            Endpoint(**{"url": "http://localhost/v1", "model": "stub", **faulty})  # type: ignore[arg-type]
+        assert "two words" not in str(error.value)
+    arguments = ["ask", "--questions", str(QUESTIONS), "--url", "http://localhost/v1", "--model", "m"]
+    arguments += ["-o", str(tmp_path / "replies.jsonl")]
+    monkeypatch.delenv("CITY_KEY", raising=False)
+    assert main([*arguments, "--key-from", "CITY_KEY"]) == 1
+    assert "`CITY_KEY` is not set" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main([*arguments, "--settings", "[1]"])
+
+
+def test_what_is_counted_as_wrong_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    questions = load_questions(QUESTIONS)
+    answers = tmp_path / "answers.jsonl"
+    told = {questions[0].id: questions[0].answer, questions[1].id: "hm", "another": "A"}
+    answers.write_text("".join(json.dumps({"id": name, "answer": text}) + "\n" for name, text in told.items()))
+    assert main(["grade", str(answers), "--questions", str(QUESTIONS)]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.splitlines()[-1].startswith("all           8          0.12 [0.02, 0.47]")
+    left = ", ".join(question.id for question in questions[2:7])
+    assert printed.err.splitlines() == [
+        f"counted as wrong, without an answer: 6: {left}, ...",
+        f"counted as wrong, with an answer that chooses no option: 1: {questions[1].id}",
+        "left out, answers to no question: 1: another",
+    ]
+    assert main(["grade", str(tmp_path / "nowhere.jsonl")]) == 1

@@ -1,0 +1,507 @@
+//! Language questions: what does this car do next, given the names of entities and the facts that are true of them?
+//!
+//! [`QuestionSet::draw`] lets cities go and picks decisions of cars; [`wording`] makes texts of them. The rules are not told: they
+//! are to be found from demonstrations, which come from another agent set than the questions.
+
+mod wording;
+
+pub use wording::{RulesFile, letter};
+
+use crate::config::{AgentKind, AgentName, AgentSet, Definition, Speed, Split};
+use crate::diag::{Code, Diagnostic, did_you_mean};
+use crate::rng::{Purpose, Rng, RngExt, Seed};
+use crate::sim::{Facts, MAX_ENTITIES, Settings, Simulation, World};
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+/// The ticks of a world.
+const TICKS: u64 = 100;
+
+/// The first ticks of a world are not asked about: at first nobody has a heading.
+const WARM_UP: u64 = 11;
+
+/// From one world come at most so many questions with one answer, since what follows within a few ticks is alike.
+const PER_WORLD: usize = 4;
+
+/// Making a set is given up after so many worlds, and as many again as there are questions.
+const WORLDS: usize = 200;
+
+/// The most questions of a set.
+pub const QUESTIONS_MAX: u32 = 20_000;
+
+/// The most demonstrations of a set.
+pub const SHOTS_MAX: u32 = 100;
+
+/// What a set of questions is to be.
+#[derive(Clone, Debug)]
+pub struct Request {
+    /// How many questions.
+    pub count: usize,
+    /// How many demonstrations: none, or enough for every action that the rules can ask.
+    pub shots: usize,
+    /// The agents that questions are about.
+    pub split: Split,
+    /// The agents that demonstrations are about.
+    pub demonstrations: Split,
+    /// Which entities a question names.
+    pub entities: Extent,
+    /// Only cars that carry one of these concepts are asked about; any, if there are none.
+    pub about: Vec<String>,
+    /// What everything is drawn from.
+    pub seed: u64,
+}
+
+/// Which entities a question names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extent {
+    /// Those that the car sees, and itself.
+    View,
+    /// All of the city, as the paper does.
+    City,
+}
+
+impl Extent {
+    /// Both.
+    pub const ALL: [Extent; 2] = [Extent::View, Extent::City];
+
+    /// Its name: `view` or `city`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Extent::View => "view",
+            Extent::City => "city",
+        }
+    }
+}
+
+/// Questions, and the demonstrations that come before each of them.
+#[derive(Clone, Debug)]
+pub struct QuestionSet {
+    /// What was asked for.
+    pub request: Request,
+    /// Solved examples.
+    pub demonstrations: Vec<Question>,
+    /// The questions.
+    pub questions: Vec<Question>,
+    /// Names and arities of the predicates, `Sees` last.
+    predicates: Vec<(String, usize)>,
+    /// How many worlds were looked at for the questions.
+    pub worlds: usize,
+}
+
+/// A decision of a car. Entities are numbers; their order is drawn and tells nothing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Question {
+    /// How many entities there are.
+    pub entities: usize,
+    /// The one to decide for.
+    pub ego: usize,
+    /// All that is true of them.
+    pub facts: Facts,
+    /// What the rules want.
+    pub answer: Speed,
+    /// Where it is from.
+    pub source: Source,
+}
+
+/// Where a question is from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Source {
+    /// Whose agents the city has.
+    pub split: Split,
+    /// The seed of the city.
+    pub world: u64,
+    /// The tick in which the car decided.
+    pub tick: u64,
+    /// The car.
+    pub agent: AgentName,
+}
+
+impl QuestionSet {
+    /// Draws a set: no two questions alike, none like a demonstration or among entities of the same kinds and concepts as one, and every
+    /// answer equally often as far as it occurs. `watch` is told how many questions there are after each world.
+    ///
+    /// # Errors
+    /// `invalid-value` for an unknown concept, too few demonstrations for the actions, or the same agents in questions and demonstrations;
+    /// `limit-exceeded` if there are not as many questions to be found, or no demonstration of an answer; those of [`Simulation::new`].
+    pub fn draw(
+        world: &Arc<World>,
+        request: Request,
+        mut watch: impl FnMut(usize),
+    ) -> Result<QuestionSet, Vec<Diagnostic>> {
+        check(world, &request)?;
+        let mut known = Known::default();
+        let mut shown = Search::new(world, &request, request.demonstrations, request.shots);
+        let demonstrations = match request.shots {
+            0 => Vec::new(),
+            _ => shown.run(&[], &mut known, |_| ()).map_err(|fault| vec![fault])?,
+        };
+        known.compositions = demonstrations
+            .iter()
+            .map(|question| composition(world, question))
+            .collect();
+        let mut search = Search::new(world, &request, request.split, request.count);
+        let questions = search
+            .run(&request.about, &mut known, &mut watch)
+            .map_err(|fault| vec![fault])?;
+        let lacking = |action: &Speed| {
+            let answers = |questions: &[Question]| questions.iter().any(|question| question.answer == *action);
+            answers(&questions) && !answers(&demonstrations)
+        };
+        if let (true, Some(action)) = (request.shots > 0, Speed::ALL.into_iter().find(lacking)) {
+            let (name, split) = (action.name(), request.demonstrations.name());
+            let message = format!("no demonstration of {name} found among the cars of `{split}`");
+            return Err(vec![
+                Diagnostic::new(Code::LimitExceeded, message)
+                    .help("take the demonstrations from another split, or none"),
+            ]);
+        }
+        let predicates = &world.vocabulary.predicates;
+        Ok(QuestionSet {
+            demonstrations,
+            questions,
+            predicates: (predicates.iter())
+                .map(|predicate| (predicate.name.clone(), predicate.arity))
+                .collect(),
+            worlds: search.worlds,
+            request,
+        })
+    }
+
+    /// How many questions have each answer, in the order of [`Speed::ALL`].
+    pub fn answers(&self) -> [usize; 4] {
+        Speed::ALL.map(|action| {
+            let answers = self.questions.iter().filter(|question| question.answer == action);
+            answers.count()
+        })
+    }
+}
+
+/// The actions that the rules can ask, in the order of [`Speed::ALL`].
+pub fn askable(world: &World) -> Vec<Speed> {
+    let clauses = &world.program.rules().clauses;
+    let asked = |action: &Speed| {
+        let relation = world.vocabulary.action(*action);
+        let derived = relation.is_some_and(|relation| clauses.iter().any(|clause| clause.head.relation == relation));
+        derived || *action == world.vocabulary.default_action()
+    };
+    Speed::ALL.into_iter().filter(asked).collect()
+}
+
+/// Whether a request can be met at all.
+fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
+    let scenario = &world.scenario;
+    let concepts: Vec<&str> = (scenario.predicates.iter())
+        .filter_map(|predicate| match &predicate.definition {
+            Definition::Concept {
+                of: AgentKind::Car,
+                concept,
+            } => Some(concept.as_str()),
+            _ => None,
+        })
+        .collect();
+    let unknown = request
+        .about
+        .iter()
+        .filter(|concept| !concepts.contains(&concept.as_str()));
+    let mut faults: Vec<Diagnostic> = unknown
+        .map(|concept| {
+            let message = format!("`{}` has no concept `{concept}` of cars", scenario.name);
+            let fault = Diagnostic::new(Code::InvalidValue, message);
+            match did_you_mean(concept, concepts.iter().copied()) {
+                Some(name) => fault.help(format!("did you mean `{name}`?")),
+                None => fault.help(format!("it has: {}", concepts.join(", "))),
+            }
+        })
+        .collect();
+    let actions: Vec<&str> = askable(world).into_iter().map(Speed::name).collect();
+    if request.shots > 0 && request.shots < actions.len() {
+        let message = format!(
+            "{} demonstrations cannot show all that the rules can ask: {}",
+            request.shots,
+            actions.join(", ")
+        );
+        faults.push(Diagnostic::new(Code::InvalidValue, message).help("take none, or at least one for each"));
+    }
+    let agents = |split: Split| {
+        let set = scenario.agent_set(split)?;
+        let mut agents: Vec<_> = set.agents().map(|agent| (agent.name.kind, agent.concepts)).collect();
+        agents.sort_unstable();
+        Some(agents)
+    };
+    let [asked, shown] = [request.split, request.demonstrations].map(agents);
+    if request.shots > 0 && asked.is_some() && asked == shown {
+        let [asked, shown] = [request.split, request.demonstrations].map(Split::name);
+        let message =
+            format!("questions about `{asked}` and demonstrations about `{shown}` would have the same agents");
+        faults.push(Diagnostic::new(Code::InvalidValue, message).help("take the demonstrations from another split"));
+    }
+    match faults.is_empty() {
+        true => Ok(()),
+        false => Err(faults),
+    }
+}
+
+/// What may not be asked again.
+#[derive(Default)]
+struct Known {
+    /// Questions up to the order of their entities.
+    questions: BTreeSet<Vec<Vec<[u32; 2]>>>,
+    /// The kinds and concepts of all entities of each demonstration.
+    compositions: BTreeSet<Vec<Vec<usize>>>,
+}
+
+/// Looks for questions about the cars of a split.
+struct Search<'w> {
+    world: &'w Arc<World>,
+    split: Split,
+    extent: Extent,
+    seed: Seed,
+    count: usize,
+    /// By answer.
+    found: [Vec<Question>; 4],
+    worlds: usize,
+}
+
+impl<'w> Search<'w> {
+    fn new(world: &'w Arc<World>, request: &Request, split: Split, count: usize) -> Search<'w> {
+        Search {
+            world,
+            split,
+            extent: request.entities,
+            seed: Seed(request.seed),
+            count,
+            found: Default::default(),
+            worlds: 0,
+        }
+    }
+
+    /// Finds the questions, in an order that has nothing to do with answers.
+    fn run(
+        &mut self,
+        about: &[String],
+        known: &mut Known,
+        mut watch: impl FnMut(usize),
+    ) -> Result<Vec<Question>, Diagnostic> {
+        let agents = self.world.scenario.agent_set(self.split).map_or(0, AgentSet::len);
+        if agents > MAX_ENTITIES {
+            let message = format!("facts about pairs of {agents} agents; the limit is {MAX_ENTITIES} agents");
+            return Err(Diagnostic::new(Code::LimitExceeded, message));
+        }
+        let mut city = Simulation::new(Arc::clone(self.world), self.split, self.seed, Settings::default())?;
+        let asked = askable(self.world);
+        let share = |place: usize| self.count / asked.len() + usize::from(place < self.count % asked.len());
+        let wanted: Vec<(Speed, usize)> = asked
+            .iter()
+            .enumerate()
+            .map(|(place, &action)| (action, share(place)))
+            .collect();
+        while self.worlds < WORLDS + self.count
+            && wanted
+                .iter()
+                .any(|&(action, share)| self.found[action as usize].len() < share)
+        {
+            let mut stream = self
+                .seed
+                .stream(Purpose::Question, self.worlds as u64, self.split as u64);
+            self.look(&mut city, about, known, &mut stream)?;
+            self.worlds += 1;
+            let sure = wanted
+                .iter()
+                .map(|&(action, share)| self.found[action as usize].len().min(share));
+            watch(sure.sum());
+        }
+        self.choose()
+    }
+
+    /// Looks at one world.
+    fn look(
+        &mut self,
+        city: &mut Simulation,
+        about: &[String],
+        known: &mut Known,
+        stream: &mut impl Rng,
+    ) -> Result<(), Diagnostic> {
+        let seed: u64 = stream.random();
+        let mut agents = Vec::new();
+        city.draw_agents(Seed(seed), &mut agents)?;
+        city.restart(Seed(seed), &mut agents);
+        let carries = |concepts: &[String]| about.is_empty() || concepts.iter().any(|concept| about.contains(concept));
+        // By answer the decisions with the lowest lots.
+        let mut drawn: [Vec<(u64, Question)>; 4] = Default::default();
+        for tick in 0..TICKS {
+            city.tick(&[])?;
+            if tick < WARM_UP {
+                continue;
+            }
+            let mut facts = None;
+            for (ego, agent) in city.agents().iter().enumerate() {
+                if agent.kind != AgentKind::Car || !carries(&agent.concepts) {
+                    continue;
+                }
+                let (lot, order): (u64, u64) = (stream.random(), stream.random());
+                let answer = city.report().agents[ego].action;
+                let best = &mut drawn[answer as usize];
+                let place = best.partition_point(|(other, _)| *other < lot);
+                if place < PER_WORLD {
+                    let facts = facts.get_or_insert_with(|| city.facts(|_| true));
+                    let source = Source {
+                        split: self.split,
+                        world: seed,
+                        tick,
+                        agent: agent.name(),
+                    };
+                    best.insert(place, (lot, self.question(facts, ego, Seed(order), answer, source)));
+                    best.truncate(PER_WORLD);
+                }
+            }
+        }
+        for (found, drawn) in self.found.iter_mut().zip(drawn) {
+            for (_, question) in drawn {
+                let composed = known.compositions.contains(&composition(self.world, &question));
+                if !composed && known.questions.insert(unordered(self.world, &question)) {
+                    found.push(question);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// A decision as a question; the order of its entities is drawn.
+    fn question(&self, facts: &Facts, ego: usize, order: Seed, answer: Speed, source: Source) -> Question {
+        let vocabulary = &self.world.vocabulary;
+        let sees = &facts.rows[vocabulary.sees];
+        let mut named: Vec<u32> = match self.extent {
+            Extent::View => sees
+                .iter()
+                .filter(|[x, _]| *x as usize == ego)
+                .map(|[_, y]| *y)
+                .collect(),
+            // Everybody sees itself.
+            Extent::City => sees.iter().filter(|[x, y]| x == y).map(|[x, _]| *x).collect(),
+        };
+        named.sort_by_cached_key(|&agent| -> u64 { order.stream(Purpose::Question, agent.into(), 0).random() });
+        let place = |agent: u32| {
+            let place = named.iter().position(|&named| named == agent)?;
+            Some(u32::try_from(place).expect("fewer than 2^32 entities"))
+        };
+        let rows = facts.rows.iter().zip(&vocabulary.predicates).map(|(rows, predicate)| {
+            let renamed = |&[x, y]: &[u32; 2]| match predicate.arity {
+                1 => Some([place(x)?, 0]),
+                _ => Some([place(x)?, place(y)?]),
+            };
+            let mut rows: Vec<[u32; 2]> = rows.iter().filter_map(renamed).collect();
+            rows.sort_unstable();
+            rows
+        });
+        let facts = Facts { rows: rows.collect() };
+        let agent = u32::try_from(ego).expect("fewer than 2^32 agents");
+        Question {
+            ego: place(agent).expect("who sees itself") as usize,
+            entities: named.len(),
+            facts,
+            answer,
+            source,
+        }
+    }
+
+    /// As many as are wanted, every answer equally often as far as it was found.
+    fn choose(&mut self) -> Result<Vec<Question>, Diagnostic> {
+        let shares = equal_shares(self.count, self.found.each_ref().map(Vec::len));
+        if shares.iter().sum::<usize>() < self.count {
+            let found: usize = self.found.iter().map(Vec::len).sum();
+            let (count, worlds, split) = (self.count, self.worlds, self.split.name());
+            let message = format!("{found} of {count} different questions found in {worlds} worlds of `{split}`");
+            return Err(Diagnostic::new(Code::LimitExceeded, message)
+                .help("take fewer, another agent set, or name all entities of the city"));
+        }
+        let taken = self
+            .found
+            .iter_mut()
+            .zip(shares)
+            .flat_map(|(found, share)| found.drain(..share));
+        let mut questions: Vec<Question> = taken.collect();
+        questions.sort_by_cached_key(|question| {
+            let Source { world, tick, agent, .. } = question.source;
+            let lot: u64 = Seed(world)
+                .stream(Purpose::Question, agent.number.into(), 1 + tick)
+                .random();
+            lot
+        });
+        Ok(questions)
+    }
+}
+
+/// Shares that sum up to `count` if there is enough, as equal as what there is allows; of unequal ones the first are larger.
+fn equal_shares(count: usize, available: [usize; 4]) -> [usize; 4] {
+    let mut shares = [0; 4];
+    for _ in 0..count {
+        let next = (0..4).filter(|&place| shares[place] < available[place]);
+        if let Some(place) = next.min_by_key(|&place| shares[place]) {
+            shares[place] += 1;
+        }
+    }
+    shares
+}
+
+/// The predicates that tell what an entity is, for all entities, in an order of their own.
+fn composition(world: &World, question: &Question) -> Vec<Vec<usize>> {
+    let mut entities = vec![Vec::new(); question.entities];
+    let predicates = world.vocabulary.predicates.iter().zip(&question.facts.rows);
+    for (index, (predicate, rows)) in predicates.enumerate() {
+        if predicate.definition.is_steady() {
+            rows.iter().for_each(|[x, _]| entities[*x as usize].push(index));
+        }
+    }
+    entities.sort_unstable();
+    entities
+}
+
+/// The facts with the entities in an order that follows from what is true of them, the ego first: alike for questions that differ in
+/// the order of their entities, but for few of great symmetry, which may pass as different.
+fn unordered(world: &World, question: &Question) -> Vec<Vec<[u32; 2]>> {
+    let predicates = || question.facts.rows.iter().zip(&world.vocabulary.predicates).enumerate();
+    let mut classes: Vec<usize> = (0..question.entities)
+        .map(|entity| usize::from(entity != question.ego))
+        .collect();
+    let mut count = 0;
+    loop {
+        // What is true of each entity, told by the classes of the others. The old class comes first, so that classes are only divided.
+        let mut told: Vec<Vec<[usize; 2]>> = classes.iter().map(|&class| vec![[class, 0]]).collect();
+        for (index, (rows, predicate)) in predicates() {
+            for [x, y] in rows.iter().map(|row| row.map(|entity| entity as usize)) {
+                match predicate.arity {
+                    1 => told[x].push([2 * index, 0]),
+                    _ => {
+                        told[x].push([2 * index, classes[y]]);
+                        told[y].push([2 * index + 1, classes[x]]);
+                    }
+                }
+            }
+        }
+        told.iter_mut().for_each(|told| told[1..].sort_unstable());
+        let kinds: BTreeSet<&Vec<[usize; 2]>> = told.iter().collect();
+        if kinds.len() == count {
+            break;
+        }
+        count = kinds.len();
+        let kinds: Vec<_> = kinds.into_iter().collect();
+        let class = |told| kinds.binary_search(&told).expect("it is one of them");
+        classes = told.iter().map(class).collect();
+    }
+    let mut order: Vec<usize> = (0..question.entities).collect();
+    order.sort_by_key(|&entity| classes[entity]);
+    let mut place = vec![0; question.entities];
+    for (number, &entity) in order.iter().enumerate() {
+        place[entity] = u32::try_from(number).expect("fewer than 2^32 entities");
+    }
+    let renamed = predicates().map(|(_, (rows, predicate))| {
+        let rename = |&[x, y]: &[u32; 2]| match predicate.arity {
+            1 => [place[x as usize], 0],
+            _ => [place[x as usize], place[y as usize]],
+        };
+        let mut rows: Vec<[u32; 2]> = rows.iter().map(rename).collect();
+        rows.sort_unstable();
+        rows
+    });
+    renamed.collect()
+}
