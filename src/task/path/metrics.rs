@@ -108,7 +108,7 @@ pub struct Summary {
 ///
 /// # Panics
 /// If there are more or fewer of them.
-#[allow(clippy::cast_precision_loss)] // fewer than 2^53 episodes
+#[allow(clippy::cast_precision_loss)] // fewer than 2^53 episodes and steps
 pub fn summarise(task: &PathTask, rollouts: &[Rollout], random: Option<&[f64]>) -> Summary {
     let count = |hits: &dyn Fn(&Rollout) -> bool| rollouts.iter().filter(|rollout| hits(rollout)).count();
     let demands = task.oracle().demands();
@@ -133,7 +133,7 @@ pub fn summarise(task: &PathTask, rollouts: &[Rollout], random: Option<&[f64]>) 
                 .map(|(rollout, random)| rollout.total - random),
         )
     });
-    let steps: u32 = rollouts.iter().map(|rollout| rollout.steps).sum();
+    let steps: u64 = rollouts.iter().map(|rollout| u64::from(rollout.steps)).sum();
     Summary {
         tsr: Rate::of(count(&|rollout| rollout.success), rollouts.len()),
         dsr: Rate::of(
@@ -147,7 +147,7 @@ pub fn summarise(task: &PathTask, rollouts: &[Rollout], random: Option<&[f64]>) 
             .collect(),
         mean_return: Score::of(rollouts.iter().map(|rollout| rollout.total)),
         score,
-        mean_steps: f64::from(steps) / rollouts.len().max(1) as f64,
+        mean_steps: steps as f64 / rollouts.len().max(1) as f64,
     }
 }
 
