@@ -198,10 +198,30 @@ impl Wanted {
         });
         let actions = (Speed::ALL.iter().zip(self.actions).filter(|(_, wanted)| *wanted > 0))
             .map(|(action, wanted)| format!("{wanted} in which the rules ask {}", action.name()));
-        let lacking: Vec<String> = concepts.chain(actions).collect();
+        let mut lacking: Vec<String> = concepts.chain(actions).collect();
+        if lacking.is_empty() {
+            lacking.push("episodes that the oracle solves and in which a rule asks something".to_owned());
+        }
         format!(
             "lacking: {}; take fewer episodes, or another region or agent set",
             lacking.join(", ")
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_lacking_is_never_nothing() {
+        let told = |concepts, actions| Wanted { concepts, actions }.tell();
+        assert!(told(vec![], [0; 4]).starts_with("lacking: episodes that the oracle solves"));
+        let bus: Arc<[String]> = Arc::new(["bus".to_owned()]);
+        let told = told(vec![(bus, 2), (Arc::new([]), 1)], [0, 0, 0, 3]);
+        assert!(
+            told.starts_with("lacking: 2 with bus, 1 with no concept, 3 in which the rules ask Stop;"),
+            "{told}"
+        );
     }
 }
