@@ -5,13 +5,15 @@ mod shipped_world;
 
 use flate2::read::GzDecoder;
 use logicity::city::{Agent, Cell, Heading, field_of_view};
-use logicity::config::{AgentConfig, Speed, Split};
+use logicity::config::{AgentConfig, AgentKind, Speed, Split};
 use logicity::diag::{Code, Diagnostic, Sources};
 use logicity::files::read_or_builtin;
 use logicity::lang::{Literal, Rules, Term};
 use logicity::rng::Seed;
 use logicity::sim::{Chance, Entity, Observer, Settings, Simulation, World, ground};
-use logicity::task::path::{Baseline, Egos, Env, EpisodeSet, Exam, PathTask, Policy, RANDOM_RUNS, Rollout, rollout};
+use logicity::task::path::{
+    Baseline, Egos, Env, EpisodeSet, Exam, PathTask, Policy, RANDOM_RUNS, Rollout, describe, rollout,
+};
 use proptest::prelude::*;
 use serde_json::Value as Json;
 use shipped_world::{PATH_MODES, task, task_of};
@@ -568,19 +570,44 @@ fn every_car_can_be_driven() {
             })
             .collect();
         env.step(&actions).unwrap();
-        for (rider, was) in env.riders().iter().zip(running) {
+        for (position, was) in running.into_iter().enumerate() {
+            let rider = &env.riders()[position];
             assert!(was || !rider.is_running());
+            // Also of a car whose episode has ended the present is told.
             let mut alone = Observer::new(Arc::clone(task.oracle()), rider.agent());
-            if rider.is_running() {
-                alone.begin(env.city());
-                alone.look(env.city());
-                assert!(alone.atoms().eq(rider.observer().atoms()));
-            }
+            alone.begin(env.city());
+            alone.look(env.city());
+            assert!(alone.atoms().eq(rider.observer().atoms()));
+            assert!(alone.entities().eq(rider.observer().entities()));
+            let derived = alone.derived(env.city()).unwrap();
+            assert_eq!(derived, rider.derived());
+            let wanted = task.world().vocabulary.decide(derived);
+            assert_eq!(env.oracle_action(position), wanted);
+            assert!(describe(&env, position).ends_with(&format!("the rules want {}\n", wanted.name())));
+            let mut shown = vec![0.5; task.observation_width()];
+            let mut expected = shown.clone();
+            env.observe(position, &mut shown);
+            alone.write(&mut expected);
+            assert_eq!(shown, expected);
         }
         ended = env.riders().iter().filter(|rider| !rider.is_running()).count();
     }
     assert!(ended > 3, "{ended} have ended");
     assert!(!env.riders()[2].last().success, "racing breaks a rule");
+}
+
+/// The oracle's steps are those of the first car; the others have the horizon of the configuration.
+#[test]
+fn the_horizon_of_an_episode_is_that_of_who_is_driven() {
+    let task = task("expert", None);
+    let episode = &some_recorded(&task, Split::Test, 1).episodes[0];
+    let steps = episode.oracle.as_ref().unwrap().steps;
+    for (egos, horizon) in [(Egos::First, 2 * steps), (Egos::Cars, task.config().horizon)] {
+        let mut env = Env::new(Arc::clone(&task), Split::Test, egos).unwrap();
+        env.reset_to(episode).unwrap();
+        assert_eq!(env.horizon(), horizon, "{egos:?}");
+    }
+    assert_ne!(2 * steps, task.config().horizon);
 }
 
 /// The fault of a configuration made of `text`.
@@ -630,6 +657,51 @@ fn clauses_can_have_weights_of_their_own() {
     }
 }
 
+/// What an agent of an episode carries is checked like an entry of an agent set.
+#[test]
+fn agents_of_episodes_are_what_predicates_can_tell() {
+    let mut env = Env::new(task("expert", None), Split::Test, Egos::First).unwrap();
+    env.reset(1).unwrap();
+    let episode = env.episode().clone();
+    let mut begun = |agent: usize, concepts: &[&str]| {
+        let mut changed = episode.clone();
+        changed.agents[agent].concepts = concepts.iter().map(|&name| name.to_owned()).collect();
+        env.reset_to(&changed)
+    };
+    let kind = |agent: usize| episode.agents[agent].name.kind;
+    let car = (0..).find(|&agent| kind(agent) == AgentKind::Car).unwrap();
+    let walker = (0..).find(|&agent| kind(agent) == AgentKind::Pedestrian).unwrap();
+    assert_eq!(
+        begun(car, &["ambulance", "old"]).unwrap_err().code,
+        Code::InvalidEpisode
+    );
+    for (agent, good) in [
+        (car, &["ambulance"][..]),
+        (car, &["bus", "tiro"]),
+        (walker, &["old"]),
+        (walker, &[]),
+    ] {
+        begun(agent, good).unwrap();
+    }
+    let bad = [
+        (car, &["ambulnce"][..], "`ambulnce`", Some("did you mean `ambulance`?")),
+        (car, &["zeppelin"], "`zeppelin`", Some("concepts of a car: ")),
+        (walker, &["ambulance"], "concept of a car", None),
+        (car, &["old"], "concept of a pedestrian", None),
+        (car, &["bus", "tiro", "bus"], "`bus` is given twice", None),
+    ];
+    for (agent, concepts, message, help) in bad {
+        let fault = begun(agent, concepts).unwrap_err();
+        assert_eq!(fault.code, Code::InvalidEpisode, "{concepts:?}");
+        assert!(fault.message.contains(message), "{fault:?}");
+        assert!(
+            fault.message.contains(&episode.agents[agent].name.to_string()),
+            "{fault:?}"
+        );
+        assert!(help.is_none_or(|help| fault.help[0].starts_with(help)), "{fault:?}");
+    }
+}
+
 fn set_of(text: &str) -> Result<EpisodeSet, Diagnostic> {
     let mut sources = Sources::new();
     let source = sources.add("mine.jsonl", text);
@@ -664,6 +736,43 @@ fn faulty_episodes_are_told() {
         let fault = set_of(&text).expect_err(&text);
         assert_eq!(fault.code, Code::InvalidEpisode, "{text}");
         assert!(fault.primary.is_some(), "{text}");
+    }
+}
+
+/// A key that is misspelt is told with its line; it is not passed over.
+#[test]
+fn unknown_keys_of_episodes_are_told() {
+    let lines = [
+        r#"{"episodes":"logicity","version":1,"config":"x","split":"test","seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#,
+        r#"{"seed":1,"trips":[[46,20,56,64]],"changes":{"Car_1":{"concepts":["bus"],"priority":2}},"oracle":{"steps":1,"return":0,"constrained":{}}}"#,
+    ];
+    let fault_of = |line: usize, from: &str, to: &str| {
+        let mut lines = lines.map(str::to_owned);
+        assert!(lines[line].contains(from), "{from}");
+        lines[line] = lines[line].replace(from, to);
+        let mut sources = Sources::new();
+        let source = sources.add("mine.jsonl", lines.join("\n"));
+        EpisodeSet::read(&sources, source).map_err(|fault| {
+            let place = sources.position(fault.primary.as_ref().expect("a place").span);
+            (place.line, fault)
+        })
+    };
+    fault_of(0, "{", "{").unwrap();
+    let (_, newer) = fault_of(0, "\"version\":1", "\"version\":2,\"weather\":0").unwrap_err();
+    assert!(newer.message.contains("version 2; this program reads"), "{newer:?}");
+    for (line, key) in [
+        (0, "seed"),
+        (0, "priority"),
+        (1, "changes"),
+        (1, "oracle"),
+        (1, "priority"),
+        (1, "constrained"),
+    ] {
+        let quoted = format!("\"{key}\"");
+        let (at, fault) = fault_of(line, &quoted, &format!("\"x{key}\"")).unwrap_err();
+        assert_eq!((fault.code, at), (Code::InvalidEpisode, line + 1), "{fault:?}");
+        assert!(fault.message.contains(&format!("unknown field `x{key}`")), "{fault:?}");
+        assert!(!fault.message.contains("line 1"), "{fault:?}");
     }
 }
 
