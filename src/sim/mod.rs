@@ -32,6 +32,7 @@ pub use judge::Demand;
 pub use observe::{OBSERVED_MAX, Observer, Oracle};
 pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};
 pub use scene::MAX_ENTITIES;
+pub(crate) use simulation::start_threads;
 pub use simulation::{AgentTick, Batch, Moment, Phase, Settings, Simulation, Stop, TickReport};
 pub use trace::{TRACE_VERSION, TraceWriter, hash_sources};
 pub use vocabulary::{Actions, Predicate, Vocabulary};

@@ -5,7 +5,7 @@
 //! `seed`, `trips` (for each agent row and column of its start and of its goal), `changes` (agents that are otherwise than the header
 //! has them, by name) and `oracle` (`steps`, `return`, and `constrained`: how many steps rules asked an action, by action).
 
-use super::PathTask;
+use super::{PathTask, constrained_by_name};
 use crate::city::{Agent, Cell};
 use crate::config::{AgentConfig, AgentKind, AgentName, Definition, PredicateConfig, Speed, Split};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
@@ -377,9 +377,8 @@ impl EpisodeSet {
                 oracle: episode.oracle.as_ref().map(|oracle| LineOracle {
                     steps: oracle.steps,
                     total: oracle.total,
-                    constrained: (Speed::ALL.into_iter().zip(oracle.constrained))
-                        .filter(|(_, steps)| *steps > 0)
-                        .map(|(action, steps)| (action.name().to_owned(), steps))
+                    constrained: constrained_by_name(oracle.constrained)
+                        .map(|(action, steps)| (action.to_owned(), steps))
                         .collect(),
                 }),
             };

@@ -28,7 +28,7 @@ pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
 pub use evaluate::{Baseline, Exam, RANDOM_RUNS};
 pub use explain::{describe, explain};
 pub use metrics::{ActionRate, Rate, Score, Summary, summarise};
-pub use rollout::{Policy, Rollout, make_episodes, rollout};
+pub use rollout::{Policy, Rollout, constrained_by_name, make_episodes, rollout};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, Member, Outcome, VectorEnv, View};
 
 use crate::config::{PathTaskConfig, Speed, Split, ViolationsPer};

@@ -40,6 +40,12 @@ pub struct Rollout {
     pub broken: Vec<usize>,
 }
 
+/// In how many steps the rules asked an action, by its name, where they asked it at all. `constrained` is as in [`Rollout`].
+pub fn constrained_by_name(constrained: [u32; 4]) -> impl Iterator<Item = (&'static str, u32)> {
+    let named = Speed::ALL.map(Speed::name).into_iter().zip(constrained);
+    named.filter(|(_, steps)| *steps > 0)
+}
+
 impl Rollout {
     /// Adds what the first rider has just done. `asked` are the actions that the rules asked before.
     pub fn add(&mut self, env: &Env, asked: impl Iterator<Item = Speed>) {
