@@ -4,8 +4,8 @@
 //! trace --Replay--> state of a tick --Page::push--> columns, explanations --Page::write--> HTML with everything in it
 //! ```
 //!
-//! All of it is computed here, by the engine; the script in the page only shows it and evaluates no rule. Explanations repeat each other: equal nodes are
-//! stored once for the whole run ([`proofs`]). The data are JSON, deflated and written in base 64.
+//! All of it is computed here, by the engine; the script in the page only shows it and evaluates no rule. Explanations repeat each other:
+//! equal nodes are stored once for the whole run ([`proofs`]). The data are JSON, deflated and written in base 64.
 
 mod proofs;
 
@@ -318,8 +318,8 @@ impl Page {
         changed
     }
 
-    /// Plans the routes of the agents that have a new goal. A trace has only goals, but a route follows from start and goal. Who reaches its
-    /// goal sets out for the next in the same tick, and the tick after that is the first to tell which.
+    /// Plans the routes of the agents that have a new goal. A trace has only goals, but a route follows from start and goal. Who reaches
+    /// its goal sets out for the next in the same tick, and the tick after that is the first to tell which.
     fn follow_routes(&mut self, replay: &Replay, tick: &TraceTick) {
         let router = &replay.world().router;
         for (position, agent) in tick.agents.iter().enumerate() {

@@ -135,7 +135,7 @@ pub fn summarise(task: &PathTask, rollouts: &[Rollout], random: Option<&[f64]>) 
 /// Sums up so many rollouts of each episode, which stand together. `random` has a mean return for each episode.
 #[allow(clippy::cast_precision_loss)] // fewer than 2^53 runs and steps
 pub(super) fn summarise_runs(task: &PathTask, rollouts: &[Rollout], runs: usize, random: Option<&[f64]>) -> Summary {
-    assert!(rollouts.len() % runs == 0, "as many rollouts of each episode");
+    assert!(rollouts.len().is_multiple_of(runs), "as many rollouts of each episode");
     let episodes = rollouts.chunks_exact(runs);
     // A run hits or not, or does not count.
     let rate = |hits: &dyn Fn(&Rollout) -> Option<bool>| {
