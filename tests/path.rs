@@ -5,13 +5,15 @@ mod shipped_world;
 
 use flate2::read::GzDecoder;
 use logicity::city::{Agent, Cell, Heading, field_of_view};
-use logicity::config::{AgentConfig, Speed, Split};
+use logicity::config::{AgentConfig, AgentKind, Speed, Split};
 use logicity::diag::{Code, Diagnostic, Sources};
 use logicity::files::read_or_builtin;
-use logicity::lang::{Literal, Rules, Term};
-use logicity::rng::Seed;
-use logicity::sim::{Chance, Entity, Observer, Settings, Simulation, World, ground};
-use logicity::task::path::{Baseline, Egos, Env, EpisodeSet, Exam, PathTask, Policy, RANDOM_RUNS, Rollout, rollout};
+use logicity::lang::{ClauseId, Literal, Rules, Term};
+use logicity::rng::{Purpose, RngExt, Seed};
+use logicity::sim::{Chance, Entity, Facts, Observer, Settings, Simulation, World, ground};
+use logicity::task::path::{
+    Baseline, Egos, Env, EpisodeSet, Exam, PathTask, Policy, RANDOM_RUNS, Rollout, Score, describe, rollout,
+};
 use proptest::prelude::*;
 use serde_json::Value as Json;
 use shipped_world::{PATH_MODES, task, task_of};
@@ -159,6 +161,25 @@ impl Chance for Trusted<'_> {
     }
 }
 
+/// All that is true of a city before rules.
+fn facts_of(city: &Simulation, chance: &impl Chance) -> Facts {
+    let entities: Vec<Entity<'_>> = (city.agents().iter())
+        .map(|agent| Entity {
+            kind: agent.kind,
+            concepts: &agent.concepts,
+            priority: agent.priority,
+            at: agent.cell,
+            heading: agent.heading,
+        })
+        .collect();
+    let world = city.world();
+    let view = world.scenario.view;
+    ground(&world.vocabulary, world.map(), view, &entities, chance, |_| false)
+}
+
+/// Names of actions.
+type Actions = BTreeSet<&'static str>;
+
 impl Plain {
     fn new(city: &Simulation, ego: usize, most: usize, drawn: &BTreeSet<(usize, Vec<usize>)>) -> Plain {
         let world = city.world();
@@ -166,25 +187,7 @@ impl Plain {
         let field = field_of_view(agents[ego].cell, agents[ego].heading, world.scenario.view, world.map());
         let others = (0..agents.len()).filter(|&other| other != ego && field.contains(agents[other].cell));
         let entities: Vec<usize> = std::iter::once(ego).chain(others).take(most).collect();
-        let all: Vec<Entity<'_>> = agents
-            .iter()
-            .map(|agent| Entity {
-                kind: agent.kind,
-                concepts: &agent.concepts,
-                priority: agent.priority,
-                at: agent.cell,
-                heading: agent.heading,
-            })
-            .collect();
-        let vocabulary = &world.vocabulary;
-        let facts = ground(
-            vocabulary,
-            world.map(),
-            world.scenario.view,
-            &all,
-            &Trusted(drawn),
-            |_| false,
-        );
+        let (vocabulary, facts) = (&world.vocabulary, facts_of(city, &Trusted(drawn)));
         let mut known = BTreeSet::new();
         for (predicate, rows) in vocabulary.predicates.iter().zip(&facts.rows) {
             for row in rows {
@@ -197,8 +200,8 @@ impl Plain {
         Plain { entities, facts: known }
     }
 
-    /// Whether a body holds for the ego, trying all entities for all variables. Actions hold as `given`.
-    fn holds(&self, rules: &Rules, clause: usize, given: Speed) -> bool {
+    /// Whether a body holds for the ego, trying all entities for all variables. Of the actions `given` hold, of the ego alone.
+    fn holds(&self, rules: &Rules, clause: usize, given: &Actions) -> bool {
         let clause = &rules.clauses[clause];
         let mut values = vec![self.entities[0]; clause.variables.len()];
         let head = match clause.head.terms[0] {
@@ -215,7 +218,7 @@ impl Plain {
         values: &mut Vec<usize>,
         next: usize,
         head: usize,
-        given: Speed,
+        given: &Actions,
     ) -> bool {
         if next == values.len() {
             return body.iter().all(|literal| self.is_true(rules, literal, values, given));
@@ -229,7 +232,7 @@ impl Plain {
         })
     }
 
-    fn is_true(&self, rules: &Rules, literal: &Literal, values: &[usize], given: Speed) -> bool {
+    fn is_true(&self, rules: &Rules, literal: &Literal, values: &[usize], given: &Actions) -> bool {
         let atom = literal.atom().expect("rules of the city");
         let name = &rules.relations[atom.relation.index()].name;
         let term = |term: &Term| match term {
@@ -238,71 +241,73 @@ impl Plain {
         };
         let row: Vec<usize> = atom.terms.iter().map(term).collect();
         let holds = match Speed::ALL.iter().any(|speed| speed.name() == name) {
-            true => row[0] == self.entities[0] && given.name() == name,
+            true => row[0] == self.entities[0] && given.contains(name.as_str()),
             false => self.facts.contains(&(name.clone(), row)),
         };
         holds != matches!(literal, Literal::Negative(_))
     }
 
-    /// What is derived for the ego: strata in their order, so that each negation looks at what is finished.
-    fn derived(&self, rules: &Rules) -> BTreeSet<&'static str> {
-        let mut actions: BTreeSet<&'static str> = BTreeSet::new();
+    /// What is derived for the ego before the default: strata in their order, so that each negation looks at what is finished, and the
+    /// clauses of each until nothing new follows.
+    fn derived(&self, rules: &Rules) -> Actions {
+        let mut derived = Actions::new();
         for stratum in &rules.strata {
-            let before = actions.clone();
-            for clause in &stratum.clauses {
-                let body = &rules.clauses[clause.index()].body;
-                let head = &rules.relations[rules.clauses[clause.index()].head.relation.index()].name;
-                let open = body.iter().all(|literal| {
-                    let name = literal
-                        .atom()
-                        .map_or("", |atom| &rules.relations[atom.relation.index()].name);
-                    !Speed::ALL.iter().any(|speed| speed.name() == name) || !before.contains(name)
-                });
-                // Without any action given every negated one holds, which `open` has looked after.
-                let quiet: Vec<Literal> = body
+            loop {
+                let fires = |clause: &&ClauseId| self.holds(rules, clause.index(), &derived);
+                let head = |clause: &ClauseId| rules.clauses[clause.index()].head.relation.index();
+                let names = stratum
+                    .clauses
                     .iter()
-                    .filter(|literal| {
-                        let name = literal
-                            .atom()
-                            .map_or("", |atom| &rules.relations[atom.relation.index()].name);
-                        !Speed::ALL.iter().any(|speed| speed.name() == name)
-                    })
-                    .cloned()
-                    .collect();
-                let clause = &rules.clauses[clause.index()];
-                let mut values = vec![self.entities[0]; clause.variables.len()];
-                let Term::Variable(variable) = clause.head.terms[0] else {
-                    panic!("a head without a variable")
+                    .filter(fires)
+                    .map(|clause| &rules.relations[head(clause)].name);
+                let actions = |name| {
+                    Speed::ALL
+                        .iter()
+                        .map(|speed| speed.name())
+                        .find(|action| action == name)
                 };
-                if open && self.some(rules, &quiet, &mut values, 0, variable.index(), Speed::Stop) {
-                    actions.extend(Speed::ALL.iter().map(|speed| speed.name()).filter(|name| name == head));
+                let new: Actions = names
+                    .filter_map(actions)
+                    .filter(|name| !derived.contains(name))
+                    .collect();
+                if new.is_empty() {
+                    break;
                 }
+                derived.extend(new);
             }
         }
-        actions
+        if derived.len() == 1 {
+            derived.remove("Normal");
+        }
+        derived
+    }
+
+    /// The demands that an action breaks.
+    fn broken(&self, task: &PathTask, action: Speed) -> Vec<usize> {
+        let (rules, given) = (task.world().program.rules(), Actions::from([action.name()]));
+        let demands = task.oracle().demands().iter().enumerate();
+        demands
+            .filter(|(_, demand)| demand.action != action && self.holds(rules, demand.clause.index(), &given))
+            .map(|(position, _)| position)
+            .collect()
     }
 }
 
-/// Rules that mean the same and that the dense executor cannot take.
-fn relational(task: &PathTask) -> String {
-    let rules = task
-        .world()
-        .scenario
-        .rules
-        .value
-        .file_name()
-        .unwrap()
-        .to_str()
-        .unwrap()
-        .to_owned();
-    format!(".include \"rules/{rules}\"\nStop(X) :- IsCar(X), IsPedestrian(X), IsCar(Y), X != Y.\n")
+/// The rules of a task.
+fn rules_of(task: &PathTask) -> String {
+    let rules = &task.world().scenario.rules.value;
+    let rules = rules.file_name().unwrap().to_str().unwrap();
+    format!(".include \"rules/{rules}\"\n")
+}
+
+/// Rules that mean the same and that the dense executor cannot take. What is added comes last.
+fn relational(rules: &str) -> String {
+    format!("{rules}Stop(X) :- IsCar(X), IsPedestrian(X), IsCar(Y), X != Y.\n")
 }
 
 /// Rules that mean the same, but a body asks for an action in passing: what is wanted and what is broken are evaluated apart.
-fn apart(task: &PathTask) -> String {
-    let rules = &task.world().scenario.rules.value;
-    let rules = rules.file_name().unwrap().to_str().unwrap();
-    format!(".include \"rules/{rules}\"\n.decl Halts(x: agent)\nHalts(X) :- Stop(X).\n")
+fn apart(rules: &str) -> String {
+    format!("{rules}.decl Halts(x: agent)\nHalts(X) :- Stop(X).\n")
 }
 
 /// Observations, wanted actions and broken clauses are those of the definitions, by either executor and in one evaluation or two, for any
@@ -311,8 +316,8 @@ fn apart(task: &PathTask) -> String {
 fn observers_agree_with_the_definitions() {
     for &mode in PATH_MODES {
         let plain_task = task(mode, None);
-        let other = task(mode, Some(&relational(&plain_task)));
-        let twice = task(mode, Some(&apart(&plain_task)));
+        let other = task(mode, Some(&relational(&rules_of(&plain_task))));
+        let twice = task(mode, Some(&apart(&rules_of(&plain_task))));
         let world = plain_task.world();
         let rules = world.program.rules();
         let n = plain_task.oracle().entities();
@@ -354,24 +359,14 @@ fn observers_agree_with_the_definitions() {
                     let derived = dense.derived(&city).unwrap();
                     assert_eq!(derived, slow.derived(&city).unwrap());
                     assert_eq!(derived, twice.derived(&city).unwrap());
-                    let mut expected = plain.derived(rules);
-                    if expected.len() == 1 {
-                        expected.remove("Normal");
-                    }
                     assert_eq!(
-                        derived.iter().map(Speed::name).collect::<BTreeSet<_>>(),
-                        expected,
+                        derived.iter().map(Speed::name).collect::<Actions>(),
+                        plain.derived(rules),
                         "{mode} {seed} {ego}"
                     );
                     for action in Speed::ALL {
                         let broken = dense.broken(&city, action).unwrap().to_vec();
-                        let demands = plain_task.oracle().demands().iter().enumerate();
-                        let expected: Vec<usize> = demands
-                            .filter(|(_, demand)| {
-                                demand.action != action && plain.holds(rules, demand.clause.index(), action)
-                            })
-                            .map(|(position, _)| position)
-                            .collect();
+                        let expected = plain.broken(&plain_task, action);
                         assert_eq!(broken, expected, "{mode} seed {seed} ego {ego} {action:?}");
                         // The clauses of the included file come first.
                         assert_eq!(broken, slow.broken(&city, action).unwrap());
@@ -384,6 +379,219 @@ fn observers_agree_with_the_definitions() {
         }
         assert!(seen.iter().any(|broken| *broken > 0), "{mode} breaks nothing");
     }
+}
+
+/// Random clauses that ask actions. What they ask of the actions of their own agent, true or not, comes earlier in a random order; or all
+/// of it is positive and goes in circles.
+fn random_clauses(random: &mut impl RngExt) -> String {
+    const FACTS: [&str; 10] = [
+        "IsTiro(X)",
+        "Not(IsBus(X))",
+        "Not(IsAtInter(X))",
+        "IsReckless(X)",
+        "IsAtInter(Y)",
+        "Not(IsInInter(Y)), Sees(X, Y)",
+        "HigherPri(Y, X)",
+        "IsClose(X, Y)",
+        "NextTo(X, Y), IsPedestrian(Y)",
+        "CollidingClose(X, Y)",
+    ];
+    let mut order = ["Stop", "Slow", "Fast"];
+    for last in (1..order.len()).rev() {
+        order.swap(last, random.random_range(0..=last));
+    }
+    let circular = random.random_range(0..6) == 0;
+    let mut clauses = Vec::new();
+    for (rank, head) in order.into_iter().chain(["Normal"]).enumerate() {
+        let asked = match circular {
+            true if head != "Normal" => &order[..],
+            _ => &order[..rank],
+        };
+        for _ in 0..random.random_range(0..4) {
+            let mut body =
+                vec![["IsCar(X)", "IsPedestrian(X)"][usize::from(random.random_range(0..4) == 0)].to_owned()];
+            for fact in 0..random.random_range(0..3) {
+                let fact_of = FACTS[random.random_range(0..FACTS.len())];
+                // Each with a variable of its own.
+                body.push(fact_of.replace('Y', &format!("Y{fact}")));
+            }
+            for action in asked {
+                match random.random_range(0..if circular { 2 } else { 4 }) {
+                    0 => body.push(format!("{action}(X)")),
+                    2 => body.push(format!("Not({action}(X))")),
+                    _ => {}
+                }
+            }
+            clauses.push(format!("{head}(X) :- {}.\n", body.join(", ")));
+        }
+    }
+    for last in (1..clauses.len()).rev() {
+        clauses.swap(last, random.random_range(0..=last));
+    }
+    format!(".include \"rules/vocabulary.dl\"\n{}", clauses.concat())
+}
+
+/// What random clauses want and what breaks them is the same in one evaluation, in two, by the relational executor and by the definitions.
+#[test]
+fn random_clauses_are_judged_as_defined() {
+    const CASES: u64 = 48;
+    let shipped = task("expert", None);
+    let cities: Vec<Simulation> = (0..4)
+        .map(|seed| {
+            let world = Arc::clone(shipped.world());
+            let mut city = Simulation::new(world, Split::Test, Seed(seed), Settings::default()).unwrap();
+            for _ in 0..10 + 7 * seed {
+                city.tick(&[]).unwrap();
+            }
+            city
+        })
+        .collect();
+    let n = shipped.oracle().entities();
+    let (mut several, mut chains, mut broke) = (0, 0, [0; 4]);
+    for case in 0..CASES {
+        let text = random_clauses(&mut Seed(case).stream(Purpose::Scene, 0, 0));
+        let once = task("expert", Some(&text));
+        let others = [apart(&text), relational(&text)].map(|text| task("expert", Some(&text)));
+        let rules = once.world().program.rules();
+        let actions = |clause: &ClauseId| {
+            let body = rules.clauses[clause.index()].body.iter();
+            let name = |literal: &Literal| Some(rules.relations[literal.atom()?.relation.index()].name.clone());
+            body.filter_map(name)
+                .filter(|name| Speed::ALL.iter().any(|speed| speed.name() == name))
+                .count()
+        };
+        for city in &cities {
+            for ego in 0..city.agents().len() {
+                let observe = |task: &Arc<PathTask>| {
+                    let mut observer = Observer::new(Arc::clone(task.oracle()), ego);
+                    observer.begin(city);
+                    observer.look(city);
+                    observer
+                };
+                let [mut once_of, mut apart_of, mut relational_of] = [&once, &others[0], &others[1]].map(observe);
+                let plain = Plain::new(city, ego, n, &once_of.atoms().collect());
+                let derived = once_of.derived(city).unwrap();
+                let named: Actions = derived.iter().map(Speed::name).collect();
+                assert_eq!(named, plain.derived(rules), "case {case} ego {ego}\n{text}");
+                assert_eq!(
+                    derived,
+                    apart_of.derived(city).unwrap(),
+                    "case {case} ego {ego}\n{text}"
+                );
+                assert_eq!(
+                    derived,
+                    relational_of.derived(city).unwrap(),
+                    "case {case} ego {ego}\n{text}"
+                );
+                several += usize::from(named.len() > 1);
+                for action in Speed::ALL {
+                    let broken = once_of.broken(city, action).unwrap();
+                    assert_eq!(
+                        broken,
+                        plain.broken(&once, action),
+                        "case {case} ego {ego} {action:?}\n{text}"
+                    );
+                    assert_eq!(
+                        broken,
+                        apart_of.broken(city, action).unwrap(),
+                        "case {case} {ego} {action:?}\n{text}"
+                    );
+                    assert_eq!(
+                        broken,
+                        relational_of.broken(city, action).unwrap(),
+                        "case {case} {ego} {action:?}\n{text}"
+                    );
+                    broke[action as usize] += broken.len();
+                    let demands = broken.iter().map(|&demand| once.oracle().demands()[demand].clause);
+                    chains += demands.filter(|clause| actions(clause) > 1).count();
+                }
+            }
+        }
+    }
+    assert!(
+        several > 100 && chains > 100 && broke.iter().all(|broke| *broke > 100),
+        "{several} {chains} {broke:?}"
+    );
+}
+
+/// The exact observation, number by number from the agents and the definitions of predicates.
+#[test]
+fn exact_observations_agree_with_the_definitions() {
+    let mut met = [0; 4];
+    for (mode, points) in [("easy", 32), ("expert", 32), ("expert", 3)] {
+        let task = task_of(&format!("base: configs/{mode}.yaml\ntask: {{points: {points}}}\n"));
+        let task = Arc::new(task.unwrap_or_else(|faults| panic!("{faults:?}")));
+        let scenario = &task.world().scenario;
+        let priorities = (scenario.splits.iter()).flat_map(|(_, set)| set.entries().map(|group| group.priority));
+        let of_ego = task
+            .config()
+            .ego
+            .iter()
+            .flat_map(|ego| ego.priority)
+            .map(u32::cast_signed);
+        let scale = priorities.chain(of_ego).max().unwrap();
+        let [room, width] = task.points_shape();
+        let unary = (task.world().vocabulary.predicates.iter()).filter(|predicate| predicate.arity == 1);
+        assert_eq!([room, width], [points, 8 + unary.count()]);
+        let mut env = Env::new(Arc::clone(&task), Split::Test, Egos::Cars).unwrap();
+        let mut random = Seed(5).stream(Purpose::Policy, 0, 0);
+        for seed in 0..3 {
+            env.reset(seed).unwrap();
+            let mut episode = env.episode().clone();
+            for agent in &mut episode.agents {
+                agent.priority = random.random_range(-2 * scale..=2 * scale);
+            }
+            env.reset_to(&episode).unwrap();
+            let mut shown = vec![0.5; room * width];
+            for _ in 0..25 {
+                for rider in 0..env.riders().len() {
+                    env.observe_points(rider, &mut shown);
+                    let plain = plain_points(env.city(), env.riders()[rider].agent(), scale);
+                    let (rows, rest) = shown.split_at(plain.len().min(room) * width);
+                    assert_eq!(rows, plain[..plain.len().min(room)].concat(), "{mode} {seed} {rider}");
+                    assert!(rest.iter().all(|number| *number == 0.0));
+                    met[0] += usize::from(plain.len() > room);
+                    met[1] += usize::from(!rest.is_empty());
+                    met[2] += plain.iter().filter(|point| point[7] == -1.0).count();
+                    met[3] += plain.iter().filter(|point| point[3..7] == [0.0; 4]).count();
+                }
+                let actions: Vec<Speed> = (env.riders().iter())
+                    .map(|_| Speed::ALL[random.random_range(0..4)])
+                    .collect();
+                env.step(&actions).unwrap();
+            }
+        }
+    }
+    assert!(met.iter().all(|count| *count > 10), "{met:?}");
+}
+
+/// The points of all that an ego sees, itself first.
+#[allow(clippy::cast_precision_loss)]
+fn plain_points(city: &Simulation, ego: usize, scale: i32) -> Vec<Vec<f32>> {
+    let (world, agents) = (city.world(), city.agents());
+    let (view, vocabulary) = (world.scenario.view, &world.vocabulary);
+    let facts = facts_of(city, &Trusted(&BTreeSet::new()));
+    let field = field_of_view(agents[ego].cell, agents[ego].heading, view, world.map());
+    let seen = (0..agents.len()).filter(|&other| other != ego && field.contains(agents[other].cell));
+    let point = |agent: usize| {
+        let [it, me] = [&agents[agent], &agents[ego]];
+        let share = |cells: i32| cells as f32 / view as f32;
+        let mut point = vec![1.0, share(it.cell.row - me.cell.row), share(it.cell.col - me.cell.col)];
+        for name in ["Left", "Right", "Up", "Down"] {
+            point.push(f32::from(u8::from(
+                it.heading.is_some_and(|heading| heading.name() == name),
+            )));
+        }
+        point.push((it.priority as f32 / scale as f32).clamp(-1.0, 1.0));
+        for (predicate, rows) in vocabulary.predicates.iter().zip(&facts.rows) {
+            if predicate.arity == 1 {
+                let holds = rows.iter().any(|row| row[0] as usize == agent);
+                point.push(f32::from(u8::from(holds)));
+            }
+        }
+        point
+    };
+    std::iter::once(ego).chain(seen).map(point).collect()
 }
 
 /// The recorded episodes of all modes and splits are solved by the oracle as recorded, and break no rule.
@@ -487,11 +695,12 @@ fn the_random_policy_is_the_zero_of_scores() {
         .iter()
         .map(|rollout| rollout.total);
     assert!((first - of_first.sum::<f64>() / f64::from(RANDOM_RUNS)).abs() < 1e-12);
-    let score = baseline.summary(&task).score.unwrap();
-    assert!(
-        score.value.abs() < 1e-9 && score.low < 0.0 && score.high > 0.0,
-        "{score:?}"
-    );
+    let summary = baseline.summary(&task);
+    let score = summary.score.unwrap();
+    assert_eq!([score.value, score.low, score.high], [0.0; 3]);
+    assert_eq!((summary.tsr.episodes, summary.tsr.runs), (3, 30));
+    // An episode counts once for the interval of the mean.
+    assert_eq!(summary.mean_return, Score::of(baseline.returns().iter().copied()));
     let runs = |episode: usize| &baseline.rollouts()[10 * episode..10 * episode + 10];
     assert!(
         runs(0).iter().any(|run| run != &runs(0)[0]),
@@ -568,19 +777,44 @@ fn every_car_can_be_driven() {
             })
             .collect();
         env.step(&actions).unwrap();
-        for (rider, was) in env.riders().iter().zip(running) {
+        for (position, was) in running.into_iter().enumerate() {
+            let rider = &env.riders()[position];
             assert!(was || !rider.is_running());
+            // Also of a car whose episode has ended the present is told.
             let mut alone = Observer::new(Arc::clone(task.oracle()), rider.agent());
-            if rider.is_running() {
-                alone.begin(env.city());
-                alone.look(env.city());
-                assert!(alone.atoms().eq(rider.observer().atoms()));
-            }
+            alone.begin(env.city());
+            alone.look(env.city());
+            assert!(alone.atoms().eq(rider.observer().atoms()));
+            assert!(alone.entities().eq(rider.observer().entities()));
+            let derived = alone.derived(env.city()).unwrap();
+            assert_eq!(derived, rider.derived());
+            let wanted = task.world().vocabulary.decide(derived);
+            assert_eq!(env.oracle_action(position), wanted);
+            assert!(describe(&env, position).ends_with(&format!("the rules want {}\n", wanted.name())));
+            let mut shown = vec![0.5; task.observation_width()];
+            let mut expected = shown.clone();
+            env.observe(position, &mut shown);
+            alone.write(&mut expected);
+            assert_eq!(shown, expected);
         }
         ended = env.riders().iter().filter(|rider| !rider.is_running()).count();
     }
     assert!(ended > 3, "{ended} have ended");
     assert!(!env.riders()[2].last().success, "racing breaks a rule");
+}
+
+/// The oracle's steps are those of the first car; the others have the horizon of the configuration.
+#[test]
+fn the_horizon_of_an_episode_is_that_of_who_is_driven() {
+    let task = task("expert", None);
+    let episode = &some_recorded(&task, Split::Test, 1).episodes[0];
+    let steps = episode.oracle.as_ref().unwrap().steps;
+    for (egos, horizon) in [(Egos::First, 2 * steps), (Egos::Cars, task.config().horizon)] {
+        let mut env = Env::new(Arc::clone(&task), Split::Test, egos).unwrap();
+        env.reset_to(episode).unwrap();
+        assert_eq!(env.horizon(), horizon, "{egos:?}");
+    }
+    assert_ne!(2 * steps, task.config().horizon);
 }
 
 /// The fault of a configuration made of `text`.
@@ -630,6 +864,51 @@ fn clauses_can_have_weights_of_their_own() {
     }
 }
 
+/// What an agent of an episode carries is checked like an entry of an agent set.
+#[test]
+fn agents_of_episodes_are_what_predicates_can_tell() {
+    let mut env = Env::new(task("expert", None), Split::Test, Egos::First).unwrap();
+    env.reset(1).unwrap();
+    let episode = env.episode().clone();
+    let mut begun = |agent: usize, concepts: &[&str]| {
+        let mut changed = episode.clone();
+        changed.agents[agent].concepts = concepts.iter().map(|&name| name.to_owned()).collect();
+        env.reset_to(&changed)
+    };
+    let kind = |agent: usize| episode.agents[agent].name.kind;
+    let car = (0..).find(|&agent| kind(agent) == AgentKind::Car).unwrap();
+    let walker = (0..).find(|&agent| kind(agent) == AgentKind::Pedestrian).unwrap();
+    assert_eq!(
+        begun(car, &["ambulance", "old"]).unwrap_err().code,
+        Code::InvalidEpisode
+    );
+    for (agent, good) in [
+        (car, &["ambulance"][..]),
+        (car, &["bus", "tiro"]),
+        (walker, &["old"]),
+        (walker, &[]),
+    ] {
+        begun(agent, good).unwrap();
+    }
+    let bad = [
+        (car, &["ambulnce"][..], "`ambulnce`", Some("did you mean `ambulance`?")),
+        (car, &["zeppelin"], "`zeppelin`", Some("concepts of a car: ")),
+        (walker, &["ambulance"], "concept of a car", None),
+        (car, &["old"], "concept of a pedestrian", None),
+        (car, &["bus", "tiro", "bus"], "`bus` is given twice", None),
+    ];
+    for (agent, concepts, message, help) in bad {
+        let fault = begun(agent, concepts).unwrap_err();
+        assert_eq!(fault.code, Code::InvalidEpisode, "{concepts:?}");
+        assert!(fault.message.contains(message), "{fault:?}");
+        assert!(
+            fault.message.contains(&episode.agents[agent].name.to_string()),
+            "{fault:?}"
+        );
+        assert!(help.is_none_or(|help| fault.help[0].starts_with(help)), "{fault:?}");
+    }
+}
+
 fn set_of(text: &str) -> Result<EpisodeSet, Diagnostic> {
     let mut sources = Sources::new();
     let source = sources.add("mine.jsonl", text);
@@ -664,6 +943,43 @@ fn faulty_episodes_are_told() {
         let fault = set_of(&text).expect_err(&text);
         assert_eq!(fault.code, Code::InvalidEpisode, "{text}");
         assert!(fault.primary.is_some(), "{text}");
+    }
+}
+
+/// A key that is misspelt is told with its line; it is not passed over.
+#[test]
+fn unknown_keys_of_episodes_are_told() {
+    let lines = [
+        r#"{"episodes":"logicity","version":1,"config":"x","split":"test","seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#,
+        r#"{"seed":1,"trips":[[46,20,56,64]],"changes":{"Car_1":{"concepts":["bus"],"priority":2}},"oracle":{"steps":1,"return":0,"constrained":{}}}"#,
+    ];
+    let fault_of = |line: usize, from: &str, to: &str| {
+        let mut lines = lines.map(str::to_owned);
+        assert!(lines[line].contains(from), "{from}");
+        lines[line] = lines[line].replace(from, to);
+        let mut sources = Sources::new();
+        let source = sources.add("mine.jsonl", lines.join("\n"));
+        EpisodeSet::read(&sources, source).map_err(|fault| {
+            let place = sources.position(fault.primary.as_ref().expect("a place").span);
+            (place.line, fault)
+        })
+    };
+    fault_of(0, "{", "{").unwrap();
+    let (_, newer) = fault_of(0, "\"version\":1", "\"version\":2,\"weather\":0").unwrap_err();
+    assert!(newer.message.contains("version 2; this program reads"), "{newer:?}");
+    for (line, key) in [
+        (0, "seed"),
+        (0, "priority"),
+        (1, "changes"),
+        (1, "oracle"),
+        (1, "priority"),
+        (1, "constrained"),
+    ] {
+        let quoted = format!("\"{key}\"");
+        let (at, fault) = fault_of(line, &quoted, &format!("\"x{key}\"")).unwrap_err();
+        assert_eq!((fault.code, at), (Code::InvalidEpisode, line + 1), "{fault:?}");
+        assert!(fault.message.contains(&format!("unknown field `x{key}`")), "{fault:?}");
+        assert!(!fault.message.contains("line 1"), "{fault:?}");
     }
 }
 

@@ -451,7 +451,8 @@ impl Places {
     }
 
     /// Draws a goal for an agent at `start` and plans the way: for a car any place but the start, for a pedestrian a place in
-    /// another block (so it keeps more than 3 cells away from the buildings of its own). Draws again, a bounded number of times, if there is no way.
+    /// another block (so it keeps more than 3 cells away from the buildings of its own). Draws again, a bounded number of times, if there
+    /// is no way.
     ///
     /// # Errors
     /// If there is no such place, or none of those drawn can be reached.

@@ -70,7 +70,8 @@ impl What {
 pub struct Arguments {
     /// infer: the rules alone, facts ready as bits (dense) or as rows that change (relational). ground: all facts that the rules can
     /// ask for. tick: a city, placed afresh after the ticks of the configuration. env: episodes of the configuration's task
-    /// under a random policy, observations written. render: pictures of the visual data set, drawn and as PNG, and small ones. scale: cities of 1000 agents up to --agents
+    /// under a random policy, observations written. render: pictures of the visual data set, drawn and as PNG, and small ones. scale:
+    /// cities of 1000 agents up to --agents
     #[arg(value_parser = one_of(&What::ALL, What::name))]
     what: What,
     /// Configuration of the city

@@ -17,8 +17,8 @@ pub struct Arguments {
     /// Rule files; each is a program of its own. With --coverage, the rules of the run unless given
     #[arg(required_unless_present = "coverage", value_name = "RULES")]
     rules: Vec<PathBuf>,
-    /// Print one JSON object a file instead: `file`, `ok`, `strata`, `executors`, `conflicts`, `diagnostics`, with --coverage `coverage`, and
-    /// `unfinished`, what was not searched to the end, if anything
+    /// Print one JSON object a file instead: `file`, `ok`, `strata`, `executors`, `conflicts`, `diagnostics`, with --coverage `coverage`,
+    /// and `unfinished`, what was not searched to the end, if anything
     #[arg(long)]
     json: bool,
     /// Tell how often each clause fires on the states of this trace, and which literals never matter there

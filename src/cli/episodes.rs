@@ -1,12 +1,13 @@
 //! `logicity episodes`
 
 use super::{Failure, load_city, one_of, progress};
-use crate::config::{Speed, Split};
+use crate::config::Split;
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::{self, Output};
 use crate::sim::World;
 use crate::task::path::{
-    Baseline, Egos, Env, Episode, EpisodeSet, PathTask, Policy, RANDOM_RUNS, Rollout, make_episodes, rollout, summarise,
+    Baseline, Egos, Env, Episode, EpisodeSet, PathTask, Policy, RANDOM_RUNS, Rollout, constrained_by_name,
+    make_episodes, rollout, summarise,
 };
 use serde_json::json;
 use std::io::{self, Write};
@@ -370,9 +371,8 @@ impl Spread {
 
 /// `Stop 3, Fast 1`
 fn asked(constrained: [u32; 4]) -> String {
-    let asked = Speed::ALL.iter().zip(constrained).filter(|(_, steps)| *steps > 0);
-    let words: Vec<String> = asked
-        .map(|(action, steps)| format!("{} {steps}", action.name()))
+    let words: Vec<String> = constrained_by_name(constrained)
+        .map(|(action, steps)| format!("{action} {steps}"))
         .collect();
     words.join(", ")
 }

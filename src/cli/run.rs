@@ -49,7 +49,8 @@ pub struct Arguments {
     /// Rule file instead of the configuration's
     #[arg(long)]
     rules: Option<PathBuf>,
-    /// Look at every tick, which then takes as long as with the relational executor, whether the facts are as the rules promise (`.disjoint`, `.implies`, ..); exit code 1 if they are not
+    /// Look at every tick, which then takes as long as with the relational executor, whether the facts are as the rules promise
+    /// (`.disjoint`, `.implies`, ..); exit code 1 if they are not
     #[arg(long)]
     check_promises: bool,
     /// What evaluates the rules; runs are the same with each

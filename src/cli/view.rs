@@ -49,8 +49,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Makes a page of the ticks of a trace from the first number on, at most so many as the second. `files` are configuration and rules, if they
-/// are not where the trace says.
+/// Makes a page of the ticks of a trace from the first number on, at most so many as the second. `files` are configuration and rules, if
+/// they are not where the trace says.
 pub fn write(
     trace: &Path,
     output: &Path,

@@ -1,7 +1,8 @@
 //! Relations as text, by Soufflé's conventions.
 //!
 //! One row is one line, its values are separated by tabs or what a [`RowFormat`] says: a symbol as it is, a number in decimal,
-//! a float with up to nine significant digits. The only row of a relation without columns is `()`. This module turns text into rows and rows into text; reading and writing files is for others.
+//! a float with up to nine significant digits. The only row of a relation without columns is `()`. This module turns text into rows and
+//! rows into text; reading and writing files is for others.
 
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
 use crate::engine::Session;
@@ -229,8 +230,8 @@ pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut d
     Ok(())
 }
 
-/// A float as text: nine significant digits without trailing zeros, which is enough to read the same float back; an exponent where the number
-/// is very small or large.
+/// A float as text: nine significant digits without trailing zeros, which is enough to read the same float back; an exponent where the
+/// number is very small or large.
 pub fn print_float(x: f32) -> String {
     const DIGITS: i32 = 9;
     if !x.is_finite() {

@@ -16,9 +16,9 @@
 //!
 //! Inside: `plan` says what a plan is, `planner` orders the literals of each clause and chooses indexes; `estimate` judges plans by
 //! the sizes of relations, and `adapt` has clauses planned again when those have changed; `show` prints them. `join` runs a plan;
-//! `seen` knows what was derived before; `exec` makes a commit, `recursion` runs a recursive stratum to its fixpoint; `maintain` brings a stratum up to
-//! date from a change; `noted` holds the changes of the next commit, `table` a relation and its indexes; `workers` are the threads;
-//! `limits` says how much is too much; `row` has the sorted lists all this works on.
+//! `seen` knows what was derived before; `exec` makes a commit, `recursion` runs a recursive stratum to its fixpoint; `maintain` brings a
+//! stratum up to date from a change; `noted` holds the changes of the next commit, `table` a relation and its indexes; `workers` are the
+//! threads; `limits` says how much is too much; `row` has the sorted lists all this works on.
 //!
 //! Beside these stand [`dense`], which evaluates rules over few entities on words of bits; [`optimize`], which simplifies clauses
 //! before they are planned; [`diff`], which compares programs; and [`provenance`], which explains facts.

@@ -1,14 +1,14 @@
 //! From text to checked rules.
 //!
 //! [`load`] is the door: it reads a rule file and all it includes and gives the checked [`Rules`], or every fault of every
-//! file; [`Texts`] is for those who change a program and ask it questions. [`parse`] and [`print`](fn@print) go between text and syntax tree without checking names; [`format`](fn@format) lays a
-//! text out and keeps its comments.
+//! file; [`Texts`] is for those who change a program and ask it questions. [`parse`] and [`print`](fn@print) go between text and syntax
+//! tree without checking names; [`format`](fn@format) lays a text out and keeps its comments.
 //!
-//! The stages, each in its own file or folder: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as one
-//! list of items), `inline` (predicates that stand for their bodies), `names` (types and predicates), `clause` (alternatives and
+//! The stages, each in its own file or folder: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the texts of a program as
+//! one list of items), `inline` (predicates that stand for their bodies), `names` (types and predicates), `clause` (alternatives and
 //! several heads), `witness` (who has the least), `body` (one clause: names, expressions, types, safety), `aggregate` and `range` (hidden
-//! predicates for these), `scope` (guards), `promise` (what is promised of facts), `strata` (order of evaluation), `lint`
-//! (warnings that need all clauses). None stops at the first fault.
+//! predicates for these), `scope` (guards), `promise` (what is promised of facts), `strata` (order of evaluation), `lint` (warnings that
+//! need all clauses). None stops at the first fault.
 //!
 //! This room refuses to know what a city is, how rules are evaluated, and where texts come from: the caller reads the files.
 
@@ -81,8 +81,8 @@ impl Loaded {
 /// Reads and checks the rules of `entry`, a text of `sources`, and of all it includes.
 ///
 /// `.include "x"` asks `read` for `x` in the folder of the including text (whose path is its name in `sources`); if that is
-/// not found, for the path [`BUILTIN_FOLDER`](crate::files::BUILTIN_FOLDER)`/x`, at which the caller may serve rule files of its own. Included texts are added to
-/// `sources`.
+/// not found, for the path [`BUILTIN_FOLDER`](crate::files::BUILTIN_FOLDER)`/x`, at which the caller may serve rule files of its own.
+/// Included texts are added to `sources`.
 pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn Fn(&Path) -> Result<String, ReadError>) -> Loaded {
     load_with(sources, entry, read, Inputs::Given)
 }

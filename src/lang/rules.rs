@@ -1,8 +1,9 @@
 //! Checked rules: what the engine is given.
 //!
 //! A [`Rules`] is made by [`super::load`] from parsed text once every check has passed, and never changes afterwards. In it every name is
-//! resolved, expressions, aggregates and disjunctions are taken apart, `.scope` guards are written out as ordinary atoms, every clause is safe (each variable is bound by a positive
-//! atom or computed from bound ones; in the clause of a hidden predicate by a positive atom or a guard) and the predicates are stratified.
+//! resolved, expressions, aggregates and disjunctions are taken apart, `.scope` guards are written out as ordinary atoms, every clause is
+//! safe (each variable is bound by a positive atom or computed from bound ones; in the clause of a hidden predicate by a positive atom or a
+//! guard) and the predicates are stratified.
 
 use crate::diag::Span;
 use crate::symbol::Symbols;

@@ -344,8 +344,8 @@ impl Page {
         changed
     }
 
-    /// Plans the routes of the agents that have a new goal. A trace has only goals, but a route follows from start and goal. Who reaches its
-    /// goal sets out for the next in the same tick, and the tick after that is the first to tell which.
+    /// Plans the routes of the agents that have a new goal. A trace has only goals, but a route follows from start and goal. Who reaches
+    /// its goal sets out for the next in the same tick, and the tick after that is the first to tell which.
     fn follow_routes(&mut self, replay: &Replay, tick: &TraceTick) {
         let router = &replay.world().router;
         for (position, agent) in tick.agents.iter().enumerate() {

@@ -83,8 +83,8 @@ pub struct Stamp {
 
 type Key = (Class, u32, Facing, u32);
 
-/// All icons there are: drawn by parameters, from a pack, or both. Each is a function of seed, difficulty, pack, class, instance, facing and
-/// size; what has been drawn once is kept for a while. Several threads can share one.
+/// All icons there are: drawn by parameters, from a pack, or both. Each is a function of seed, difficulty, pack, class, instance, facing
+/// and size; what has been drawn once is kept for a while. Several threads can share one.
 #[derive(Debug)]
 pub struct Icons {
     seed: Seed,

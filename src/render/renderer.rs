@@ -11,8 +11,8 @@ use std::sync::Arc;
 
 /// Draws pictures of one view of one map.
 ///
-/// The ground is drawn once, and every icon once; a picture is a copy of the ground with icons laid over it. It is a function of map, icons,
-/// view and agents, whatever was drawn before, on however many threads.
+/// The ground is drawn once, and every icon once; a picture is a copy of the ground with icons laid over it. It is a function of map,
+/// icons, view and agents, whatever was drawn before, on however many threads.
 #[derive(Clone, Debug)]
 pub struct Renderer {
     icons: Arc<Icons>,

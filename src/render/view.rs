@@ -133,7 +133,7 @@ impl View {
         View::new(Cell::new(0, 0), side(map.rows()), side(map.cols()), scale)
     }
 
-    /// As the published visual data set has it: 128 x 128 cells of 8 pixels, buildings of 10 cells thus 80, cars 48 and pedestrians 32 pixels.
+    /// As the published visual data set has it: 128 x 128 cells of 8 pixels, buildings of 10 cells thus 80, cars 48, pedestrians 32.
     ///
     /// # Errors
     /// If the corner is at the end of what coordinates there are.

@@ -4,7 +4,8 @@
 //! the same or for different entities, smallest first, with nothing but the facts that the two clauses ask for. The engine decides whether
 //! both actions follow. Positive literals over derived predicates are unfolded to what they rest on, and where a clause negates a
 //! derived predicate, what keeps that from holding may be added once. Clauses with expressions,
-//! aggregates, `match` or `contains`, and with values other than symbols, are left out. What is found is true; what is not found may exist all the same.
+//! aggregates, `match` or `contains`, and with values other than symbols, are left out. What is found is true; what is not found may exist
+//! all the same.
 
 use crate::config::Speed;
 use crate::engine::{Limits, Program, Session};

@@ -341,7 +341,7 @@ impl Judge {
 pub(super) struct Atoms {
     /// By predicate of the vocabulary: the entities of which it holds.
     pub unary: Vec<u64>,
-    /// For each predicate [`OBSERVED_MAX`] sets or as many as there are entities at most: what it relates the first entity to, the second, ...
+    /// For each predicate [`OBSERVED_MAX`] sets or as many as there are entities at most: what it relates each of them to, in their order.
     pub rows: Vec<u64>,
     pub entities: usize,
 }

@@ -2,7 +2,8 @@
 //!
 //! Each tick, [`Simulation`] lets the rules decide on the state of the agents and the agents move. The dense executor computes base facts
 //! as bits where a rule asks for them; the relational one is given the *difference* of all facts ([`ground`](ground::ground)) from
-//! those of the tick before. One action is taken of those derived ([`Vocabulary::decide`]). [`Inference`] does the same for single scenes that come from outside.
+//! those of the tick before. One action is taken of those derived ([`Vocabulary::decide`]). [`Inference`] does the same for single scenes
+//! that come from outside.
 
 mod conflict;
 mod coverage;
@@ -32,6 +33,7 @@ pub use judge::Demand;
 pub use observe::{OBSERVED_MAX, Observer, Oracle};
 pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};
 pub use scene::MAX_ENTITIES;
+pub(crate) use simulation::start_threads;
 pub use simulation::{AgentTick, Batch, Moment, Phase, Settings, Simulation, Stop, TickReport};
 pub use trace::{TRACE_VERSION, TraceWriter, hash_sources};
 pub use vocabulary::{Actions, Predicate, Vocabulary};

@@ -302,9 +302,9 @@ impl Observer {
     }
 
     /// Writes the exact observation: a point for the ego, then one for each other agent in its field of view in the order of the list, as
-    /// many as there is room for; the rest is 0. A point has: 1; the rows and the columns from the ego to it, as shares of the half-width of
-    /// the field of view, -1 to 1; 1 for its heading among Left, Right, Up, Down, all 0 before its first move; its priority as a share of
-    /// `priority_scale`, -1 to 1; 1 or 0 for each predicate with one column, in the order of the vocabulary.
+    /// many as there is room for; the rest is 0. A point has: 1; the rows and the columns from the ego to it, as shares of the half-width
+    /// of the field of view, -1 to 1; 1 for its heading among Left, Right, Up, Down, all 0 before its first move; its priority as a share
+    /// of `priority_scale`, -1 to 1; 1 or 0 for each predicate with one column, in the order of the vocabulary.
     pub fn write_points(&self, city: &Simulation, priority_scale: f32, out: &mut [f32]) {
         let oracle = &*self.oracle;
         out.fill(0.0);

@@ -195,7 +195,7 @@ impl Simulation {
                     .help("`logicity check` tells which rules the dense executor cannot take, and why"),
             });
         }
-        let pool = start(threads)?;
+        let pool = start_threads(threads)?;
         let report = TickReport {
             tick: 0,
             agents: agents.iter().map(AgentTick::resting).collect(),
@@ -570,7 +570,10 @@ impl Simulation {
 }
 
 /// Threads, if they are more than one.
-fn start(threads: usize) -> Result<Option<ThreadPool>, Diagnostic> {
+///
+/// # Errors
+/// `limit-exceeded` if so many cannot be started.
+pub(crate) fn start_threads(threads: usize) -> Result<Option<ThreadPool>, Diagnostic> {
     let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build());
     pool.transpose().map_err(|error| {
         let message = format!("{threads} threads cannot be started: {error}");
@@ -592,7 +595,7 @@ impl Batch {
     pub fn new(cities: Vec<Simulation>, threads: usize) -> Result<Batch, Diagnostic> {
         Ok(Batch {
             cities,
-            threads: start(threads)?,
+            threads: start_threads(threads)?,
         })
     }
 

@@ -168,8 +168,8 @@ const ROOM_IN_ALL: usize = 12_000_000;
 /// Compares two sets of rules.
 ///
 /// # Errors
-/// If a rule set is too large to be planned; if a predicate does not fit: it has other columns on the other side, is given on one side and derived on the other, or is to be
-/// compared and is not declared on both.
+/// If a rule set is too large to be planned; if a predicate does not fit: it has other columns on the other side, is given on one side and
+/// derived on the other, or is to be compared and is not declared on both.
 pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, Vec<Diagnostic>> {
     let base = shared_base(left, right)?;
     let outputs = outputs(left, right, options)?;

@@ -8,8 +8,8 @@
 //!
 //! A hidden relation costs its rows, so few sub-bodies are worth one. A candidate is what the plans of several clauses *begin* with, up
 //! to the names of variables and some tests: each of those clauses would go through all of it, restricted by no other atom. One of its
-//! atoms has all the variables that are needed outside, so the hidden relation never has more rows than that atom's. Of the candidates, the one is
-//! taken that saves most, where what is shared is counted once (its cost in a graph, not in a tree), then again among the rewritten
+//! atoms has all the variables that are needed outside, so the hidden relation never has more rows than that atom's. Of the candidates, the
+//! one is taken that saves most, where what is shared is counted once (its cost in a graph, not in a tree), then again among the rewritten
 //! clauses, until nothing saves enough. The cost of a plan is judged by assumed sizes, since there are no rows yet; clauses are planned by
 //! sizes later, and many a body that looks expensive is not, as it begins with few rows or ends at its first success.
 //!

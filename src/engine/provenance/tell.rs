@@ -88,10 +88,11 @@ impl<'a> Teller<'a> {
     /// The explanation as JSON: `{"nodes": [..]}`, the first node being what was asked; nodes refer to others by position.
     ///
     /// A node is `{"holds", "height", "by": "input" | "text" | "clause" | "range", "clause", "binding", "premises"}` or
-    /// `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range", "clauses": [{"clause", "binding", "fails"}]}`. An entry
-    /// of `premises` and `fails` has the `literal` as it reads under the binding, the `kind` (`fact`, `in-view`, `not`,
-    /// `comparison`, `expression`, `aggregate`) and, except for the last three, the `node` that tells why it holds or does not. A `clause` has `head`, `file`, `line`
-    /// and `doc`; where only the head does not fit, `fails` is empty. What does not hold in a recursion may lead back to itself.
+    /// `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range", "clauses": [{"clause", "binding", "fails"}]}`. An
+    /// entry of `premises` and `fails` has the `literal` as it reads under the binding, the `kind` (`fact`, `in-view`, `not`, `comparison`,
+    /// `expression`, `aggregate`) and, except for the last three, the `node` that tells why it holds or does not. A `clause` has `head`,
+    /// `file`, `line` and `doc`; where only the head does not fit, `fails` is empty. What does not hold in a recursion may lead back to
+    /// itself.
     pub fn json(&self, explanation: &Explanation) -> serde_json::Value {
         let nodes: Vec<serde_json::Value> = (explanation.nodes().iter())
             .map(|node| match node {

@@ -21,6 +21,7 @@ pub enum Egos {
 pub struct Env {
     task: Arc<PathTask>,
     city: Simulation,
+    egos: Egos,
     riders: Vec<Rider>,
     /// The episode has at most so many steps.
     horizon: u32,
@@ -129,6 +130,7 @@ impl Env {
             controls: Vec::with_capacity(riders.len()),
             episode: Episode::of(0, city.agents()),
             spare: Vec::new(),
+            egos,
             riders,
             city,
             task,
@@ -197,17 +199,17 @@ impl Env {
         self.begin(seed)
     }
 
-    /// Begins a given episode. It has as many steps as the configuration allows of the oracle's, or as a drawn one if those are not known.
+    /// Begins a given episode. It has as many steps as the configuration allows of the oracle's, or as a drawn one if those are not known
+    /// or every car is driven: the oracle's are those of the first car, and the others have ways of their own.
     ///
     /// # Errors
-    /// `invalid-episode` if its agents are not those of the split or cannot go their ways; `limit-exceeded`.
+    /// `invalid-episode` if its agents are not those of the split, carry what no predicate tells of their kind, or cannot go their ways;
+    /// `limit-exceeded`.
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
-        self.spare = episode.place(&self.task.world().router, self.city.agents())?;
+        self.spare = episode.place(self.task.world(), self.city.agents())?;
         let config = self.task.config();
-        let horizon = episode
-            .oracle
-            .as_ref()
-            .map(|oracle| oracle.steps.saturating_mul(config.patience));
+        let oracle = episode.oracle.as_ref().filter(|_| self.egos == Egos::First);
+        let horizon = oracle.map(|oracle| oracle.steps.saturating_mul(config.patience));
         self.horizon = horizon.unwrap_or(config.horizon).max(1);
         self.begin(episode.seed)?;
         self.episode.oracle.clone_from(&episode.oracle);
@@ -237,8 +239,9 @@ impl Env {
         self.look()
     }
 
+    /// Also for riders whose episode has ended: what is told of them is told of the present.
     fn look(&mut self) -> Result<(), Diagnostic> {
-        for rider in self.riders.iter_mut().filter(|rider| rider.running) {
+        for rider in &mut self.riders {
             rider.observer.look(&self.city);
             rider.derived = rider.observer.derived(&self.city)?;
         }
@@ -251,7 +254,7 @@ impl Env {
     }
 
     /// Lets the riders act and the city go on by a tick. `actions` has one for each rider; those whose episode has ended are driven by the
-    /// rules. What came of it is in [`Rider::last`].
+    /// rules and go on to observe. What came of it is in [`Rider::last`].
     ///
     /// # Errors
     /// `limit-exceeded` for rules that derive too much.

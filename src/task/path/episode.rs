@@ -5,11 +5,12 @@
 //! `seed`, `trips` (for each agent row and column of its start and of its goal), `changes` (agents that are otherwise than the header
 //! has them, by name) and `oracle` (`steps`, `return`, and `constrained`: how many steps rules asked an action, by action).
 
-use super::PathTask;
-use crate::city::{Agent, Cell, Router};
-use crate::config::{AgentConfig, AgentKind, AgentName, Speed, Split};
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use super::{PathTask, constrained_by_name};
+use crate::city::{Agent, Cell};
+use crate::config::{AgentConfig, AgentKind, AgentName, Definition, PredicateConfig, Speed, Split};
+use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
 use crate::files::ReadError;
+use crate::sim::World;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -81,6 +82,41 @@ impl EpisodeAgent {
         }
     }
 
+    /// Whether it carries what an agent set could give it: concepts of its kind that a predicate tells, none of them twice.
+    fn check_concepts(&self, predicates: &[PredicateConfig]) -> Result<(), Diagnostic> {
+        let (name, kind) = (self.name, self.name.kind);
+        for (position, carried) in self.concepts.iter().enumerate() {
+            if self.concepts[..position].contains(carried) {
+                return Err(invalid(format!("the concept `{carried}` is given twice to {name}")));
+            }
+            let told = predicates.iter().filter_map(|predicate| match &predicate.definition {
+                Definition::Concept { of, concept } => Some((*of, concept.as_str())),
+                _ => None,
+            });
+            let mut kinds = told.clone().filter(|(_, concept)| concept == carried).map(|(of, _)| of);
+            if kinds.clone().any(|of| of == kind) {
+                continue;
+            }
+            if let Some(other) = kinds.next() {
+                let other = other.name().to_lowercase();
+                return Err(invalid(format!("`{carried}` is a concept of a {other}, not of {name}")));
+            }
+            let known: Vec<&str> = (told.filter(|(of, _)| *of == kind))
+                .map(|(_, concept)| concept)
+                .collect();
+            let fault = invalid(format!("no predicate tells whether {name} is `{carried}`"));
+            return Err(match did_you_mean(carried, known.iter().copied()) {
+                Some(near) => fault.help(format!("did you mean `{near}`?")),
+                None => fault.help(format!(
+                    "concepts of a {}: {}",
+                    kind.name().to_lowercase(),
+                    known.join(", ")
+                )),
+            });
+        }
+        Ok(())
+    }
+
     /// Takes note of an agent of the same name.
     pub(super) fn note(&mut self, agent: &Agent) {
         if !Arc::ptr_eq(&self.concepts, &agent.concepts) {
@@ -100,8 +136,8 @@ impl Episode {
         }
     }
 
-    /// The agents at their starts, which must be named as these are.
-    pub(super) fn place(&self, router: &Router, like: &[Agent]) -> Result<Vec<Agent>, Diagnostic> {
+    /// The agents at their starts, which must be named as these are and be what predicates of the world can tell.
+    pub(super) fn place(&self, world: &World, like: &[Agent]) -> Result<Vec<Agent>, Diagnostic> {
         if self.agents.len() != like.len() {
             let message = format!(
                 "the episode has {} agents, the split has {}",
@@ -118,8 +154,9 @@ impl Episode {
                     like.name()
                 )));
             }
+            agent.check_concepts(&world.scenario.predicates)?;
             let [start, goal] = [agent.start, agent.goal];
-            let route = router.plan(agent.name.kind, start, goal).map_err(|_| {
+            let route = world.router.plan(agent.name.kind, start, goal).map_err(|_| {
                 let (from, to) = (
                     format!("[{}, {}]", start.row, start.col),
                     format!("[{}, {}]", goal.row, goal.col),
@@ -138,7 +175,15 @@ impl Episode {
     }
 }
 
+/// What a header of any version has.
+#[derive(Deserialize)]
+struct Format {
+    episodes: String,
+    version: u32,
+}
+
 #[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Header {
     episodes: String,
     version: u32,
@@ -149,20 +194,23 @@ struct Header {
 }
 
 #[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct HeaderAgent {
     id: String,
-    #[serde(flatten)]
-    is: Character,
+    concepts: Arc<[String]>,
+    priority: i32,
 }
 
 /// What an agent is.
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Character {
     concepts: Arc<[String]>,
     priority: i32,
 }
 
 #[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Line {
     seed: u64,
     trips: Vec<[i32; 4]>,
@@ -173,6 +221,7 @@ struct Line {
 }
 
 #[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct LineOracle {
     steps: u32,
     #[serde(rename = "return")]
@@ -249,20 +298,21 @@ impl EpisodeSet {
             (start, line.trim_end())
         });
         let (start, first) = lines.next().unwrap_or((0, ""));
-        let header: Header = parse(first, source, start, "the header of a file of episodes")?;
+        let what = "the header of a file of episodes";
+        let Format { episodes: of, version } = parse(first, source, start, what)?;
         let here = |fault: Diagnostic| fault.at(Span::new(source, start..start + first.len()), "in this header");
-        if header.episodes != "logicity" || header.version != VERSION {
-            let (of, version) = (&header.episodes, header.version);
+        if of != "logicity" || version != VERSION {
             let message =
                 format!("episodes of `{of}`, version {version}; this program reads `logicity`, version {VERSION}");
             return Err(here(invalid(message)));
         }
+        let header: Header = parse(first, source, start, what)?;
         let split = Split::ALL.into_iter().find(|split| split.name() == header.split);
         let split = split.ok_or_else(|| here(invalid(format!("`{}` is not a split", header.split))))?;
-        let agent = |agent: &HeaderAgent| Ok((agent_name(&agent.id)?, agent.is.clone()));
+        let agent = |HeaderAgent { id, concepts, priority }| Ok((agent_name(&id)?, Character { concepts, priority }));
         let agents: Vec<(AgentName, Character)> = header
             .agents
-            .iter()
+            .into_iter()
             .map(agent)
             .collect::<Result<_, _>>()
             .map_err(here)?;
@@ -298,7 +348,8 @@ impl EpisodeSet {
         };
         let agent = |agent: &EpisodeAgent| HeaderAgent {
             id: agent.name.to_string(),
-            is: character(agent),
+            concepts: Arc::clone(&agent.concepts),
+            priority: agent.priority,
         };
         let header = Header {
             episodes: "logicity".to_owned(),
@@ -326,9 +377,8 @@ impl EpisodeSet {
                 oracle: episode.oracle.as_ref().map(|oracle| LineOracle {
                     steps: oracle.steps,
                     total: oracle.total,
-                    constrained: (Speed::ALL.into_iter().zip(oracle.constrained))
-                        .filter(|(_, steps)| *steps > 0)
-                        .map(|(action, steps)| (action.name().to_owned(), steps))
+                    constrained: constrained_by_name(oracle.constrained)
+                        .map(|(action, steps)| (action.to_owned(), steps))
                         .collect(),
                 }),
             };
@@ -354,7 +404,11 @@ fn parse<'t, T: Deserialize<'t>>(line: &'t str, source: SourceId, start: usize, 
             .rev()
             .find(|at| line.is_char_boundary(at - start))
             .unwrap_or(start);
-        invalid(format!("not {what}: {error}")).at(Span::new(source, at..start + line.len()), "here")
+        // The line of a text that has but one; the place in the file is told with the source.
+        let place = format!(" at line {} column {}", error.line(), error.column());
+        let told = error.to_string();
+        let told = told.strip_suffix(&place).unwrap_or(&told);
+        invalid(format!("not {what}: {told}")).at(Span::new(source, at..start + line.len()), "here")
     })
 }
 

@@ -1,6 +1,7 @@
 //! Policies measured on recorded episodes.
 
-use super::{Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, Summary, rollout, summarise};
+use super::metrics::{mean_return, summarise_runs};
+use super::{Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, Summary, rollout};
 use crate::config::Speed;
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
@@ -22,15 +23,15 @@ impl Baseline {
     /// # Errors
     /// As [`Env::reset_to`] and [`rollout`].
     pub fn add(&mut self, env: &mut Env, episode: &Episode) -> Result<(), Diagnostic> {
-        let mut total = 0.0;
-        for run in 0..RANDOM_RUNS {
+        let runs = (0..RANDOM_RUNS).map(|run| {
             env.reset_to(episode)?;
             let mut stream = Seed(episode.seed).stream(Purpose::Policy, run.into(), u64::MAX);
-            let done = rollout(env, Policy::Random(Seed(stream.random())))?;
-            total += done.total;
-            self.rollouts.push(done);
-        }
-        self.returns.push(total / f64::from(RANDOM_RUNS));
+            rollout(env, Policy::Random(Seed(stream.random())))
+        });
+        // All or none: the runs of an episode stand together.
+        let runs: Vec<Rollout> = runs.collect::<Result<_, Diagnostic>>()?;
+        self.returns.push(mean_return(&runs));
+        self.rollouts.extend(runs);
         Ok(())
     }
 
@@ -44,13 +45,9 @@ impl Baseline {
         &self.returns
     }
 
-    /// How well the random policy itself did.
+    /// How well the random policy itself did. Its score is 0, with no interval: it is compared with itself.
     pub fn summary(&self, task: &PathTask) -> Summary {
-        let means = self.returns.iter();
-        let repeated: Vec<f64> = means
-            .flat_map(|&mean| std::iter::repeat_n(mean, RANDOM_RUNS.into()))
-            .collect();
-        summarise(task, &self.rollouts, Some(&repeated))
+        summarise_runs(task, &self.rollouts, RANDOM_RUNS.into(), Some(&self.returns))
     }
 }
 

@@ -11,9 +11,9 @@
 //! what its action costs, divided by four times the cells of the route. The episode ends too when the ego is at its goal; it is cut
 //! short at the horizon, at the price of overtime.
 //!
-//! [`rollout`] lets a policy drive an episode, an [`Exam`] lets one from outside drive a whole set, [`Baseline`] is how the random one does;
-//! [`summarise`] says how well a policy did over many episodes: the rates and the score of the paper. A [`VectorEnv`] is many environments
-//! that take a step together; [`explain`] tells why the rules want what they want.
+//! [`rollout`] lets a policy drive an episode, an [`Exam`] lets one from outside drive a whole set, [`Baseline`] is how the random one
+//! does; [`summarise`] says how well a policy did over many episodes: the rates and the score of the paper. A [`VectorEnv`] is many
+//! environments that take a step together; [`explain`] tells why the rules want what they want.
 
 mod env;
 mod episode;
@@ -28,7 +28,7 @@ pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
 pub use evaluate::{Baseline, Exam, RANDOM_RUNS};
 pub use explain::{describe, explain};
 pub use metrics::{ActionRate, Rate, Score, Summary, summarise};
-pub use rollout::{Policy, Rollout, make_episodes, rollout};
+pub use rollout::{Policy, Rollout, constrained_by_name, make_episodes, rollout};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, Member, Outcome, VectorEnv, View};
 
 use crate::config::{PathTaskConfig, Speed, Split, ViolationsPer};

@@ -40,6 +40,12 @@ pub struct Rollout {
     pub broken: Vec<usize>,
 }
 
+/// In how many steps the rules asked an action, by its name, where they asked it at all. `constrained` is as in [`Rollout`].
+pub fn constrained_by_name(constrained: [u32; 4]) -> impl Iterator<Item = (&'static str, u32)> {
+    let named = Speed::ALL.map(Speed::name).into_iter().zip(constrained);
+    named.filter(|(_, steps)| *steps > 0)
+}
+
 impl Rollout {
     /// Adds what the first rider has just done. `asked` are the actions that the rules asked before.
     pub fn add(&mut self, env: &Env, asked: impl Iterator<Item = Speed>) {
@@ -198,10 +204,30 @@ impl Wanted {
         });
         let actions = (Speed::ALL.iter().zip(self.actions).filter(|(_, wanted)| *wanted > 0))
             .map(|(action, wanted)| format!("{wanted} in which the rules ask {}", action.name()));
-        let lacking: Vec<String> = concepts.chain(actions).collect();
+        let mut lacking: Vec<String> = concepts.chain(actions).collect();
+        if lacking.is_empty() {
+            lacking.push("episodes that the oracle solves and in which a rule asks something".to_owned());
+        }
         format!(
             "lacking: {}; take fewer episodes, or another region or agent set",
             lacking.join(", ")
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_lacking_is_never_nothing() {
+        let told = |concepts, actions| Wanted { concepts, actions }.tell();
+        assert!(told(vec![], [0; 4]).starts_with("lacking: episodes that the oracle solves"));
+        let bus: Arc<[String]> = Arc::new(["bus".to_owned()]);
+        let told = told(vec![(bus, 2), (Arc::new([]), 1)], [0, 0, 0, 3]);
+        assert!(
+            told.starts_with("lacking: 2 with bus, 1 with no concept, 3 in which the rules ask Stop;"),
+            "{told}"
+        );
     }
 }

@@ -2,11 +2,11 @@
 
 use super::{Egos, Env, Episode, PathTask};
 use crate::config::{Speed, Split};
-use crate::diag::{Code, Diagnostic};
+use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::Stop;
+use crate::sim::{Stop, start_threads};
+use rayon::ThreadPool;
 use rayon::prelude::*;
-use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
@@ -345,11 +345,7 @@ impl VectorEnv {
                 },
             })
         };
-        let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build());
-        let threads = pool.transpose().map_err(|error| {
-            let message = format!("{threads} threads cannot be started: {error}");
-            Diagnostic::new(Code::LimitExceeded, message).help("take fewer")
-        })?;
+        let threads = start_threads(threads)?;
         Ok(VectorEnv {
             members: sources.into_iter().map(member).collect::<Result<_, _>>()?,
             autoreset,
