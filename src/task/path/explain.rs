@@ -5,7 +5,8 @@ use crate::city::Agent;
 use crate::diag::{Diagnostic, Sources};
 use crate::sim::Decision;
 
-/// The state of a rider in a few lines: how far it has come, whom it observes, what is true of them, what the rules want of it.
+/// The present state of a rider in a few lines, also of one whose episode has ended: how far it has come, whom it observes, what is true of
+/// them, what the rules want of it.
 pub fn describe(env: &Env, rider: usize) -> String {
     let (observer, agents) = (env.riders()[rider].observer(), env.city().agents());
     let vocabulary = &env.task().world().vocabulary;
