@@ -11,7 +11,7 @@ import gymnasium
 from . import InputError, __version__
 from .describe import describe
 from .evaluation import Benchmark, Evaluation, Policy, table, write_json
-from .modes import ENVIRONMENTS
+from .modes import ENVIRONMENTS, checked_mode
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -39,7 +39,10 @@ def _parser() -> argparse.ArgumentParser:
     measure = commands.add_parser("evaluate", help="measure a policy on recorded episodes, as the paper does")
     measure.add_argument("--policy", required=True, help="oracle, random, or the .zip of a DQN, PPO or A2C model")
     measure.add_argument(
-        "--modes", type=_modes, default="all", help=f"all (default), or any of {','.join(ENVIRONMENTS)}"
+        "--modes",
+        type=_modes,
+        default="all",
+        help=f"all (default), or any of {','.join(ENVIRONMENTS)}, or configuration files",
     )
     measure.add_argument("--split", choices=("train", "val", "test"), default="test", help="default: test")
     measure.add_argument("--json", type=Path, metavar="FILE", help="write the results, episode by episode")
@@ -55,10 +58,10 @@ def _parser() -> argparse.ArgumentParser:
 
 def _modes(text: str) -> list[str]:
     modes = list(ENVIRONMENTS) if text == "all" else text.split(",")
-    for mode in modes:
-        if mode not in ENVIRONMENTS:
-            raise argparse.ArgumentTypeError(f"unknown mode `{mode}`: it is one of {', '.join(ENVIRONMENTS)}")
-    return modes
+    try:
+        return [checked_mode(mode) for mode in modes]
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _evaluate(given: argparse.Namespace) -> int:

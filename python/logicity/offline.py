@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .evaluation import load_task
-from .modes import ENVIRONMENTS
+from .evaluation import episodes_that_fit, load_task
+from .modes import ENVIRONMENTS, checked_mode
 
 if TYPE_CHECKING:
     from minari import MinariDataset
@@ -63,7 +63,7 @@ class Trajectory:
 class Demonstrations(Sequence[Trajectory]):
     """Trajectories of the oracle.
 
-    - `mode`, `split`: whose agents.
+    - `mode`, `split`: whose agents; `mode` may be a configuration file.
     - `atoms`: the atom that each number of an observation stands for; none if observations are points.
     - `asked`: the actions that rules can ask.
     - `episodes_hash`: SHA-256 of the set of episodes they come from.
@@ -106,7 +106,8 @@ class Demonstrations(Sequence[Trajectory]):
         in `~/.minari/datasets`; it has to be set when this is called.
 
         Args:
-            dataset_id: its name; `logicity/spf-MODE/oracle-v0` unless given.
+            dataset_id: its name; unless given `logicity/spf-MODE/oracle-v0`, where a configuration file counts by its
+                name without the folder and the ending.
             metadata: what else `minari.create_dataset_from_buffers` takes, such as `author`, `author_email` and
                 `code_permalink`, which Minari warns about if they are missing.
 
@@ -131,11 +132,11 @@ class Demonstrations(Sequence[Trajectory]):
             for number, trajectory in enumerate(self)
         ]
         return minari.create_dataset_from_buffers(
-            dataset_id or f"logicity/spf-{self.mode}/oracle-v0",
+            dataset_id or f"logicity/spf-{Path(self.mode).stem}/oracle-v0",
             buffer=buffers,
             env=self.env,
             **{
-                "eval_env": ENVIRONMENTS[self.mode],
+                "eval_env": ENVIRONMENTS.get(self.mode, self.env),
                 "algorithm_name": "oracle",
                 "description": f"What the rules want in {self.mode} mode; recorded episodes {self.episodes_hash}.",
                 "requirements": ["logicity"],
@@ -278,37 +279,55 @@ def _write_folder(folder: Path, files: Mapping[str, Sequence[str]]) -> Path:
 
 
 def demonstrations(
-    mode: str, n: int = 100, split: str = "train", *, observation: str = "atoms", **options: Any
+    mode: str | os.PathLike[str],
+    n: int | None = None,
+    split: str = "train",
+    *,
+    observation: str = "atoms",
+    **options: Any,
 ) -> Demonstrations:
     """Let the oracle drive the first n recorded episodes of a split.
 
     Args:
-        mode: one of `logicity.ENVIRONMENTS`, such as `"expert"`.
-        n: how many, from 1 to the number of recorded ones: 40 for `"val"`, 100 otherwise.
+        mode: one of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file, whose recorded
+            episodes `logicity episodes make` makes.
+        n: how many, from 1 to the number of recorded ones, which is the default; the modes have 40 for `"val"`, 100
+            otherwise.
         split: `"train"`, `"val"` or `"test"`.
         observation: `"atoms"` or `"points"`, as `gymnasium.make` takes it.
         options: any other option that `gymnasium.make` takes, such as `overrides`.
 
     Raises:
         ValueError: an unknown mode, split or observation, or more episodes than there are.
-        InputError: a faulty option.
+        InputError: a faulty configuration or option, no recorded episodes, or such as do not fit the agents.
+        OSError: a file cannot be read.
     """
-    told = _logicity.describe(load_task(mode, options.get("rules"), options.get("overrides")))
-    if split not in told["splits"]:
-        raise ValueError(f"unknown split `{split}`: it is one of {', '.join(told['splits'])}")
-    count = told["splits"][split]["episodes"]
-    if not 1 <= n <= count:
-        raise ValueError(f"{n} demonstrations wanted: {count} episodes are recorded for {mode}, {split}")
-    env = gymnasium.make(ENVIRONMENTS[mode], split=split, observation=observation, **options)
+    name = checked_mode(mode)
+    task = load_task(mode, options.get("rules"), options.get("overrides"))
+    count = task.recorded(split)
+    wanted = count if n is None else n
+    if not 1 <= wanted <= count:
+        raise ValueError(f"{wanted} demonstrations wanted: {count} episodes are recorded for {name}, {split}")
+    env = _environment(name, split=split, observation=observation, **options)
     assert env.spec is not None
     try:
-        trajectories = [_drive(env, episode) for episode in range(n)]
+        with episodes_that_fit():
+            trajectories = [_drive(env, episode) for episode in range(wanted)]
     finally:
         env.close()
+    told = _logicity.describe(task)
     atoms = tuple(_atoms(told)) if observation == "atoms" else ()
     asked = {demand["action"] for demand in told["demands"]}
     named = tuple(action for action in ACTIONS if action in asked)
-    return Demonstrations(mode, split, told["splits"][split]["hash"], atoms, named, env.spec, trajectories)
+    return Demonstrations(name, split, told["splits"][split]["hash"], atoms, named, env.spec, trajectories)
+
+
+def _environment(mode: str, **options: Any) -> gymnasium.Env[Any, Any]:
+    """The environment of a mode, or of a configuration file, whose spec is then good in every working directory."""
+    if mode in ENVIRONMENTS:
+        return gymnasium.make(ENVIRONMENTS[mode], **options)
+    config = str(Path(mode).resolve()) if Path(mode).exists() else mode
+    return gymnasium.make("logicity/SPF-Expert-v0", config=config, **options)
 
 
 def _atoms(told: Mapping[str, Any]) -> Iterator[Atom]:

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import logicity
-from logicity import ENVIRONMENTS, Benchmark, Evaluation, evaluate
+from logicity import ENVIRONMENTS, Benchmark, Evaluation, demonstrations, evaluate
 from logicity.__main__ import main
 from logicity.describe import describe
 from logicity.evaluation import write_json
@@ -92,6 +92,28 @@ def test_overrides_and_points_are_measured_too() -> None:
     assert shapes == {(40, 20, 15)}
 
 
+def test_a_city_of_ones_own_is_measured(own_city: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own, easy = evaluate(varied, own_city, "val"), evaluate(varied, "easy", "val")
+    assert (own.mode, own.episodes) == (str(own_city), easy.episodes[:5])
+    assert own.episodes_hash != easy.episodes_hash
+    # A file that is built in is one, too.
+    assert Benchmark("configs/easy.yaml", "val").evaluate(varied).episodes == easy.episodes
+    assert main(["evaluate", "--policy", "oracle", "--modes", f"easy,{own_city}", "--split", "val"]) == 0
+    assert [line.split()[1] for line in capsys.readouterr().out.splitlines()] == ["mode", "easy", str(own_city)]
+
+
+def test_of_episodes_that_do_not_fit_it_is_said_what_helps(own_city: Path) -> None:
+    fewer = {"agents": {"val": {"cars": [{"priority": 1, "count": 3}]}}}
+    benchmark = Benchmark(own_city, "val", overrides=fewer)
+    for drive in (lambda: benchmark.evaluate("oracle"), lambda: demonstrations(own_city, 2, "val", overrides=fewer)):
+        with pytest.raises(logicity.InputError, match="logicity episodes make") as raised:
+            drive()
+        (fault,) = raised.value.diagnostics
+        assert fault["code"] == "invalid-episode" and "`task.episodes`" in fault["help"][-1]
+    with pytest.raises(logicity.InputError, match="logicity episodes make"):
+        Benchmark(own_city, overrides={"task": {"episodes": None}})
+
+
 @pytest.mark.parametrize(
     ("policy", "batched", "error"),
     [
@@ -119,6 +141,8 @@ def test_faulty_policies_are_refused(policy: Any, batched: bool, error: type[Exc
     ("arguments", "error"),
     [
         ({"mode": "simple"}, ValueError),
+        ({"mode": "no-such.yaml"}, OSError),
+        ({"mode": "configs/vap-easy.yaml"}, logicity.InputError),
         ({"mode": "easy", "split": "exam"}, ValueError),
         ({"mode": "easy", "observation": "pixels"}, ValueError),
         ({"mode": "easy", "rules": "no.dl"}, OSError),
