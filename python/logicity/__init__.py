@@ -7,6 +7,7 @@ What to reach for:
 - a city that runs: `Simulation`;
 - Datalog without a city: `Program` and `Session`;
 - a car to drive: `gymnasium.make("logicity/SPF-Expert-v0")`, see `logicity.envs`; every car: `parallel_env`;
+- what the numbers of its observations stand for: `observation_names`;
 - how well a policy drives: `evaluate`, or `Benchmark` for many; what the oracle does, as data: `demonstrations`.
 
 Faulty input raises `InputError`, which has every fault with its place; input that is too large its subclass
@@ -15,6 +16,7 @@ Faulty input raises `InputError`, which has every fault with its place; input th
 
 from ._logicity import __version__
 from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
+from .describe import observation_names
 from .errors import InputError, LimitError
 from .evaluation import Benchmark, EpisodeRecord, Evaluation, Interval, Policy, evaluate
 from .modes import ENVIRONMENTS, MODES, parallel_env
@@ -83,5 +85,6 @@ __all__ = [
     "demonstrations",
     "evaluate",
     "infer",
+    "observation_names",
     "parallel_env",
 ]

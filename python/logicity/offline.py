@@ -6,7 +6,6 @@ be written as a Minari dataset, as the files of an inductive learner (Popper), o
 
 from __future__ import annotations
 
-import itertools
 import os
 import re
 import shutil
@@ -14,7 +13,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import gymnasium
 import numpy as np
@@ -22,16 +21,14 @@ from numpy.typing import NDArray
 
 from . import _logicity
 from .city import ACTIONS
+from .describe import Atom, atoms_of
 from .evaluation import episodes_that_fit, load_task
 from .modes import ENVIRONMENTS, checked_mode
 
 if TYPE_CHECKING:
     from minari import MinariDataset
 
-__all__ = ["Atom", "Demonstrations", "Trajectory", "demonstrations"]
-
-#: A predicate, and the observed entities it is about: 0 is the ego.
-Atom: TypeAlias = tuple[str, tuple[int, ...]]
+__all__ = ["Demonstrations", "Trajectory", "demonstrations"]
 
 
 @dataclass(frozen=True)
@@ -316,7 +313,7 @@ def demonstrations(
     finally:
         env.close()
     told = _logicity.describe(task)
-    atoms = tuple(_atoms(told)) if observation == "atoms" else ()
+    atoms = tuple(atoms_of(told)) if observation == "atoms" else ()
     asked = {demand["action"] for demand in told["demands"]}
     named = tuple(action for action in ACTIONS if action in asked)
     return Demonstrations(name, split, told["splits"][split]["hash"], atoms, named, env.spec, trajectories)
@@ -328,13 +325,6 @@ def _environment(mode: str, **options: Any) -> gymnasium.Env[Any, Any]:
         return gymnasium.make(ENVIRONMENTS[mode], **options)
     config = str(Path(mode).resolve()) if Path(mode).exists() else mode
     return gymnasium.make("logicity/SPF-Expert-v0", config=config, **options)
-
-
-def _atoms(told: Mapping[str, Any]) -> Iterator[Atom]:
-    """What the numbers of an observation stand for; the length of the route, if it is there, is no atom."""
-    for column in told["columns"]:
-        for entities in itertools.product(range(told["entities"]), repeat=column["arity"]):
-            yield column["predicate"], entities
 
 
 def _drive(env: gymnasium.Env[Any, Any], episode: int) -> Trajectory:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import logicity
-from logicity import ENVIRONMENTS, Benchmark, Evaluation, demonstrations, evaluate
+from logicity import ENVIRONMENTS, Benchmark, Evaluation, demonstrations, evaluate, observation_names
 from logicity.__main__ import main
 from logicity.describe import describe
 from logicity.evaluation import write_json
@@ -230,3 +231,43 @@ def test_the_tables_say_what_environments_show(mode: str) -> None:
     assert env.observation_space.shape is not None
     row = next(line for line in describe().splitlines() if f"`{ENVIRONMENTS[mode]}`" in line)
     assert f"({env.observation_space.shape[0]},)" in row
+
+
+ATOM = re.compile(r"(\w+)\((\w+)(?:, (\w+))?\)")
+
+
+def parts(atom: str) -> tuple[str, tuple[str, ...]]:
+    match = ATOM.fullmatch(atom)
+    assert match, atom
+    return match[1], tuple(of for of in match.groups()[1:] if of is not None)
+
+
+@pytest.mark.parametrize("mode", list(ENVIRONMENTS))
+def test_names_of_observations_are_those_of_what_is_true(mode: str) -> None:
+    """The true atoms with agents for entities are, for one choice of agents a step, just what `true_atoms` has."""
+    names = observation_names(mode)
+    env = gymnasium.make(ENVIRONMENTS[mode], atoms=True)
+    observation, info = env.reset(seed=5)
+    generator, seen = np.random.default_rng(5), set()
+    for _ in range(400):
+        assert len(names) == len(observation)
+        shown = [parts(names[at]) for at in np.flatnonzero(observation)]
+        agents = {"0": "Car_1"}
+        for (predicate, entities), (true, named) in zip(shown, map(parts, info["true_atoms"]), strict=True):
+            assert predicate == true and len(entities) == len(named)
+            assert all(agents.setdefault(entity, name) == name for entity, name in zip(entities, named, strict=True))
+            seen.add(predicate)
+        assert len(set(agents.values())) == len(agents), "one agent for each entity"
+        observation, _, terminated, truncated, info = env.step(int(generator.integers(4)))
+        if terminated or truncated:
+            observation, info = env.reset()
+    assert len(seen) > 6
+
+
+def test_names_follow_the_configuration(own_city: Path) -> None:
+    names = observation_names("easy")
+    assert names == observation_names(own_city) and len(set(names)) == len(names) == 85
+    assert names[6] == "IsCar(1)" and names[35 + 5 * 2 + 3] == "HigherPri(2, 3)"
+    assert observation_names("easy", overrides={"task": {"route_length": True}}) == (*names, "route length")
+    with pytest.raises(ValueError, match="unknown mode `esy`.*did you mean `easy`"):
+        observation_names("esy")
