@@ -132,8 +132,8 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
     Parameters: `config` is a run configuration, a built-in name such as `expert` or a path; `split` the set of agents;
     `rules` a rule file instead of the configuration's; `overrides` a mapping that is merged over the configuration,
     for example `{"task": {"reward": {"overtime": -6}}}`. `episodes="recorded"` takes episodes of the split's set, by
-    the seed, instead of drawing new ones. `atoms=True` puts `true_atoms` into `info`, texts such as `IsTiro(Car_1)`.
-    `render_mode` is `rgb_array` or `ansi`.
+    the seed and with replacement, instead of drawing new ones. `atoms=True` puts `true_atoms` into `info`, texts such
+    as `IsTiro(Car_1)`. `render_mode` is `rgb_array` or `ansi`.
 
     `info` has `oracle_action` (what the rules want now), `violations` (names of the clauses that the last action
     broke, such as `S1`), `progress` (share of the route gone, 0 to 1), `success`, `steps` and `seed` (of the episode, a

@@ -75,6 +75,15 @@ def test_an_evaluation_is_what_single_environments_say() -> None:
         assert record.total == pytest.approx(total) and record.violations == tuple(info["violations"])
     assert measured.tsr.value == np.mean([record.success for record in measured.episodes])
     assert measured.mean_return.value == pytest.approx(np.mean([record.total for record in measured.episodes]))
+    # The formulas of python/README.md; here rules ask for Stop alone.
+    asked = [any(record.constrained.values()) for record in measured.episodes]
+    kept = [ever and not record.violations for ever, record in zip(asked, measured.episodes, strict=True)]
+    assert measured.dsr.value == np.mean(kept)
+    assert measured.dsr_by_action["Stop"].value == pytest.approx(sum(kept) / sum(asked))
+    random = evaluate("random", "hard", "val").episodes
+    zero = [np.mean([run.total for run in random if run.episode == record.episode]) for record in measured.episodes]
+    gained = [record.total - float(mean) for record, mean in zip(measured.episodes, zero, strict=True)]
+    assert measured.score.value == pytest.approx(np.mean(gained))
 
 
 def test_overrides_and_points_are_measured_too() -> None:
@@ -113,6 +122,23 @@ def test_of_episodes_that_do_not_fit_it_is_said_what_helps(own_city: Path) -> No
         assert fault["code"] == "invalid-episode" and "`task.episodes`" in fault["help"][-1]
     with pytest.raises(logicity.InputError, match="logicity episodes make"):
         Benchmark(own_city, overrides={"task": {"episodes": None}})
+
+
+def test_episodes_in_which_rules_ask_nothing_count_against_dsr_alone(tmp_path: Path) -> None:
+    rules = tmp_path / "few.dl"
+    rules.write_text('.include "vocabulary.dl"\nStop(X) :- IsAtInter(X), IsInInter(Y), IsAmbulance(Y).\n')
+    oracle = evaluate("oracle", "easy", "val", rules=rules)
+    asked = [any(record.constrained.values()) for record in oracle.episodes]
+    assert oracle.dsr.value == np.mean(asked) and 0 < oracle.dsr.value < 1
+    assert oracle.dsr_by_action["Stop"].value == 1.0
+
+
+def test_recorded_episodes_come_with_replacement_or_each_once() -> None:
+    drawn = gymnasium.make_vec(ENVIRONMENTS["easy"], num_envs=40, split="val", episodes="recorded")
+    chosen = gymnasium.make_vec(ENVIRONMENTS["easy"], num_envs=40, split="val")
+    some = set(drawn.reset(seed=0)[1]["seed"].tolist())
+    every = set(chosen.reset(options={"episodes": range(40)})[1]["seed"].tolist())
+    assert len(every) == 40 and some < every
 
 
 @pytest.mark.parametrize(
