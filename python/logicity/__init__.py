@@ -10,9 +10,14 @@ What to reach for:
 - what the numbers of its observations stand for: `observation_names`;
 - how well a policy drives: `evaluate`, or `Benchmark` for many; what the oracle does, as data: `demonstrations`.
 
+`logicity.sb3`, `train`, `parallel` and `icons` need extras; they are imported when they are first asked for.
+
 Faulty input raises `InputError`, which has every fault with its place; input that is too large its subclass
 `LimitError`.
 """
+
+import importlib
+from typing import TYPE_CHECKING
 
 from ._logicity import __version__
 from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
@@ -38,6 +43,20 @@ from .types import (
     StratumWork,
     SymbolicScene,
 )
+
+if TYPE_CHECKING:
+    from . import icons as icons
+    from . import parallel as parallel
+    from . import sb3 as sb3
+    from . import train as train
+else:
+
+    def __getattr__(name):
+        """Import what needs an extra when it is first asked for."""
+        if name in ("icons", "parallel", "sb3", "train"):
+            return importlib.import_module(f".{name}", __name__)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 __all__ = [
     "ACTIONS",

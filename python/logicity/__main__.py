@@ -23,10 +23,7 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
-    except ImportError as error:
-        print(f"error: {error}\nhelp: pip install 'logicity[train]'", file=sys.stderr)
-        return 1
-    except (InputError, OSError, ValueError, gymnasium.error.Error) as error:
+    except (InputError, ImportError, OSError, ValueError, gymnasium.error.Error) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
 

@@ -41,7 +41,7 @@ def checked_mode(mode: str | os.PathLike[str]) -> str:
 def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
     """Make a `ParallelEnv` of PettingZoo in which every car is driven: a `logicity.parallel.SPFParallelEnv`.
 
-    `arguments` are its other parameters. Needs `pip install 'logicity[pettingzoo]'`.
+    `arguments` are its other parameters. Needs the extra `pettingzoo`: `pip install './python[pettingzoo]'`.
     """
     from .parallel import SPFParallelEnv
 

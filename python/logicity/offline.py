@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from . import _logicity
 from .city import ACTIONS
 from .describe import Atom, atoms_of
+from .errors import missing_extra
 from .evaluation import episodes_that_fit, load_task
 from .modes import ENVIRONMENTS, checked_mode
 
@@ -109,11 +110,14 @@ class Demonstrations(Sequence[Trajectory]):
                 `code_permalink`, which Minari warns about if they are missing.
 
         Raises:
-            ImportError: Minari is not installed; `pip install 'logicity[offline]'` installs it.
+            ImportError: Minari is not installed; the extra `offline` has it: `pip install './python[offline]'`.
             ValueError: there is such a dataset already.
         """
-        import minari
-        from minari.data_collector import EpisodeBuffer
+        try:
+            import minari
+            from minari.data_collector import EpisodeBuffer
+        except ImportError as error:
+            raise missing_extra("offline", error) from error
 
         buffers = [
             EpisodeBuffer(
@@ -216,11 +220,14 @@ class Demonstrations(Sequence[Trajectory]):
         schema has `mode`, `split`, `episodes_hash`, `actions` and, if the observations are atoms, `atoms`.
 
         Raises:
-            ImportError: pyarrow is not installed; `pip install 'logicity[offline]'` installs it.
+            ImportError: pyarrow is not installed; the extra `offline` has it: `pip install './python[offline]'`.
             OSError: the file cannot be written.
         """
-        import pyarrow
-        import pyarrow.parquet
+        try:
+            import pyarrow
+            import pyarrow.parquet
+        except ImportError as error:
+            raise missing_extra("offline", error) from error
 
         lengths = [len(trajectory) for trajectory in self]
         observations = np.concatenate([t.observations[:-1].reshape(len(t), -1) for t in self])
