@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import cast
 
 import gymnasium
 
@@ -33,7 +34,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    measure = commands.add_parser("evaluate", help="measure a policy on recorded episodes, as the paper does")
+    measure = _add(commands, "evaluate", "measure a policy on recorded episodes, as the paper does")
     measure.add_argument("--policy", required=True, help="oracle, random, or the .zip of a DQN, PPO or A2C model")
     measure.add_argument(
         "--modes",
@@ -44,13 +45,20 @@ def _parser() -> argparse.ArgumentParser:
     measure.add_argument("--split", choices=("train", "val", "test"), default="test", help="default: test")
     measure.add_argument("--json", type=Path, metavar="FILE", help="write the results, episode by episode")
 
-    learn = commands.add_parser("train", help="train a model, or go on with a run that was killed")
+    learn = _add(commands, "train", "train a model, or go on with a run that was killed")
     learn.add_argument("config", type=Path, help="for example configs/baselines/dqn-easy.yaml")
     learn.add_argument("--run", type=Path, metavar="FOLDER", help="of the run; default: runs/CONFIG-SEED")
     learn.add_argument("--seed", type=int, help="instead of the configuration's")
 
-    commands.add_parser("describe", help="print tables of environments, observations and rewards, as Markdown")
+    _add(commands, "describe", "print tables of environments, observations and rewards, as Markdown")
     return parser
+
+
+def _add(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, told: str
+) -> argparse.ArgumentParser:
+    """Add a command, of which its own help says what the list of commands says."""
+    return commands.add_parser(name, help=told, description=f"{told[0].upper()}{told[1:]}.")
 
 
 def _modes(text: str) -> list[str]:
@@ -61,13 +69,22 @@ def _modes(text: str) -> list[str]:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _evaluate(given: argparse.Namespace) -> int:
-    policy: Policy = given.policy
-    name = given.policy
-    if policy not in ("oracle", "random"):
-        from .train import load_model
+def _named_policy(text: str) -> tuple[Policy, str]:
+    """The policy that an argument means, and what to call it."""
+    if text in ("oracle", "random"):
+        return cast(Policy, text), text
+    path = Path(text)
+    if not path.is_file():
+        if path.suffix == ".zip" or len(path.parts) > 1:
+            raise FileNotFoundError(f"`{text}`: no such file")
+        raise ValueError(f"unknown policy `{text}`: oracle, random, or a file that Stable-Baselines3 saved")
+    from .train import load_model
 
-        policy, name = load_model(given.policy), Path(given.policy).stem
+    return load_model(text), path.stem
+
+
+def _evaluate(given: argparse.Namespace) -> int:
+    policy, name = _named_policy(given.policy)
     results: list[Evaluation] = []
     for mode in given.modes:
         results.append(Benchmark(mode, given.split).evaluate(policy, name=name))

@@ -109,6 +109,13 @@ class Evaluation:
     mean_steps: float
     episodes: tuple[EpisodeRecord, ...]
 
+    def __repr__(self) -> str:
+        """The three measures; `episodes` has the rest."""
+        return (
+            f"<Evaluation of {self.policy} in {self.mode}, {self.split}: TSR {self.tsr}, DSR {self.dsr}, "
+            f"Score {self.score}, {len(self.episodes)} episodes>"
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as they are written to JSON."""
         return asdict(self)

@@ -83,6 +83,11 @@ class Demonstrations(Sequence[Trajectory]):
         self.atoms, self.asked, self.env = atoms, asked, env
         self._trajectories = tuple(trajectories)
 
+    def __repr__(self) -> str:
+        """How much there is of what."""
+        steps = sum(len(trajectory) for trajectory in self)
+        return f"<Demonstrations of {self.mode}, {self.split}: {len(self)} trajectories, {steps} steps>"
+
     def __len__(self) -> int:
         """How many trajectories there are."""
         return len(self._trajectories)

@@ -62,6 +62,12 @@ def test_all_kinds_of_policies_go_alike() -> None:
     assert len({record.steps for record in one.episodes}) > 3
 
 
+def test_results_print_short() -> None:
+    told = repr(evaluate("oracle", "easy", "val"))
+    assert told.startswith("<Evaluation of oracle in easy, val: TSR 1.00 [0.91, 1.00], DSR 1.00 [0.91, 1.00], Score ")
+    assert told.endswith(", 40 episodes>") and len(told) < 150
+
+
 def test_an_evaluation_is_what_single_environments_say() -> None:
     measured = evaluate(varied, "hard", "val")
     env = gymnasium.make(ENVIRONMENTS["hard"], split="val")
@@ -219,7 +225,9 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
-        (["evaluate", "--policy", "no-such.zip", "--modes", "easy"], 1, "error: "),
+        (["evaluate", "--policy", "no-such.zip", "--modes", "easy"], 1, "error: `no-such.zip`: no such file"),
+        (["evaluate", "--policy", "runs/best", "--modes", "easy"], 1, "error: `runs/best`: no such file"),
+        (["evaluate", "--policy", "foo"], 1, "unknown policy `foo`: oracle, random, or a file that Stable-Baselines3"),
         (["evaluate", "--policy", "oracle", "--modes", "easy", "--json", "no/such/folder.json"], 1, "error: "),
         (["evaluate", "--policy", "oracle", "--modes", "simple"], 2, "unknown mode `simple`"),
         (["evaluate", "--policy", "oracle", "--split", "exam"], 2, "invalid choice"),
@@ -235,6 +243,17 @@ def test_faulty_commands_end_with_a_message(
     except SystemExit as exit:  # argparse ends so
         ended = int(exit.code or 0)
     assert ended == status and message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["evaluate", "train", "describe"])
+def test_commands_say_what_they_do(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    listed = " ".join(capsys.readouterr().out.split())
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    said = capsys.readouterr().out.split("\n\n")[1].replace("\n", " ").removesuffix(".")
+    assert f"{command} {said[0].lower()}{said[1:]}" in listed
 
 
 def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:

@@ -38,6 +38,11 @@ def test_every_mode_has_a_hundred(mode: str) -> None:
         assert steps == oracle["steps"] and trajectory.rewards.sum() == pytest.approx(oracle["return"])
 
 
+def test_they_print_short(few: Demonstrations) -> None:
+    steps = sum(len(trajectory) for trajectory in few)
+    assert repr(few) == f"<Demonstrations of easy, train: 6 trajectories, {steps} steps>"
+
+
 def test_they_can_be_driven_again(few: Demonstrations) -> None:
     env = gymnasium.make(few.env)
     for trajectory in few:
