@@ -46,7 +46,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
     ) -> None:
         """Load the configuration and the rules."""
         self.render_mode = checked_render_mode(render_mode, self.metadata)
-        world = World(config, **options)
+        world = World(config, SPFParallelEnv, **options)
         task = world.task()
         self._cars = _logicity.Cars(task, world.split, world.observation)
         self.possible_agents = self._cars.names()

@@ -256,28 +256,6 @@ def test_commands_say_what_they_do(command: str, capsys: pytest.CaptureFixture[s
     assert f"{command} {said[0].lower()}{said[1:]}" in listed
 
 
-def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
-    file = tmp_path / "result.json"
-    write_json(file, {"a": 1})
-    with pytest.raises(ValueError):
-        write_json(file, {"a": float("nan")})
-    assert json.loads(file.read_text()) == {"a": 1}
-    assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
-
-
-def test_the_tables_of_the_readme_are_those_of_the_code(capsys: pytest.CaptureFixture[str]) -> None:
-    assert describe() in README.read_text(encoding="utf-8")
-    assert main(["describe"]) == 0 and capsys.readouterr().out == describe()
-
-
-@pytest.mark.parametrize("mode", list(ENVIRONMENTS))
-def test_the_tables_say_what_environments_show(mode: str) -> None:
-    env = gymnasium.make(ENVIRONMENTS[mode])
-    assert env.observation_space.shape is not None
-    row = next(line for line in describe().splitlines() if f"`{ENVIRONMENTS[mode]}`" in line)
-    assert f"({env.observation_space.shape[0]},)" in row
-
-
 ATOM = re.compile(r"(\w+)\((\w+)(?:, (\w+))?\)")
 
 
@@ -316,3 +294,25 @@ def test_names_follow_the_configuration(own_city: Path) -> None:
     assert observation_names("easy", overrides={"task": {"route_length": True}}) == (*names, "route length")
     with pytest.raises(ValueError, match="unknown mode `esy`.*did you mean `easy`"):
         observation_names("esy")
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
+    file = tmp_path / "result.json"
+    write_json(file, {"a": 1})
+    with pytest.raises(ValueError):
+        write_json(file, {"a": float("nan")})
+    assert json.loads(file.read_text()) == {"a": 1}
+    assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
+
+
+def test_the_tables_of_the_readme_are_those_of_the_code(capsys: pytest.CaptureFixture[str]) -> None:
+    assert describe() in README.read_text(encoding="utf-8")
+    assert main(["describe"]) == 0 and capsys.readouterr().out == describe()
+
+
+@pytest.mark.parametrize("mode", list(ENVIRONMENTS))
+def test_the_tables_say_what_environments_show(mode: str) -> None:
+    env = gymnasium.make(ENVIRONMENTS[mode])
+    assert env.observation_space.shape is not None
+    row = next(line for line in describe().splitlines() if f"`{ENVIRONMENTS[mode]}`" in line)
+    assert f"({env.observation_space.shape[0]},)" in row
