@@ -34,7 +34,7 @@ def rule_file(rules: str | os.PathLike[str] | None) -> str | None:
     """Return the path of a rule file, unless it is a text of rules."""
     if isinstance(rules, str) and ("\n" in rules or ":-" in rules):
         raise ValueError(
-            "`rules` is the path of a rule file, not a text of rules: write the text to a file; `check` takes it as it is"
+            "`rules` is the path of a rule file, not a text of rules: write it to a file; `check` takes it as it is"
         )
     return None if rules is None else os.fspath(rules)
 
