@@ -7,13 +7,14 @@ import json
 import os
 import sys
 from pathlib import Path
+from typing import cast
 
 import gymnasium
 
 from . import InputError, __version__
 from .describe import describe
 from .evaluation import Benchmark, Evaluation, Policy, table, write_json
-from .modes import ENVIRONMENTS
+from .modes import ENVIRONMENTS, checked_mode
 from .questions import Endpoint, ask_with_progress, grade, load_answers, load_questions
 
 QUESTIONS = "as `logicity questions` writes it; default: questions.jsonl"
@@ -29,10 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
-    except ImportError as error:
-        print(f"error: {error}\nhelp: pip install 'logicity[train]'", file=sys.stderr)
-        return 1
-    except (InputError, OSError, ValueError, gymnasium.error.Error) as error:
+    except (InputError, ImportError, OSError, ValueError, gymnasium.error.Error) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
 
@@ -42,20 +40,23 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    measure = commands.add_parser("evaluate", help="measure a policy on recorded episodes, as the paper does")
+    measure = _add(commands, "evaluate", "measure a policy on recorded episodes, as the paper does")
     measure.add_argument("--policy", required=True, help="oracle, random, or the .zip of a DQN, PPO or A2C model")
     measure.add_argument(
-        "--modes", type=_modes, default="all", help=f"all (default), or any of {','.join(ENVIRONMENTS)}"
+        "--modes",
+        type=_modes,
+        default="all",
+        help=f"all (default), or any of {','.join(ENVIRONMENTS)}, or configuration files",
     )
     measure.add_argument("--split", choices=("train", "val", "test"), default="test", help="default: test")
     measure.add_argument("--json", type=Path, metavar="FILE", help="write the results, episode by episode")
 
-    learn = commands.add_parser("train", help="train a model, or go on with a run that was killed")
+    learn = _add(commands, "train", "train a model, or go on with a run that was killed")
     learn.add_argument("config", type=Path, help="for example configs/baselines/dqn-easy.yaml")
     learn.add_argument("--run", type=Path, metavar="FOLDER", help="of the run; default: runs/CONFIG-SEED")
     learn.add_argument("--seed", type=int, help="instead of the configuration's")
 
-    put = commands.add_parser("ask", help="put questions of `logicity questions` to a chat endpoint, or go on doing so")
+    put = _add(commands, "ask", "put questions of `logicity questions` to a chat endpoint, or go on doing so")
     put.add_argument("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
     put.add_argument("--url", required=True, help="such as http://localhost:8000/v1")
     put.add_argument("--model", required=True, help="the name that the server knows the model by")
@@ -71,21 +72,42 @@ def _parser() -> argparse.ArgumentParser:
     put.add_argument("--timeout", type=float, default=120.0, metavar="SECONDS", help="default: 120")
     put.add_argument("--tries", type=int, default=6, help="how often a failed request is made; default: 6")
 
-    mark = commands.add_parser("grade", help="compare answers with what the rules want")
+    mark = _add(commands, "grade", "compare answers with what the rules want")
     mark.add_argument("answers", type=Path, help='JSON lines {"id": .., "answer": ..}: letters or whole replies')
     mark.add_argument("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
     mark.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
 
-    commands.add_parser("describe", help="print tables of environments, observations and rewards, as Markdown")
+    _add(commands, "describe", "print tables of environments, observations and rewards, as Markdown")
     return parser
+
+
+def _add(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, told: str
+) -> argparse.ArgumentParser:
+    """Add a command, of which its own help says what the list of commands says."""
+    return commands.add_parser(name, help=told, description=f"{told[0].upper()}{told[1:]}.")
 
 
 def _modes(text: str) -> list[str]:
     modes = list(ENVIRONMENTS) if text == "all" else text.split(",")
-    for mode in modes:
-        if mode not in ENVIRONMENTS:
-            raise argparse.ArgumentTypeError(f"unknown mode `{mode}`: it is one of {', '.join(ENVIRONMENTS)}")
-    return modes
+    try:
+        return [checked_mode(mode) for mode in modes]
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _named_policy(text: str) -> tuple[Policy, str]:
+    """The policy that an argument means, and what to call it."""
+    if text in ("oracle", "random"):
+        return cast(Policy, text), text
+    path = Path(text)
+    if not path.is_file():
+        if path.suffix == ".zip" or len(path.parts) > 1:
+            raise FileNotFoundError(f"`{text}`: no such file")
+        raise ValueError(f"unknown policy `{text}`: oracle, random, or a file that Stable-Baselines3 saved")
+    from .train import load_model
+
+    return load_model(text), path.stem
 
 
 def _object(text: str) -> dict[str, object]:
@@ -99,12 +121,7 @@ def _object(text: str) -> dict[str, object]:
 
 
 def _evaluate(given: argparse.Namespace) -> int:
-    policy: Policy = given.policy
-    name = given.policy
-    if policy not in ("oracle", "random"):
-        from .train import load_model
-
-        policy, name = load_model(given.policy), Path(given.policy).stem
+    policy, name = _named_policy(given.policy)
     results: list[Evaluation] = []
     for mode in given.modes:
         results.append(Benchmark(mode, given.split).evaluate(policy, name=name))

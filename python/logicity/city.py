@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from . import _logicity
 from .errors import did_you_mean
+from .rules import rule_file
 from .types import Action, Answer, Executor, Heading, Scene, Split, SymbolicScene
 
 __all__ = ["ACTIONS", "HEADINGS", "REASONS", "AgentInfo", "Decision", "Inference", "Simulation", "Tick", "infer"]
@@ -78,7 +79,7 @@ class Inference:
     ) -> None:
         """Load the configuration and the rules."""
         self._made_of: tuple[str, str | None, int, str]
-        self._made_of = (os.fspath(config), None if rules is None else os.fspath(rules), seed, executor)
+        self._made_of = (os.fspath(config), rule_file(rules), seed, executor)
         self._inference = _logicity.Inference(*self._made_of, None)
 
     @classmethod
@@ -232,7 +233,7 @@ class Simulation:
         """Place the agents."""
         self._config, self._split, self._seed = os.fspath(config), split, seed
         self._counts = count_firings
-        self._city = _logicity.Simulation(config, rules, split, seed, threads, executor, count_firings)
+        self._city = _logicity.Simulation(config, rule_file(rules), split, seed, threads, executor, count_firings)
 
     def __reduce__(self) -> NoReturn:
         """Refuse to be pickled or copied."""

@@ -1,16 +1,22 @@
-"""Tables of the environments, as Markdown, made from what the tasks say of themselves."""
+"""What observations are made of, and tables of the environments as Markdown, both as the tasks say of themselves."""
 
 from __future__ import annotations
 
+import itertools
 import json
-from typing import Any
+import os
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeAlias
 
 from . import _logicity
 from .city import ACTIONS
 from .evaluation import load_task
 from .modes import ENVIRONMENTS
 
-__all__ = ["describe"]
+__all__ = ["Atom", "atoms_of", "describe", "observation_names"]
+
+#: A predicate, and the observed entities it is about: 0 is the ego.
+Atom: TypeAlias = tuple[str, tuple[int, ...]]
 
 SPLITS = ("train", "val", "test")
 
@@ -24,6 +30,38 @@ def describe() -> str:
         ("Observations", _observations(tasks)),
     ]
     return "\n".join(f"### {title}\n\n{text}" for title, text in sections)
+
+
+def observation_names(
+    mode: str | os.PathLike[str],
+    *,
+    rules: str | os.PathLike[str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
+) -> tuple[str, ...]:
+    """What each number of an observation of atoms stands for, such as `IsTiro(0)` or `CollidingClose(0, 3)`.
+
+    Entity 0 is the ego, 1, 2, ... are what it sees. The last is `route length` if the task observes it, too.
+
+    Args:
+        mode: one of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file.
+        rules: a rule file instead of the configuration's.
+        overrides: changes to the configuration, as `gymnasium.make` takes them.
+
+    Raises:
+        ValueError: an unknown mode.
+        InputError: a faulty configuration, rule file or override.
+        OSError: a file cannot be read.
+    """
+    told = _logicity.describe(load_task(mode, rules, overrides))
+    atoms = (f"{predicate}({', '.join(map(str, entities))})" for predicate, entities in atoms_of(told))
+    return (*atoms, "route length") if told["route_length"] else tuple(atoms)
+
+
+def atoms_of(told: Mapping[str, Any]) -> Iterator[Atom]:
+    """The atoms of an observation, in order, of a task as it says of itself; the length of the route is no atom."""
+    for column in told["columns"]:
+        for entities in itertools.product(range(told["entities"]), repeat=column["arity"]):
+            yield column["predicate"], entities
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[object, ...]]) -> str:

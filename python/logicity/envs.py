@@ -13,6 +13,7 @@ import json
 import operator
 import os
 from collections.abc import Mapping, Sequence
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, cast
 
@@ -26,6 +27,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from . import _logicity
+from .errors import did_you_mean
+from .rules import rule_file
 from .types import Split
 
 if TYPE_CHECKING:
@@ -78,15 +81,22 @@ class World:
     def __init__(
         self,
         config: str | os.PathLike[str],
+        of: type | None = None,
         *,
         split: Split = "train",
         rules: str | os.PathLike[str] | None = None,
         overrides: Mapping[str, Any] | None = None,
         observation: Kind = "atoms",
+        **unknown: Any,
     ) -> None:
-        """Keep the arguments, see `SPFEnv`."""
+        """Keep the arguments, see `SPFEnv`; `of` is the class of the environments, whose options are told beside."""
+        if unknown:
+            name = next(iter(unknown))
+            own = signature(of).parameters.values() if of else ()
+            known = [*Options.__annotations__, *(each.name for each in own if each.kind is each.KEYWORD_ONLY)]
+            raise TypeError(f"environments have no option `{name}`{did_you_mean(name, known)}")
         self.config, self.split, self.observation = os.fspath(config), split, observation
-        self.rules = rules if rules is None else os.fspath(rules)
+        self.rules = rule_file(rules)
         self.overrides = dict(overrides or {})
         if "base" in self.overrides:
             raise ValueError("overrides have no `base`: that is `config`")
@@ -98,13 +108,22 @@ class World:
         if over:
             base = Path(self.config)
             bare = len(base.parts) == 1 and not base.suffix and not base.exists()
-            text = json.dumps({"base": f"configs/{base}.yaml" if bare else str(base), **over})
+            text = json.dumps({"base": f"configs/{base}.yaml" if bare else str(base), **over}, default=_plain)
         return _logicity.Task(self.config, self.rules, text)
 
     def space(self, task: _logicity.Task) -> Box:
         """Make the space of observations."""
         shape = tuple(task.shape(self.observation))
         return Box(0.0 if self.observation == "atoms" else -1.0, 1.0, shape, np.float32)
+
+
+def _plain(value: Any) -> Any:
+    """What JSON has for numbers and arrays of numpy, and for paths."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    raise TypeError(f"a {type(value).__name__} cannot be in a configuration: {value!r}")
 
 
 def checked_seed(seed: int | None, generator: np.random.Generator) -> int:
@@ -132,8 +151,8 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
     Parameters: `config` is a run configuration, a built-in name such as `expert` or a path; `split` the set of agents;
     `rules` a rule file instead of the configuration's; `overrides` a mapping that is merged over the configuration,
     for example `{"task": {"reward": {"overtime": -6}}}`. `episodes="recorded"` takes episodes of the split's set, by
-    the seed, instead of drawing new ones. `atoms=True` puts `true_atoms` into `info`, texts such as `IsTiro(Car_1)`.
-    `render_mode` is `rgb_array` or `ansi`.
+    the seed and with replacement, instead of drawing new ones. `atoms=True` puts `true_atoms` into `info`, texts such
+    as `IsTiro(Car_1)`. `render_mode` is `rgb_array` or `ansi`.
 
     `info` has `oracle_action` (what the rules want now), `violations` (names of the clauses that the last action
     broke, such as `S1`), `progress` (share of the route gone, 0 to 1), `success`, `steps` and `seed` (of the episode, a
@@ -155,7 +174,7 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         **options: Unpack[Options],
     ) -> None:
         """Load the configuration and the rules."""
-        self._world = World(config, **options)
+        self._world = World(config, SPFEnv, **options)
         self._atoms = atoms
         self._recorded = _is_recorded(episodes)
         self.render_mode = checked_render_mode(render_mode, self.metadata)
@@ -359,7 +378,7 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = checked_render_mode(render_mode, self.metadata)
         self._atoms, self.copy = atoms, copy
-        world = World(config, **options)
+        world = World(config, SPFVectorEnv, **options)
         task = world.task()
         self.single_observation_space = world.space(task)
         self.single_action_space = Discrete(4)

@@ -41,3 +41,8 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     if near is not None:
         return f"; did you mean `{near}`?"
     return f"; there are: {', '.join(names)}" if len(names) <= 30 else ""
+
+
+def missing_extra(extra: str, error: ImportError) -> ImportError:
+    """The error of an import that an extra of the package would have made possible, told with what installs it."""
+    return type(error)(f"{error}; install the extra `{extra}`: pip install './python[{extra}]'", name=error.name)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, cast
 
@@ -18,7 +19,9 @@ from numpy.typing import NDArray
 
 from . import _logicity
 from .envs import World
-from .modes import ENVIRONMENTS
+from .errors import InputError
+from .modes import checked_mode
+from .types import Diagnostic
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -83,6 +86,7 @@ class EpisodeRecord:
 class Evaluation:
     """How well a policy did on a set of episodes. Rates are shares, 0 to 1; their intervals are Wilson's.
 
+    - `mode`: the mode, or the configuration file as it was given.
     - `tsr`: of all episodes, those that reach the goal in time without a rule broken.
     - `dsr`: of all episodes, those in which the rules asked something at least once and were never broken, however they
       ended.
@@ -104,6 +108,13 @@ class Evaluation:
     mean_return: Interval
     mean_steps: float
     episodes: tuple[EpisodeRecord, ...]
+
+    def __repr__(self) -> str:
+        """The three measures; `episodes` has the rest."""
+        return (
+            f"<Evaluation of {self.policy} in {self.mode}, {self.split}: TSR {self.tsr}, DSR {self.dsr}, "
+            f"Score {self.score}, {len(self.episodes)} episodes>"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as they are written to JSON."""
@@ -137,22 +148,36 @@ class Progress:
 
 
 def load_task(
-    mode: str, rules: str | os.PathLike[str] | None = None, overrides: Mapping[str, Any] | None = None
+    mode: str | os.PathLike[str],
+    rules: str | os.PathLike[str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
 ) -> _logicity.Task:
-    """The task of a mode; what is raised is as for `Benchmark`."""
-    if mode not in ENVIRONMENTS:
-        raise ValueError(f"unknown mode `{mode}`: it is one of {', '.join(ENVIRONMENTS)}")
-    return World(mode, rules=rules, overrides=overrides).task()
+    """The task of a mode or configuration file; what is raised is as for `Benchmark`."""
+    return World(checked_mode(mode), rules=rules, overrides=overrides).task()
+
+
+@contextmanager
+def episodes_that_fit() -> Iterator[None]:
+    """Where recorded episodes are driven: of those that do not fit the agents or the map, say what helps."""
+    try:
+        yield
+    except InputError as error:
+        if not any(fault["code"] == "invalid-episode" for fault in error.diagnostics):
+            raise
+        more = "make episodes with `logicity episodes make` and name them under `task.episodes`"
+        faults = [{**fault, "help": [*fault["help"], more]} for fault in error.diagnostics]
+        raise InputError(f"{str(error).rstrip()}\n |\n = help: {more}", cast(list[Diagnostic], faults)) from error
 
 
 class Benchmark:
-    """Recorded episodes of a mode, on which policies are measured.
+    """Recorded episodes of a mode, or of a city of one's own, on which policies are measured.
 
-    An episode has at most twice as many steps as the oracle took; all go on side by side, and what a policy says for
-    one that has ended counts for nothing.
+    An episode has at most so many times the oracle's steps as the task says under `patience`, twice in the modes. All
+    go on side by side, and what a policy says for one that has ended counts for nothing.
 
     Args:
-        mode: one of `logicity.ENVIRONMENTS`, such as `"expert"`.
+        mode: one of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file, whose recorded
+            episodes `logicity episodes make` makes.
         split: `"train"`, `"val"` or `"test"`: whose agents and which episodes.
         rules: a rule file instead of the mode's. The recorded episodes stay, so the oracle need not reach the goal.
         overrides: changes to the task, as `gymnasium.make` takes them.
@@ -160,12 +185,13 @@ class Benchmark:
 
     Raises:
         ValueError: an unknown mode, split or observation.
-        InputError: a faulty rules file or override, or a mode without recorded episodes.
+        InputError: a faulty configuration, rules file or override, or no recorded episodes.
+        OSError: a file cannot be read.
     """
 
     def __init__(
         self,
-        mode: str,
+        mode: str | os.PathLike[str],
         split: str = "test",
         *,
         rules: str | os.PathLike[str] | None = None,
@@ -173,7 +199,7 @@ class Benchmark:
         observation: str = "atoms",
     ) -> None:
         """Load the task and its episodes."""
-        self.mode, self.split = mode, split
+        self.mode, self.split = checked_mode(mode), split
         self._observation = observation
         self._task = load_task(mode, rules, overrides)
         self._random = _logicity.Baseline(self._task, split)
@@ -208,7 +234,12 @@ class Benchmark:
             TypeError: the policy is nothing that can act, or its actions are not integers.
             ValueError: an unknown name, or not one action for each observation.
             gymnasium.error.InvalidAction: an action that is not 0, 1, 2 or 3.
+            InputError: the episodes do not fit the agents, as overrides can bring about.
         """
+        with episodes_that_fit():
+            return self._evaluate(policy, batched, name)
+
+    def _evaluate(self, policy: Policy, batched: bool, name: str | None) -> Evaluation:
         named = name or (policy if isinstance(policy, str) else type(policy).__name__)
         if policy == "random":
             return self._result(named, self._baseline().report())
@@ -307,7 +338,7 @@ def _checked(actions: Any, count: int) -> Actions:
 
 def evaluate(
     policy: Policy,
-    mode: str,
+    mode: str | os.PathLike[str],
     split: str = "test",
     *,
     batched: bool = False,
@@ -315,7 +346,7 @@ def evaluate(
     overrides: Mapping[str, Any] | None = None,
     observation: str = "atoms",
 ) -> Evaluation:
-    """Measure a policy on the recorded episodes of a mode.
+    """Measure a policy on the recorded episodes of a mode or of a configuration file.
 
     What is given and raised is as for `Benchmark` and `Benchmark.evaluate`.
     """

@@ -6,7 +6,6 @@ be written as a Minari dataset, as the files of an inductive learner (Popper), o
 
 from __future__ import annotations
 
-import itertools
 import os
 import re
 import shutil
@@ -14,7 +13,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import gymnasium
 import numpy as np
@@ -22,16 +21,15 @@ from numpy.typing import NDArray
 
 from . import _logicity
 from .city import ACTIONS
-from .evaluation import load_task
-from .modes import ENVIRONMENTS
+from .describe import Atom, atoms_of
+from .errors import missing_extra
+from .evaluation import episodes_that_fit, load_task
+from .modes import ENVIRONMENTS, checked_mode
 
 if TYPE_CHECKING:
     from minari import MinariDataset
 
-__all__ = ["Atom", "Demonstrations", "Trajectory", "demonstrations"]
-
-#: A predicate, and the observed entities it is about: 0 is the ego.
-Atom: TypeAlias = tuple[str, tuple[int, ...]]
+__all__ = ["Demonstrations", "Trajectory", "demonstrations"]
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ class Trajectory:
 class Demonstrations(Sequence[Trajectory]):
     """Trajectories of the oracle.
 
-    - `mode`, `split`: whose agents.
+    - `mode`, `split`: whose agents; `mode` may be a configuration file.
     - `atoms`: the atom that each number of an observation stands for; none if observations are points.
     - `asked`: the actions that rules can ask.
     - `episodes_hash`: SHA-256 of the set of episodes they come from.
@@ -84,6 +82,11 @@ class Demonstrations(Sequence[Trajectory]):
         self.mode, self.split, self.episodes_hash = mode, split, episodes_hash
         self.atoms, self.asked, self.env = atoms, asked, env
         self._trajectories = tuple(trajectories)
+
+    def __repr__(self) -> str:
+        """How much there is of what."""
+        steps = sum(len(trajectory) for trajectory in self)
+        return f"<Demonstrations of {self.mode}, {self.split}: {len(self)} trajectories, {steps} steps>"
 
     def __len__(self) -> int:
         """How many trajectories there are."""
@@ -106,16 +109,20 @@ class Demonstrations(Sequence[Trajectory]):
         in `~/.minari/datasets`; it has to be set when this is called.
 
         Args:
-            dataset_id: its name; `logicity/spf-MODE/oracle-v0` unless given.
+            dataset_id: its name; unless given `logicity/spf-MODE/oracle-v0`, where a configuration file counts by its
+                name without the folder and the ending.
             metadata: what else `minari.create_dataset_from_buffers` takes, such as `author`, `author_email` and
                 `code_permalink`, which Minari warns about if they are missing.
 
         Raises:
-            ImportError: Minari is not installed; `pip install 'logicity[offline]'` installs it.
+            ImportError: Minari is not installed; the extra `offline` has it: `pip install './python[offline]'`.
             ValueError: there is such a dataset already.
         """
-        import minari
-        from minari.data_collector import EpisodeBuffer
+        try:
+            import minari
+            from minari.data_collector import EpisodeBuffer
+        except ImportError as error:
+            raise missing_extra("offline", error) from error
 
         buffers = [
             EpisodeBuffer(
@@ -131,11 +138,11 @@ class Demonstrations(Sequence[Trajectory]):
             for number, trajectory in enumerate(self)
         ]
         return minari.create_dataset_from_buffers(
-            dataset_id or f"logicity/spf-{self.mode}/oracle-v0",
+            dataset_id or f"logicity/spf-{Path(self.mode).stem}/oracle-v0",
             buffer=buffers,
             env=self.env,
             **{
-                "eval_env": ENVIRONMENTS[self.mode],
+                "eval_env": ENVIRONMENTS.get(self.mode, self.env),
                 "algorithm_name": "oracle",
                 "description": f"What the rules want in {self.mode} mode; recorded episodes {self.episodes_hash}.",
                 "requirements": ["logicity"],
@@ -218,11 +225,14 @@ class Demonstrations(Sequence[Trajectory]):
         schema has `mode`, `split`, `episodes_hash`, `actions` and, if the observations are atoms, `atoms`.
 
         Raises:
-            ImportError: pyarrow is not installed; `pip install 'logicity[offline]'` installs it.
+            ImportError: pyarrow is not installed; the extra `offline` has it: `pip install './python[offline]'`.
             OSError: the file cannot be written.
         """
-        import pyarrow
-        import pyarrow.parquet
+        try:
+            import pyarrow
+            import pyarrow.parquet
+        except ImportError as error:
+            raise missing_extra("offline", error) from error
 
         lengths = [len(trajectory) for trajectory in self]
         observations = np.concatenate([t.observations[:-1].reshape(len(t), -1) for t in self])
@@ -278,44 +288,55 @@ def _write_folder(folder: Path, files: Mapping[str, Sequence[str]]) -> Path:
 
 
 def demonstrations(
-    mode: str, n: int = 100, split: str = "train", *, observation: str = "atoms", **options: Any
+    mode: str | os.PathLike[str],
+    n: int | None = None,
+    split: str = "train",
+    *,
+    observation: str = "atoms",
+    **options: Any,
 ) -> Demonstrations:
     """Let the oracle drive the first n recorded episodes of a split.
 
     Args:
-        mode: one of `logicity.ENVIRONMENTS`, such as `"expert"`.
-        n: how many, from 1 to the number of recorded ones: 40 for `"val"`, 100 otherwise.
+        mode: one of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file, whose recorded
+            episodes `logicity episodes make` makes.
+        n: how many, from 1 to the number of recorded ones, which is the default; the modes have 40 for `"val"`, 100
+            otherwise.
         split: `"train"`, `"val"` or `"test"`.
         observation: `"atoms"` or `"points"`, as `gymnasium.make` takes it.
         options: any other option that `gymnasium.make` takes, such as `overrides`.
 
     Raises:
         ValueError: an unknown mode, split or observation, or more episodes than there are.
-        InputError: a faulty option.
+        InputError: a faulty configuration or option, no recorded episodes, or such as do not fit the agents.
+        OSError: a file cannot be read.
     """
-    told = _logicity.describe(load_task(mode, options.get("rules"), options.get("overrides")))
-    if split not in told["splits"]:
-        raise ValueError(f"unknown split `{split}`: it is one of {', '.join(told['splits'])}")
-    count = told["splits"][split]["episodes"]
-    if not 1 <= n <= count:
-        raise ValueError(f"{n} demonstrations wanted: {count} episodes are recorded for {mode}, {split}")
-    env = gymnasium.make(ENVIRONMENTS[mode], split=split, observation=observation, **options)
+    name = checked_mode(mode)
+    task = load_task(mode, options.get("rules"), options.get("overrides"))
+    count = task.recorded(split)
+    wanted = count if n is None else n
+    if not 1 <= wanted <= count:
+        raise ValueError(f"{wanted} demonstrations wanted: {count} episodes are recorded for {name}, {split}")
+    env = _environment(name, split=split, observation=observation, **options)
     assert env.spec is not None
     try:
-        trajectories = [_drive(env, episode) for episode in range(n)]
+        with episodes_that_fit():
+            trajectories = [_drive(env, episode) for episode in range(wanted)]
     finally:
         env.close()
-    atoms = tuple(_atoms(told)) if observation == "atoms" else ()
+    told = _logicity.describe(task)
+    atoms = tuple(atoms_of(told)) if observation == "atoms" else ()
     asked = {demand["action"] for demand in told["demands"]}
     named = tuple(action for action in ACTIONS if action in asked)
-    return Demonstrations(mode, split, told["splits"][split]["hash"], atoms, named, env.spec, trajectories)
+    return Demonstrations(name, split, told["splits"][split]["hash"], atoms, named, env.spec, trajectories)
 
 
-def _atoms(told: Mapping[str, Any]) -> Iterator[Atom]:
-    """What the numbers of an observation stand for; the length of the route, if it is there, is no atom."""
-    for column in told["columns"]:
-        for entities in itertools.product(range(told["entities"]), repeat=column["arity"]):
-            yield column["predicate"], entities
+def _environment(mode: str, **options: Any) -> gymnasium.Env[Any, Any]:
+    """The environment of a mode, or of a configuration file, whose spec is then good in every working directory."""
+    if mode in ENVIRONMENTS:
+        return gymnasium.make(ENVIRONMENTS[mode], **options)
+    config = str(Path(mode).resolve()) if Path(mode).exists() else mode
+    return gymnasium.make("logicity/SPF-Expert-v0", config=config, **options)
 
 
 def _drive(env: gymnasium.Env[Any, Any], episode: int) -> Trajectory:

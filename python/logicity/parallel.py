@@ -1,4 +1,4 @@
-"""Every car of a city driven: a `ParallelEnv` of PettingZoo. Needs `pip install 'logicity[pettingzoo]'`."""
+"""Every car of a city driven: a `ParallelEnv` of PettingZoo. Needs the extra `pettingzoo`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,13 @@ import numpy as np
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.spaces import Box, Discrete
 from gymnasium.utils.seeding import np_random
-from pettingzoo import ParallelEnv
+
+from .errors import missing_extra
+
+try:
+    from pettingzoo import ParallelEnv
+except ImportError as error:
+    raise missing_extra("pettingzoo", error) from error
 
 from . import _logicity
 from .envs import EpisodeStart, Observations, Options, World, begin_of, checked_render_mode, checked_seed
@@ -40,7 +46,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
     ) -> None:
         """Load the configuration and the rules."""
         self.render_mode = checked_render_mode(render_mode, self.metadata)
-        world = World(config, **options)
+        world = World(config, SPFParallelEnv, **options)
         task = world.task()
         self._cars = _logicity.Cars(task, world.split, world.observation)
         self.possible_agents = self._cars.names()

@@ -30,6 +30,15 @@ def check(text: str, name: str = "<text>") -> list[Diagnostic]:
     return cast(list[Diagnostic], _logicity.check(text, name))
 
 
+def rule_file(rules: str | os.PathLike[str] | None) -> str | None:
+    """Return the path of a rule file, unless it is a text of rules."""
+    if isinstance(rules, str) and ("\n" in rules or ":-" in rules):
+        raise ValueError(
+            "`rules` is the path of a rule file, not a text of rules: write it to a file; `check` takes it as it is"
+        )
+    return None if rules is None else os.fspath(rules)
+
+
 @dataclass(frozen=True)
 class Column:
     """A column of a predicate: its declared type, and what values of that type are made of."""

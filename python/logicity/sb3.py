@@ -1,4 +1,4 @@
-"""Environments for Stable-Baselines3. Needs `pip install 'logicity[train]'`."""
+"""Environments for Stable-Baselines3. Needs the extra `train`: `pip install './python[train]'`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,14 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 from .envs import Observations, SPFVectorEnv, check_options
+from .errors import missing_extra
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv, VecMonitor
+except ImportError as error:
+    raise missing_extra("train", error) from error
 
 __all__ = ["SPFVecEnv", "make_vec_env"]
 

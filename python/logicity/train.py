@@ -1,4 +1,4 @@
-"""Train DQN, PPO or A2C of Stable-Baselines3 as a configuration says. Needs `pip install 'logicity[train]'`.
+"""Train DQN, PPO or A2C of Stable-Baselines3 as a configuration says. Needs the extra `train`.
 
 A run has a folder. `checkpoint-STEPS` holds all that it takes to go on after a kill: the model, the replay buffer,
 the model that did best on the validation episodes so far, and what validation said. `tensorboard` has the curves. At
@@ -18,9 +18,15 @@ from typing import Any
 from zipfile import BadZipFile, ZipFile
 
 import gymnasium
-import stable_baselines3
-import torch
-import yaml
+
+from .errors import missing_extra
+
+try:
+    import stable_baselines3
+    import torch
+    import yaml
+except ImportError as error:
+    raise missing_extra("train", error) from error
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ProgressBarCallback

@@ -4,6 +4,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -30,3 +31,14 @@ def ctrl_c() -> Interrupt:
         assert time.monotonic() - begun < 3
 
     return interrupt
+
+
+@pytest.fixture
+def own_city(tmp_path: Path) -> Path:
+    """A configuration file of somebody's own: easy mode with the first five of its episodes, as a file beside it."""
+    recorded = Path(__file__).parents[2] / "configs" / "episodes" / "easy-val.jsonl"
+    header_and_five = recorded.read_text(encoding="utf-8").splitlines(keepends=True)[:6]
+    (tmp_path / "five.jsonl").write_text("".join(header_and_five), encoding="utf-8")
+    city = tmp_path / "own.yaml"
+    city.write_text("base: configs/easy.yaml\ntask:\n  episodes: {val: five.jsonl}\n", encoding="utf-8")
+    return city

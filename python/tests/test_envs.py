@@ -150,6 +150,43 @@ def test_explain_and_render_speak_of_the_moment() -> None:
     assert "Car_1 at [" in text.render()
 
 
+def test_overrides_may_be_of_numpy(tmp_path: Path) -> None:
+    plain = {"task": {"horizon": 3, "reward": {"overtime": -1.5, "actions": {"Stop": -4}}}}
+    horizon, reward = np.int64(3), {"overtime": np.float32(-1.5), "actions": {"Stop": np.array(-4)}}
+    ends = []
+    for overrides in (plain, {"task": {"horizon": horizon, "reward": reward}}):
+        env = SPFEnv("easy", overrides=overrides)
+        env.reset(seed=1)
+        ends.append([env.step(3)[1:4] for _ in range(3)])
+    assert ends[0] == ends[1] and ends[0][2][2]
+    with pytest.raises(TypeError, match="a complex cannot be in a configuration"):
+        SPFEnv("easy", overrides={"task": {"horizon": 3j}})
+    with pytest.raises(logicity.InputError, match="nowhere.yaml"):
+        SPFEnv("easy", overrides={"agents": tmp_path / "nowhere.yaml"})
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "told"),
+    [
+        (partial(gymnasium.make, IDS[0]), "observations", "did you mean `observation`"),
+        (partial(gymnasium.make, IDS[0]), "episode", "did you mean `episodes`"),
+        (partial(gymnasium.make, IDS[0]), "colour", "there are: split, rules, .*, episodes, atoms, render_mode"),
+        (partial(gymnasium.make_vec, IDS[0], num_envs=2), "num_thread", "did you mean `num_threads`"),
+        (partial(logicity.demonstrations, "easy", 1), "rule", "did you mean `rules`"),
+    ],
+)
+def test_options_that_there_are_not_are_told(make: Any, name: str, told: str) -> None:
+    with pytest.raises(TypeError, match=f"no option `{name}`; {told}"):
+        make(**{name: 1})
+
+
+def test_a_text_of_rules_is_no_file() -> None:
+    for text in ("Stop(X) :- IsCar(X).", "// no rules\n"):
+        for use in (partial(SPFEnv, "easy"), partial(logicity.Simulation, "easy"), partial(logicity.Inference, "easy")):
+            with pytest.raises(ValueError, match="`rules` is the path of a rule file, not a text"):
+                use(rules=text)
+
+
 @pytest.mark.parametrize("way", ["copy", "pickle"])
 def test_a_copy_goes_on_alike(way: str) -> None:
     env = SPFEnv("hard", atoms=True)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import logicity
-from logicity import ENVIRONMENTS, Benchmark, Evaluation, evaluate
+from logicity import ENVIRONMENTS, Benchmark, Evaluation, demonstrations, evaluate, observation_names
 from logicity.__main__ import main
 from logicity.describe import describe
 from logicity.evaluation import write_json
@@ -61,6 +62,12 @@ def test_all_kinds_of_policies_go_alike() -> None:
     assert len({record.steps for record in one.episodes}) > 3
 
 
+def test_results_print_short() -> None:
+    told = repr(evaluate("oracle", "easy", "val"))
+    assert told.startswith("<Evaluation of oracle in easy, val: TSR 1.00 [0.91, 1.00], DSR 1.00 [0.91, 1.00], Score ")
+    assert told.endswith(", 40 episodes>") and len(told) < 150
+
+
 def test_an_evaluation_is_what_single_environments_say() -> None:
     measured = evaluate(varied, "hard", "val")
     env = gymnasium.make(ENVIRONMENTS["hard"], split="val")
@@ -74,6 +81,15 @@ def test_an_evaluation_is_what_single_environments_say() -> None:
         assert record.total == pytest.approx(total) and record.violations == tuple(info["violations"])
     assert measured.tsr.value == np.mean([record.success for record in measured.episodes])
     assert measured.mean_return.value == pytest.approx(np.mean([record.total for record in measured.episodes]))
+    # The formulas of python/README.md; here rules ask for Stop alone.
+    asked = [any(record.constrained.values()) for record in measured.episodes]
+    kept = [ever and not record.violations for ever, record in zip(asked, measured.episodes, strict=True)]
+    assert measured.dsr.value == np.mean(kept)
+    assert measured.dsr_by_action["Stop"].value == pytest.approx(sum(kept) / sum(asked))
+    random = evaluate("random", "hard", "val").episodes
+    zero = [np.mean([run.total for run in random if run.episode == record.episode]) for record in measured.episodes]
+    gained = [record.total - float(mean) for record, mean in zip(measured.episodes, zero, strict=True)]
+    assert measured.score.value == pytest.approx(np.mean(gained))
 
 
 def test_overrides_and_points_are_measured_too() -> None:
@@ -90,6 +106,45 @@ def test_overrides_and_points_are_measured_too() -> None:
 
     evaluate(normal, "easy", "val", observation="points", batched=True)
     assert shapes == {(40, 20, 15)}
+
+
+def test_a_city_of_ones_own_is_measured(own_city: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own, easy = evaluate(varied, own_city, "val"), evaluate(varied, "easy", "val")
+    assert (own.mode, own.episodes) == (str(own_city), easy.episodes[:5])
+    assert own.episodes_hash != easy.episodes_hash
+    # A file that is built in is one, too.
+    assert Benchmark("configs/easy.yaml", "val").evaluate(varied).episodes == easy.episodes
+    assert main(["evaluate", "--policy", "oracle", "--modes", f"easy,{own_city}", "--split", "val"]) == 0
+    assert [line.split()[1] for line in capsys.readouterr().out.splitlines()] == ["mode", "easy", str(own_city)]
+
+
+def test_of_episodes_that_do_not_fit_it_is_said_what_helps(own_city: Path) -> None:
+    fewer = {"agents": {"val": {"cars": [{"priority": 1, "count": 3}]}}}
+    benchmark = Benchmark(own_city, "val", overrides=fewer)
+    for drive in (lambda: benchmark.evaluate("oracle"), lambda: demonstrations(own_city, 2, "val", overrides=fewer)):
+        with pytest.raises(logicity.InputError, match="logicity episodes make") as raised:
+            drive()
+        (fault,) = raised.value.diagnostics
+        assert fault["code"] == "invalid-episode" and "`task.episodes`" in fault["help"][-1]
+    with pytest.raises(logicity.InputError, match="logicity episodes make"):
+        Benchmark(own_city, overrides={"task": {"episodes": None}})
+
+
+def test_episodes_in_which_rules_ask_nothing_count_against_dsr_alone(tmp_path: Path) -> None:
+    rules = tmp_path / "few.dl"
+    rules.write_text('.include "vocabulary.dl"\nStop(X) :- IsAtInter(X), IsInInter(Y), IsAmbulance(Y).\n')
+    oracle = evaluate("oracle", "easy", "val", rules=rules)
+    asked = [any(record.constrained.values()) for record in oracle.episodes]
+    assert oracle.dsr.value == np.mean(asked) and 0 < oracle.dsr.value < 1
+    assert oracle.dsr_by_action["Stop"].value == 1.0
+
+
+def test_recorded_episodes_come_with_replacement_or_each_once() -> None:
+    drawn = gymnasium.make_vec(ENVIRONMENTS["easy"], num_envs=40, split="val", episodes="recorded")
+    chosen = gymnasium.make_vec(ENVIRONMENTS["easy"], num_envs=40, split="val")
+    some = set(drawn.reset(seed=0)[1]["seed"].tolist())
+    every = set(chosen.reset(options={"episodes": range(40)})[1]["seed"].tolist())
+    assert len(every) == 40 and some < every
 
 
 @pytest.mark.parametrize(
@@ -119,6 +174,8 @@ def test_faulty_policies_are_refused(policy: Any, batched: bool, error: type[Exc
     ("arguments", "error"),
     [
         ({"mode": "simple"}, ValueError),
+        ({"mode": "no-such.yaml"}, OSError),
+        ({"mode": "configs/vap-easy.yaml"}, logicity.InputError),
         ({"mode": "easy", "split": "exam"}, ValueError),
         ({"mode": "easy", "observation": "pixels"}, ValueError),
         ({"mode": "easy", "rules": "no.dl"}, OSError),
@@ -168,7 +225,9 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
-        (["evaluate", "--policy", "no-such.zip", "--modes", "easy"], 1, "error: "),
+        (["evaluate", "--policy", "no-such.zip", "--modes", "easy"], 1, "error: `no-such.zip`: no such file"),
+        (["evaluate", "--policy", "runs/best", "--modes", "easy"], 1, "error: `runs/best`: no such file"),
+        (["evaluate", "--policy", "foo"], 1, "unknown policy `foo`: oracle, random, or a file that Stable-Baselines3"),
         (["evaluate", "--policy", "oracle", "--modes", "easy", "--json", "no/such/folder.json"], 1, "error: "),
         (["evaluate", "--policy", "oracle", "--modes", "simple"], 2, "unknown mode `simple`"),
         (["evaluate", "--policy", "oracle", "--split", "exam"], 2, "invalid choice"),
@@ -184,6 +243,57 @@ def test_faulty_commands_end_with_a_message(
     except SystemExit as exit:  # argparse ends so
         ended = int(exit.code or 0)
     assert ended == status and message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["evaluate", "train", "describe"])
+def test_commands_say_what_they_do(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    listed = " ".join(capsys.readouterr().out.split())
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    said = capsys.readouterr().out.split("\n\n")[1].replace("\n", " ").removesuffix(".")
+    assert f"{command} {said[0].lower()}{said[1:]}" in listed
+
+
+ATOM = re.compile(r"(\w+)\((\w+)(?:, (\w+))?\)")
+
+
+def parts(atom: str) -> tuple[str, tuple[str, ...]]:
+    match = ATOM.fullmatch(atom)
+    assert match, atom
+    return match[1], tuple(of for of in match.groups()[1:] if of is not None)
+
+
+@pytest.mark.parametrize("mode", list(ENVIRONMENTS))
+def test_names_of_observations_are_those_of_what_is_true(mode: str) -> None:
+    """The true atoms with agents for entities are, for one choice of agents a step, just what `true_atoms` has."""
+    names = observation_names(mode)
+    env = gymnasium.make(ENVIRONMENTS[mode], atoms=True)
+    observation, info = env.reset(seed=5)
+    generator, seen = np.random.default_rng(5), set()
+    for _ in range(400):
+        assert len(names) == len(observation)
+        shown = [parts(names[at]) for at in np.flatnonzero(observation)]
+        agents = {"0": "Car_1"}
+        for (predicate, entities), (true, named) in zip(shown, map(parts, info["true_atoms"]), strict=True):
+            assert predicate == true and len(entities) == len(named)
+            assert all(agents.setdefault(entity, name) == name for entity, name in zip(entities, named, strict=True))
+            seen.add(predicate)
+        assert len(set(agents.values())) == len(agents), "one agent for each entity"
+        observation, _, terminated, truncated, info = env.step(int(generator.integers(4)))
+        if terminated or truncated:
+            observation, info = env.reset()
+    assert len(seen) > 6
+
+
+def test_names_follow_the_configuration(own_city: Path) -> None:
+    names = observation_names("easy")
+    assert names == observation_names(own_city) and len(set(names)) == len(names) == 85
+    assert names[6] == "IsCar(1)" and names[35 + 5 * 2 + 3] == "HigherPri(2, 3)"
+    assert observation_names("easy", overrides={"task": {"route_length": True}}) == (*names, "route length")
+    with pytest.raises(ValueError, match="unknown mode `esy`.*did you mean `easy`"):
+        observation_names("esy")
 
 
 def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:

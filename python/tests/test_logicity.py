@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import logicity
 
 
@@ -24,6 +26,39 @@ def test_everything_public_is_documented() -> None:
             for member, value in vars(thing).items():
                 if not member.startswith("_") and (callable(value) or isinstance(value, property)):
                     assert value.__doc__, f"{name}.{member}"
+
+
+def test_what_an_extra_would_bring_is_told_with_its_name() -> None:
+    # As if none of them were installed, wherever this runs.
+    text = """
+import sys
+for name in ("stable_baselines3", "pettingzoo", "minari", "pyarrow"):
+    sys.modules[name] = None
+
+import logicity
+few = logicity.demonstrations("easy", 1)
+for use in (
+    lambda: logicity.sb3.make_vec_env,
+    lambda: logicity.train,
+    lambda: logicity.parallel,
+    logicity.parallel_env,
+    few.to_minari,
+    lambda: few.to_parquet("steps.parquet"),
+):
+    try:
+        use()
+    except ImportError as error:
+        print(str(error).partition("install ")[2])
+"""
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
+    extras = ["train", "train", "pettingzoo", "pettingzoo", "offline", "offline"]
+    expected = [f"the extra `{extra}`: pip install './python[{extra}]'" for extra in extras]
+    assert (done.stdout.splitlines(), done.stderr) == (expected, "")
+
+
+def test_there_is_no_more_than_there_is() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'sb4'"):
+        getattr(logicity, "sb4")  # noqa: B009
 
 
 def test_the_stubs_are_those_of_the_module(tmp_path: Path) -> None:

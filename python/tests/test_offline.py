@@ -38,6 +38,11 @@ def test_every_mode_has_a_hundred(mode: str) -> None:
         assert steps == oracle["steps"] and trajectory.rewards.sum() == pytest.approx(oracle["return"])
 
 
+def test_they_print_short(few: Demonstrations) -> None:
+    steps = sum(len(trajectory) for trajectory in few)
+    assert repr(few) == f"<Demonstrations of easy, train: 6 trajectories, {steps} steps>"
+
+
 def test_they_can_be_driven_again(few: Demonstrations) -> None:
     env = gymnasium.make(few.env)
     for trajectory in few:
@@ -49,10 +54,25 @@ def test_they_can_be_driven_again(few: Demonstrations) -> None:
         assert (observation == trajectory.observations[-1]).all()
 
 
+def test_a_city_of_ones_own_gives_them_too(own_city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own, easy = demonstrations(own_city, split="val"), demonstrations("easy", 5, "val")
+    assert len(own) == 5 and own.mode == str(own_city) and own.atoms == easy.atoms
+    for one, other in zip(own, easy, strict=True):
+        assert (one.observations == other.observations).all() and (one.actions == other.actions).all()
+    assert [folder.name for folder in own.to_popper(tmp_path)] == ["stop"]
+    # The environment is found from elsewhere, though the path was relative.
+    monkeypatch.chdir(own_city.parent)
+    spec = demonstrations(own_city.name, 1, "val").env
+    monkeypatch.chdir("/")
+    gymnasium.make(spec).reset(options={"episode": 4})
+
+
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [
         ({"mode": "simple"}, ValueError),
+        ({"mode": "no-such.yaml"}, OSError),
+        ({"mode": "configs/vap-easy.yaml"}, logicity.InputError),
         ({"mode": "easy", "n": 0}, ValueError),
         ({"mode": "easy", "n": 101}, ValueError),
         ({"mode": "easy", "n": 41, "split": "val"}, ValueError),
@@ -201,3 +221,15 @@ def test_minari_gives_back_data_and_environment(mode: str, tmp_path: Path, monke
         assert (observation == episode.observations[0]).all()
     with pytest.raises(ValueError):
         trajectories.to_minari(**author)
+
+
+def test_minari_takes_a_city_of_ones_own(own_city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    minari = pytest.importorskip("minari", reason="needs the extra `offline`: `make python-all` installs it")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    trajectories = demonstrations(own_city, split="val")
+    trajectories.to_minari(author="A", author_email="a@example.org", code_permalink="https://example.org")
+    dataset = minari.load_dataset("logicity/spf-own/oracle-v0")
+    assert dataset.total_episodes == 5
+    for env in (dataset.recover_environment(), dataset.recover_environment(eval_env=True)):
+        observation, _ = env.reset(options={"episode": 4})
+        assert (observation == trajectories[4].observations[0]).all()

@@ -18,6 +18,11 @@ def test_pettingzoo_has_nothing_to_say_against(mode: str) -> None:
     parallel_seed_test(lambda: logicity.parallel_env(mode), num_cycles=100)
 
 
+def test_options_that_there_are_not_are_told() -> None:
+    with pytest.raises(TypeError, match="no option `episodes`; there are: split, .*, render_mode$"):
+        logicity.parallel_env("easy", episodes="recorded")
+
+
 def test_cars_that_have_ended_go_on_by_the_rules() -> None:
     env = logicity.parallel_env("expert", observation="points", render_mode="ansi")
     observations, infos = env.reset(seed=3)

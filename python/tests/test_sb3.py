@@ -56,7 +56,7 @@ def test_episodes_can_be_chosen() -> None:
 
 
 def test_it_trains() -> None:
-    envs = make_vec_env("easy", 4, seed=0)
+    envs = logicity.sb3.make_vec_env("easy", 4, seed=0)
     assert isinstance(envs, VecMonitor)
     model = DQN("MlpPolicy", envs, learning_starts=100, seed=0)
     model.learn(400)
