@@ -297,6 +297,8 @@ def demonstrations(
     if split not in told["splits"]:
         raise ValueError(f"unknown split `{split}`: it is one of {', '.join(told['splits'])}")
     count = told["splits"][split]["episodes"]
+    if count is None:
+        raise ValueError(f"no episodes are recorded for {mode}, {split}")
     if not 1 <= n <= count:
         raise ValueError(f"{n} demonstrations wanted: {count} episodes are recorded for {mode}, {split}")
     env = gymnasium.make(ENVIRONMENTS[mode], split=split, observation=observation, **options)

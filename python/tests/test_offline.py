@@ -56,6 +56,7 @@ def test_they_can_be_driven_again(few: Demonstrations) -> None:
         ({"mode": "easy", "n": 0}, ValueError),
         ({"mode": "easy", "n": 101}, ValueError),
         ({"mode": "easy", "n": 41, "split": "val"}, ValueError),
+        ({"mode": "easy", "overrides": {"task": {"episodes": {"train": None}}}}, ValueError),
         ({"mode": "easy", "split": "exam"}, ValueError),
         ({"mode": "easy", "observation": "pixels"}, ValueError),
         ({"mode": "easy", "rules": "no.dl"}, OSError),
