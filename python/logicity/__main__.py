@@ -140,7 +140,10 @@ def _train(given: argparse.Namespace) -> int:
     if given.seed is not None:
         config = replace(config, seed=given.seed)
     run = given.run or Path("runs") / f"{given.config.stem}-{config.seed}"
-    result = train(config, run, progress=sys.stderr.isatty())
+    try:
+        result = train(config, run, progress=sys.stderr.isatty())
+    except ValueError as error:
+        raise ValueError(f"{given.config}: {error}") from error
     tsr = result["test"]["tsr"]
     print(f"{result['steps']} steps in {result['minutes']} minutes; best after {result['best']['steps']}")
     print(f"TSR on test episodes: {tsr['value']:.2f} [{tsr['low']:.2f}, {tsr['high']:.2f}]")

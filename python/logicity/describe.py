@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, TypeAlias
 
 from . import _logicity
-from .city import ACTIONS
+from .city import ACTIONS, HEADINGS
 from .evaluation import load_task
 from .modes import ENVIRONMENTS
 
@@ -28,6 +28,7 @@ def describe() -> str:
         ("Environments", _environments(tasks)),
         ("Rewards", _rewards(tasks)),
         ("Observations", _observations(tasks)),
+        ("Exact observations", _points(tasks)),
     ]
     return "\n".join(f"### {title}\n\n{text}" for title, text in sections)
 
@@ -143,4 +144,36 @@ def _observations(tasks: dict[str, Any]) -> str:
     return (
         "Each number of `atoms` is 1 if an atom is true and else 0. Entity 0 is the ego, the others are what it sees; "
         "i and j count from 0. Of entities that are not there nothing is true.\n\n" + "\n".join(told)
+    )
+
+
+def _points(tasks: dict[str, Any]) -> str:
+    def each(key: str) -> str:
+        """What modes have of something: said once if they agree."""
+        by_value: dict[str, list[str]] = {}
+        for mode, task in tasks.items():
+            by_value.setdefault(f"{task[key]:g}", []).append(mode)
+        told = [f"{value} in {', '.join(modes)}" for value, modes in by_value.items()]
+        return next(iter(by_value)) if len(by_value) == 1 else "; ".join(told)
+
+    rows: list[tuple[object, ...]] = [
+        (0, "1: there is an agent", "0, 1"),
+        (1, "rows from the ego down to it, as a share of the half-width of the field of view", "-1 to 1"),
+        (2, "columns from the ego right to it, as that share", "-1 to 1"),
+        ("3 to 6", f"1 for its heading: {', '.join(HEADINGS)}; all 0 before its first move", "0, 1"),
+        (7, "its priority as a share of the greatest; a smaller one goes first", "-1 to 1"),
+    ]
+    predicates: dict[str, list[str]] = {}
+    for mode, task in tasks.items():
+        names = ", ".join(f"`{column['predicate']}`" for column in task["columns"] if column["arity"] == 1)
+        predicates.setdefault(names, []).append(mode)
+    for names, modes in predicates.items():
+        last = 7 + names.count(",") + 1
+        rows.append((f"8 to {last}", f"1 for each that it is, in {', '.join(modes)}: {names}", "0, 1"))
+    return (
+        "`points` has a row for each agent: the ego first, then the others in its field of view in the order of the "
+        "list of agents (`episode` tells it), not of their distance. Those for which there is no row left are not "
+        "seen at all; rows that are left are 0. The field of view goes so many cells from the ego to each side: "
+        f"{each('view')}. The greatest priority: {each('priority_scale')}.\n\n"
+        + _table(("column", "meaning", "values"), rows)
     )

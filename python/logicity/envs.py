@@ -27,6 +27,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from . import _logicity
+from .city import ACTIONS
 from .errors import did_you_mean
 from .rules import rule_file
 from .types import Split
@@ -145,8 +146,9 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
 
     Observations are arrays of float32. `observation="atoms"` (default): 1 for each true atom about the car and the
     first 4 others that it sees, shape (85,), (140,) or (205,) as the mode has predicates, and one more number from 0 to
-    1 if the configuration sets `task: {route_length: true}`. `observation="points"`: the exact state, a row for each
-    agent in the field of view, numbers from -1 to 1.
+    1 if the configuration sets `task: {route_length: true}`. `observation="points"`: the exact state, shape
+    (20, 15), (20, 16) or (20, 19): a row for the ego and for each other agent in its field of view, as long as there
+    are rows, numbers from -1 to 1. `python -m logicity describe` prints what each number of both is.
 
     Parameters: `config` is a run configuration, a built-in name such as `expert` or a path; `split` the set of agents;
     `rules` a rule file instead of the configuration's; `overrides` a mapping that is merged over the configuration,
@@ -203,6 +205,9 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         `seed`, from 0 to 2**64 - 1, begins a new sequence of episodes; without one the next of the sequence follows.
         `options`: `episode` is the number of a recorded episode of the split or a mapping such as `SPFEnv.episode`, and
         then the sequence does not go on; `map` and `agents` replace those parts of the configuration for this episode.
+
+        Raises `IndexError` if there is no recorded episode of that number, `InputError` (`invalid-episode`) for a
+        mapping that is no episode here, `ValueError` for an option that cannot be meant.
         """
         super().reset(seed=seed)
         options = options or {}
@@ -239,11 +244,8 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         if self._taken is None:
             raise ResetNeeded("no episode has begun: `reset` begins one")
         observation = self._look()
-        try:
-            number = operator.index(action)
-            reward, terminated, truncated, info = self._core.step_one(number, observation)
-        except (TypeError, OverflowError):
-            raise InvalidAction(f"{action!r} is no action: they are 0 Slow, 1 Normal, 2 Fast, 3 Stop") from None
+        number = checked_action(action)
+        reward, terminated, truncated, info = self._core.step_one(number, observation)
         self._taken.append(number)
         return observation, reward, terminated, truncated, _told(info, self._core, 0, self._atoms)
 
@@ -273,7 +275,10 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         """Arguments, and the episode with the actions taken: with them everything is as it was."""
         state = {key: value for key, value in self.__dict__.items() if key not in ("_task", "_home", "_core")}
         state["_source"] = self._home.source(0)
-        state["_start"] = None if self._taken is None else self._core.episode(0)
+        # A step that was interrupted has ended the episode for good.
+        goes_on = self._taken is not None and self._core.has_begun(0)
+        state["_start"] = self._core.episode(0) if goes_on else None
+        state["_taken"] = self._taken if goes_on else None
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -292,10 +297,16 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
                 self._core.step_one(action, observation)
 
 
-def _told(info: dict[str, Any], core: _logicity.Environments, at: int, atoms: bool) -> dict[str, Any]:
-    """Return what is told of an environment as gymnasium takes it; with atoms, what is true there."""
+def told_of(info: dict[str, Any]) -> dict[str, Any]:
+    """Return what is told of an episode as gymnasium takes it."""
     # A type that holds any seed where gymnasium puts it into an array, which a whole number of Python would not.
     info["seed"] = np.uint64(info["seed"])
+    return info
+
+
+def _told(info: dict[str, Any], core: _logicity.Environments, at: int, atoms: bool) -> dict[str, Any]:
+    """Return what is told of an environment; with atoms, what is true there."""
+    told_of(info)
     if atoms:
         info["true_atoms"] = core.atoms(at)
     return info
@@ -319,6 +330,18 @@ def check_options(options: Mapping[str, Any], known: tuple[str, ...]) -> None:
     for option in options:
         if option not in known:
             raise ValueError(f"unknown option `{option}`: they are {', '.join(known)}")
+
+
+def checked_action(action: Any) -> int:
+    """Return the number of an action if it is one."""
+    try:
+        number = operator.index(action)
+    except TypeError:
+        number = -1
+    if not 0 <= number < len(ACTIONS):
+        known = ", ".join(f"{number} {name}" for number, name in enumerate(ACTIONS))
+        raise InvalidAction(f"{action!r} is no action: they are {known}")
+    return number
 
 
 def begin_of(episode: Any) -> Any:
@@ -403,9 +426,13 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         `seed` begins new sequences of episodes: one number s gives environment i the seed s + i; a list has one for
         each, where `None` goes on with the sequence. `options`: `reset_mask`, an array of bool, which environments
         begin (default: all); `episode`, as for `SPFEnv`, for all of them, or `episodes`, a list with one for each.
+
+        Raises what `SPFEnv.reset` does.
         """
         options = dict(options or {})
         check_options(options, ("reset_mask", "episode", "episodes"))
+        if options.get("episode") is not None and options.get("episodes") is not None:
+            raise ValueError("`episode` is for all environments, `episodes` has one for each: give one of them")
         mask = self._mask(options)
         seeds: list[int | None]
         if seed is None:
@@ -417,7 +444,9 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
             seeds = list(seed)
             if len(seeds) != self.num_envs:
                 raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
-        chosen = options.get("episodes", [options.get("episode")] * self.num_envs)
+        chosen = options.get("episodes")
+        if chosen is None:
+            chosen = [options.get("episode")] * self.num_envs
         if len(chosen) != self.num_envs:
             raise ValueError(f"{len(chosen)} episodes for {self.num_envs} environments")
         begin = [bool(begins) and begin_of(episode) for begins, episode in zip(mask, chosen, strict=True)]
@@ -503,15 +532,26 @@ class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
         infos["final_info"], infos["_final_info"], infos["_final_obs"] = info, mask.copy(), mask
 
     def episode(self, at: int) -> EpisodeStart:
-        """How the episode of an environment began."""
-        return cast(EpisodeStart, self._core.episode(at))
+        """How the episode of an environment began.
+
+        Raises `IndexError` if there is no such environment, `gymnasium.error.ResetNeeded` if it has no episode.
+        """
+        return cast(EpisodeStart, self._core.episode(self._place(at)))
 
     def explain(self, at: int) -> str:
-        """Tell why the oracle of an environment would act as it would, as `SPFEnv.explain` does."""
-        return self._core.explain(at)
+        """Tell why the oracle of an environment would act as it would, as `SPFEnv.explain` does.
+
+        Raises what `episode` does.
+        """
+        return self._core.explain(self._place(at))
+
+    def _place(self, at: int) -> int:
+        if not 0 <= operator.index(at) < self.num_envs:
+            raise IndexError(f"there is no environment {at}: they are 0 to {self.num_envs - 1}")
+        return at
 
     def render(self) -> tuple[Any, ...] | None:
-        """Draw all cities, see `SPFEnv.render`."""
+        """Draw all cities, see `SPFEnv.render`. Raises `gymnasium.error.ResetNeeded` if one has no episode."""
         if self.render_mode is None:
             raise gymnasium.error.Error("no `render_mode` was chosen when the environments were made")
         return tuple(_rendered(self._core, at, self.render_mode) for at in range(self.num_envs))

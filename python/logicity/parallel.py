@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 import os
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -20,7 +19,18 @@ except ImportError as error:
     raise missing_extra("pettingzoo", error) from error
 
 from . import _logicity
-from .envs import EpisodeStart, Observations, Options, World, begin_of, checked_render_mode, checked_seed
+from .envs import (
+    EpisodeStart,
+    Observations,
+    Options,
+    World,
+    begin_of,
+    checked_action,
+    checked_render_mode,
+    checked_seed,
+    told_of,
+)
+from .errors import did_you_mean
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # Python 3.11; only annotations use it
@@ -86,7 +96,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         self.agents, self._begun = [], False
         self._cars.reset(None if episode is True else episode)
         self.agents, self._begun = list(self.possible_agents), True
-        infos = {name: self._cars.outcome(self._place[name])[3] for name in self.agents}
+        infos = {name: told_of(self._cars.outcome(self._place[name])[3]) for name in self.agents}
         return {name: self._look(name) for name in self.agents}, infos
 
     def _look(self, name: str) -> Observations:
@@ -106,12 +116,9 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         if missing or strange:
             raise InvalidAction(f"no action for {', '.join(missing)}" if missing else f"no car {', '.join(strange)}")
         numbers = [0] * len(self.possible_agents)
-        try:
-            for name in live:
-                numbers[self._place[name]] = operator.index(actions[name])
-            self._cars.step(numbers)
-        except (TypeError, OverflowError):
-            raise InvalidAction("actions are 0 Slow, 1 Normal, 2 Fast, 3 Stop") from None
+        for name in live:
+            numbers[self._place[name]] = checked_action(actions[name])
+        self._cars.step(numbers)
         outcomes = {name: self._cars.outcome(self._place[name]) for name in live}
         self.agents = [name for name in live if not (outcomes[name][1] or outcomes[name][2])]
         return (
@@ -119,7 +126,7 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
             {name: outcome[0] for name, outcome in outcomes.items()},
             {name: outcome[1] for name, outcome in outcomes.items()},
             {name: outcome[2] for name, outcome in outcomes.items()},
-            {name: outcome[3] for name, outcome in outcomes.items()},
+            {name: told_of(outcome[3]) for name, outcome in outcomes.items()},
         )
 
     @property
@@ -129,8 +136,13 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         return cast(EpisodeStart, self._cars.episode())
 
     def explain(self, agent: str) -> str:
-        """Tell why the rules want what they want of a car, as `SPFEnv.explain` does."""
+        """Tell why the rules want what they want of a car, as `SPFEnv.explain` does.
+
+        Raises `ValueError` if there is no such car.
+        """
         self._check_begun()
+        if agent not in self._place:
+            raise ValueError(f"there is no car `{agent}`{did_you_mean(agent, self._place)}")
         return self._cars.explain(self._place[agent])
 
     def _check_begun(self) -> None:

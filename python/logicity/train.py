@@ -9,12 +9,16 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from inspect import signature
+from math import isfinite
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin
 from zipfile import BadZipFile, ZipFile
 
 import gymnasium
@@ -32,11 +36,11 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ProgressBarCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
 
 from . import _logicity
 from ._logicity import __version__
+from .errors import did_you_mean
 from .evaluation import Benchmark, Evaluation, write_json
 from .modes import ENVIRONMENTS
 from .sb3 import make_vec_env
@@ -68,7 +72,7 @@ class FeatureLayers(BaseFeaturesExtractor):
 class TrainConfig:
     """What a training run is.
 
-    - `algorithm`: `dqn`, `ppo` or `a2c`; `settings` are arguments of its class in Stable-Baselines3.
+    - `algorithm`: `dqn`, `ppo` or `a2c`; `settings` are arguments of its class in Stable-Baselines3 that JSON can say.
     - `mode`: whose rules and episodes; `overrides` change the task in training only: validation and test are the mode's
       own.
     - `network`: widths of the feature layers, each with ReLU, between the observation and the heads.
@@ -109,6 +113,12 @@ class TrainConfig:
         for name in ("settings", "overrides"):
             if not isinstance(getattr(self, name), Mapping):
                 raise ValueError(f"`{name}` is a mapping, not {getattr(self, name)!r}")
+        hints = _settings_of(self.algorithm)
+        for name, value in self.settings.items():
+            if name not in hints:
+                raise ValueError(f"`settings`: {self.algorithm.upper()} has no `{name}`{did_you_mean(name, hints)}")
+            if not _fits(value, hints[name]):
+                raise ValueError(f"`settings`: `{name}` cannot be {value!r}")
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> TrainConfig:
@@ -134,12 +144,44 @@ def _is_count(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
 
 
+def _settings_of(algorithm: str) -> dict[str, Any]:
+    """The arguments of an algorithm that a configuration may give, with their types."""
+    ours = {"policy", "env", "policy_kwargs", "seed", "tensorboard_log", "device"}
+    known = signature(ALGORITHMS[algorithm]).parameters.values()
+    return {each.name: each.annotation for each in known if each.name not in ours and not each.name.startswith("_")}
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a value is of a type. Of what a file cannot say, such as functions, nothing is."""
+    if get_origin(hint) in (Union, UnionType):
+        return any(_fits(value, each) for each in get_args(hint))
+    if get_origin(hint) is tuple:
+        parts = get_args(hint)
+        return isinstance(value, (list, tuple)) and len(value) == len(parts) and all(map(_fits, value, parts))
+    if get_origin(hint) is dict:
+        return isinstance(value, dict)
+    if hint in (int, float):
+        # A truth value is an `int` to Python, and no number to whoever writes it.
+        allowed = (int, float) if hint is float else int
+        return isinstance(value, allowed) and not isinstance(value, bool) and isfinite(value)
+    return hint in (bool, str, NoneType) and isinstance(value, hint)
+
+
+class _Loader(yaml.SafeLoader):
+    """Reads `3e-5` as the number that YAML 1.2 says it is; 1.1 wants a point in it."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+\Z"), list("-+.0123456789")
+)
+
+
 def _load_tree(path: Path, users: tuple[Path, ...]) -> dict[str, Any]:
     if path.resolve() in users:
         raise ValueError(f"{path}: its `base` leads back to it")
     text = _logicity.read_file(path)
     try:
-        tree = yaml.safe_load(text)
+        tree = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
         raise ValueError(f"{path}: {error}") from None
     if not isinstance(tree, dict):
@@ -261,9 +303,9 @@ def train(
 
     After a kill it goes on from the last validation: weights, optimizer, replay buffer, number of steps and with it the
     rate of exploration, and the best model so far are as they were then. Lost are the episodes that went on, a rollout
-    of PPO or A2C that was not full, and the states of the random streams; new episodes and draws follow from the seed
-    and the number of steps. So a run that was killed does not end as one that was not, bit for bit, but as any other
-    that was killed there.
+    of PPO or A2C that was not full, and the states of the random streams; new episodes and draws follow from the sum of
+    the seed and the number of steps. So a run that was killed does not end as one that was not, bit for bit, but as any
+    other that was killed there.
 
     Args:
         config: what to train.
@@ -272,22 +314,16 @@ def train(
         tensorboard: whether to write curves.
 
     Raises:
-        ValueError: the folder has another run, or a setting is none of the algorithm's.
+        ValueError: the folder has another run, or the algorithm cannot be made with the settings. No run begins then.
+        InputError: a faulty override.
     """
     run = Path(run)
-    _claim(run, config)
+    claimed = _is_claimed(run, config)
     torch.set_num_threads(config.threads)
     checkpoints = _checkpoints(run)
     state = State(**json.loads((checkpoints[-1] / "state.json").read_text())) if checkpoints else State()
-    set_random_seed((config.seed + state.steps) % 2**32)
-    env = make_vec_env(
-        config.mode,
-        config.envs,
-        # Not the same episodes again after a kill.
-        config.seed + state.steps,
-        split="train",
-        overrides=config.overrides,
-    )
+    # The model seeds it.
+    env = make_vec_env(config.mode, config.envs, split="train", overrides=config.overrides)
     log = str(run / "tensorboard") if tensorboard else None
     try:
         if checkpoints:
@@ -296,8 +332,13 @@ def train(
             )
             if isinstance(model, OffPolicyAlgorithm):
                 model.load_replay_buffer(checkpoints[-1] / "replay.pkl")
+            # Loading has seeded everything as at the beginning, which would bring the same episodes again.
+            model.set_random_seed((config.seed + state.steps) % 2**32)
         else:
             model = new_model(config, env, log)
+        if not claimed:
+            run.mkdir(parents=True, exist_ok=True)
+            write_json(run / "config.json", asdict(config))
         validation = Validation(run, config, state)
         bar = [ProgressBarCallback()] if progress else []
         model.learn(
@@ -314,28 +355,29 @@ def train(
     return result
 
 
-def _claim(run: Path, config: TrainConfig) -> None:
-    """Note what a run is of; a folder has one run."""
-    run.mkdir(parents=True, exist_ok=True)
+def _is_claimed(run: Path, config: TrainConfig) -> bool:
+    """Whether a folder has this run, of which a note is there; another run is refused."""
     note = run / "config.json"
-    wanted = json.loads(json.dumps(asdict(config)))
     if not note.exists():
-        write_json(note, wanted)
-    elif json.loads(note.read_text(encoding="utf-8")) != wanted:
+        return False
+    if json.loads(note.read_text(encoding="utf-8")) != json.loads(json.dumps(asdict(config))):
         raise ValueError(f"{run} has a run of another configuration; remove it or name another folder")
+    return True
 
 
 def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseAlgorithm:
     """Make an untrained model; `log` is the folder of the curves.
 
     Raises:
-        ValueError: a setting is none of the algorithm's.
+        ValueError: the algorithm cannot be made with the settings.
     """
     policy = {
         "features_extractor_class": FeatureLayers,
         "features_extractor_kwargs": {"widths": config.network},
         "net_arch": [],
     }
+    # Files have lists where the algorithms want tuples, as in `train_freq: [4, step]`.
+    settings = {name: tuple(value) if isinstance(value, list) else value for name, value in config.settings.items()}
     try:
         return ALGORITHMS[config.algorithm](
             "MlpPolicy",
@@ -344,10 +386,10 @@ def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseA
             seed=config.seed,
             tensorboard_log=log,
             device="cpu",
-            **config.settings,
+            **settings,
         )
-    except TypeError as error:
-        raise ValueError(f"a setting is none of {config.algorithm.upper()}'s: {error}") from None
+    except (AssertionError, TypeError, ValueError) as error:
+        raise ValueError(f"`settings`: {config.algorithm.upper()} cannot be made with them: {error}") from error
 
 
 def _result(config: TrainConfig, state: State, best: BaseAlgorithm) -> dict[str, Any]:

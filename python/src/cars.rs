@@ -1,8 +1,8 @@
 //! Every car of a city, driven.
 
-use crate::Signals;
-use crate::episode::PyEpisode;
+use crate::episode::{PyEpisode, read_episode};
 use crate::task::{PyTask, speed, split_named, view_named};
+use crate::{Signals, slice_of};
 use logicity::config::Speed;
 use logicity::task::path::{Egos, Env, EpisodeSource, Info, View, describe};
 use numpy::{PyArray3, PyReadwriteArrayDyn};
@@ -63,8 +63,9 @@ impl PyCars {
     }
 
     /// Begins the next episode, or one that is given.
-    fn reset(&mut self, py: Python<'_>, episode: Option<PyEpisode>) -> PyResult<()> {
-        let episode = episode.map(|episode| episode.read(&self.env)).transpose()?;
+    fn reset(&mut self, py: Python<'_>, episode: Option<Bound<'_, PyDict>>) -> PyResult<()> {
+        let given = episode.map(|episode| read_episode(&episode, &self.env));
+        let episode = given.transpose().map_err(|fault| self.task.get().error(py, fault))?;
         let (env, source) = (&mut self.env, &mut self.source);
         let begun = self.signals.detach(py, || match &episode {
             Some(episode) => env.reset_to(episode),
@@ -106,18 +107,9 @@ impl PyCars {
 
     /// Writes what a car observes.
     fn observe(&self, car: usize, mut out: PyReadwriteArrayDyn<'_, f32>) -> PyResult<()> {
-        let out = out
-            .as_slice_mut()
-            .map_err(|error| PyValueError::new_err(error.to_string()))?;
-        let wanted: usize = self.view.shape(&self.task.get().task).iter().product();
         self.check(car)?;
-        if out.len() != wanted {
-            return Err(PyValueError::new_err(format!(
-                "room for {} numbers, not {wanted}",
-                out.len()
-            )));
-        }
-        self.view.write(&self.env, car, out);
+        let wanted = self.view.shape(&self.task.get().task).iter().product();
+        self.view.write(&self.env, car, slice_of(&mut out, wanted)?);
         Ok(())
     }
 

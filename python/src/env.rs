@@ -1,9 +1,9 @@
 //! One car that is driven, or many of them, each in a city of its own, in one call.
 
-use crate::Signals;
 use crate::city::one_of;
-use crate::episode::{PyBegin, PyEpisode};
+use crate::episode::{PyBegin, PyEpisode, read_episode};
 use crate::task::{PyTask, gymnasium_error, speed, split_named, view_named};
+use crate::{Signals, slice_of};
 use logicity::config::{Speed, Split};
 use logicity::task::path::{Autoreset, Begin, Episode, EpisodeSource, Info, Member, VectorEnv, describe};
 use numpy::{PyArray1, PyArray3, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
@@ -43,19 +43,6 @@ type Outcomes<'py> = (
 
 /// What is told of an environment at the end of an episode: its position, the last observation, the names of the broken clauses.
 type Last<'py> = (usize, Bound<'py, PyArray1<f32>>, Bound<'py, PyTuple>);
-
-fn slice_of<'a, T: numpy::Element>(array: &'a mut PyReadwriteArray1<'_, T>, count: usize) -> PyResult<&'a mut [T]> {
-    let slice = array
-        .as_slice_mut()
-        .map_err(|error| PyValueError::new_err(error.to_string()))?;
-    match slice.len() == count {
-        true => Ok(slice),
-        false => Err(PyValueError::new_err(format!(
-            "an array of {}, not {count}",
-            slice.len()
-        ))),
-    }
-}
 
 /// Writes what is told of environments; the columns have a number for each environment.
 fn tell<'a>(columns: &mut Columns<'_>, count: usize, infos: impl Iterator<Item = (usize, &'a Info)>) -> PyResult<()> {
@@ -142,22 +129,26 @@ impl PyEnvironments {
     fn reset(
         &mut self,
         py: Python<'_>,
-        begin: Vec<PyBegin>,
+        begin: Vec<PyBegin<'_>>,
         mut observations: PyReadwriteArrayDyn<'_, f32>,
     ) -> PyResult<()> {
         let task = self.task.get();
         self.check(begin.len())?;
-        let read = |(begin, member): (PyBegin, &Member)| match begin {
+        let read = |(begin, member): (PyBegin<'_>, &Member)| match begin {
             PyBegin::Next(next) => Ok(next.then_some(Begin::Next)),
             PyBegin::Recorded(number) => {
                 let recorded = task.recorded_episodes(py, self.split)?;
-                let episode = recorded.get(number).ok_or_else(|| {
+                let place: Option<usize> = number.extract().ok();
+                let episode = place.and_then(|place| recorded.get(place)).ok_or_else(|| {
                     let (split, count) = (self.split.name(), recorded.len());
                     PyIndexError::new_err(format!("no episode {number}: the split `{split}` has {count}, from 0"))
                 })?;
                 Ok(Some(Begin::Given(Arc::new(episode.clone()))))
             }
-            PyBegin::Given(episode) => Ok(Some(Begin::Given(Arc::new(episode.read(member.env())?)))),
+            PyBegin::Given(episode) => match read_episode(&episode, member.env()) {
+                Ok(episode) => Ok(Some(Begin::Given(Arc::new(episode)))),
+                Err(fault) => Err(task.error(py, fault)),
+            },
         };
         let begin: Vec<Option<Begin>> = begin
             .into_iter()
@@ -284,24 +275,29 @@ impl PyEnvironments {
         self.task.get().atoms(py, member.env(), atoms)
     }
 
+    /// Whether an episode of an environment has begun, or begun and ended.
+    fn has_begun(&self, at: usize) -> PyResult<bool> {
+        Ok(self.member(at)?.is_ready(Autoreset::NextStep))
+    }
+
     /// How the episode of an environment began.
-    fn episode(&self, at: usize) -> PyResult<PyEpisode> {
-        Ok(PyEpisode::of(self.member(at)?.env().episode()))
+    fn episode(&self, py: Python<'_>, at: usize) -> PyResult<PyEpisode> {
+        Ok(PyEpisode::of(self.begun(py, at)?.env().episode()))
     }
 
     /// Why the rules want what they want.
     fn explain(&self, py: Python<'_>, at: usize) -> PyResult<String> {
-        (self.task.get()).explain(py, self.member(at)?.env(), 0, &self.signals)
+        (self.task.get()).explain(py, self.begun(py, at)?.env(), 0, &self.signals)
     }
 
     /// The state of an environment in a few lines.
-    fn text(&self, at: usize) -> PyResult<String> {
-        Ok(describe(self.member(at)?.env(), 0))
+    fn text(&self, py: Python<'_>, at: usize) -> PyResult<String> {
+        Ok(describe(self.begun(py, at)?.env(), 0))
     }
 
     /// The city of an environment: red, green and blue.
     fn picture<'py>(&self, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyArray3<u8>>> {
-        self.task.get().picture(py, self.member(at)?.env())
+        self.task.get().picture(py, self.begun(py, at)?.env())
     }
 }
 
@@ -309,6 +305,23 @@ impl PyEnvironments {
     fn member(&self, at: usize) -> PyResult<&Member> {
         let member = self.vector.members().get(at);
         member.ok_or_else(|| PyIndexError::new_err(format!("there is no environment {at}")))
+    }
+
+    /// The same if there is an episode to speak of.
+    fn begun(&self, py: Python<'_>, at: usize) -> PyResult<&Member> {
+        match self.has_begun(at)? {
+            true => self.member(at),
+            false => Err(self.reset_needed(py, at, "has not begun")),
+        }
+    }
+
+    fn reset_needed(&self, py: Python<'_>, at: usize, why: &str) -> PyErr {
+        let which = match self.vector.members().len() {
+            1 => String::new(),
+            _ => format!(" of environment {at}"),
+        };
+        let message = format!("the episode{which} {why}: `reset` begins one");
+        gymnasium_error(py, "ResetNeeded", message)
     }
 
     fn check(&self, given: usize) -> PyResult<()> {
@@ -321,29 +334,14 @@ impl PyEnvironments {
 
     fn check_ready(&self, py: Python<'_>) -> PyResult<()> {
         let mode = self.vector.autoreset();
-        let members = self.vector.members();
-        let Some(at) = members.iter().position(|member| !member.is_ready(mode)) else {
-            return Ok(());
-        };
-        let which = match members.len() {
-            1 => String::new(),
-            _ => format!(" of environment {at}"),
-        };
-        let message = format!("the episode{which} has ended or not begun: `reset` begins one");
-        Err(gymnasium_error(py, "ResetNeeded", message))
+        let mut members = self.vector.members().iter();
+        match members.position(|member| !member.is_ready(mode)) {
+            None => Ok(()),
+            Some(at) => Err(self.reset_needed(py, at, "has ended or not begun")),
+        }
     }
 
     fn rows<'a>(&self, observations: &'a mut PyReadwriteArrayDyn<'_, f32>) -> PyResult<&'a mut [f32]> {
-        let rows = observations
-            .as_slice_mut()
-            .map_err(|error| PyValueError::new_err(error.to_string()))?;
-        let wanted = self.vector.width() * self.vector.members().len();
-        match rows.len() == wanted {
-            true => Ok(rows),
-            false => Err(PyValueError::new_err(format!(
-                "room for {} numbers, not {wanted}",
-                rows.len()
-            ))),
-        }
+        slice_of(observations, self.vector.width() * self.vector.members().len())
     }
 }

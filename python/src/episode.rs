@@ -1,61 +1,46 @@
 //! How an episode begins, as Python says and is told it.
 
-use crate::city::one_of;
 use logicity::city::Cell;
 use logicity::config::{AgentName, Speed};
+use logicity::diag::{Code, Diagnostic, did_you_mean};
 use logicity::task::path::{Env, Episode, EpisodeAgent, OracleRun};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyInt, PyMapping};
 use std::collections::BTreeMap;
 
 /// What a trainer may say of an episode.
 #[derive(FromPyObject)]
-pub enum PyBegin {
+pub enum PyBegin<'py> {
     /// `True`: the next one of the source; `False`: none, the environment goes on.
     Next(bool),
     /// One of the recorded ones, by its number.
-    Recorded(usize),
-    Given(PyEpisode),
+    Recorded(Bound<'py, PyInt>),
+    Given(Bound<'py, PyDict>),
 }
 
-/// An episode as Python writes it.
-#[derive(FromPyObject, IntoPyObject)]
+/// An episode as Python is told it.
+#[derive(IntoPyObject)]
 pub struct PyEpisode {
-    #[pyo3(item)]
     seed: u64,
-    #[pyo3(item)]
     agents: Vec<PyEpisodeAgent>,
-    #[pyo3(item, default)]
     oracle: Option<PyOracle>,
 }
 
-#[derive(FromPyObject, IntoPyObject)]
+#[derive(IntoPyObject)]
 struct PyEpisodeAgent {
-    #[pyo3(item)]
     id: String,
-    #[pyo3(item)]
     concepts: Vec<String>,
-    #[pyo3(item)]
     priority: i32,
-    #[pyo3(item, from_py_with = cell)]
     start: (i32, i32),
-    #[pyo3(item, from_py_with = cell)]
     goal: (i32, i32),
 }
 
-/// Row and column, in a tuple or, as JSON has it, in a list.
-fn cell(given: &Bound<'_, PyAny>) -> PyResult<(i32, i32)> {
-    let [row, col]: [i32; 2] = given.extract()?;
-    Ok((row, col))
-}
-
-#[derive(FromPyObject, IntoPyObject)]
+#[derive(IntoPyObject)]
 struct PyOracle {
-    #[pyo3(item)]
     steps: u32,
     #[pyo3(item("return"))]
     total: f64,
-    #[pyo3(item)]
     constrained: BTreeMap<String, u32>,
 }
 
@@ -82,37 +67,115 @@ impl PyEpisode {
             }),
         }
     }
+}
 
-    /// The episode for an environment: agents are named as there.
-    pub fn read(self, env: &Env) -> PyResult<Episode> {
-        let known = env.city().agents();
-        let agent = |agent: PyEpisodeAgent| {
-            let names: Vec<AgentName> = known.iter().map(|agent| agent.name()).collect();
-            let name = names.into_iter().find(|name| name.to_string() == agent.id);
-            let cell = |(row, col)| Cell::new(row, col);
-            Ok(EpisodeAgent {
-                name: name.ok_or_else(|| PyValueError::new_err(format!("the split has no agent `{}`", agent.id)))?,
-                concepts: agent.concepts.into(),
-                priority: agent.priority,
-                start: cell(agent.start),
-                goal: cell(agent.goal),
-            })
-        };
-        let oracle = |oracle: PyOracle| {
-            let mut constrained = [0; 4];
-            for (name, count) in &oracle.constrained {
-                constrained[one_of("action", name, &Speed::ALL, Speed::name)? as usize] = *count;
-            }
-            Ok::<_, PyErr>(OracleRun {
-                steps: oracle.steps,
-                total: oracle.total,
-                constrained,
-            })
-        };
-        Ok(Episode {
-            seed: self.seed,
-            agents: self.agents.into_iter().map(agent).collect::<PyResult<_>>()?,
-            oracle: self.oracle.map(oracle).transpose()?,
-        })
+/// Reads an episode for an environment, whose agents it names.
+pub fn read_episode(given: &Bound<'_, PyDict>, env: &Env) -> Result<Episode, Diagnostic> {
+    let episode = Part::new("the episode".to_owned(), given, &["seed", "agents", "oracle"])?;
+    let agents: Vec<Bound<'_, PyAny>> = episode.get("agents")?;
+    let read = |(at, agent): (usize, &Bound<'_, PyAny>)| read_agent(&format!("agent {at} of the episode"), agent, env);
+    let oracle: Option<Bound<'_, PyAny>> = episode.find("oracle")?.flatten();
+    Ok(Episode {
+        seed: episode.get("seed")?,
+        agents: agents.iter().enumerate().map(read).collect::<Result<_, _>>()?,
+        oracle: oracle.as_ref().map(read_oracle).transpose()?,
+    })
+}
+
+fn read_agent(what: &str, given: &Bound<'_, PyAny>, env: &Env) -> Result<EpisodeAgent, Diagnostic> {
+    let agent = Part::new(what.to_owned(), given, &["id", "concepts", "priority", "start", "goal"])?;
+    let id: String = agent.get("id")?;
+    let known: Vec<AgentName> = env.city().agents().iter().map(|agent| agent.name()).collect();
+    let name = known.iter().find(|name| name.to_string() == id);
+    let name = *name.ok_or_else(|| {
+        let names: Vec<String> = known.iter().map(AgentName::to_string).collect();
+        unknown(
+            format!("the split has no agent `{id}`"),
+            &id,
+            names.iter().map(String::as_str),
+        )
+    })?;
+    // Row and column, in a tuple or, as JSON has it, in a list.
+    let cell = |key| agent.get(key).map(|[row, col]: [i32; 2]| Cell::new(row, col));
+    let concepts: Vec<String> = agent.get("concepts")?;
+    Ok(EpisodeAgent {
+        name,
+        concepts: concepts.into(),
+        priority: agent.get("priority")?,
+        start: cell("start")?,
+        goal: cell("goal")?,
+    })
+}
+
+fn read_oracle(given: &Bound<'_, PyAny>) -> Result<OracleRun, Diagnostic> {
+    let what = "the oracle's run";
+    let run = Part::new(what.to_owned(), given, &["steps", "return", "constrained"])?;
+    let counts = run.get("constrained")?;
+    let counts = Part::new(
+        format!("`constrained` of {what}"),
+        &counts,
+        &Speed::ALL.map(Speed::name),
+    )?;
+    let mut constrained = [0; 4];
+    for action in Speed::ALL {
+        constrained[action as usize] = counts.find(action.name())?.unwrap_or(0);
     }
+    Ok(OracleRun {
+        steps: run.get("steps")?,
+        total: run.get("return")?,
+        constrained,
+    })
+}
+
+/// A mapping that describes an episode, or something of it.
+struct Part<'a, 'py> {
+    what: String,
+    given: &'a Bound<'py, PyMapping>,
+}
+
+impl<'a, 'py> Part<'a, 'py> {
+    /// Of these keys and no others.
+    fn new(what: String, given: &'a Bound<'py, PyAny>, keys: &[&str]) -> Result<Self, Diagnostic> {
+        let wrong = |error: PyErr| invalid(format!("{what} cannot be read: {error}"));
+        let Ok(given) = given.cast::<PyMapping>() else {
+            return Err(invalid(format!("{what} is no mapping")));
+        };
+        for key in given.keys().map_err(wrong)? {
+            let key = key.to_string();
+            if !keys.contains(&key.as_str()) {
+                let message = format!("{what} has an unknown key `{key}`");
+                return Err(unknown(message, &key, keys.iter().copied()));
+            }
+        }
+        Ok(Part { what, given })
+    }
+
+    /// What it has there, if anything.
+    fn find<T: for<'s> FromPyObject<'s, 'py>>(&self, key: &str) -> Result<Option<T>, Diagnostic> {
+        let read = match self.given.get_item(key) {
+            Err(error) if error.is_instance_of::<PyKeyError>(self.given.py()) => return Ok(None),
+            Err(error) => Err(error),
+            Ok(value) => value.extract().map_err(Into::into),
+        };
+        read.map(Some)
+            .map_err(|error: PyErr| invalid(format!("`{key}` of {} cannot be read: {error}", self.what)))
+    }
+
+    /// What it has to have there.
+    fn get<T: for<'s> FromPyObject<'s, 'py>>(&self, key: &str) -> Result<T, Diagnostic> {
+        let found = self.find(key)?;
+        found.ok_or_else(|| invalid(format!("{} has no `{key}`", self.what)))
+    }
+}
+
+fn invalid(message: String) -> Diagnostic {
+    Diagnostic::new(Code::InvalidEpisode, message)
+}
+
+/// With the name that was meant, or else all there are.
+fn unknown<'a>(message: String, name: &str, known: impl Iterator<Item = &'a str> + Clone) -> Diagnostic {
+    invalid(message).help(match did_you_mean(name, known.clone()) {
+        Some(near) => format!("did you mean `{near}`?"),
+        None => format!("there are: {}", known.collect::<Vec<_>>().join(", ")),
+    })
 }

@@ -1,7 +1,7 @@
 //! Policies measured on recorded episodes, and what tables about a task are made of.
 
 use crate::task::{PyTask, speed, split_named, view_named};
-use crate::to_python;
+use crate::{Signals, slice_of, to_python};
 use logicity::config::{Speed, Split};
 use logicity::task::path::{Baseline, Egos, Env, EpisodeSet, Exam, RANDOM_RUNS, Rollout, Summary, View, summarise};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
@@ -24,6 +24,7 @@ struct PyBaseline {
     set: EpisodeSet,
     env: Env,
     baseline: Baseline,
+    signals: Arc<Signals>,
 }
 
 #[pymethods]
@@ -32,12 +33,15 @@ impl PyBaseline {
     fn new(py: Python<'_>, task: Py<PyTask>, split: &str) -> PyResult<Self> {
         let split = split_named(split)?;
         let shared = &task.get().task;
-        let env = py.detach(|| Env::new(Arc::clone(shared), split, Egos::First));
+        let signals = Signals::new();
+        let stop = signals.stop();
+        let env = signals.detach(py, || Env::new_until(Arc::clone(shared), split, Egos::First, stop))?;
         Ok(PyBaseline {
             env: env.map_err(|fault| task.get().error(py, fault))?,
             set: task.get().episode_set(py, split)?,
             baseline: Baseline::default(),
             task,
+            signals,
         })
     }
 
@@ -56,8 +60,7 @@ impl PyBaseline {
         let next = self.set.episodes.get(self.baseline.returns().len());
         let episode = next.ok_or_else(|| PyIndexError::new_err("every episode has been driven"))?;
         let (env, baseline) = (&mut self.env, &mut self.baseline);
-        py.detach(|| baseline.add(env, episode))
-            .map_err(|fault| self.task.get().error(py, fault))
+        (self.signals.detach(py, || baseline.add(env, episode))?).map_err(|fault| self.task.get().error(py, fault))
     }
 
     /// How it did on the episodes driven: `summary` and `episodes`.
@@ -76,6 +79,7 @@ struct PyExam {
     exam: Exam,
     view: View,
     actions: Vec<Speed>,
+    signals: Arc<Signals>,
 }
 
 #[pymethods]
@@ -83,12 +87,15 @@ impl PyExam {
     #[new]
     fn new(py: Python<'_>, baseline: &PyBaseline, observation: &str) -> PyResult<Self> {
         let (task, set, view) = (baseline.task.clone_ref(py), &baseline.set, view_named(observation)?);
-        let exam = py.detach(|| Exam::new(&task.get().task, set));
+        let signals = Signals::new();
+        let stop = signals.stop();
+        let exam = signals.detach(py, || Exam::new_until(&task.get().task, set, &stop))?;
         Ok(PyExam {
             exam: exam.map_err(|fault| task.get().error(py, fault))?,
             actions: Vec::with_capacity(set.episodes.len()),
             task,
             view,
+            signals,
         })
     }
 
@@ -100,10 +107,7 @@ impl PyExam {
     /// Writes what the egos observe, a row for each episode.
     fn observe(&self, mut out: PyReadwriteArrayDyn<'_, f32>) -> PyResult<()> {
         let width: usize = self.view.shape(&self.task.get().task).iter().product();
-        let rows = out
-            .as_slice_mut()
-            .map_err(|error| PyValueError::new_err(error.to_string()))?;
-        check(rows.len(), width * self.exam.envs().len())?;
+        let rows = slice_of(&mut out, width * self.exam.envs().len())?;
         for (env, row) in self.exam.envs().iter().zip(rows.chunks_exact_mut(width)) {
             self.view.write(env, 0, row);
         }
@@ -112,10 +116,7 @@ impl PyExam {
 
     /// Writes which episodes go on.
     fn running(&self, mut out: PyReadwriteArray1<'_, bool>) -> PyResult<()> {
-        let out = out
-            .as_slice_mut()
-            .map_err(|error| PyValueError::new_err(error.to_string()))?;
-        check(out.len(), self.exam.envs().len())?;
+        let out = slice_of(&mut out, self.exam.envs().len())?;
         out.iter_mut()
             .zip(self.exam.running())
             .for_each(|(out, running)| *out = running);
@@ -137,8 +138,7 @@ impl PyExam {
             self.actions.push(speed(py, action, || format!(" (of episode {at})"))?);
         }
         let (exam, actions) = (&mut self.exam, &self.actions);
-        py.detach(|| exam.step(actions))
-            .map_err(|fault| self.task.get().error(py, fault))
+        (self.signals.detach(py, || exam.step(actions))?).map_err(|fault| self.task.get().error(py, fault))
     }
 
     /// How it went: `summary`, with a score against a baseline on the same episodes, and `episodes`.
@@ -213,7 +213,8 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
     }
     let told = json!({
         "entities": oracle.entities(), "columns": columns.collect::<Vec<Value>>(),
-        "width": shared.observation_width(), "points": shared.points_shape(), "route_length": config.route_length,
+        "width": shared.observation_width(), "points": shared.points_shape(), "view": world.scenario.view,
+        "priority_scale": shared.priority_scale(), "route_length": config.route_length,
         "horizon": config.horizon, "patience": config.patience, "overtime": config.reward.overtime,
         "actions": BTreeMap::from(by_action), "demands": demands.collect::<Vec<Value>>(), "splits": splits,
     });

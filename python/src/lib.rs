@@ -18,7 +18,9 @@ mod task;
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::files::{ReadError, read_or_builtin};
 use logicity::sim::Stop;
-use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyRuntimeError};
+use numpy::ndarray::Dimension;
+use numpy::{Element, PyReadwriteArray};
+use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::any::Any;
@@ -85,6 +87,23 @@ fn to_python<'py>(py: Python<'py>, value: &serde_json::Value) -> PyResult<Bound<
             dict.into_any()
         }
     })
+}
+
+/// The numbers of an array that is to be written into, which must be as many as are wanted and lie side by side.
+fn slice_of<'a, T: Element, D: Dimension>(
+    array: &'a mut PyReadwriteArray<'_, T, D>,
+    wanted: usize,
+) -> PyResult<&'a mut [T]> {
+    let slice = array
+        .as_slice_mut()
+        .map_err(|error| PyValueError::new_err(error.to_string()))?;
+    match slice.len() == wanted {
+        true => Ok(slice),
+        false => Err(PyValueError::new_err(format!(
+            "room for {} numbers, not {wanted}",
+            slice.len()
+        ))),
+    }
 }
 
 /// Looks for signals, such as Ctrl-C, while Rust works.

@@ -10,6 +10,26 @@ import pytest
 
 Interrupt = Callable[[Callable[[], object]], None]
 
+#: Whoever stops makes the rules count for minutes.
+COUNTING = """
+.include "vocabulary.dl"
+.scope
+.decl n(x: number)
+Stop(X) :- IsCar(X), IsOld(X).
+n(0) :- Stop(X).
+n(x + 1) :- n(x), x < 90000000.
+Slow(X) :- IsCar(X), n(90000000).
+"""
+#: Decisions take their time, but none is so long that anybody looks for signals in it.
+SLOW = """
+.include "vocabulary.dl"
+.scope
+.decl n(x: number)
+n(0) :- IsCar(X).
+n(x + 1) :- n(x), x < 15000.
+Slow(X) :- IsCar(X), n(90000000).
+"""
+
 
 @pytest.fixture
 def ctrl_c() -> Interrupt:

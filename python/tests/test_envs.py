@@ -3,6 +3,9 @@ from __future__ import annotations
 import copy
 import json
 import pickle
+import signal
+import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,7 +13,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from conftest import Interrupt
+from conftest import COUNTING, Interrupt
 from gymnasium.error import InvalidAction, ResetNeeded, UnsupportedMode
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.utils.env_match import check_environments_match
@@ -265,17 +268,37 @@ def test_wrong_episodes_are_refused_and_the_environment_lives() -> None:
         env.reset(options={"episode": 1000})
     with pytest.raises(ValueError, match="unknown option"):
         env.reset(options={"epsiode": 1})
-    with pytest.raises((KeyError, TypeError, ValueError)):
-        env.reset(options={"episode": {"seed": 1}})
-    agents = copy.deepcopy(good["agents"])
-    agents[0]["goal"] = (-1, 10**6)
-    with pytest.raises(logicity.InputError) as caught:
-        env.reset(options={"episode": {**good, "agents": agents}})
-    assert caught.value.diagnostics[0]["code"] == "invalid-episode"
-    with pytest.raises(ResetNeeded):
-        env.step(1)
-    with pytest.raises(logicity.InputError):
-        env.reset(options={"episode": {**good, "agents": good["agents"][:-1]}})
+    for number in (2**64, np.uint64(2**64 - 1), 10**30):
+        with pytest.raises(IndexError, match=f"no episode {number}: the split `train` has 100, from 0"):
+            env.reset(options={"episode": number})
+    oracle = {"steps": 3, "return": 1.5, "constrained": {"Stop": 1}}
+
+    def first(**changes: Any) -> dict[str, Any]:
+        return {**good, "agents": [{**good["agents"][0], **changes}, *good["agents"][1:]]}
+
+    faulty: list[tuple[dict[str, Any], str]] = [
+        ({"seed": 1}, "the episode has no `agents`"),
+        ({**good, "oracel": oracle}, "unknown key `oracel`(.|\n)*did you mean `oracle`"),
+        ({**good, "seed": -1}, "`seed` of the episode cannot be read"),
+        ({**good, "seed": "1"}, "`seed` of the episode cannot be read"),
+        ({**good, "agents": 3}, "`agents` of the episode cannot be read"),
+        ({**good, "agents": [3]}, "agent 0 of the episode is no mapping"),
+        ({**good, "agents": good["agents"][:-1]}, "7 agents, the split has 8"),
+        (first(id="Car_77"), "no agent `Car_77`(.|\n)*did you mean"),
+        (first(start=(1, 2, 3)), "`start` of agent 0"),
+        (first(goal=(-1, 10**6)), "cannot go from"),
+        (first(colour="red"), "agent 0 of the episode has an unknown key `colour`"),
+        ({**good, "oracle": {**oracle, "steps": 1.5}}, "`steps` of the oracle's run"),
+        ({**good, "oracle": {**oracle, "constrained": {"Stpo": 1}}}, "`Stpo`(.|\n)*did you mean `Stop`"),
+    ]
+    for episode, message in faulty:
+        with pytest.raises(logicity.InputError, match=message) as caught:
+            env.reset(options={"episode": episode})
+        assert caught.value.diagnostics[0]["code"] == "invalid-episode"
+        with pytest.raises(ResetNeeded):
+            env.step(1)
+    env.reset(options={"episode": {**good, "seed": np.uint64(good["seed"]), "oracle": oracle}})
+    assert env.episode == {**good, "oracle": oracle}
     env.reset(options={"episode": good})
     env.step(1)
 
@@ -384,6 +407,12 @@ def test_wrong_use_of_a_batch_is_told() -> None:
             envs.reset(options={"reset_mask": mask})
     with pytest.raises(ValueError, match="2 seeds"):
         envs.reset(seed=[1, 2])
+    with pytest.raises(ValueError, match="give one of them"):
+        envs.reset(options={"episode": 1, "episodes": [1, 2, 3]})
+    for at in (-1, 3, 2**70):
+        for method in (envs.episode, envs.explain):
+            with pytest.raises(IndexError, match=f"no environment {at}: they are 0 to 2"):
+                method(at)
     for copied in (copy.deepcopy, pickle.dumps):
         with pytest.raises(TypeError, match="cannot be pickled"):
             copied(envs)
@@ -393,25 +422,15 @@ def test_wrong_use_of_a_batch_is_told() -> None:
             SPFVectorEnv(**arguments)
 
 
-#: Whoever stops makes the rules count for minutes.
-COUNTING = """
-.include "vocabulary.dl"
-.scope
-.decl n(x: number)
-Stop(X) :- IsCar(X), IsOld(X).
-n(0) :- Stop(X).
-n(x + 1) :- n(x), x < 90000000.
-Slow(X) :- IsCar(X), n(90000000).
-"""
-
-
 def test_ctrl_c_ends_a_step_and_a_reset_makes_good(tmp_path: Path, ctrl_c: Interrupt) -> None:
     (tmp_path / "counting.dl").write_text(COUNTING)
     env = SPFEnv("easy", rules=tmp_path / "counting.dl")
     env.reset(seed=0)
     ctrl_c(lambda: env.step(3))
-    with pytest.raises(ResetNeeded):
-        env.step(1)
+    assert pickle.loads(pickle.dumps(env)).observation_space == env.observation_space
+    for use in (lambda: env.step(1), env.explain, lambda: env.episode):
+        with pytest.raises(ResetNeeded):
+            use()
     env.reset()
     env.step(1)
     for threads in (1, 2):
@@ -428,6 +447,46 @@ def test_ctrl_c_ends_a_step_and_a_reset_makes_good(tmp_path: Path, ctrl_c: Inter
     ctrl_c(lambda: cars.step(dict.fromkeys(cars.agents, 3)))
     cars.reset()
     cars.step(dict.fromkeys(cars.agents, 1))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as POSIX has them")
+@pytest.mark.parametrize("kind", [TypeError, OverflowError])
+def test_what_a_handler_of_a_signal_raises_is_raised(kind: type[Exception], tmp_path: Path) -> None:
+    def handle(signum: int, frame: Any) -> None:
+        raise kind("of the handler")
+
+    (tmp_path / "counting.dl").write_text(COUNTING)
+    env = SPFEnv("easy", rules=tmp_path / "counting.dl")
+    env.reset(seed=0)
+    cars = logicity.parallel_env("easy", rules=tmp_path / "counting.dl")
+    cars.reset(seed=0)
+    previous = signal.signal(signal.SIGALRM, handle)
+    uses: list[Callable[[], object]] = [
+        lambda: env.step(3),
+        lambda: cars.step(dict.fromkeys(cars.agents, 3)),
+    ]
+    try:
+        for use in uses:
+            signal.setitimer(signal.ITIMER_REAL, 0.3)
+            with pytest.raises(kind, match="of the handler"):
+                use()
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, previous)
+
+
+def test_a_batch_that_has_not_begun_has_nothing_to_tell() -> None:
+    envs = SPFVectorEnv(3, "easy", render_mode="ansi", autoreset_mode=AutoresetMode.DISABLED)
+    for use in (partial(envs.episode, 0), partial(envs.explain, 0), envs.render):
+        with pytest.raises(ResetNeeded, match="of environment 0 has not begun"):
+            use()
+    envs.reset(seed=0, options={"reset_mask": np.array([True, False, True])})
+    assert envs.episode(2)["agents"] and envs.explain(0)
+    for use in (partial(envs.episode, 1), partial(envs.explain, 1), envs.render):
+        with pytest.raises(ResetNeeded, match="of environment 1 has not begun"):
+            use()
+    envs.reset()
+    assert len(envs.render() or ()) == 3
 
 
 def test_ctrl_c_ends_the_making_of_many(ctrl_c: Interrupt) -> None:

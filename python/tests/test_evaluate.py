@@ -3,19 +3,21 @@ from __future__ import annotations
 import json
 import re
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from conftest import COUNTING, SLOW, Interrupt
 from numpy.typing import NDArray
 
 import logicity
-from logicity import ENVIRONMENTS, Benchmark, Evaluation, demonstrations, evaluate, observation_names
+from logicity import ENVIRONMENTS, Benchmark, Evaluation, _logicity, demonstrations, evaluate, observation_names
 from logicity.__main__ import main
 from logicity.describe import describe
-from logicity.evaluation import write_json
+from logicity.evaluation import load_task, write_json
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -316,3 +318,70 @@ def test_the_tables_say_what_environments_show(mode: str) -> None:
     assert env.observation_space.shape is not None
     row = next(line for line in describe().splitlines() if f"`{ENVIRONMENTS[mode]}`" in line)
     assert f"({env.observation_space.shape[0]},)" in row
+
+
+def _columns_of_points(mode: str) -> list[str]:
+    """Predicates of the last columns of the exact observation, as the table has them."""
+    lines = describe().split("### Exact observations")[1].splitlines()
+    (row,) = [line for line in lines if re.search(rf"in (.*, )?{mode}(,.*)?: `", line)]
+    names = re.findall(r"`(\w+)`", row)
+    assert row.startswith(f"| 8 to {7 + len(names)} |")
+    return names
+
+
+@pytest.mark.parametrize("overrides", [{}, {"task": {"points": 3}}])
+@pytest.mark.parametrize("mode", list(ENVIRONMENTS))
+def test_the_table_of_exact_observations_says_what_environments_show(mode: str, overrides: dict[str, Any]) -> None:
+    env = gymnasium.make(ENVIRONMENTS[mode], observation="points", atoms=True, overrides=overrides)
+    names = _columns_of_points(mode)
+    assert env.observation_space.shape is not None and env.observation_space.shape[1] == 8 + len(names)
+    told = _logicity.describe(load_task(mode))
+    headed = 0
+    for seed in range(5):
+        points, info = env.reset(seed=seed)
+        start = env.unwrapped.episode["agents"]  # type: ignore[attr-defined]
+        ego = next(agent for agent in start if agent["id"] == "Car_1")
+        there = [
+            agent
+            for agent in start
+            if agent is not ego and max(abs(agent["start"][at] - ego["start"][at]) for at in (0, 1)) <= told["view"]
+        ]
+        rows = [ego, *there][: len(points)]
+        assert points[:, 0].tolist() == [1.0] * len(rows) + [0.0] * (len(points) - len(rows))
+        assert not points[len(rows) :].any() and not points[:, 3:7].any()
+        for row, agent in zip(points, rows, strict=False):
+            cells = [agent["start"][at] - ego["start"][at] for at in (0, 1)]
+            assert row[1:3] * told["view"] == pytest.approx(cells, abs=1e-4)
+            assert row[7] * told["priority_scale"] == pytest.approx(agent["priority"], abs=1e-4)
+        # What is true of the ego is among the atoms, too.
+        true = {atom for atom in info["true_atoms"] if atom.endswith("(Car_1)") and "," not in atom}
+        assert {f"{name}(Car_1)" for name, value in zip(names, points[0, 8:], strict=True) if value} == true
+        for _ in range(4):
+            before = points
+            points, _, over, _, _ = env.step(1)
+            if over:
+                break
+            if points[0, 3:7].any() and not np.array_equal(points[0], before[0]):
+                headed += 1
+                assert points[0, 3:7].sum() == 1
+    assert headed
+
+
+def test_ctrl_c_ends_an_evaluation(tmp_path: Path, ctrl_c: Interrupt) -> None:
+    (tmp_path / "counting.dl").write_text(COUNTING)
+    always = {name: Benchmark("easy", "val", rules=tmp_path / "counting.dl") for name in ("stop", "random")}
+    ctrl_c(lambda: always["stop"].evaluate(lambda observation: 3))
+    ctrl_c(lambda: always["random"].evaluate("random"))
+    ctrl_c(lambda: always["random"].evaluate("random"))
+
+
+def test_ctrl_c_ends_many_short_steps(tmp_path: Path, ctrl_c: Interrupt) -> None:
+    (tmp_path / "slow.dl").write_text(SLOW)
+    baseline = _logicity.Baseline(load_task("hard", tmp_path / "slow.dl"), "test")
+    begun = time.monotonic()
+    ctrl_c(baseline.add)
+    interrupted = time.monotonic()
+    assert not baseline.report()["episodes"], "an episode is added with all its runs or not at all"
+    baseline.add()
+    assert len(baseline.report()["episodes"]) == 10
+    assert interrupted - begun < (time.monotonic() - interrupted) / 2

@@ -79,7 +79,7 @@ def model(tmp_path: Path) -> Path:
             up_block_types=("CrossAttnUpBlock2D", "UpBlock2D"),
             **blocks,
         ),
-        scheduler=diffusers.DDIMScheduler(),
+        scheduler=diffusers.DDIMScheduler(steps_offset=1, clip_sample=False),
         safety_checker=None,
         feature_extractor=None,
         requires_safety_checker=False,
@@ -101,9 +101,9 @@ def test_a_pack_is_filled_by_a_model(model: Path, tmp_path: Path) -> None:
         "bus+tiro/0001.png",
     ]
     for file in files:
-        icon = image.open(file)
-        assert max(icon.size) == 24
-        assert icon.mode == ("RGB" if file.parent.name == "house" else "RGBA")
+        with image.open(file) as icon:
+            assert max(icon.size) == 24
+            assert icon.mode == ("RGB" if file.parent.name == "house" else "RGBA")
     first = files[0].read_bytes()
     assert first != files[1].read_bytes()
     files[0].unlink()

@@ -76,6 +76,7 @@ def test_a_city_of_ones_own_gives_them_too(own_city: Path, tmp_path: Path, monke
         ({"mode": "easy", "n": 0}, ValueError),
         ({"mode": "easy", "n": 101}, ValueError),
         ({"mode": "easy", "n": 41, "split": "val"}, ValueError),
+        ({"mode": "easy", "overrides": {"task": {"episodes": {"train": None}}}}, ValueError),
         ({"mode": "easy", "split": "exam"}, ValueError),
         ({"mode": "easy", "observation": "pixels"}, ValueError),
         ({"mode": "easy", "rules": "no.dl"}, OSError),

@@ -3,6 +3,7 @@ from __future__ import annotations
 import pickle
 from typing import Any
 
+import numpy as np
 import pytest
 from gymnasium.error import InvalidAction, ResetNeeded
 
@@ -54,7 +55,11 @@ def test_wrong_use_is_told() -> None:
     for actions in ({"Car_1": 0}, dict.fromkeys(env.agents, 4), dict.fromkeys(env.agents, 0.5), {"Car_99": 1}):
         with pytest.raises(InvalidAction):
             env.step(actions)  # type: ignore[arg-type]
-    env.step(dict.fromkeys(env.agents, 1))
+    infos = env.step(dict.fromkeys(env.agents, 1))[4]
+    assert isinstance(env.reset(seed=0)[1]["Car_1"]["seed"], np.uint64)
+    assert isinstance(infos["Car_1"]["seed"], np.uint64)
+    with pytest.raises(ValueError, match="no car `Car_77`; (did you mean|there are)"):
+        env.explain("Car_77")
     with pytest.raises(ValueError, match="mapping"):
         env.reset(options={"episode": 1})
     with pytest.raises(TypeError, match="cannot be pickled"):

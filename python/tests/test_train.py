@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from logicity.__main__ import main
 
 pytest.importorskip("stable_baselines3", reason="needs the extra `train`: `make python-all` installs it")
 from logicity import train as training  # noqa: E402
+from logicity.sb3 import SPFVecEnv, make_vec_env  # noqa: E402
 from logicity.train import ALGORITHMS, TrainConfig, load_model, train  # noqa: E402
 
 BASELINES = Path(__file__).parents[2] / "configs" / "baselines"
@@ -107,6 +108,15 @@ def test_a_killed_run_goes_on(algorithm: str, tmp_path: Path, monkeypatch: pytes
     assert 200 <= state["steps"] < 400 and not (tmp_path / "result.json").exists()
     # A kill in the middle of the next checkpoint leaves an unfinished folder, which counts for nothing.
     (tmp_path / ".checkpoint-0000000400").mkdir()
+    seeds: list[set[int]] = []
+    reset = SPFVecEnv.reset
+
+    def note(self: Any) -> Any:
+        observations = reset(self)
+        seeds.append({info["seed"] for info in self.reset_infos})
+        return observations
+
+    monkeypatch.setattr(SPFVecEnv, "reset", note)
     loaded: list[int] = []
     if algorithm == "dqn":
         dqn: Any = ALGORITHMS["dqn"]
@@ -123,6 +133,12 @@ def test_a_killed_run_goes_on(algorithm: str, tmp_path: Path, monkeypatch: pytes
     assert loaded == ([state["steps"] - 2] if algorithm == "dqn" else [])
     with pytest.raises(ValueError, match="another configuration"):
         train(replace(short(algorithm), seed=1), tmp_path)
+    # It does not begin with the episodes that it has begun with before.
+    train(short(algorithm), tmp_path / "whole")
+    went_on, whole = seeds
+    assert len(went_on | whole) == 4
+    make_vec_env("easy", 2, state["steps"]).reset()
+    assert seeds[2] == went_on
 
 
 def test_the_same_seed_learns_the_same(tmp_path: Path) -> None:
@@ -154,6 +170,12 @@ def test_the_network_has_the_layers_of_the_configuration(tmp_path: Path) -> None
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nseed: -1", "`seed`"),
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: 3", "`settings`"),
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nepochs: 3", "unknown key `epochs`"),
+        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {gama: 0.9}", "DQN has no `gama`; did you mean `gamma`"),
+        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {gamma: x}", "`gamma` cannot be 'x'"),
+        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {gamma: .nan}", "`gamma` cannot be nan"),
+        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {batch_size: 1.5}", "`batch_size` cannot be 1.5"),
+        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {learning_rate: true}", "`learning_rate` cannot be"),
+        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {seed: 3}", "DQN has no `seed`"),
         ("algorithm: dqn", "mode"),
         ("- dqn", "no mapping"),
         ("algorithm: [", "while parsing"),
@@ -177,9 +199,34 @@ def test_a_base_is_merged_mapping_by_mapping(tmp_path: Path) -> None:
     assert config.settings == {"gamma": 0.8, "tau": 0.5} and config.network == (4, 2)
 
 
-def test_a_setting_that_there_is_not_is_told(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="DQN"):
-        train(replace(short("dqn"), settings={"gama": 0.9}), tmp_path)
+@pytest.mark.parametrize(
+    ("algorithm", "setting", "message"),
+    [
+        ("ppo", {"batch_size": 1}, "`settings`: PPO cannot be made with them: `batch_size` must be greater than 1"),
+        ("dqn", {"learning_rate": -1.0}, "`settings`: DQN cannot be made with them: Invalid learning rate: -1.0"),
+    ],
+)
+def test_settings_that_the_algorithm_refuses_leave_no_run(
+    algorithm: str, setting: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, run = tmp_path / "config.json", tmp_path / "run"
+    config = asdict(short(algorithm))
+    file.write_text(json.dumps({**config, "settings": {**config["settings"], **setting}}))
+    assert main(["train", str(file), "--run", str(run)]) == 1
+    assert capsys.readouterr().err.startswith(f"error: {file}: {message}") and not run.exists()
+    file.write_text(json.dumps(config))
+    assert main(["train", str(file), "--run", str(run)]) == 0 and (run / "result.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [("3e-5", 3e-5), ("3E5", 3e5), ("-1e+2", -100.0), (".5e1", 5.0), ("2.e1", 20.0), ("3.0e-5", 3e-5), ("1", 1)],
+)
+def test_numbers_are_read_as_they_are_meant(text: str, number: float, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(
+        f"algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {{learning_rate: {text}}}"
+    )
+    assert TrainConfig.load(tmp_path / "config.yaml").settings["learning_rate"] == number
 
 
 def test_other_files_are_no_models(tmp_path: Path) -> None:

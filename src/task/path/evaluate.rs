@@ -5,6 +5,7 @@ use super::{Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, Summary, 
 use crate::config::Speed;
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
+use crate::sim::Stop;
 use std::sync::Arc;
 
 /// So often the random policy drives every episode.
@@ -21,7 +22,7 @@ impl Baseline {
     /// Lets the random policy drive one more episode, [`RANDOM_RUNS`] times. What it does is a function of the episode's seed.
     ///
     /// # Errors
-    /// As [`Env::reset_to`] and [`rollout`].
+    /// As [`Env::reset_to`] and [`rollout`]; then nothing is added.
     pub fn add(&mut self, env: &mut Env, episode: &Episode) -> Result<(), Diagnostic> {
         let runs = (0..RANDOM_RUNS).map(|run| {
             env.reset_to(episode)?;
@@ -63,8 +64,19 @@ impl Exam {
     /// # Errors
     /// As [`Env::new`] and [`Env::reset_to`].
     pub fn new(task: &Arc<PathTask>, set: &EpisodeSet) -> Result<Exam, Diagnostic> {
+        Exam::new_until(task, set, &(Arc::new(|| false) as Stop))
+    }
+
+    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `limit-exceeded`; it is of no use then.
+    ///
+    /// # Errors
+    /// As [`Exam::new`].
+    pub fn new_until(task: &Arc<PathTask>, set: &EpisodeSet, stop: &Stop) -> Result<Exam, Diagnostic> {
         let begin = |episode| {
-            let mut env = Env::new(Arc::clone(task), set.split, Egos::First)?;
+            if stop() {
+                return Err(Diagnostic::interrupted());
+            }
+            let mut env = Env::new_until(Arc::clone(task), set.split, Egos::First, Arc::clone(stop))?;
             env.reset_to(episode)?;
             Ok(env)
         };
@@ -100,6 +112,9 @@ impl Exam {
         assert!(actions.len() == self.envs.len(), "one action for each episode");
         for ((env, done), &action) in self.envs.iter_mut().zip(&mut self.rollouts).zip(actions) {
             if env.riders()[0].is_running() {
+                if (env.city().stop())() {
+                    return Err(Diagnostic::interrupted());
+                }
                 let asked = env.riders()[0].derived();
                 env.step(&[action])?;
                 done.add(env, asked.iter());

@@ -134,6 +134,11 @@ impl PathTask {
         [self.config.points as usize, Observer::point_width(&self.oracle)]
     }
 
+    /// What a priority is divided by in the exact observation: the greatest number that one can have.
+    pub fn priority_scale(&self) -> f32 {
+        self.priority_scale
+    }
+
     /// The reward of a step: for the clauses it breaks, by their positions in [`Oracle::demands`], or else for its action on a route of
     /// so many cells.
     pub fn reward(&self, action: Speed, broken: &[usize], cells: usize) -> f64 {
