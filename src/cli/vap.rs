@@ -213,9 +213,9 @@ impl Make {
         let manifest = self.finish(settings, &worlds)?;
         writeln!(
             io::stdout(),
-            "{made} worlds made, {} in {}: {}",
-            manifest.worlds.len(),
+            "worlds made: {made}, in {}: {}; labels of cars: {}",
             self.out.display(),
+            manifest.worlds.len(),
             told(manifest.actions)
         )?;
         Ok(())
@@ -473,7 +473,7 @@ fn check(folder: &Path, json: bool, sources: &mut Sources) -> Result<(), Failure
     }
     writeln!(
         out,
-        "{} worlds, {frames} frames: every label follows from the facts",
+        "worlds: {}, frames: {frames}, every label follows from the facts",
         manifest.worlds.len()
     )?;
     writeln!(out, "labels of cars: {}", told(actions))?;

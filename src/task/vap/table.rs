@@ -16,6 +16,7 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::parser::parse_message_type;
 use std::io::Write;
+use std::panic::catch_unwind;
 use std::sync::Arc;
 
 /// Columns of one length.
@@ -228,7 +229,9 @@ impl Table {
     /// # Errors
     /// `invalid-data-set` for anything else.
     pub fn read(bytes: Vec<u8>) -> Result<Table, Diagnostic> {
-        read(bytes.into()).map_err(|error| faulty(format!("not a table of frames: {error}")))
+        // The crate asserts what damaged bytes need not fulfil.
+        let read = catch_unwind(|| read(bytes.into())).unwrap_or_else(|_| Err(fault("damaged")));
+        read.map_err(|error| faulty(format!("not a table of frames: {error}")))
     }
 
     fn column(&self, name: &str) -> Result<&Values, Diagnostic> {
@@ -275,8 +278,11 @@ fn truths(vocabulary: &Vocabulary, frames: &[Frame], arity: usize) -> Vec<(Strin
     predicates.map(column).collect()
 }
 
+fn fault(message: &str) -> ParquetError {
+    ParquetError::General(message.to_owned())
+}
+
 fn read(bytes: Bytes) -> Result<Table, ParquetError> {
-    let fault = |message: &str| ParquetError::General(message.to_owned());
     let file = SerializedFileReader::new(bytes)?;
     if file.num_row_groups() != 1 {
         return Err(fault("not one group of rows"));
