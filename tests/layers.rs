@@ -12,6 +12,7 @@ const ONLY_IN: &[(&str, &str)] = &[
     ("datafrog", "src/engine/recursion.rs"),
     ("egg", "src/engine/optimize/saturate.rs"),
     ("serde_yaml", "src/config/yaml.rs"),
+    ("parquet", "src/task/vap/table.rs"),
     ("rand_chacha", "src/rng.rs"),
     ("regex", "src/lang/functor.rs"),
     ("annotate_snippets", "src/diag/render.rs"),

@@ -18,6 +18,7 @@ mod repl;
 mod route;
 mod run;
 mod trace;
+mod vap;
 mod view;
 mod why;
 
@@ -66,6 +67,8 @@ enum Command {
     Episodes(episodes::Arguments),
     /// Make multiple-choice questions in words about what cars do, with solved examples
     Questions(questions::Arguments),
+    /// Make or check tables of Visual Action Prediction
+    Vap(vap::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
     /// Show the icons that pictures are made of
@@ -151,6 +154,7 @@ pub fn main() -> ExitCode {
         Command::View(arguments) => view::run(&arguments, &mut sources),
         Command::Episodes(arguments) => episodes::run(&arguments, &mut sources),
         Command::Questions(arguments) => questions::run(&arguments, &mut sources),
+        Command::Vap(arguments) => vap::run(&arguments, &mut sources),
         Command::Lsp(arguments) => lsp::run(&arguments),
         Command::Icons(arguments) => icons::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),

@@ -128,6 +128,10 @@ codes! {
     /// An episode that is not of its format, or that cannot begin in its city.
     InvalidEpisode = "invalid-episode", Error;
 
+    // --- data sets
+    /// A data set that is not as it was made, or of another configuration.
+    InvalidDataSet = "invalid-data-set", Error;
+
     // --- traces
     /// A trace that is not JSON or does not follow the trace format.
     InvalidTrace = "invalid-trace", Error;

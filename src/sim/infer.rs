@@ -2,7 +2,7 @@
 
 use super::executor::{Choice, Executor, compile};
 use super::ground::{Chance, Entity, Facts, ground_until};
-use super::scene::{GeometricScene, GivenPredicate, Scene, SymbolicScene, Terms, parse_scene};
+use super::scene::{GeometricScene, GivenPredicate, MAX_ENTITIES, Scene, SymbolicScene, Terms, parse_scene};
 use super::vocabulary::{Actions, Vocabulary};
 use super::width::{Width, in_words};
 use crate::city::CityMap;
@@ -293,6 +293,20 @@ impl Inference {
             egos: vec![scene.ego],
             facts,
         }
+    }
+
+    /// Answers a scene whose facts are known.
+    ///
+    /// # Errors
+    /// `limit-exceeded` if it has more than [`MAX_ENTITIES`](super::MAX_ENTITIES) entities, or the rules derive too much from it;
+    /// `broken-promise` after [`Inference::check_promises`].
+    pub fn answer_facts(&self, scene: &SceneFacts) -> Result<Answer, Diagnostic> {
+        let count = scene.names.len();
+        if count > MAX_ENTITIES {
+            let message = format!("{count} entities; the limit is {MAX_ENTITIES}");
+            return Err(Diagnostic::new(Code::LimitExceeded, message));
+        }
+        self.decide(scene, &|| false)
     }
 
     fn decide(&self, scene: &SceneFacts, stop: &dyn Fn() -> bool) -> Result<Answer, Diagnostic> {

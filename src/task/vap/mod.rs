@@ -1,0 +1,276 @@
+//! Visual Action Prediction: what does every car do next, given a picture of the city?
+//!
+//! A [`Worlds`] is the cities of one split; each has [`TICKS`] ticks, of which all but the first are [`Frame`]s. [`table`] holds what is true of a
+//! frame as columns.
+
+pub mod table;
+
+use crate::city::{Cell, Heading};
+use crate::config::{AgentGroup, AgentKind, AgentName, AgentSet, Scenario, Speed, Split};
+use crate::diag::{Code, Diagnostic};
+use crate::engine::Program;
+use crate::render::{Facing, Icons, PixelBox, Renderer, Sprite, View};
+use crate::rng::{Purpose, Rng, RngExt, Seed};
+use crate::sim::{Facts, Settings, Simulation, World};
+use std::sync::Arc;
+
+/// The ticks of a world.
+pub const TICKS: u64 = 100;
+
+/// The first tick that is a frame: at first nobody has a heading.
+pub const FIRST_TICK: u64 = 11;
+
+/// The concepts that a car of random agents carries, each with this weight; none with [`PLAIN`].
+const CONCEPTS: [&str; 5] = ["ambulance", "bus", "police", "reckless", "tiro"];
+const CONCEPT: u32 = 18;
+const PLAIN: u32 = 10;
+
+/// Which agents worlds have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Agents {
+    /// Those of the configuration.
+    Fixed,
+    /// Drawn for each world.
+    Random,
+}
+
+impl Agents {
+    /// Both.
+    pub const ALL: [Agents; 2] = [Agents::Fixed, Agents::Random];
+
+    /// Its name: `fixed` or `random`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Agents::Fixed => "fixed",
+            Agents::Random => "random",
+        }
+    }
+}
+
+/// How many worlds the published sets have.
+pub const fn published_worlds(split: Split) -> u32 {
+    match split {
+        Split::Train => 100,
+        Split::Val | Split::Test => 20,
+    }
+}
+
+/// The worlds of a split. World `k` is a function of seed, split and `k`, so they can be made in any order and by many processes.
+pub struct Worlds {
+    world: Arc<World>,
+    renderer: Renderer,
+    agents: Agents,
+    split: Split,
+    seed: u64,
+}
+
+/// A state of a city and what the rules want in it.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// The tick in which it was decided on.
+    pub tick: u64,
+    /// The agents in list order.
+    pub agents: Vec<FrameAgent>,
+    /// All base facts about them.
+    pub facts: Facts,
+}
+
+/// An agent of a frame.
+#[derive(Clone, Debug)]
+pub struct FrameAgent {
+    /// Its name.
+    pub name: AgentName,
+    /// What it carries.
+    pub concepts: Arc<[String]>,
+    /// Right of way; a smaller number goes first.
+    pub priority: i32,
+    /// Where it is.
+    pub at: Cell,
+    /// The direction of its last move.
+    pub heading: Option<Heading>,
+    /// Where it faces in the picture.
+    pub facing: Facing,
+    /// Which instance of its class the picture shows.
+    pub instance: u32,
+    /// What the rules want.
+    pub action: Speed,
+}
+
+impl FrameAgent {
+    /// What a picture shows of it.
+    pub fn sprite<'a>(&'a self, name: &'a str) -> Sprite<'a> {
+        Sprite {
+            name,
+            kind: self.name.kind,
+            concepts: &self.concepts,
+            at: self.at,
+            facing: self.facing,
+            instance: self.instance,
+            action: None,
+        }
+    }
+}
+
+impl Worlds {
+    /// Makes ready what all worlds share.
+    ///
+    /// # Errors
+    /// As [`World::new`], and `unknown-split`.
+    pub fn new(
+        scenario: Scenario,
+        program: Program,
+        icons: Arc<Icons>,
+        agents: Agents,
+        split: Split,
+        seed: u64,
+    ) -> Result<Worlds, Vec<Diagnostic>> {
+        let world = Arc::new(World::new(scenario, program)?);
+        // Tells a split that is not there, and agents that find no place.
+        Simulation::new(Arc::clone(&world), split, Seed(seed), Settings::default()).map_err(|fault| vec![fault])?;
+        let view = View::published(Cell::new(0, 0)).expect("the first cell is a corner");
+        Ok(Worlds {
+            renderer: Renderer::new(world.map(), icons, view),
+            world,
+            agents,
+            split,
+            seed,
+        })
+    }
+
+    /// The configuration, its rules and its map.
+    pub fn world(&self) -> &Arc<World> {
+        &self.world
+    }
+
+    /// What draws the frames.
+    pub fn renderer(&self) -> &Renderer {
+        &self.renderer
+    }
+
+    /// The seed of a world: `logicity run` with it shows the same city, if agents are fixed.
+    pub fn seed(&self, number: u32) -> u64 {
+        Seed(self.seed)
+            .stream(Purpose::World, number.into(), self.split as u64)
+            .random()
+    }
+
+    /// The frames of a world.
+    ///
+    /// # Errors
+    /// As [`Simulation::new`] and [`Simulation::tick`].
+    pub fn frames(&self, number: u32) -> Result<Vec<Frame>, Diagnostic> {
+        let seed = Seed(self.seed(number));
+        let world = match self.agents {
+            Agents::Fixed => Arc::clone(&self.world),
+            Agents::Random => self.with_drawn_agents(seed)?,
+        };
+        let mut city = Simulation::new(world, self.split, seed, Settings::default())?;
+        let mut frames = Vec::new();
+        for tick in 0..TICKS {
+            // Agents are as they were decided about: before they move.
+            let agents = city.agents().iter().enumerate().map(|(index, agent)| FrameAgent {
+                name: agent.name(),
+                concepts: Arc::clone(&agent.concepts),
+                priority: agent.priority,
+                at: agent.cell,
+                heading: agent.heading,
+                facing: Sprite::of(agent, "", None).facing,
+                instance: seed.stream(Purpose::Look, index as u64, tick).random(),
+                action: Speed::Stop,
+            });
+            let mut agents: Vec<FrameAgent> = agents.collect();
+            city.tick(&[])?;
+            if tick < FIRST_TICK {
+                continue;
+            }
+            for (agent, done) in agents.iter_mut().zip(&city.report().agents) {
+                agent.action = done.action;
+            }
+            frames.push(Frame {
+                tick,
+                agents,
+                facts: city.facts(|_| true),
+            });
+        }
+        Ok(frames)
+    }
+
+    /// What each agent of a frame covers of its picture; `None` for those outside.
+    pub fn boxes(&self, frame: &Frame) -> Vec<Option<PixelBox>> {
+        let sprites: Vec<Sprite<'_>> = frame.agents.iter().map(|agent| agent.sprite("")).collect();
+        self.renderer.boxes(&sprites)
+    }
+
+    /// The same world with agents of its own.
+    fn with_drawn_agents(&self, seed: Seed) -> Result<Arc<World>, Diagnostic> {
+        let mut scenario = self.world.scenario.clone();
+        for (split, set) in &mut scenario.splits {
+            if *split == self.split {
+                *set = draw_agents(set, *split, &mut seed.stream(Purpose::Cast, 0, 0));
+            }
+        }
+        // The rules fitted this configuration before; agents change nothing of that.
+        let world = World::new(scenario, self.world.program.clone());
+        Ok(Arc::new(world.map_err(|mut faults| faults.swap_remove(0))?))
+    }
+}
+
+/// Agents as the paper draws them: 12 in training, else 13 to 15; 3 to 5 of them pedestrians, in the test set 5 to 7, with at least one old
+/// and two young; cars have priorities 1, 2, ... in a drawn order.
+fn draw_agents(like: &AgentSet, split: Split, stream: &mut impl Rng) -> AgentSet {
+    let count = match split {
+        Split::Train => 12,
+        Split::Val | Split::Test => stream.random_range(13..=15),
+    };
+    let walking = match split {
+        Split::Test => stream.random_range(5..=7),
+        Split::Train | Split::Val => stream.random_range(3..=5),
+    };
+    let group = |concepts: &[&str], priority: i32| AgentGroup {
+        count: 1,
+        concepts: concepts.iter().map(|&concept| concept.to_owned()).collect(),
+        priority,
+    };
+    let mut pedestrians = vec![group(&["old"], 0), group(&["young"], 0), group(&["young"], 0)];
+    while pedestrians.len() < walking {
+        pedestrians.push(match stream.random_range(0..5) {
+            0 | 1 => group(&["old"], 0),
+            2 | 3 => group(&["young"], 0),
+            _ => group(&[], 0),
+        });
+    }
+    let driving = count - i32::try_from(walking).expect("at most 7");
+    let mut priorities: Vec<i32> = (1..=driving).collect();
+    for last in (1..priorities.len()).rev() {
+        priorities.swap(last, stream.random_range(0..=last));
+    }
+    let all = CONCEPT * 5 + PLAIN;
+    let cars = priorities.into_iter().map(|priority| {
+        let drawn = (stream.random_range(0..all) / CONCEPT) as usize;
+        match CONCEPTS.get(drawn) {
+            Some(concept) => group(&[concept], priority),
+            None => group(&[], priority),
+        }
+    });
+    AgentSet {
+        cars: cars.collect(),
+        pedestrians,
+        repeat: 1,
+        ..like.clone()
+    }
+}
+
+/// How many cars are to do what, in the order of [`Speed::ALL`].
+pub fn count_actions(frames: &[Frame]) -> [u64; 4] {
+    let mut counts = [0; 4];
+    let agents = frames.iter().flat_map(|frame| &frame.agents);
+    for agent in agents.filter(|agent| agent.name.kind == AgentKind::Car) {
+        counts[agent.action as usize] += 1;
+    }
+    counts
+}
+
+/// A fault of a table, which no text has a place for.
+fn faulty(message: impl Into<String>) -> Diagnostic {
+    Diagnostic::new(Code::InvalidDataSet, message)
+}

@@ -1,0 +1,415 @@
+//! Frames as columns, written as Parquet: a table of entities, with what is true of each, and a table of ordered pairs of them.
+
+use super::{Frame, FrameAgent, Worlds, faulty};
+use crate::city::Heading;
+use crate::config::{AgentKind, Speed};
+use crate::diag::Diagnostic;
+use crate::render::PixelBox;
+use crate::sim::{Facts, Vocabulary};
+use bytes::Bytes;
+use parquet::basic::{Compression, Repetition};
+use parquet::column::reader::ColumnReader;
+use parquet::data_type::{BoolType, ByteArray, ByteArrayType, Int32Type};
+use parquet::errors::ParquetError;
+use parquet::file::properties::WriterProperties;
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::file::writer::SerializedFileWriter;
+use parquet::schema::parser::parse_message_type;
+use std::io::Write;
+use std::panic::catch_unwind;
+use std::sync::Arc;
+
+/// Columns of one length.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Table {
+    /// Their names and values.
+    pub columns: Vec<(String, Values)>,
+}
+
+/// The values of a column.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Values {
+    /// Numbers.
+    Int(Vec<i32>),
+    /// Numbers, or nothing.
+    MaybeInt(Vec<Option<i32>>),
+    /// Texts.
+    Text(Vec<String>),
+    /// Truth values.
+    Bool(Vec<bool>),
+}
+
+impl Values {
+    fn len(&self) -> usize {
+        match self {
+            Values::Int(values) => values.len(),
+            Values::MaybeInt(values) => values.len(),
+            Values::Text(values) => values.len(),
+            Values::Bool(values) => values.len(),
+        }
+    }
+
+    /// A column of it in a schema of Parquet.
+    fn schema(&self, name: &str) -> String {
+        match self {
+            Values::Int(_) => format!("required int32 {name};"),
+            Values::MaybeInt(_) => format!("optional int32 {name};"),
+            Values::Text(_) => format!("required binary {name} (UTF8);"),
+            Values::Bool(_) => format!("required boolean {name};"),
+        }
+    }
+}
+
+/// A column of numbers in the table of entities: its name, what it is, and what it is of an agent.
+type EntityColumn = (
+    &'static str,
+    &'static str,
+    fn(&FrameAgent, Option<PixelBox>) -> Option<i32>,
+);
+
+/// The columns of the table of entities that tell which one it is.
+pub const ENTITY_NAMES: [(&str, &str); 6] = [
+    ("world", "number of the world"),
+    ("tick", "11 to 99; world and tick name the sample"),
+    ("agent", "position in the list of agents, from 0"),
+    ("name", "such as `Car_1`"),
+    ("type", "`Car` or `Pedestrian`"),
+    ("concepts", "joined by `+`; an empty text if there are none"),
+];
+
+/// The columns after those. After these come the unary predicates.
+pub const ENTITY_NUMBERS: [EntityColumn; 10] = [
+    ("priority", "right of way; a smaller number goes first", |agent, _| {
+        Some(agent.priority)
+    }),
+    ("row", "of its cell, from 0 at the top", |agent, _| Some(agent.at.row)),
+    ("col", "of its cell, from 0 at the left", |agent, _| Some(agent.at.col)),
+    (
+        "heading",
+        "of its last move: 0 left, 1 right, 2 up, 3 down; null before the first",
+        |agent, _| {
+            let heading = agent.heading?;
+            Some(match heading {
+                Heading::Left => 0,
+                Heading::Right => 1,
+                Heading::Up => 2,
+                Heading::Down => 3,
+            })
+        },
+    ),
+    (
+        "facing",
+        "of its icon, in eighths of a turn clockwise from up",
+        |agent, _| Some(agent.facing as i32),
+    ),
+    (
+        "x",
+        "left edge of its box in the picture, in pixels; null, as all of the box, if it is outside",
+        |_, pixels| pixels.map(|pixels| pixels.x),
+    ),
+    ("y", "upper edge", |_, pixels| pixels.map(|pixels| pixels.y)),
+    ("width", "of the box, in pixels", |_, pixels| {
+        pixels.map(|pixels| pixels.width.cast_signed())
+    }),
+    ("height", "of the box, in pixels", |_, pixels| {
+        pixels.map(|pixels| pixels.height.cast_signed())
+    }),
+    (
+        "label",
+        "what the rules want of a car: 0 slow, 1 normal, 2 fast, 3 stop; null for pedestrians",
+        |agent, _| (agent.name.kind == AgentKind::Car).then_some(agent.action as i32),
+    ),
+];
+
+/// The columns of the table of pairs that tell which one it is. After these come the binary predicates.
+pub const PAIR_NAMES: [(&str, &str); 4] = [
+    ("world", "number of the world"),
+    ("tick", "11 to 99"),
+    (
+        "first",
+        "position of the first agent; an agent with itself is a pair, too",
+    ),
+    ("second", "position of the second agent"),
+];
+
+fn int(value: impl TryInto<i32>) -> i32 {
+    value.try_into().ok().expect("fewer than 2^31")
+}
+
+impl Table {
+    /// The entities of the frames of a world.
+    pub fn entities(worlds: &Worlds, world: u32, frames: &[Frame]) -> Table {
+        let rows = frames.iter().flat_map(|frame| {
+            let agents = frame.agents.iter().zip(worlds.boxes(frame)).enumerate();
+            agents.map(|(place, (agent, pixels))| (frame.tick, place, agent, pixels))
+        });
+        let all: Vec<(u64, usize, &FrameAgent, Option<PixelBox>)> = rows.collect();
+        let agents = || all.iter().map(|(_, _, agent, _)| *agent);
+        let names = [
+            Values::Int(all.iter().map(|_| int(world)).collect()),
+            Values::Int(all.iter().map(|(tick, ..)| int(*tick)).collect()),
+            Values::Int(all.iter().map(|(_, place, ..)| int(*place)).collect()),
+            Values::Text(agents().map(|agent| agent.name.to_string()).collect()),
+            Values::Text(agents().map(|agent| agent.name.kind.name().to_owned()).collect()),
+            Values::Text(agents().map(|agent| agent.concepts.join("+")).collect()),
+        ];
+        let names = ENTITY_NAMES
+            .iter()
+            .zip(names)
+            .map(|((name, _), values)| ((*name).to_owned(), values));
+        let numbers = ENTITY_NUMBERS.iter().map(|(name, _, value)| {
+            let values = all.iter().map(|(_, _, agent, pixels)| value(agent, *pixels));
+            ((*name).to_owned(), Values::MaybeInt(values.collect()))
+        });
+        let mut columns: Vec<(String, Values)> = names.chain(numbers).collect();
+        columns.extend(truths(&worlds.world().vocabulary, frames, 1));
+        Table { columns }
+    }
+
+    /// All ordered pairs of entities of each frame of a world.
+    pub fn pairs(worlds: &Worlds, world: u32, frames: &[Frame]) -> Table {
+        let mut names: [Vec<i32>; 4] = Default::default();
+        for frame in frames {
+            let count = frame.agents.len();
+            for (first, second) in (0..count).flat_map(|first| (0..count).map(move |second| (first, second))) {
+                let row = [int(world), int(frame.tick), int(first), int(second)];
+                names.iter_mut().zip(row).for_each(|(column, value)| column.push(value));
+            }
+        }
+        let names = PAIR_NAMES
+            .iter()
+            .zip(names)
+            .map(|((name, _), values)| ((*name).to_owned(), Values::Int(values)));
+        Table {
+            columns: names.chain(truths(&worlds.world().vocabulary, frames, 2)).collect(),
+        }
+    }
+
+    /// How many rows it has.
+    pub fn rows(&self) -> usize {
+        self.columns.first().map_or(0, |(_, values)| values.len())
+    }
+
+    /// Writes it as a file of Parquet with one group of rows, compressed by Snappy. The same table gives the same bytes.
+    ///
+    /// # Errors
+    /// Whatever `out` reports.
+    pub fn write(&self, out: impl Write + Send) -> parquet::errors::Result<()> {
+        let columns: Vec<String> = self.columns.iter().map(|(name, values)| values.schema(name)).collect();
+        let schema = parse_message_type(&format!("message table {{ {} }}", columns.join(" ")))?;
+        let settings = WriterProperties::builder()
+            .set_compression(Compression::SNAPPY)
+            .set_created_by(concat!("logicity ", env!("CARGO_PKG_VERSION")).to_owned());
+        let mut file = SerializedFileWriter::new(out, Arc::new(schema), Arc::new(settings.build()))?;
+        let mut group = file.next_row_group()?;
+        for (_, values) in &self.columns {
+            let mut column = group.next_column()?.expect("as many as in the schema");
+            match values {
+                Values::Int(values) => column.typed::<Int32Type>().write_batch(values, None, None)?,
+                Values::MaybeInt(values) => {
+                    let there: Vec<i16> = values.iter().map(|value| value.is_some().into()).collect();
+                    let values: Vec<i32> = values.iter().flatten().copied().collect();
+                    column.typed::<Int32Type>().write_batch(&values, Some(&there), None)?
+                }
+                Values::Text(values) => {
+                    let values: Vec<ByteArray> = values.iter().map(|text| text.as_str().into()).collect();
+                    column.typed::<ByteArrayType>().write_batch(&values, None, None)?
+                }
+                Values::Bool(values) => column.typed::<BoolType>().write_batch(values, None, None)?,
+            };
+            column.close()?;
+        }
+        group.close()?;
+        file.close()?;
+        Ok(())
+    }
+
+    /// Reads what [`Table::write`] has written.
+    ///
+    /// # Errors
+    /// `invalid-data-set` for anything else.
+    pub fn read(bytes: Vec<u8>) -> Result<Table, Diagnostic> {
+        // The crate asserts what damaged bytes need not fulfil.
+        let read = catch_unwind(|| read(bytes.into())).unwrap_or_else(|_| Err(fault("damaged")));
+        read.map_err(|error| faulty(format!("not a table of frames: {error}")))
+    }
+
+    fn column(&self, name: &str) -> Result<&Values, Diagnostic> {
+        let found = self.columns.iter().find(|(known, _)| known == name);
+        Ok(&found.ok_or_else(|| faulty(format!("there is no column `{name}`")))?.1)
+    }
+
+    fn ints(&self, name: &str) -> Result<&[i32], Diagnostic> {
+        match self.column(name)? {
+            Values::Int(values) => Ok(values),
+            _ => Err(faulty(format!("the column `{name}` is not of numbers"))),
+        }
+    }
+
+    fn bools(&self, name: &str) -> Result<&[bool], Diagnostic> {
+        match self.column(name)? {
+            Values::Bool(values) => Ok(values),
+            _ => Err(faulty(format!("the column `{name}` is not of truth values"))),
+        }
+    }
+}
+
+/// For each predicate over so many agents whether it holds, row by row.
+fn truths(vocabulary: &Vocabulary, frames: &[Frame], arity: usize) -> Vec<(String, Values)> {
+    let predicates = vocabulary
+        .predicates
+        .iter()
+        .enumerate()
+        .filter(|(_, predicate)| predicate.arity == arity);
+    let column = |(index, predicate): (usize, &crate::sim::Predicate)| {
+        let mut holds = Vec::new();
+        for frame in frames {
+            let (begin, count) = (holds.len(), frame.agents.len());
+            holds.resize(begin + if arity == 1 { count } else { count * count }, false);
+            for [x, y] in frame.facts.rows[index]
+                .iter()
+                .map(|row| row.map(|agent| agent as usize))
+            {
+                holds[begin + if arity == 1 { x } else { x * count + y }] = true;
+            }
+        }
+        (predicate.name.clone(), Values::Bool(holds))
+    };
+    predicates.map(column).collect()
+}
+
+fn fault(message: &str) -> ParquetError {
+    ParquetError::General(message.to_owned())
+}
+
+fn read(bytes: Bytes) -> Result<Table, ParquetError> {
+    let file = SerializedFileReader::new(bytes)?;
+    if file.num_row_groups() != 1 {
+        return Err(fault("not one group of rows"));
+    }
+    let group = file.get_row_group(0)?;
+    let rows = usize::try_from(group.metadata().num_rows()).map_err(|_| fault("fewer than no rows"))?;
+    let mut columns = Vec::new();
+    for (index, column) in group.metadata().schema_descr().columns().iter().enumerate() {
+        let optional = column.self_type().get_basic_info().repetition() == Repetition::OPTIONAL;
+        let values = match (group.get_column_reader(index)?, optional) {
+            (ColumnReader::Int32ColumnReader(mut reader), true) => {
+                let (mut values, mut there) = (Vec::new(), Vec::new());
+                reader.read_records(rows, Some(&mut there), None, &mut values)?;
+                let mut values = values.into_iter();
+                let next = |there: i16| if there == 0 { None } else { values.next() };
+                Values::MaybeInt(there.into_iter().map(next).collect())
+            }
+            (ColumnReader::Int32ColumnReader(mut reader), false) => {
+                let mut values = Vec::new();
+                reader.read_records(rows, None, None, &mut values)?;
+                Values::Int(values)
+            }
+            (ColumnReader::ByteArrayColumnReader(mut reader), false) => {
+                let mut values = Vec::new();
+                reader.read_records(rows, None, None, &mut values)?;
+                let text = |value: &ByteArray| value.as_utf8().map(str::to_owned);
+                Values::Text(values.iter().map(text).collect::<Result<_, _>>()?)
+            }
+            (ColumnReader::BoolColumnReader(mut reader), false) => {
+                let mut values = Vec::new();
+                reader.read_records(rows, None, None, &mut values)?;
+                Values::Bool(values)
+            }
+            _ => return Err(fault("a column of another type")),
+        };
+        if values.len() != rows {
+            return Err(fault("columns of different lengths"));
+        }
+        columns.push((column.name().to_owned(), values));
+    }
+    Ok(Table { columns })
+}
+
+/// What the tables say of a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sample {
+    /// The tick.
+    pub tick: i32,
+    /// Names of the agents.
+    pub names: Vec<String>,
+    /// What the rules want of each, if it is a car.
+    pub labels: Vec<Option<Speed>>,
+    /// What is true.
+    pub facts: Facts,
+}
+
+/// The samples of a world from its two tables.
+///
+/// # Errors
+/// `invalid-data-set` if a column is missing, the rows of a sample are not all there in order, or a label is none.
+pub fn samples(
+    vocabulary: &Vocabulary,
+    world: u32,
+    entities: &Table,
+    pairs: &Table,
+) -> Result<Vec<Sample>, Diagnostic> {
+    let (worlds, ticks, places) = (entities.ints("world")?, entities.ints("tick")?, entities.ints("agent")?);
+    let (Values::Text(names), Values::MaybeInt(labels)) = (entities.column("name")?, entities.column("label")?) else {
+        return Err(faulty("the columns `name` and `label` are not of texts and numbers"));
+    };
+    let [of_worlds, of_ticks] = [pairs.ints("world")?, pairs.ints("tick")?];
+    let [firsts, seconds] = [pairs.ints("first")?, pairs.ints("second")?];
+    let label = |label: &Option<i32>| match label {
+        None => Ok(None),
+        Some(label) => {
+            let action = usize::try_from(*label)
+                .ok()
+                .and_then(|label| Speed::ALL.get(label).copied());
+            action
+                .map(Some)
+                .ok_or_else(|| faulty(format!("{label} is not a label")))
+        }
+    };
+    let world = int(world);
+    let mut samples = Vec::new();
+    let (mut row, mut pair) = (0, 0);
+    while row < entities.rows() {
+        let tick = ticks[row];
+        let count = ticks[row..].iter().take_while(|other| **other == tick).count();
+        let (own, of_two) = (row..row + count, pair..pair + count * count);
+        let listed = own.clone().all(|at| worlds[at] == world && places[at] == int(at - row));
+        let paired = of_two.end <= pairs.rows()
+            && of_two.clone().all(|at| {
+                let (first, second) = ((at - pair) / count, (at - pair) % count);
+                [of_worlds[at], of_ticks[at], firsts[at], seconds[at]] == [world, tick, int(first), int(second)]
+            });
+        if !listed || !paired {
+            return Err(faulty(format!(
+                "the rows of tick {tick} are not those of one sample, in order"
+            )));
+        }
+        let rows = vocabulary.predicates.iter().map(|predicate| {
+            let agent = |at: usize| u32::try_from(at).expect("fewer than 2^32 rows");
+            Ok(match predicate.arity {
+                1 => {
+                    let holds = &entities.bools(&predicate.name)?[own.clone()];
+                    (0..count).filter(|&at| holds[at]).map(|at| [agent(at), 0]).collect()
+                }
+                _ => {
+                    let holds = &pairs.bools(&predicate.name)?[of_two.clone()];
+                    let true_ones = (0..count * count).filter(|&at| holds[at]);
+                    true_ones.map(|at| [agent(at / count), agent(at % count)]).collect()
+                }
+            })
+        });
+        samples.push(Sample {
+            tick,
+            names: names[own.clone()].to_vec(),
+            labels: labels[own.clone()].iter().map(label).collect::<Result<_, _>>()?,
+            facts: Facts {
+                rows: rows.collect::<Result<_, Diagnostic>>()?,
+            },
+        });
+        (row, pair) = (own.end, of_two.end);
+    }
+    match pair == pairs.rows() {
+        true => Ok(samples),
+        false => Err(faulty("there are more pairs than the entities have")),
+    }
+}
