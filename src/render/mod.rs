@@ -5,8 +5,42 @@
 //! [`sheet`] shows what there are. A [`Picture`] becomes a PNG with [`write_png`], a sequence of them a GIF with [`Animation`].
 //!
 //! Icons are drawn by parameters, each a function of seed, class and instance, or come from a [`Pack`]. The same input gives the same bytes
-//! on any number of threads. This module knows neither rules nor simulation: it reads no clock, opens no file, and an agent is what its
-//! [`Sprite`] says.
+//! on any number of threads.
+//!
+//! ```
+//! use logicity::city::Cell;
+//! use logicity::config::{Split, load_scenario};
+//! use logicity::diag::Sources;
+//! use logicity::engine::Program;
+//! use logicity::files::{builtin, read_or_builtin};
+//! use logicity::render::{Difficulty, Facing, Icons, Renderer, Sprite, View, write_png};
+//! use logicity::rng::Seed;
+//! use logicity::sim::{Settings, Simulation, World};
+//! use std::{path::Path, sync::Arc};
+//!
+//! let mut sources = Sources::new();
+//! let scenario = load_scenario(&mut sources, Path::new("vap-easy"), &read_or_builtin).expect("it is built in");
+//! let rules = sources.add("vap-easy.dl", builtin("rules/vap-easy.dl").expect("it is built in"));
+//! let (program, _) = Program::load(&mut sources, rules, &read_or_builtin);
+//! let world = World::new(scenario, program.expect("without errors")).expect("they fit");
+//! let city = Simulation::new(Arc::new(world), Split::Test, Seed(1), Settings::default()).expect("there is room for all");
+//!
+//! // 1024 x 1024 pixels: 128 cells of 8; cars are 48 pixels wide, pedestrians 32. The ground is drawn once.
+//! let view = View::published(Cell::new(0, 0))?;
+//! let icons = Arc::new(Icons::new(Seed(1), Difficulty::CLEAN));
+//! let renderer = Renderer::new(city.world().map(), icons, view);
+//! let sprites: Vec<Sprite> = city.agents().iter().map(|agent| Sprite::of(agent, "", None)).collect();
+//! let mut png = Vec::new();
+//! write_png(&renderer.draw(&sprites), &mut png)?;
+//!
+//! let boxes = renderer.boxes(&sprites); // of each agent, in pixels, clipped to the picture
+//! assert!(boxes.iter().flatten().all(|area| area.width <= 1024));
+//! let alone = renderer.icons().png(&sprites[0].class(), 0, Facing::Up, 64); // an icon on transparent ground
+//! assert!(alone.starts_with(b"\x89PNG"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! This module knows neither rules nor simulation: it reads no clock, opens no file, and an agent is what its [`Sprite`] says.
 
 mod building;
 mod car;
