@@ -5,7 +5,7 @@
 //! ```
 //!
 //! All of it is computed here, by the engine; the script in the page only shows it and evaluates no rule. Explanations
-//! repeat each other: equal nodes are stored once for the whole run ([`proofs`]). The data are JSON, deflated and written
+//! repeat each other: equal nodes are stored once for the whole run (`page::proofs`). The data are JSON, deflated and written
 //! in base 64.
 
 mod proofs;

@@ -1,6 +1,6 @@
 //! Language questions: what does this car do next, given the names of entities and the facts that are true of them?
 //!
-//! [`QuestionSet::draw`] lets cities go and picks decisions of cars; [`wording`] makes texts of them. The rules are not told: they
+//! [`QuestionSet::draw`] lets cities go and picks decisions of cars; `wording` makes texts of them. The rules are not told: they
 //! are to be found from demonstrations, which come from another agent set than the questions.
 
 mod wording;
