@@ -11,7 +11,7 @@
 
 use super::map::Zone;
 use super::route::{Way, steps};
-use super::walk::walk;
+use super::walk::{search, walk};
 use super::{Cell, CityMap, Heading, Layout, Route};
 use crate::config::{AgentKind, Routing};
 use pathfinding::directed::astar::astar;
@@ -450,7 +450,10 @@ impl Router {
                 if !self.map.is_walkable(goal) {
                     return Err(NoRoute::Goal);
                 }
-                walk(&self.map.layout, goal, &mut way);
+                match self.routing {
+                    Routing::Weighted => walk(&self.map.layout, goal, &mut way),
+                    Routing::Hops => search(&self.map, goal, &mut way),
+                }
             }
         }
         Ok(way.finish())

@@ -8,7 +8,8 @@
 
 use super::map::Zone;
 use super::route::{Way, steps};
-use super::{Cell, Layout};
+use super::{Cell, CityMap, Heading, Layout};
+use std::collections::HashMap;
 
 /// The corners of a way, in order; the end is not told.
 #[derive(Clone, Copy)]
@@ -204,4 +205,85 @@ fn passage(layout: &Layout, [from, to]: [i32; 2], keep_high: bool, through_block
 fn nearest_inner(layout: &Layout, block: i32, at: i32) -> i32 {
     let inner = layout.inner_span(block);
     at.clamp(inner.start, inner.end - 1)
+}
+
+/// What the published program thinks a step onto a cell costs that one cannot walk on.
+const WALL: u32 = 1000;
+
+/// The way of the published program: the one of the shortest that A* finds, whose bound is the number of steps if nothing were in the way.
+///
+/// Among ways of equal length the order of the waiting cells decides: they are in a binary heap, and a cell's neighbours come to it upper,
+/// left, right, lower. Cells that one cannot walk on take part in that order, though nothing goes through them.
+pub(super) fn search(map: &CityMap, goal: Cell, way: &mut Way<'_>) {
+    const NEIGHBOURS: [Heading; 4] = [Heading::Up, Heading::Left, Heading::Right, Heading::Down];
+    let start = way.at();
+    // The steps to a cell, and the one before it.
+    let mut reached = HashMap::from([(start, (0, start))]);
+    let mut waiting = Waiting::default();
+    waiting.push(0, start);
+    while let Some(cell) = waiting.pop().filter(|&cell| cell != goal) {
+        if !map.is_walkable(cell) {
+            continue;
+        }
+        let (cost, _) = reached[&cell];
+        for heading in NEIGHBOURS {
+            let next = cell.ahead(heading, 1);
+            if !map.contains(next) {
+                continue;
+            }
+            let cost = cost + if map.is_walkable(next) { 1 } else { WALL };
+            if reached.get(&next).is_none_or(|&(known, _)| cost < known) {
+                waiting.push(cost + steps(next, goal), next);
+                reached.insert(next, (cost, cell));
+            }
+        }
+    }
+    let mut cells = vec![goal];
+    while let Some(&(_, before)) = cells.last().filter(|&&cell| cell != start).and_then(|cell| reached.get(cell)) {
+        cells.push(before);
+    }
+    cells.iter().rev().for_each(|&cell| way.straight(cell));
+}
+
+/// A binary heap of cells, the least bound first. Of equal bounds the one comes first that the heaps of C++ and Python would give, whose way
+/// of closing the gap at the top differs from that of Rust: down to a leaf first, and then the last one rises from there.
+#[derive(Default)]
+struct Waiting {
+    heap: Vec<(u32, Cell)>,
+}
+
+impl Waiting {
+    fn push(&mut self, bound: u32, cell: Cell) {
+        self.heap.push((bound, cell));
+        self.rise(self.heap.len() - 1);
+    }
+
+    fn pop(&mut self) -> Option<Cell> {
+        if self.heap.is_empty() {
+            return None;
+        }
+        let (_, first) = self.heap.swap_remove(0);
+        let count = self.heap.len();
+        let (mut at, last) = (0, self.heap.first().copied());
+        while 2 * at + 1 < count {
+            let (left, right) = (2 * at + 1, 2 * at + 2);
+            let better = if right < count && self.heap[right].0 <= self.heap[left].0 { right } else { left };
+            self.heap[at] = self.heap[better];
+            at = better;
+        }
+        if let Some(last) = last {
+            self.heap[at] = last;
+            self.rise(at);
+        }
+        Some(first)
+    }
+
+    fn rise(&mut self, mut at: usize) {
+        let entry = self.heap[at];
+        while at > 0 && self.heap[(at - 1) / 2].0 > entry.0 {
+            self.heap[at] = self.heap[(at - 1) / 2];
+            at = (at - 1) / 2;
+        }
+        self.heap[at] = entry;
+    }
 }
