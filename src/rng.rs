@@ -42,6 +42,8 @@ pub enum Purpose {
     Cast = 14,
     /// Which instance of its class a picture shows; index: agent.
     Look = 15,
+    /// Which of the shortest ways pedestrians take; index: the start, tick: the goal.
+    Walk = 16,
 }
 
 /// The seed of a run, from which every stream is made.

@@ -6,7 +6,7 @@ use logicity::city::{
     Surroundings, advance, place_agents, possible_cells,
 };
 use logicity::config::{
-    AgentGroup, AgentKind, AgentSet, Building, Buildings, Located, MapConfig, Routing, Speed, Split, Widths,
+    AgentGroup, AgentKind, AgentSet, Building, Buildings, Located, MapConfig, Routing, Speed, Split, Widths, load_map,
     load_scenario,
 };
 use logicity::diag::{Code, Sources, Span};
@@ -686,4 +686,38 @@ fn agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
         }
     }
     assert!(replanned > 9_000);
+}
+
+/// Which part of the cells of some ways are at an intersection and which are in one, in thousandths.
+fn at_and_in(router: &Router, trips: &[[Cell; 2]]) -> [usize; 2] {
+    let map = router.map();
+    let route = |&[start, goal]: &[Cell; 2]| router.plan(AgentKind::Pedestrian, start, goal).unwrap();
+    let cells: Vec<Cell> = trips
+        .iter()
+        .flat_map(|trip| route(trip).cells().collect::<Vec<_>>())
+        .collect();
+    let share = |holds: &dyn Fn(Cell) -> bool| 1000 * cells.iter().filter(|&&cell| holds(cell)).count() / cells.len();
+    [
+        share(&|cell| map.at_intersection(AgentKind::Pedestrian, cell).is_some()),
+        share(&|cell| map.in_intersection(cell).is_some()),
+    ]
+}
+
+#[test]
+fn pedestrians_meet_intersections_as_often_as_by_the_published_ways() {
+    let config = load_map(&mut Sources::new(), Path::new("square-5x5"), &read_text).expect("built in");
+    let map = Arc::new(CityMap::generate(&config).expect("a valid map"));
+    let [published, ours] = [Routing::Hops, Routing::Weighted].map(|routing| Router::new(map.clone(), routing));
+    let places = Places::new(&ours, Some(120), None);
+    let count = places.count(AgentKind::Pedestrian);
+    let cell = |number: usize| places.nth(AgentKind::Pedestrian, number % count).unwrap();
+    let trips: Vec<[Cell; 2]> = (0..1000)
+        .map(|at| [cell(at * 7919), cell(at * 104_729 + 13)])
+        .filter(|[start, goal]| start != goal)
+        .collect();
+    let [published, ours] = [at_and_in(&published, &trips), at_and_in(&ours, &trips)];
+    println!("at and in an intersection: published {published:?}, ours {ours:?}");
+    for (published, ours) in published.into_iter().zip(ours) {
+        assert!(published.abs_diff(ours) < 30, "{published} and {ours} of a thousand");
+    }
 }

@@ -56,6 +56,16 @@ impl Heading {
     /// All four.
     pub const ALL: [Heading; 4] = [Heading::Left, Heading::Right, Heading::Up, Heading::Down];
 
+    /// The other way.
+    pub const fn opposite(self) -> Heading {
+        match self {
+            Heading::Left => Heading::Right,
+            Heading::Right => Heading::Left,
+            Heading::Up => Heading::Down,
+            Heading::Down => Heading::Up,
+        }
+    }
+
     /// The step of one cell, (rows, columns).
     pub const fn delta(self) -> (i32, i32) {
         match self {

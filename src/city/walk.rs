@@ -9,6 +9,7 @@
 use super::map::Zone;
 use super::route::{Way, steps};
 use super::{Cell, CityMap, Heading, Layout};
+use crate::rng::{Purpose, Rng, RngExt, Seed};
 use std::collections::HashMap;
 
 /// The corners of a way, in order; the end is not told.
@@ -40,10 +41,132 @@ pub(super) fn walk(layout: &Layout, goal: Cell, way: &mut Way<'_>) {
             }
         }
     }
+    let mut line = Line::new(start);
     for corner in best.iter().flat_map(|(_, corners)| corners) {
-        way.straight(*corner);
+        line.push(*corner);
     }
-    way.straight(goal);
+    line.push(goal);
+    line.stroll(layout, way);
+}
+
+/// A shortest way as few straight legs.
+struct Line {
+    /// The start, the corners, the end.
+    points: [Cell; Line::MOST],
+    count: usize,
+}
+
+impl Line {
+    const MOST: usize = 8;
+
+    fn new(start: Cell) -> Line {
+        Line {
+            points: [start; Line::MOST],
+            count: 1,
+        }
+    }
+
+    /// Goes on to a cell in the same row or column.
+    fn push(&mut self, to: Cell) {
+        let last = self.points[self.count - 1];
+        let Some(heading) = Heading::between(last, to) else {
+            return;
+        };
+        if self.count > 1 && Heading::between(self.points[self.count - 2], last) == Some(heading) {
+            self.points[self.count - 1] = to;
+        } else {
+            self.points[self.count] = to;
+            self.count += 1;
+        }
+    }
+
+    /// Walks along, but not in straight lines. At a corner, steps in the new direction are due and steps in the old one no longer: as many as
+    /// the sidewalks beside it are wide are done early, on the leg before the corner, and late, on the leg behind it, a step here and a step
+    /// there. The length stays the same.
+    ///
+    /// Going straight, all would cross streets on the very line where an intersection begins: at it, but never in it. So they are as often
+    /// at and in intersections as those who go the published way. Where steps aside are taken is drawn for each start and goal.
+    fn stroll(&self, layout: &Layout, way: &mut Way<'_>) {
+        let points = &self.points[..self.count];
+        let number = |cell: Cell| u64::from(cell.row.cast_unsigned()) << 32 | u64::from(cell.col.cast_unsigned());
+        let mut stream = Seed(0).stream(Purpose::Walk, number(points[0]), number(points[self.count - 1]));
+        // How much of the next leg is done early, and what of the last one is left, in its direction.
+        let (mut early, mut left) = (0, None);
+        for (place, leg) in points.windows(2).enumerate() {
+            let (from, to) = (leg[0], leg[1]);
+            let Some(heading) = Heading::between(from, to) else {
+                continue;
+            };
+            let mut ahead = steps(from, to) - early;
+            let mut aside = Aside::default();
+            aside.add(left.take());
+            early = 0;
+            if let Some(&next) = points.get(place + 2)
+                && let Some(turn) = Heading::between(to, next)
+            {
+                let late = room(layout, to, next, heading.opposite()).min(ahead);
+                early = room(layout, from, to, turn).min(steps(to, next));
+                ahead -= late;
+                left = Some((heading, late));
+                aside.add(Some((turn, early)));
+            }
+            aside.go(heading, ahead, &mut stream, way);
+        }
+    }
+}
+
+/// The most steps aside for one side of a corner.
+const ASIDE_MAX: u32 = 8;
+
+/// Steps aside that a leg has, in order.
+#[derive(Default)]
+struct Aside {
+    steps: [Option<Heading>; 2 * ASIDE_MAX as usize],
+    count: usize,
+}
+
+impl Aside {
+    fn add(&mut self, more: Option<(Heading, u32)>) {
+        if let Some((heading, steps)) = more {
+            self.steps[self.count..][..steps as usize].fill(Some(heading));
+            self.count += steps as usize;
+        }
+    }
+
+    /// Goes so many steps ahead, with the steps aside anywhere between.
+    fn go(&self, heading: Heading, ahead: u32, stream: &mut impl Rng, way: &mut Way<'_>) {
+        let mut places = [0; 2 * ASIDE_MAX as usize];
+        let places = &mut places[..self.count];
+        places
+            .iter_mut()
+            .for_each(|place| *place = stream.random_range(0..=ahead));
+        places.sort_unstable();
+        let mut done = 0;
+        for (&place, aside) in places.iter().zip(self.steps.iter().flatten()) {
+            way.straight(way.at().ahead(heading, (place - done).cast_signed()));
+            way.straight(way.at().ahead(*aside, 1));
+            done = place;
+        }
+        way.straight(way.at().ahead(heading, (ahead - done).cast_signed()));
+    }
+}
+
+/// How many steps aside one can take anywhere on a straight leg. It is along a sidewalk, or there are none.
+fn room(layout: &Layout, from: Cell, to: Cell, aside: Heading) -> u32 {
+    let at = if from.row == to.row { from.row } else { from.col };
+    let (zone, street) = layout.zone(at);
+    if zone.in_street() || zone.in_block() {
+        return 0;
+    }
+    // The cells between the street and the buildings.
+    let (low, high) = if zone.after_mid_line() {
+        (layout.street_span(street).end, layout.built_span(street).start - 1)
+    } else {
+        (layout.built_span(street - 1).end, layout.street_span(street).start - 1)
+    };
+    let (row, col) = aside.delta();
+    let room = if row + col > 0 { high - at } else { at - low };
+    room.cast_unsigned().min(ASIDE_MAX)
 }
 
 /// A cell that one can walk on.
@@ -239,7 +362,11 @@ pub(super) fn search(map: &CityMap, goal: Cell, way: &mut Way<'_>) {
         }
     }
     let mut cells = vec![goal];
-    while let Some(&(_, before)) = cells.last().filter(|&&cell| cell != start).and_then(|cell| reached.get(cell)) {
+    while let Some(&(_, before)) = cells
+        .last()
+        .filter(|&&cell| cell != start)
+        .and_then(|cell| reached.get(cell))
+    {
         cells.push(before);
     }
     cells.iter().rev().for_each(|&cell| way.straight(cell));
@@ -267,7 +394,11 @@ impl Waiting {
         let (mut at, last) = (0, self.heap.first().copied());
         while 2 * at + 1 < count {
             let (left, right) = (2 * at + 1, 2 * at + 2);
-            let better = if right < count && self.heap[right].0 <= self.heap[left].0 { right } else { left };
+            let better = if right < count && self.heap[right].0 <= self.heap[left].0 {
+                right
+            } else {
+                left
+            };
             self.heap[at] = self.heap[better];
             at = better;
         }
