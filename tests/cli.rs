@@ -372,18 +372,18 @@ fn the_summary_tells_deadlocks() {
         assert_eq!(code(&output), 0, "{}", err(&output));
         out(&output)
     };
-    let summary = run("300", "2");
+    let summary = run("300", "6");
     for words in [
-        "stuck (no move in the last 50 ticks): Car_8",
-        "starving: Car_8 (S1, S2)",
+        "stuck (no move in the last 50 ticks): Car_3",
+        "starving: Car_3 (S1, S7, S2)",
     ] {
         assert!(summary.contains(words), "`{words}` is missing in:\n{summary}");
     }
     assert!(!summary.contains("deadlock"), "{summary}");
-    let summary = run("300", "0");
+    let summary = run("300", "10");
     for words in [
-        "deadlock since tick 201: Car_6 (S7) -> Car_8 (S2) -> Car_6",
-        "behind: Car_3 (S7) -> Car_9 (S7) -> Car_10 (S2) -> Car_6",
+        "deadlock since tick 5: Car_6 (S7) -> Car_9 (S4) -> Car_10 (S7) -> Car_6",
+        "behind: Car_5 (S7) -> Car_10",
     ] {
         assert!(summary.contains(words), "`{words}` is missing in:\n{summary}");
     }

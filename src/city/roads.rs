@@ -417,7 +417,7 @@ impl Router {
         &self.map
     }
 
-    /// How cars choose their route.
+    /// How agents choose their route.
     pub fn routing(&self) -> Routing {
         self.routing
     }

@@ -1,4 +1,4 @@
-//! Ways on foot, found without a search.
+//! Ways on foot: found without a search, and the published ones.
 //!
 //! The sidewalks along the streets of a row of blocks form two *bands*, one above and one below the blocks, that run across
 //! the whole map, since crossings join them over every street on their way. It is the same with columns of blocks. All other

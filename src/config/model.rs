@@ -393,12 +393,12 @@ pub struct ActionsConfig {
     pub default: Speed,
 }
 
-/// How cars choose a route.
+/// How agents choose a route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum Routing {
-    /// Least length, where each turn and U-turn costs 30 cells more (the paper).
+    /// Cars: least length, where each turn and U-turn costs 30 cells more (the paper). Pedestrians: a shortest way.
     Weighted,
-    /// Fewest nodes of the road graph (the published program).
+    /// The ways of the published program, cell by cell. Cars: fewest nodes of the road graph. Pedestrians: the shortest way that its A* finds.
     Hops,
 }
 
@@ -503,7 +503,7 @@ pub struct Scenario {
     pub predicates: Vec<PredicateConfig>,
     /// How derived actions become one.
     pub actions: ActionsConfig,
-    /// How cars choose a route.
+    /// How agents choose a route.
     pub routing: Routing,
     /// Half-width of the field of view in cells.
     pub view: u32,
