@@ -24,7 +24,7 @@ use flate2::write::ZlibEncoder;
 use proofs::Proofs;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 
 /// The most decisions that a page holds; more make it slow to open.
 pub const DECISIONS_MAX: usize = 400_000;
@@ -270,8 +270,14 @@ impl Page {
                 self.still_since[position] = tick.tick + 1;
             }
         }
-        for (clause, (count, _)) in world.clauses().zip(&mut self.firings) {
-            *count += replay.session().fired(clause).len() as u64;
+        for (clause, (count, is_action)) in world.clauses().zip(&mut self.firings) {
+            // Of clauses that decide the trace has every firing.
+            if !*is_action {
+                *count += replay.session().fired(clause).len() as u64;
+            }
+        }
+        for &clause in tick.agents.iter().flat_map(|agent| &agent.clauses) {
+            self.firings[clause].0 += 1;
         }
         self.ticks.push(column);
         self.last = tick.agents.iter().map(|agent| agent.next).collect();
@@ -286,9 +292,10 @@ impl Page {
     /// # Errors
     /// Whatever `out` reports.
     pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
-        let mut packed = ZlibEncoder::new(Vec::new(), Compression::best());
+        // Numbers are written one by one, and the encoder works on what it is given at once.
+        let mut packed = BufWriter::with_capacity(1 << 16, ZlibEncoder::new(Vec::new(), Compression::best()));
         serde_json::to_writer(&mut packed, self)?;
-        let data = STANDARD.encode(packed.finish()?);
+        let data = STANDARD.encode(packed.into_inner()?.finish()?);
         let title = self.title.replace('&', "&amp;").replace('<', "&lt;");
         let parts = [
             ("TITLE", title.as_str()),
