@@ -72,6 +72,9 @@ pub struct Page {
     deadlocks: Vec<Deadlock>,
     /// How many looks for deadlocks were given up: the ways to stop were too many.
     looks_given_up: u32,
+    /// Who was driven from outside, what it did against what the rules wanted, tick by tick.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    driven: Vec<Driven>,
     #[serde(skip)]
     most: usize,
     /// For each agent the tick after its last move.
@@ -144,6 +147,20 @@ struct Deadlock {
     until: u64,
 }
 
+/// An agent that was driven from outside in a tick.
+#[derive(Serialize)]
+struct Driven {
+    /// The position of the tick among the ticks of the page, and of the agent.
+    tick: usize,
+    agent: usize,
+    /// The agents that it observed, itself first.
+    observes: Vec<usize>,
+    /// Position in `actions` of what the rules wanted there.
+    wanted: u8,
+    /// The clauses that its action broke.
+    broken: Vec<usize>,
+}
+
 impl Page {
     /// A page without ticks, for the trace of that header.
     pub fn new(replay: &Replay, header: &TraceHeader, icons: &Icons, sources: &Sources) -> Page {
@@ -199,6 +216,7 @@ impl Page {
             routes: vec![Vec::new(); agents.len()],
             deadlocks: Vec::new(),
             looks_given_up: 0,
+            driven: Vec::new(),
             most: DECISIONS_MAX,
             still_since: vec![0; agents.len()],
             rows: vec![Vec::new(); world.vocabulary.predicates.len()],
@@ -251,9 +269,16 @@ impl Page {
             facts: self.changed(replay),
         };
         for (position, agent) in tick.agents.iter().enumerate() {
-            if let Some(clause) = agent.clauses.iter().find(|clause| **clause >= self.counted) {
-                let message = format!("there is no clause {clause}: the rules have {}", self.counted);
-                return Err(Diagnostic::new(Code::InvalidTrace, message));
+            self.check_clauses(&agent.clauses)?;
+            if let Some(driven) = &agent.driven {
+                self.check_clauses(&driven.broken)?;
+                self.driven.push(Driven {
+                    tick: self.ticks.len(),
+                    agent: position,
+                    observes: positions(replay, &driven.observes)?,
+                    wanted: driven.wanted()? as u8,
+                    broken: driven.broken.clone(),
+                });
             }
             let heading = agent.heading()?;
             let seen = field_of_view(cell(agent.at), heading, view, world.map());
@@ -313,6 +338,14 @@ impl Page {
             rest = after;
         }
         out.write_all(rest.as_bytes())
+    }
+
+    fn check_clauses(&self, clauses: &[usize]) -> Result<(), Diagnostic> {
+        let Some(clause) = clauses.iter().find(|clause| **clause >= self.counted) else {
+            return Ok(());
+        };
+        let message = format!("there is no clause {clause}: the rules have {}", self.counted);
+        Err(Diagnostic::new(Code::InvalidTrace, message))
     }
 
     /// Why each agent did each action or did not.
@@ -396,6 +429,15 @@ impl Page {
             });
         }
     }
+}
+
+/// The agents of those names.
+fn positions(replay: &Replay, names: &[String]) -> Result<Vec<usize>, Diagnostic> {
+    let position = |name: &String| {
+        let unknown = || Diagnostic::new(Code::InvalidTrace, format!("there is no agent `{name}`"));
+        replay.position(name).ok_or_else(unknown)
+    };
+    names.iter().map(position).collect()
 }
 
 /// The icons of a page, each once.
