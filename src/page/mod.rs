@@ -37,7 +37,16 @@ const CROWD: u32 = 20;
 
 const TEMPLATE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
-const SCRIPT: &str = include_str!("page.js");
+/// The parts of the script, each after those that it speaks of.
+const SCRIPT: &str = concat!(
+    include_str!("script/run.js"),
+    include_str!("script/elements.js"),
+    include_str!("script/agent.js"),
+    include_str!("script/chart.js"),
+    include_str!("script/map.js"),
+    include_str!("script/summary.js"),
+    include_str!("script/page.js"),
+);
 
 /// A page in the making.
 #[derive(Serialize)]
