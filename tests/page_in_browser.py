@@ -242,6 +242,14 @@ def test_nobody_is_driven_in_a_run(page: Callable[..., WebDriver]) -> None:
     assert "driven" not in text(browser, "legend") and not browser.find_elements(By.ID, "judged")
 
 
+def test_the_chart_has_no_gaps(page: Callable[..., WebDriver]) -> None:
+    clear = """const {width, height} = arguments[0];
+        const {data} = arguments[0].getContext("2d").getImageData(0, 0, width, height);
+        return data.filter((_, at) => at % 4 === 3 && data[at] < 255).length;"""
+    browser = page()
+    assert browser.execute_script(clear, browser.find_element(By.ID, "strip")) == 0
+
+
 def test_time_runs_and_stops(page: Callable[..., WebDriver]) -> None:
     browser = page("#tick=5")
     body = browser.find_element(By.TAG_NAME, "body")

@@ -41,7 +41,8 @@ class Chart {
     const colours = actions.map((action) => [1, 3, 5].map((at) => parseInt(COLOURS[action].slice(at, at + 2), 16)));
     const { clause } = this.now;
     ticks.forEach(({ action, fired }, tick) => {
-      const column = Math.floor(tick / this.run.count * columns);
+      // Multiplied first: whole numbers stay exact, and no column is left out.
+      const column = Math.floor(tick * columns / this.run.count);
       for (let agent = 0; agent < agents.length; agent += 1) {
         const at = 4 * (agent * columns + column);
         const bright = clause < 0 || fired[agent].includes(clause);
