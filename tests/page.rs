@@ -452,7 +452,10 @@ fn the_program_reads_the_trace_of_a_driven_car() {
     assert!(last["broken"] != json!([]), "the episode ends with a broken rule");
     let text = logicity(&["explain", "--agent", "Car_1"]);
     let wanted = last["wanted"].as_str().unwrap();
-    assert!(text.starts_with("driven from outside: of Car_1"), "{text}");
+    assert!(
+        text.starts_with("driven from outside: on what it observed (Car_1"),
+        "{text}"
+    );
     assert!(
         text.contains(&format!("the rules wanted {wanted}, and its action broke S")),
         "{text}"

@@ -146,7 +146,7 @@ fn steering(driven: &Driven, world: &World, sources: &Sources) -> Result<String,
         false => format!("its action broke {}", broken.join(", ")),
     };
     Ok(format!(
-        "driven from outside: of {} the rules wanted {}, and {judged}",
+        "driven from outside: on what it observed ({}) the rules wanted {}, and {judged}",
         driven.observes.join(", "),
         driven.wanted()?.name()
     ))
