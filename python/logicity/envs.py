@@ -119,7 +119,7 @@ class World:
         return json.dumps({"base": base.as_posix(), **over}, default=_plain)
 
     def written_config(self, path: Path, **more: Any) -> str:
-        """Return the file that traces name as their configuration: that of the world, or `path`, where it is written if changed."""
+        """Return the file that traces name as their configuration: `path`, where it is written, if it was changed."""
         text = self._changed(more, anywhere=True)
         if text is None:
             return self.config
@@ -293,7 +293,9 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
             raise ValueError("the episode has no steps yet: a trace tells what was done")
         path = Path(path)
         if path.suffix == ".yaml":
-            raise ValueError(f"`{path}` is where the configuration would be: give the trace another ending, such as .jsonl")
+            raise ValueError(
+                f"`{path}` is where the configuration would be: give the trace another ending, such as .jsonl"
+            )
         world = self._world
         config = world.written_config(path.with_suffix(".yaml"), **self._elsewhere)
         task = world.task(**self._elsewhere) if self._elsewhere else self._task

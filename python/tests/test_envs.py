@@ -19,6 +19,7 @@ from gymnasium.error import InvalidAction, ResetNeeded, UnsupportedMode
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from numpy.typing import NDArray
 
 import logicity
 from logicity import _logicity
@@ -160,8 +161,9 @@ def test_the_picture_marks_the_driven_car_its_way_and_its_goal() -> None:
     start, goal = env.episode["agents"][0]["start"], env.episode["agents"][0]["goal"]
     mark = np.array([0xC8, 0x1E, 0xB4], np.uint8)
 
-    def marked(picture: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-        return (picture == mark).all(axis=-1)
+    def marked(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        found: NDArray[np.bool_] = (picture == mark).all(axis=-1)
+        return found
 
     before = marked(env.render())
     # Cells have 4 pixels, behind the rulers.
@@ -172,7 +174,9 @@ def test_the_picture_marks_the_driven_car_its_way_and_its_goal() -> None:
         *_, info = env.step(info["oracle_action"])
     assert info["progress"] > 0
     after = marked(env.render())
-    assert (before & ~after).any() and (after & ~before).any(), "what lies behind is no longer marked, the frame has moved"
+    assert (before & ~after).any() and (after & ~before).any(), (
+        "what lies behind is no longer marked, the frame has moved"
+    )
 
 
 def test_a_trace_is_that_of_the_episode(tmp_path: Path) -> None:
@@ -247,7 +251,9 @@ def test_two_threads_on_one_environment_are_told_what_to_do() -> None:
     for thread in threads:
         thread.join(20)
         stop.set()
-    assert said and all("at work in another thread; give each thread one of its own, or guard it by a lock" in text for text in said)
+    assert said and all(
+        "at work in another thread; give each thread one of its own, or guard it by a lock" in text for text in said
+    )
     # Whoever was told so has broken nothing.
     envs.reset(seed=1)
     assert envs.step(actions)[0].shape == (64, 205)
