@@ -10,8 +10,10 @@ use logicity::page::Page;
 use logicity::render::Icons;
 use logicity::rng::Seed;
 use logicity::sim::{Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World, hash_sources};
+use logicity::task::path::{Egos, Env, Origin, PathTask, RecordError, record};
 use serde_json::{Value, json};
 use std::io::Read;
+use std::process::Command;
 use std::sync::Arc;
 
 mod shipped_world;
@@ -56,6 +58,53 @@ fn run_with(config: &str, rules: Option<&str>, ticks: u64) -> Run {
         sources,
         ways,
     }
+}
+
+/// An episode in which the first car drives on at that speed whatever the rules want, from its beginning to its end; and what was observed
+/// then, step by step: whom, what the rules wanted, which clauses were broken, where the car was.
+fn drive(config: &str, seed: u64, action: Speed) -> (Run, Vec<Value>) {
+    let (world, sources) = with_sources(config, None);
+    let task = Arc::new(PathTask::new(Arc::clone(&world), &sources).unwrap());
+    let mut env = Env::new(Arc::clone(&task), Split::Test, Egos::First).unwrap();
+    env.reset(seed).unwrap();
+    let episode = env.episode().clone();
+    let (mut actions, mut steps) = (Vec::new(), Vec::new());
+    while env.riders()[0].is_running() {
+        let name = |agent: usize| env.city().agents()[agent].name().to_string();
+        let observes: Vec<String> = env.riders()[0].observer().entities().map(name).collect();
+        let (wanted, at) = (env.oracle_action(0).name(), env.city().agents()[0].cell);
+        env.step(&[action]).unwrap();
+        actions.push(action);
+        let demands = task.oracle().demands();
+        let position = |&demand: &usize| world.clauses().position(|clause| clause == demands[demand].clause);
+        let broken: Option<Vec<usize>> = env.riders()[0].last().broken.iter().map(position).collect();
+        steps.push(json!({"observes": observes, "wanted": wanted, "broken": broken.unwrap(), "at": [at.row, at.col]}));
+    }
+    let rules = world.scenario.rules.value.display().to_string();
+    let rule_files: Vec<_> = sources.ids().skip_while(|id| sources.name(*id) != rules).collect();
+    let origin = Origin {
+        sources: &sources,
+        config_file: config,
+        rule_files: &rule_files,
+    };
+    let write = |actions: &[Speed]| {
+        let stop = Arc::new(|| false);
+        record(&task, Split::Test, (&episode, actions), origin, stop, Vec::new())
+    };
+    let trace = write(&actions).unwrap_or_else(|error| panic!("{error:?}"));
+    // Nothing is driven beyond the end of the episode.
+    actions.push(action);
+    let Err(RecordError::Fault(fault)) = write(&actions) else {
+        panic!("the episode has ended")
+    };
+    assert_eq!(fault.code, Code::InvalidValue);
+    let run = Run {
+        trace: String::from_utf8(trace).unwrap(),
+        ways: Vec::new(),
+        world,
+        sources,
+    };
+    (run, steps)
 }
 
 impl Run {
@@ -330,4 +379,123 @@ fn too_long_a_run_is_refused() {
     tick.tick = 2;
     let fault = page.push(&replay, &tick, &run.sources).unwrap_err();
     assert_eq!(fault.code, Code::LimitExceeded);
+}
+
+/// A trace and a page tell of the driven car what the task knew of it in every step, and of everything else what the rules say.
+#[test]
+fn a_driven_car_is_told_of_as_the_task_judged_it() {
+    let (mut broke, mut disobeyed, mut heeded) = (0, 0, 0);
+    for (config, seed, action) in [
+        ("easy", 3, Speed::Fast),
+        ("expert", 1, Speed::Normal),
+        ("expert", 4, Speed::Fast),
+        ("transfer-hard", 2, Speed::Stop),
+    ] {
+        let (run, steps) = drive(config, seed, action);
+        let data = unpack(&run.page());
+        let names: Vec<String> = run.header().agents.into_iter().map(|agent| agent.id).collect();
+        let told = data["driven"].as_array().unwrap();
+        assert_eq!(told.len(), steps.len());
+        let mut replay = run.replay();
+        for (number, (tick, step)) in run.ticks().zip(&steps).enumerate() {
+            replay.set(&tick).unwrap();
+            let driven = &told[number];
+            assert_eq!((&driven["tick"], &driven["agent"]), (&json!(number), &json!(0)));
+            assert_eq!(
+                data["actions"][usize::try_from(driven["wanted"].as_u64().unwrap()).unwrap()],
+                step["wanted"]
+            );
+            assert_eq!(driven["broken"], step["broken"]);
+            let observes = driven["observes"].as_array().unwrap().iter();
+            let observes: Vec<&String> = observes
+                .map(|at| &names[usize::try_from(at.as_u64().unwrap()).unwrap()])
+                .collect();
+            assert_eq!(json!(observes), step["observes"]);
+            assert_eq!(data["ticks"][number]["at"][0], step["at"]);
+            for (agent, state) in tick.agents.iter().enumerate() {
+                let derived: Vec<&str> = replay.derived(agent).iter().map(Speed::name).collect();
+                assert_eq!(
+                    derived, state.derived,
+                    "what the rules derive is what they say without a driver"
+                );
+                assert_eq!(state.driven.is_some(), agent == 0);
+                let by_rules = run.world.vocabulary.decide(replay.derived(agent));
+                assert_eq!(state.action().unwrap(), if agent == 0 { action } else { by_rules });
+            }
+            let differs = step["wanted"] != action.name();
+            disobeyed += usize::from(differs);
+            heeded += usize::from(!differs);
+            broke += usize::from(step["broken"] != json!([]));
+        }
+    }
+    assert!(broke > 0 && disobeyed > 0 && heeded > 0, "{broke} {disobeyed} {heeded}");
+}
+
+#[test]
+fn the_program_reads_the_trace_of_a_driven_car() {
+    let (run, steps) = drive("expert", 4, Speed::Fast);
+    let folder = tempfile::tempdir().unwrap();
+    let trace = folder.path().join("driven.jsonl");
+    std::fs::write(&trace, &run.trace).unwrap();
+    let logicity = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_logicity"))
+            .args(arguments)
+            .arg(&trace)
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{said}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let last = steps.last().unwrap();
+    assert!(last["broken"] != json!([]), "the episode ends with a broken rule");
+    let text = logicity(&["explain", "--agent", "Car_1"]);
+    let wanted = last["wanted"].as_str().unwrap();
+    assert!(
+        text.starts_with("driven from outside: on what it observed (Car_1"),
+        "{text}"
+    );
+    assert!(
+        text.contains(&format!("the rules wanted {wanted}, and its action broke S")),
+        "{text}"
+    );
+    assert!(
+        text.contains(&format!("the action came from outside; the rules say {wanted}")),
+        "{text}"
+    );
+    let told: Value = serde_json::from_str(&logicity(&["explain", "--json", "--agent", "Car_1"])).unwrap();
+    for key in ["observes", "wanted", "broken"] {
+        assert_eq!(told["driven"][key], last[key]);
+    }
+    let other: Value = serde_json::from_str(&logicity(&["explain", "--json", "--agent", "Car_2"])).unwrap();
+    assert!(other.get("driven").is_none());
+    assert!(logicity(&["view"]).contains("wrote city.html"));
+    let page = std::fs::read_to_string(folder.path().join("city.html")).unwrap();
+    assert_eq!(unpack(&page)["driven"], unpack(&run.page())["driven"]);
+    let covered = logicity(&["check", "--coverage"]);
+    assert!(
+        covered.contains(&format!("coverage: {} ticks", steps.len())),
+        "{covered}"
+    );
+}
+
+/// What is told of a driven car fits the rules and the agents, or the trace is refused.
+#[test]
+fn a_driver_that_cannot_be_is_refused() {
+    let (run, _) = drive("easy", 3, Speed::Fast);
+    let mut replay = run.replay();
+    for (key, wrong) in [
+        ("broken", json!([99])),
+        ("wanted", json!("Fly")),
+        ("observes", json!(["Car_1", "Car_99"])),
+    ] {
+        let mut tick: Value = serde_json::from_str(run.trace.lines().nth(1).unwrap()).unwrap();
+        tick["agents"][0]["driven"][key] = wrong;
+        let tick = TraceTick::read(&tick.to_string()).unwrap();
+        replay.set(&tick).unwrap();
+        let mut page = Page::new(&replay, &run.header(), &Icons::default(), &run.sources);
+        let fault = page.push(&replay, &tick, &run.sources).unwrap_err();
+        assert_eq!(fault.code, Code::InvalidTrace, "{key}");
+    }
 }

@@ -65,13 +65,31 @@ def browser() -> Iterator[WebDriver]:
     browser.quit()
 
 
+@pytest.fixture(scope="module")
+def driven(folder: pathlib.Path, trace: list[dict]) -> list[dict]:
+    """The first 40 ticks of the trace as if Car_1 had been driven, badly in the end; `driven.html` is its page."""
+    header, *ticks = json.loads(json.dumps(trace[:41]))
+    agents = [agent["id"] for agent in header["agents"]]
+    for tick in ticks:
+        state = tick["agents"][agents.index("Car_1")]
+        state["driven"] = {"observes": ["Car_1", "Car_2"], "wanted": state["action"], "broken": []}
+    clause = next(number for number, clause in enumerate(header["clauses"]) if clause["doc"].startswith("S1"))
+    state["driven"] |= {"wanted": "Stop", "broken": [clause]}
+    state["action"] = "Fast"
+    lines = [json.dumps(line) for line in [header, *ticks]]
+    (folder / "driven.jsonl").write_text("\n".join(lines))
+    view = [PROGRAM, "view", folder / "driven.jsonl", "-o", folder / "driven.html"]
+    subprocess.run(view, cwd=ROOT, check=True, capture_output=True)
+    return ticks
+
+
 @pytest.fixture
-def page(browser: WebDriver, folder: pathlib.Path) -> Iterator[Callable[[str], WebDriver]]:
+def page(browser: WebDriver, folder: pathlib.Path) -> Iterator[Callable[..., WebDriver]]:
     """Opens the page anew at an address; afterwards nothing may have been complained of."""
 
-    def open_at(address: str = "") -> WebDriver:
+    def open_at(address: str = "", name: str = "city.html") -> WebDriver:
         browser.get("about:blank")
-        browser.get((folder / "city.html").as_uri() + address)
+        browser.get((folder / name).as_uri() + address)
         WebDriverWait(browser, 20).until(lambda _: browser.find_element(By.ID, "tick").text)
         return browser
 
@@ -180,6 +198,56 @@ def test_a_click_on_the_map_chooses_an_agent(page: Callable[..., WebDriver], tra
     assert "Click an agent" in text(browser, "agent")
     ActionChains(browser).move_to_element(browser.find_element(By.ID, "map")).click().perform()
     assert text(browser, "agent").startswith(name)
+
+
+@pytest.mark.parametrize(
+    ("address", "told"),
+    [
+        ("#tick=300", ["no tick 300", f"0 to {TICKS - 1}"]),
+        ("#tick=-1&agent=Car_1", ["no tick -1"]),
+        ("#tick=5&agent=Car_99", ["no agent Car_99"]),
+        ("#tick=soon&agent=me&clause=S99", ["no tick soon", "no agent me", "no clause S99"]),
+    ],
+)
+def test_an_address_that_leads_nowhere_is_told(page: Callable[..., WebDriver], address: str, told: list[str]) -> None:
+    browser = page(address)
+    assert all(words in text(browser, "notice") for words in told)
+    assert text(browser, "tick") == ("tick 5" if "tick=5" in address else "tick 0")
+    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.ARROW_RIGHT)
+    assert not browser.find_element(By.ID, "notice").is_displayed()
+    browser.execute_script("location.hash = '#tick=7&agent=Car_2'")
+    WebDriverWait(browser, 5).until(lambda _: text(browser, "tick") == "tick 7")
+    assert not browser.find_element(By.ID, "notice").is_displayed()
+
+
+def test_a_driven_car_is_marked(page: Callable[..., WebDriver], driven: list[dict]) -> None:
+    browser = page(name="driven.html")
+    assert "Car_1 was driven: 39 of 40 actions were those that the rules wanted." in text(browser, "driven")
+    assert "driven" in text(browser, "legend")
+    browser.find_element(By.XPATH, "//*[@id='driven']/button[contains(., 'broke S1')]").click()
+    assert text(browser, "tick") == "tick 39" and text(browser, "action") == "Fast"
+    assert text(browser, "wanted").startswith("Stop") and "S1" in text(browser, "judged")
+    shown = text(browser, "agent")
+    assert "Car_2" in shown and "Why do the rules want Stop?" in shown and "Why not Fast?" in shown
+    photograph(browser, "driven.png")
+    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.ARROW_LEFT)
+    assert text(browser, "judged") == "no clause broken"
+    browser.find_element(By.TAG_NAME, "body").send_keys("n")
+    assert "because" in text(browser, "agent") and not browser.find_elements(By.ID, "judged")
+
+
+def test_nobody_is_driven_in_a_run(page: Callable[..., WebDriver]) -> None:
+    browser = page("#tick=3&agent=Car_1")
+    assert not browser.find_element(By.ID, "driven").is_displayed()
+    assert "driven" not in text(browser, "legend") and not browser.find_elements(By.ID, "judged")
+
+
+def test_the_chart_has_no_gaps(page: Callable[..., WebDriver]) -> None:
+    clear = """const {width, height} = arguments[0];
+        const {data} = arguments[0].getContext("2d").getImageData(0, 0, width, height);
+        return data.filter((_, at) => at % 4 === 3 && data[at] < 255).length;"""
+    browser = page()
+    assert browser.execute_script(clear, browser.find_element(By.ID, "strip")) == 0
 
 
 def test_time_runs_and_stops(page: Callable[..., WebDriver]) -> None:

@@ -50,6 +50,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     measure.add_argument("--split", choices=("train", "val", "test"), default="test", help="default: test")
     measure.add_argument("--json", type=Path, metavar="FILE", help="write the results, episode by episode")
+    measure.add_argument(
+        "--traces", type=Path, metavar="FOLDER", help="write the trace of every episode into a folder for each mode"
+    )
 
     learn = _add(commands, "train", "train a model, or go on with a run that was killed")
     learn.add_argument("config", type=Path, help="for example configs/baselines/dqn-easy.yaml")
@@ -124,7 +127,8 @@ def _evaluate(given: argparse.Namespace) -> int:
     policy, name = _named_policy(given.policy)
     results: list[Evaluation] = []
     for mode in given.modes:
-        results.append(Benchmark(mode, given.split).evaluate(policy, name=name))
+        folder = None if given.traces is None else given.traces / Path(mode).stem
+        results.append(Benchmark(mode, given.split).evaluate(policy, name=name, traces=folder))
     print(table(results))
     if given.json is not None:
         write_json(given.json, [result.to_dict() for result in results])

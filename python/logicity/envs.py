@@ -104,13 +104,27 @@ class World:
 
     def task(self, **more: Any) -> _logicity.Task:
         """Load the task, with more overrides."""
+        return _logicity.Task(self.config, self.rules, self._changed(more))
+
+    def _changed(self, more: Mapping[str, Any], *, anywhere: bool = False) -> str | None:
+        """Return the configuration as JSON if it is not that of the file; with a base that is found from anywhere."""
         over = {**self.overrides, **more}
-        text = None
-        if over:
-            base = Path(self.config)
-            bare = len(base.parts) == 1 and not base.suffix and not base.exists()
-            text = json.dumps({"base": f"configs/{base}.yaml" if bare else str(base), **over}, default=_plain)
-        return _logicity.Task(self.config, self.rules, text)
+        if not over:
+            return None
+        base = Path(self.config)
+        if len(base.parts) == 1 and not base.suffix and not base.exists():
+            base = Path("configs") / f"{base}.yaml"
+        if anywhere and base.exists():
+            base = base.resolve()
+        return json.dumps({"base": base.as_posix(), **over}, default=_plain)
+
+    def written_config(self, path: Path, **more: Any) -> str:
+        """Return the file that traces name as their configuration: `path`, where it is written, if it was changed."""
+        text = self._changed(more, anywhere=True)
+        if text is None:
+            return self.config
+        path.write_text(text + "\n", encoding="utf-8")
+        return str(path)
 
     def space(self, task: _logicity.Task) -> Box:
         """Make the space of observations."""
@@ -264,8 +278,34 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
         self._check_begun()
         return self._core.explain(0)
 
+    def write_trace(self, path: str | os.PathLike[str]) -> None:
+        """Write the trace of the episode so far, as `logicity run` would: `logicity view` makes a page of it.
+
+        It tells of every step what the car observed, what the rules wanted of it and which clauses its action broke. If
+        the configuration was changed, by overrides or by `map` or `agents` of a reset, what it became is written beside
+        the trace, to a file of the same name with the ending `.yaml`, which the trace names.
+
+        Raises `ResetNeeded` if no episode has begun, `ValueError` before its first step, `OSError` if a file cannot be
+        written.
+        """
+        self._check_begun()
+        if not self._taken:
+            raise ValueError("the episode has no steps yet: a trace tells what was done")
+        path = Path(path)
+        if path.suffix == ".yaml":
+            raise ValueError(
+                f"`{path}` is where the configuration would be: give the trace another ending, such as .jsonl"
+            )
+        world = self._world
+        config = world.written_config(path.with_suffix(".yaml"), **self._elsewhere)
+        task = world.task(**self._elsewhere) if self._elsewhere else self._task
+        task.write_trace(world.split, self._core.episode(0), self._taken, path, config)
+
     def render(self) -> Any:
-        """Draw the city: an array of uint8, shape (height, width, 3), or text in the mode `ansi`."""
+        """Draw the city: an array of uint8, shape (height, width, 3), or text in the mode `ansi`.
+
+        In the picture the driven car stands in a frame, with a line along its way and a square around its goal.
+        """
         if self.render_mode is None:
             raise gymnasium.error.Error("no `render_mode` was chosen when the environment was made")
         self._check_begun()

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, cast
 
 import numpy as np
@@ -201,7 +202,8 @@ class Benchmark:
         """Load the task and its episodes."""
         self.mode, self.split = checked_mode(mode), split
         self._observation = observation
-        self._task = load_task(mode, rules, overrides)
+        self._world = World(self.mode, rules=rules, overrides=overrides)
+        self._task = self._world.task()
         self._random = _logicity.Baseline(self._task, split)
         self.episodes_hash = self._random.hash()
         self._driven = 0
@@ -220,7 +222,14 @@ class Benchmark:
                     progress.tell(self._driven)
         return self._random
 
-    def evaluate(self, policy: Policy, *, batched: bool = False, name: str | None = None) -> Evaluation:
+    def evaluate(
+        self,
+        policy: Policy,
+        *,
+        batched: bool = False,
+        name: str | None = None,
+        traces: str | os.PathLike[str] | None = None,
+    ) -> Evaluation:
         """Let a policy drive every episode once, or the random policy ten times.
 
         Args:
@@ -229,32 +238,54 @@ class Benchmark:
             batched: the function is given all observations, float32 of shape (episodes, ...), and returns an integer
                 for each.
             name: what to call the policy in the result.
+            traces: a folder, made if it does not exist, for the trace of every episode: `episode-7.jsonl` is that of
+                number 7, which `logicity view` makes a page of; see `SPFEnv.write_trace`. If overrides have changed the
+                configuration, what it became stands there as `config.yaml`. Not of the random policy, which drives
+                every episode ten times.
 
         Raises:
             TypeError: the policy is nothing that can act, or its actions are not integers.
-            ValueError: an unknown name, or not one action for each observation.
+            ValueError: an unknown name, not one action for each observation, or traces of the random policy.
+            OSError: a trace cannot be written.
             gymnasium.error.InvalidAction: an action that is not 0, 1, 2 or 3.
             InputError: the episodes do not fit the agents, as overrides can bring about.
         """
         with episodes_that_fit():
-            return self._evaluate(policy, batched, name)
+            return self._evaluate(policy, batched, name, None if traces is None else Path(traces))
 
-    def _evaluate(self, policy: Policy, batched: bool, name: str | None) -> Evaluation:
+    def _evaluate(self, policy: Policy, batched: bool, name: str | None, traces: Path | None) -> Evaluation:
         named = name or (policy if isinstance(policy, str) else type(policy).__name__)
         if policy == "random":
+            if traces is not None:
+                raise ValueError("the random policy drives every episode ten times: give a function for traces")
             return self._result(named, self._baseline().report())
         exam = _logicity.Exam(self._random, self._observation)
         observations = np.zeros((len(exam), *self._task.shape(self._observation)), np.float32)
         running = np.ones(len(exam), np.bool_)
         act = _actor(policy, batched, exam)
+        taken: list[list[int]] = [[] for _ in range(len(exam))]
         with Progress(f"{self.mode} {self.split}, {named}", len(exam)) as progress:
             while running.any():
                 exam.observe(observations)
                 actions = _checked(act(observations, running), len(exam))
                 exam.step(actions)
+                if traces is not None:
+                    for at in np.flatnonzero(running):
+                        taken[at].append(int(actions[at]))
                 exam.running(running)
                 progress.tell(len(exam) - int(running.sum()))
+        if traces is not None:
+            self._write_traces(traces, exam, taken)
         return self._result(named, exam.report(self._baseline()))
+
+    def _write_traces(self, folder: Path, exam: _logicity.Exam, taken: list[list[int]]) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        config = self._world.written_config(folder / "config.yaml")
+        with Progress(f"{self.mode} {self.split}, traces", len(exam)) as progress:
+            for at, actions in enumerate(taken):
+                path = folder / f"episode-{at}.jsonl"
+                self._task.write_trace(self.split, exam.episode(at), actions, path, config)
+                progress.tell(at + 1)
 
     def _result(self, policy: str, told: Mapping[str, Any]) -> Evaluation:
         summary = told["summary"]
@@ -345,13 +376,14 @@ def evaluate(
     rules: str | os.PathLike[str] | None = None,
     overrides: Mapping[str, Any] | None = None,
     observation: str = "atoms",
+    traces: str | os.PathLike[str] | None = None,
 ) -> Evaluation:
     """Measure a policy on the recorded episodes of a mode or of a configuration file.
 
     What is given and raised is as for `Benchmark` and `Benchmark.evaluate`.
     """
     benchmark = Benchmark(mode, split, rules=rules, overrides=overrides, observation=observation)
-    return benchmark.evaluate(policy, batched=batched)
+    return benchmark.evaluate(policy, batched=batched, traces=traces)
 
 
 def table(results: list[Evaluation]) -> str:

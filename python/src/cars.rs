@@ -132,7 +132,7 @@ impl PyCars {
 
     /// The city: red, green and blue.
     fn picture<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<u8>>> {
-        self.task.get().picture(py, &self.env)
+        self.task.get().picture(py, &self.env, &[])
     }
 }
 

@@ -3,10 +3,10 @@
 use crate::city::one_of;
 use crate::episode::{PyBegin, PyEpisode, read_episode};
 use crate::task::{PyTask, gymnasium_error, speed, split_named, view_named};
-use crate::{Signals, slice_of};
+use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::config::{Speed, Split};
 use logicity::task::path::{Autoreset, Begin, Episode, EpisodeSource, Info, Member, VectorEnv, describe};
-use numpy::{PyArray1, PyArray3, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
+use numpy::{PyArray1, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -112,35 +112,39 @@ impl PyEnvironments {
     }
 
     /// Gives an environment the episodes of a seed, from the one with that number on.
-    fn seed(&mut self, at: usize, seed: u64, begun: u64) -> PyResult<()> {
-        self.member(at)?;
-        let mut source = EpisodeSource::new(seed, self.recorded.clone());
+    fn seed(slf: &Bound<'_, Self>, at: usize, seed: u64, begun: u64) -> PyResult<()> {
+        let this = &mut *borrowed_mut(slf)?;
+        this.member(at)?;
+        let mut source = EpisodeSource::new(seed, this.recorded.clone());
         source.skip_to(begun);
-        self.vector.set_source(at, source);
+        this.vector.set_source(at, source);
         Ok(())
     }
 
     /// The seed of the episodes of an environment, and how many have begun.
-    fn source(&self, at: usize) -> PyResult<[u64; 2]> {
-        Ok(self.member(at)?.source().place())
+    fn source(slf: &Bound<'_, Self>, at: usize) -> PyResult<[u64; 2]> {
+        let this = borrowed(slf)?;
+        Ok(this.member(at)?.source().place())
     }
 
     /// Begins episodes, see `PyBegin`; the observations of environments that go on stay.
     fn reset(
-        &mut self,
+        slf: &Bound<'_, Self>,
         py: Python<'_>,
         begin: Vec<PyBegin<'_>>,
-        mut observations: PyReadwriteArrayDyn<'_, f32>,
+        observations: &Bound<'_, PyArrayDyn<f32>>,
     ) -> PyResult<()> {
-        let task = self.task.get();
-        self.check(begin.len())?;
+        let this = &mut *borrowed_mut(slf)?;
+        let mut observations = observations.try_readwrite()?;
+        let task = this.task.get();
+        this.check(begin.len())?;
         let read = |(begin, member): (PyBegin<'_>, &Member)| match begin {
             PyBegin::Next(next) => Ok(next.then_some(Begin::Next)),
             PyBegin::Recorded(number) => {
-                let recorded = task.recorded_episodes(py, self.split)?;
+                let recorded = task.recorded_episodes(py, this.split)?;
                 let place: Option<usize> = number.extract().ok();
                 let episode = place.and_then(|place| recorded.get(place)).ok_or_else(|| {
-                    let (split, count) = (self.split.name(), recorded.len());
+                    let (split, count) = (this.split.name(), recorded.len());
                     PyIndexError::new_err(format!("no episode {number}: the split `{split}` has {count}, from 0"))
                 })?;
                 Ok(Some(Begin::Given(Arc::new(episode.clone()))))
@@ -152,28 +156,30 @@ impl PyEnvironments {
         };
         let begin: Vec<Option<Begin>> = begin
             .into_iter()
-            .zip(self.vector.members())
+            .zip(this.vector.members())
             .map(read)
             .collect::<PyResult<_>>()?;
-        let rows = self.rows(&mut observations)?;
-        let vector = &mut self.vector;
-        (self.signals.detach(py, || vector.reset(&begin, rows))?).map_err(|fault| task.error(py, fault))
+        let rows = this.rows(&mut observations)?;
+        let vector = &mut this.vector;
+        (this.signals.detach(py, || vector.reset(&begin, rows))?).map_err(|fault| task.error(py, fault))
     }
 
     /// A step of the only environment: reward, whether the episode ended, whether it was cut short, what else is told.
     fn step_one<'py>(
-        &mut self,
+        slf: &Bound<'py, Self>,
         py: Python<'py>,
         action: i64,
-        mut observation: PyReadwriteArrayDyn<'py, f32>,
+        observation: &Bound<'py, PyArrayDyn<f32>>,
     ) -> PyResult<(f64, bool, bool, Bound<'py, PyDict>)> {
-        self.check(1)?;
-        self.check_ready(py)?;
+        let this = &mut *borrowed_mut(slf)?;
+        let mut observation = observation.try_readwrite()?;
+        this.check(1)?;
+        this.check_ready(py)?;
         let actions = [speed(py, action, String::new)?];
-        let task = self.task.get();
-        let rows = self.rows(&mut observation)?;
-        (self.signals.heed(|| self.vector.step(&actions, rows))?).map_err(|fault| task.error(py, fault))?;
-        let member = &self.vector.members()[0];
+        let task = this.task.get();
+        let rows = this.rows(&mut observation)?;
+        (this.signals.heed(|| this.vector.step(&actions, rows))?).map_err(|fault| task.error(py, fault))?;
+        let member = &this.vector.members()[0];
         let outcome = member.outcome();
         Ok((
             outcome.reward,
@@ -185,33 +191,35 @@ impl PyEnvironments {
 
     /// A step of all environments. Returned are those in which clauses were broken, with their names.
     fn step<'py>(
-        &mut self,
+        slf: &Bound<'py, Self>,
         py: Python<'py>,
         actions: PyReadonlyArray1<'py, i64>,
-        mut observations: PyReadwriteArrayDyn<'py, f32>,
+        observations: &Bound<'py, PyArrayDyn<f32>>,
         outcomes: Outcomes<'py>,
         mut columns: Columns<'py>,
     ) -> PyResult<Vec<(usize, Bound<'py, PyTuple>)>> {
+        let this = &mut *borrowed_mut(slf)?;
+        let mut observations = observations.try_readwrite()?;
         let given = actions
             .as_slice()
             .map_err(|error| PyValueError::new_err(error.to_string()))?;
-        self.check(given.len())?;
-        self.check_ready(py)?;
-        self.actions.clear();
+        this.check(given.len())?;
+        this.check_ready(py)?;
+        this.actions.clear();
         for (at, &action) in given.iter().enumerate() {
-            self.actions
+            this.actions
                 .push(speed(py, action, || format!(" (of environment {at})"))?);
         }
-        let task = self.task.get();
-        let rows = self.rows(&mut observations)?;
-        let (vector, actions) = (&mut self.vector, &self.actions);
-        (self.signals.detach(py, || vector.step(actions, rows))?).map_err(|fault| task.error(py, fault))?;
+        let task = this.task.get();
+        let rows = this.rows(&mut observations)?;
+        let (vector, actions) = (&mut this.vector, &this.actions);
+        (this.signals.detach(py, || vector.step(actions, rows))?).map_err(|fault| task.error(py, fault))?;
 
-        let count = self.actions.len();
+        let count = this.actions.len();
         let (mut rewards, mut terminated, mut truncated) = outcomes;
         let (rewards, terminated) = (slice_of(&mut rewards, count)?, slice_of(&mut terminated, count)?);
         let truncated = slice_of(&mut truncated, count)?;
-        let members = self.vector.members();
+        let members = this.vector.members();
         for (at, member) in members.iter().enumerate() {
             let outcome = member.outcome();
             (rewards[at], terminated[at], truncated[at]) = (outcome.reward, outcome.terminated, outcome.truncated);
@@ -232,8 +240,9 @@ impl PyEnvironments {
 
     /// Of each environment whose episode ended in the last step, the next one having begun: its position, the last observation, the names of
     /// the broken clauses. What else was told then is written to the columns.
-    fn ended<'py>(&self, py: Python<'py>, mut columns: Columns<'py>) -> PyResult<Vec<Last<'py>>> {
-        let members = self.vector.members();
+    fn ended<'py>(slf: &Bound<'py, Self>, py: Python<'py>, mut columns: Columns<'py>) -> PyResult<Vec<Last<'py>>> {
+        let this = borrowed(slf)?;
+        let members = this.vector.members();
         let ended = || {
             members
                 .iter()
@@ -241,7 +250,7 @@ impl PyEnvironments {
                 .filter_map(|(at, member)| Some((at, member.ended()?)))
         };
         tell(&mut columns, members.len(), ended().map(|(at, (_, info))| (at, info)))?;
-        let task = self.task.get();
+        let task = this.task.get();
         let last = |(at, (observation, info)): (usize, (&[f32], &Info))| {
             Ok((
                 at,
@@ -253,51 +262,63 @@ impl PyEnvironments {
     }
 
     /// What is told of an environment beside the observation.
-    fn info<'py>(&self, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyDict>> {
-        self.task.get().info(py, self.member(at)?.info())
+    fn info<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyDict>> {
+        let this = borrowed(slf)?;
+        this.task.get().info(py, this.member(at)?.info())
     }
 
     /// The true atoms that an ego observes.
-    fn atoms<'py>(&self, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyTuple>> {
-        let env = self.member(at)?.env();
-        (self.task.get()).atoms(py, env, env.riders()[0].observer().atoms())
+    fn atoms<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyTuple>> {
+        let this = borrowed(slf)?;
+        let env = this.member(at)?.env();
+        (this.task.get()).atoms(py, env, env.riders()[0].observer().atoms())
     }
 
     /// From here on it is kept what was true at the end of an episode when the next one has begun.
-    fn keep_last_atoms(&mut self) {
-        self.vector.keep_last_atoms();
+    fn keep_last_atoms(slf: &Bound<'_, Self>) -> PyResult<()> {
+        borrowed_mut(slf)?.vector.keep_last_atoms();
+        Ok(())
     }
 
     /// The atoms that were true at the end of the episode that the last step ended, if they were kept.
-    fn ended_atoms<'py>(&self, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyTuple>> {
-        let member = self.member(at)?;
+    fn ended_atoms<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyTuple>> {
+        let this = borrowed(slf)?;
+        let member = this.member(at)?;
         let atoms = member.ended_atoms().unwrap_or_default().iter().cloned();
-        self.task.get().atoms(py, member.env(), atoms)
+        this.task.get().atoms(py, member.env(), atoms)
     }
 
     /// Whether an episode of an environment has begun, or begun and ended.
-    fn has_begun(&self, at: usize) -> PyResult<bool> {
-        Ok(self.member(at)?.is_ready(Autoreset::NextStep))
+    fn has_begun(slf: &Bound<'_, Self>, at: usize) -> PyResult<bool> {
+        let this = borrowed(slf)?;
+        Ok(this.member(at)?.is_ready(Autoreset::NextStep))
     }
 
     /// How the episode of an environment began.
-    fn episode(&self, py: Python<'_>, at: usize) -> PyResult<PyEpisode> {
-        Ok(PyEpisode::of(self.begun(py, at)?.env().episode()))
+    fn episode(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<PyEpisode> {
+        let this = borrowed(slf)?;
+        Ok(PyEpisode::of(this.begun(py, at)?.env().episode()))
     }
 
     /// Why the rules want what they want.
-    fn explain(&self, py: Python<'_>, at: usize) -> PyResult<String> {
-        (self.task.get()).explain(py, self.begun(py, at)?.env(), 0, &self.signals)
+    fn explain(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<String> {
+        let this = borrowed(slf)?;
+        (this.task.get()).explain(py, this.begun(py, at)?.env(), 0, &this.signals)
     }
 
     /// The state of an environment in a few lines.
-    fn text(&self, py: Python<'_>, at: usize) -> PyResult<String> {
-        Ok(describe(self.begun(py, at)?.env(), 0))
+    fn text(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<String> {
+        let this = borrowed(slf)?;
+        Ok(describe(this.begun(py, at)?.env(), 0))
     }
 
     /// The city of an environment: red, green and blue.
-    fn picture<'py>(&self, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyArray3<u8>>> {
-        self.task.get().picture(py, self.begun(py, at)?.env())
+    fn picture<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let this = borrowed(slf)?;
+        {
+            let env = this.begun(py, at)?.env();
+            this.task.get().picture(py, env, env.riders())
+        }
     }
 }
 
@@ -309,8 +330,9 @@ impl PyEnvironments {
 
     /// The same if there is an episode to speak of.
     fn begun(&self, py: Python<'_>, at: usize) -> PyResult<&Member> {
-        match self.has_begun(at)? {
-            true => self.member(at),
+        let member = self.member(at)?;
+        match member.is_ready(Autoreset::NextStep) {
+            true => Ok(member),
             false => Err(self.reset_needed(py, at, "has not begun")),
         }
     }

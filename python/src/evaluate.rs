@@ -1,5 +1,6 @@
 //! Policies measured on recorded episodes, and what tables about a task are made of.
 
+use crate::episode::PyEpisode;
 use crate::task::{PyTask, speed, split_named, view_named};
 use crate::{Signals, slice_of, to_python};
 use logicity::config::{Speed, Split};
@@ -102,6 +103,13 @@ impl PyExam {
     /// How many episodes there are.
     fn __len__(&self) -> usize {
         self.exam.envs().len()
+    }
+
+    /// How an episode began.
+    fn episode(&self, at: usize) -> PyResult<PyEpisode> {
+        let env = self.exam.envs().get(at);
+        let env = env.ok_or_else(|| PyIndexError::new_err(format!("there is no episode {at}")))?;
+        Ok(PyEpisode::of(env.episode()))
     }
 
     /// Writes what the egos observe, a row for each episode.

@@ -20,6 +20,7 @@ use logicity::files::{ReadError, read_or_builtin};
 use logicity::sim::Stop;
 use numpy::ndarray::Dimension;
 use numpy::{Element, PyReadwriteArray};
+use pyo3::PyClass;
 use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -222,10 +223,7 @@ impl<T: Send> Shared<T> {
             Ok(guard) => guard,
             Err(TryLockError::Poisoned(guard)) => guard.into_inner(),
             Err(TryLockError::WouldBlock) => {
-                let what = self.what;
-                return Err(PyRuntimeError::new_err(format!(
-                    "this {what} is at work in another thread; give each thread a {what} of its own, or guard it by a lock"
-                )));
+                return Err(at_work(self.what));
             }
         };
         match guard.is_some() {
@@ -274,6 +272,24 @@ fn internal_error(panic: &(dyn Any + Send)) -> PyErr {
     PyRuntimeError::new_err(format!(
         "internal error, please report it: {}",
         message.unwrap_or("unknown")
+    ))
+}
+
+/// An environment, for one thread at a time: who comes second is told so.
+fn borrowed<'py, T: PyClass>(environment: &Bound<'py, T>) -> PyResult<PyRef<'py, T>> {
+    environment.try_borrow().map_err(|_| at_work("environment"))
+}
+
+/// The same, to change it.
+fn borrowed_mut<'py, T: PyClass<Frozen = pyo3::pyclass::boolean_struct::False>>(
+    environment: &Bound<'py, T>,
+) -> PyResult<PyRefMut<'py, T>> {
+    environment.try_borrow_mut().map_err(|_| at_work("environment"))
+}
+
+fn at_work(what: &str) -> PyErr {
+    PyRuntimeError::new_err(format!(
+        "this {what} is at work in another thread; give each thread one of its own, or guard it by a lock"
     ))
 }
 

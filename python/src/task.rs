@@ -1,15 +1,18 @@
 //! What is to be driven: Safe Path Following in one world, which environments share.
 
 use crate::city::{Loaded, one_of};
+use crate::episode::read_episode;
 use crate::{Signals, held, input_error};
 use logicity::config::{Speed, Split};
-use logicity::diag::{Diagnostic, Sources};
-use logicity::files::read_or_builtin;
-use logicity::render::{Icons, Overview, Sprite};
+use logicity::diag::{Diagnostic, SourceId, Sources};
+use logicity::files::{Output, read_or_builtin};
+use logicity::render::{Driven, Icons, Overview, Sprite};
 use logicity::sim::World;
-use logicity::task::path::{Env, Episode, EpisodeSet, Info, PathTask, View, explain};
+use logicity::task::path::{
+    Egos, Env, Episode, EpisodeSet, Info, Origin, PathTask, RecordError, Rider, View, explain, record,
+};
 use numpy::{IntoPyArray, PyArray3, PyArrayMethods};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString, PyTuple};
@@ -25,6 +28,8 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 pub struct PyTask {
     pub task: Arc<PathTask>,
     sources: Mutex<Sources>,
+    /// The texts of the rules among them.
+    rule_files: Vec<SourceId>,
     /// Names of the clauses that can be broken.
     labels: Vec<Py<PyString>>,
     recorded: [OnceLock<Arc<[Episode]>>; 3],
@@ -71,8 +76,10 @@ impl PyTask {
             sources,
             scenario,
             program,
+            rule_file,
             ..
         } = Loaded::new(py, &signals, config, rules, None, overrides)?;
+        let rule_files = sources.ids().skip_while(|&id| id != rule_file).collect();
         let (made, sources) = signals.aside(py, move || {
             let world = World::new(scenario, program).map(Arc::new);
             (world.and_then(|world| PathTask::new(world, &sources)), sources)
@@ -84,6 +91,7 @@ impl PyTask {
                 .map(|demand| PyString::new(py, task.label(demand)).unbind())
                 .collect(),
             sources: Mutex::new(sources),
+            rule_files,
             recorded: Default::default(),
             overview: OnceLock::new(),
             task: Arc::new(task),
@@ -93,6 +101,44 @@ impl PyTask {
     /// The shape of an observation of that kind.
     fn shape(&self, observation: &str) -> PyResult<Vec<usize>> {
         Ok(view_named(observation)?.shape(&self.task))
+    }
+
+    /// Drives an episode of a split once more by the actions taken in it, and writes its trace to a file; `config` is the file that the trace
+    /// names as its configuration.
+    fn write_trace(
+        &self,
+        py: Python<'_>,
+        split: &str,
+        episode: &Bound<'_, PyDict>,
+        actions: Vec<i64>,
+        path: PathBuf,
+        config: &str,
+    ) -> PyResult<()> {
+        let split = split_named(split)?;
+        let actions = actions.into_iter().map(|action| speed(py, action, String::new));
+        let actions: Vec<Speed> = actions.collect::<PyResult<_>>()?;
+        let signals = Signals::new();
+        let env = signals.detach(py, || {
+            Env::new_until(Arc::clone(&self.task), split, Egos::First, signals.stop())
+        })?;
+        let episode = env.and_then(|env| read_episode(episode, &env));
+        let episode = episode.map_err(|fault| self.error(py, fault))?;
+        let sources = self.sources();
+        let origin = Origin {
+            sources: &sources,
+            config_file: config,
+            rule_files: &self.rule_files,
+        };
+        let written = signals.detach(py, || {
+            let file = Output::create(&path)?;
+            let driven = (&episode, actions.as_slice());
+            record(&self.task, split, driven, origin, signals.stop(), file)?.finish()?;
+            Ok(())
+        })?;
+        written.map_err(|error| match error {
+            RecordError::Fault(fault) => self.error(py, fault),
+            RecordError::Write(error) => PyOSError::new_err(format!("cannot write `{}`: {error}", path.display())),
+        })
     }
 
     /// How many recorded episodes a split has.
@@ -172,8 +218,8 @@ impl PyTask {
         told.map_err(|fault| input_error(py, &[fault], &sources))
     }
 
-    /// Red, green and blue, row by row.
-    pub fn picture<'py>(&self, py: Python<'py>, env: &Env) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    /// Red, green and blue, row by row; these riders are marked.
+    pub fn picture<'py>(&self, py: Python<'py>, env: &Env, marked: &[Rider]) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let map = self.task.world().map();
         if self.overview.get().is_none() {
             let overview = Overview::new(map, Arc::new(Icons::default()));
@@ -191,7 +237,14 @@ impl PyTask {
         let sprites: Vec<_> = named
             .map(|((agent, name), action)| Sprite::of(agent, name, action))
             .collect();
-        let picture = overview.draw(city.now(), &sprites);
+        let driven = marked.iter().map(|rider| {
+            let agent = &city.agents()[rider.agent()];
+            Driven {
+                agent: rider.agent(),
+                way: agent.route().cells().skip(agent.position()).collect(),
+            }
+        });
+        let picture = overview.draw_driven(city.now(), &sprites, &driven.collect::<Vec<_>>());
         let shape = [picture.height() as usize, picture.width() as usize, 3];
         picture.into_pixels().into_pyarray(py).reshape(shape)
     }

@@ -5,6 +5,7 @@ import json
 import pickle
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,7 @@ from gymnasium.error import InvalidAction, ResetNeeded, UnsupportedMode
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from numpy.typing import NDArray
 
 import logicity
 from logicity import _logicity
@@ -151,6 +153,110 @@ def test_explain_and_render_speak_of_the_moment() -> None:
     text = SPFEnv(render_mode="ansi")
     text.reset(seed=1)
     assert "Car_1 at [" in text.render()
+
+
+def test_the_picture_marks_the_driven_car_its_way_and_its_goal() -> None:
+    env = SPFEnv(render_mode="rgb_array")
+    _, info = env.reset(seed=1)
+    start, goal = env.episode["agents"][0]["start"], env.episode["agents"][0]["goal"]
+    mark = np.array([0xC8, 0x1E, 0xB4], np.uint8)
+
+    def marked(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        found: NDArray[np.bool_] = (picture == mark).all(axis=-1)
+        return found
+
+    before = marked(env.render())
+    # Cells have 4 pixels, behind the rulers.
+    for row, column in (start, goal):
+        top, left = 42 + 4 * row, 34 + 4 * column
+        assert before[top - 20 : top + 20, left - 20 : left + 20].sum() > 60
+    for _ in range(20):
+        *_, info = env.step(info["oracle_action"])
+    assert info["progress"] > 0
+    after = marked(env.render())
+    assert (before & ~after).any() and (after & ~before).any(), (
+        "what lies behind is no longer marked, the frame has moved"
+    )
+
+
+def test_a_trace_is_that_of_the_episode(tmp_path: Path) -> None:
+    env = SPFEnv("hard", split="test")
+    with pytest.raises(ResetNeeded):
+        env.write_trace(tmp_path / "early.jsonl")
+    env.reset(seed=4)
+    with pytest.raises(ValueError, match="no steps yet"):
+        env.write_trace(tmp_path / "early.jsonl")
+    names, infos = ["Slow", "Normal", "Fast", "Stop"], []
+    info, done = env.reset(seed=4)[1], False
+    while not done:
+        wanted = names[info["oracle_action"]]
+        _, _, terminated, truncated, info = env.step(2)
+        infos.append((wanted, info["violations"]))
+        done = terminated or truncated
+    env.write_trace(tmp_path / "fast.jsonl")
+    header, *ticks = [json.loads(line) for line in (tmp_path / "fast.jsonl").read_text().splitlines()]
+    assert [agent["id"] for agent in header["agents"]] == [agent["id"] for agent in env.episode["agents"]]
+    assert header["seed"] == env.episode["seed"] and header["config_file"] == "hard" and len(ticks) == len(infos)
+    cars = [tick["agents"][0] for tick in ticks]
+    assert tuple(cars[0]["at"]) == env.episode["agents"][0]["start"] and {car["action"] for car in cars} == {"Fast"}
+    labels = [clause["doc"].split(":")[0] for clause in header["clauses"]]
+    told = [(car["driven"]["wanted"], tuple(labels[at] for at in car["driven"]["broken"])) for car in cars]
+    assert told == infos and infos[-1][1]
+    assert all(car["driven"]["observes"][0] == "Car_1" for car in cars)
+    assert not any("driven" in agent for tick in ticks for agent in tick["agents"][1:])
+
+    # The same configuration and rules as those of a run, whose trace the program takes.
+    logicity.Simulation("hard", count_firings=True).run(1, trace=tmp_path / "run.jsonl")
+    run = json.loads((tmp_path / "run.jsonl").read_text().splitlines()[0])
+    keys = ("config_hash", "rules_hash", "rules", "clauses", "version")
+    assert [header[key] for key in keys] == [run[key] for key in keys]
+    with pytest.raises(OSError, match="missing"):
+        env.write_trace(tmp_path / "missing" / "trace.jsonl")
+
+
+def test_a_trace_under_overrides_names_what_became_of_the_configuration(tmp_path: Path) -> None:
+    env = SPFEnv("easy", overrides={"view": 30})
+    env.reset(seed=1, options={"map": "configs/maps/random-8x8.yaml"})
+    env.step(1)
+    with pytest.raises(ValueError, match="another ending"):
+        env.write_trace(tmp_path / "trace.yaml")
+    env.write_trace(tmp_path / "trace.jsonl")
+    header = json.loads((tmp_path / "trace.jsonl").read_text().splitlines()[0])
+    assert header["config_file"] == str(tmp_path / "trace.yaml") and header["map"] == "random-8x8"
+    city = logicity.Simulation(tmp_path / "trace.yaml", count_firings=True)
+    city.run(1, trace=tmp_path / "run.jsonl")
+    assert json.loads((tmp_path / "run.jsonl").read_text().splitlines()[0])["config_hash"] == header["config_hash"]
+    plain = logicity.Simulation("easy", count_firings=True)
+    plain.run(1, trace=tmp_path / "plain.jsonl")
+    assert json.loads((tmp_path / "plain.jsonl").read_text().splitlines()[0])["config_hash"] != header["config_hash"]
+
+
+def test_two_threads_on_one_environment_are_told_what_to_do() -> None:
+    envs = SPFVectorEnv(64, "expert", autoreset_mode=AutoresetMode.SAME_STEP)
+    envs.reset(seed=1)
+    actions, said = np.ones(64, np.int64), []
+    stop = threading.Event()
+
+    def drive() -> None:
+        while not stop.is_set():
+            try:
+                envs.step(actions)
+            except RuntimeError as error:
+                said.append(str(error))
+                stop.set()
+
+    threads = [threading.Thread(target=drive) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(20)
+        stop.set()
+    assert said and all(
+        "at work in another thread; give each thread one of its own, or guard it by a lock" in text for text in said
+    )
+    # Whoever was told so has broken nothing.
+    envs.reset(seed=1)
+    assert envs.step(actions)[0].shape == (64, 205)
 
 
 def test_overrides_may_be_of_numpy(tmp_path: Path) -> None:

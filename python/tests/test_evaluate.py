@@ -40,6 +40,29 @@ def test_the_oracle_obeys_and_arrives_and_the_random_policy_is_the_zero(mode: st
     assert oracle.score.low < oracle.score.value < oracle.score.high
 
 
+def test_traces_of_all_episodes(tmp_path: Path) -> None:
+    folder = tmp_path / "made" / "traces"
+    result = evaluate(varied, "easy", "val", traces=folder)
+    assert {path.name for path in folder.iterdir()} == {f"episode-{at}.jsonl" for at in range(40)}
+    for record in result.episodes:
+        lines = (folder / f"episode-{record.episode}.jsonl").read_text().splitlines()
+        header, *ticks = map(json.loads, lines)
+        assert header["config_file"] == "easy" and len(ticks) == record.steps
+        driven = [tick["agents"][0]["driven"] for tick in ticks]
+        labels = [clause["doc"].split(":")[0] for clause in header["clauses"]]
+        assert tuple(labels[at] for at in driven[-1]["broken"]) == record.violations
+        assert not any(step["broken"] for step in driven[:-1])
+    assert any(record.violations for record in result.episodes)
+    assert evaluate(varied, "easy", "val") == result, "traces change nothing"
+    with pytest.raises(ValueError, match="ten times"):
+        evaluate("random", "easy", "val", traces=folder)
+    changed = tmp_path / "changed"
+    evaluate("oracle", "easy", "val", overrides={"task": {"patience": 3}}, traces=changed)
+    header = json.loads((changed / "episode-0.jsonl").read_text().splitlines()[0])
+    assert header["config_file"] == str(changed / "config.yaml")
+    assert logicity.Benchmark(changed / "config.yaml", "val").evaluate("oracle").tsr.value == 1.0
+
+
 class Model:
     """Predicts as models of Stable-Baselines3 do, and has a state as recurrent ones."""
 

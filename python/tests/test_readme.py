@@ -16,7 +16,8 @@ BLOCKS = {
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_the_python_of_readme_runs(block: str) -> None:
+def test_the_python_of_readme_runs(block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     exec(compile(BLOCKS[block], block, "exec"), {})
 
 

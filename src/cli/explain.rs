@@ -5,7 +5,9 @@ use super::trace::TraceReader;
 use crate::city::Cell;
 use crate::config::Speed;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
-use crate::sim::{Decision, Replay, TraceTick};
+use crate::engine::provenance::Teller;
+use crate::sim::{Decision, Driven, Replay, TraceTick, World};
+use serde_json::json;
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -22,7 +24,7 @@ pub struct Arguments {
     /// Tell why this action was not derived instead of why the agent did what it did
     #[arg(long, value_name = "ACTION", value_parser = action)]
     why_not: Option<Speed>,
-    /// Print JSON instead: `tick`, `agent`, `at`, `heading`, `derived`, `action`, `explanations`
+    /// Print JSON instead: `tick`, `agent`, `at`, `heading`, `derived`, `action`, `explanations`, and `driven` if it was
     #[arg(long)]
     json: bool,
     /// Configuration of the run, if it is no longer where the trace says
@@ -114,9 +116,38 @@ fn tell(
     };
     let account = (decision.account(arguments.why_not, &|| false)).map_err(Diagnostic::from)?;
     let mut out = anstream::stdout();
-    match arguments.json {
-        true => writeln!(out, "{}", account.json(sources))?,
-        false => write!(out, "{}", account.text(sources))?,
+    if arguments.json {
+        let mut told = account.json(sources);
+        if let Some(driven) = &state.driven {
+            told["driven"] = json!(driven);
+        }
+        writeln!(out, "{told}")?;
+    } else {
+        if let Some(driven) = &state.driven {
+            writeln!(out, "{}", steering(driven, replay.world(), sources)?)?;
+        }
+        write!(out, "{}", account.text(sources))?;
     }
     Ok(())
+}
+
+/// What an agent that was driven went by, and how its action was judged.
+fn steering(driven: &Driven, world: &World, sources: &Sources) -> Result<String, Diagnostic> {
+    let rules = world.program.rules();
+    let teller = Teller::new(rules, &rules.symbols, sources);
+    let label = |&broken: &usize| {
+        let message = || format!("there is no clause {broken}");
+        let clause = world.clauses().nth(broken);
+        (clause.map(|clause| teller.label(clause))).ok_or_else(|| Diagnostic::new(Code::InvalidTrace, message()))
+    };
+    let broken: Vec<String> = driven.broken.iter().map(label).collect::<Result<_, _>>()?;
+    let judged = match broken.is_empty() {
+        true => "its action broke no clause".to_owned(),
+        false => format!("its action broke {}", broken.join(", ")),
+    };
+    Ok(format!(
+        "driven from outside: on what it observed ({}) the rules wanted {}, and {judged}",
+        driven.observes.join(", "),
+        driven.wanted()?.name()
+    ))
 }

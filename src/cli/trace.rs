@@ -14,6 +14,9 @@ pub struct TraceReader {
     path: PathBuf,
     lines: BufReader<File>,
     number: usize,
+    /// Bytes of the file, and of the lines that have been read.
+    pub length: u64,
+    pub read: u64,
     /// The header.
     pub header: TraceHeader,
 }
@@ -21,9 +24,10 @@ pub struct TraceReader {
 impl TraceReader {
     pub fn open(path: &Path) -> Result<TraceReader, Failure> {
         let file = File::open(path).map_err(|error| Failure::file("read", path, error))?;
+        let length = file.metadata().map_or(0, |file| file.len());
         let mut lines = BufReader::new(file);
-        let mut number = 0;
-        let Some(line) = next_line(&mut lines, path, &mut number)? else {
+        let (mut number, mut read) = (0, 0);
+        let Some(line) = next_line(&mut lines, path, &mut number, &mut read)? else {
             let message = format!("`{}` is empty", path.display());
             return Err(Diagnostic::new(Code::InvalidTrace, message).into());
         };
@@ -32,12 +36,14 @@ impl TraceReader {
             path: path.to_owned(),
             lines,
             number,
+            length,
+            read,
         })
     }
 
     /// The next tick, if there is one.
     pub fn tick(&mut self) -> Result<Option<TraceTick>, Failure> {
-        let line = next_line(&mut self.lines, &self.path, &mut self.number)?;
+        let line = next_line(&mut self.lines, &self.path, &mut self.number, &mut self.read)?;
         line.map(|line| TraceTick::read(&line).map_err(|fault| self.placed(fault)))
             .transpose()
     }
@@ -83,13 +89,20 @@ fn placed(mut fault: Diagnostic, path: &Path, number: usize) -> Failure {
 }
 
 /// The next line, however many blank ones there are before it.
-fn next_line(lines: &mut BufReader<File>, path: &Path, number: &mut usize) -> Result<Option<String>, Failure> {
+fn next_line(
+    lines: &mut BufReader<File>,
+    path: &Path,
+    number: &mut usize,
+    read: &mut u64,
+) -> Result<Option<String>, Failure> {
     loop {
         let mut bytes = Vec::new();
-        let read = lines.by_ref().take(MAX_BYTES).read_until(b'\n', &mut bytes);
-        if read.map_err(|error| Failure::file("read", path, error))? == 0 {
+        let found = lines.by_ref().take(MAX_BYTES).read_until(b'\n', &mut bytes);
+        let found = found.map_err(|error| Failure::file("read", path, error))?;
+        if found == 0 {
             return Ok(None);
         }
+        *read += found as u64;
         *number += 1;
         let line = String::from_utf8(bytes).map_err(|_| {
             let fault = Diagnostic::new(Code::NotText, "not UTF-8 text");

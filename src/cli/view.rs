@@ -7,7 +7,7 @@ use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::Output;
 use crate::page::Page;
 use crate::rng::Seed;
-use indicatif::ProgressBar;
+use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -63,7 +63,11 @@ pub fn write(
     let mut replay = reader.replay(sources, config, rules, true)?;
     let icons = icons.load(Seed(reader.header.seed))?;
     let mut page = Page::new(&replay, &reader.header, &icons, sources);
-    let bar = ProgressBar::no_length().with_message("explaining ticks");
+    // How many ticks there are is not known before the end of the file, but how long it is.
+    let bar = ProgressBar::new(reader.length).with_style(
+        ProgressStyle::with_template("{bar:30} explaining tick {msg}, {percent} %, {eta} left")
+            .expect("a valid template"),
+    );
     let (mut shown, mut last) = (0, None);
     while shown < most
         && let Some(tick) = reader.tick()?
@@ -75,7 +79,8 @@ pub fn write(
             shown += 1;
         }
         last = Some(tick.tick);
-        bar.inc(1);
+        bar.set_message(tick.tick.to_string());
+        bar.set_position(reader.read);
     }
     bar.finish_and_clear();
     match last {

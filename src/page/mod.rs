@@ -24,7 +24,7 @@ use flate2::write::ZlibEncoder;
 use proofs::Proofs;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 
 /// The most decisions that a page holds; more make it slow to open.
 pub const DECISIONS_MAX: usize = 400_000;
@@ -37,7 +37,16 @@ const CROWD: u32 = 20;
 
 const TEMPLATE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
-const SCRIPT: &str = include_str!("page.js");
+/// The parts of the script, each after those that it speaks of.
+const SCRIPT: &str = concat!(
+    include_str!("script/run.js"),
+    include_str!("script/elements.js"),
+    include_str!("script/agent.js"),
+    include_str!("script/chart.js"),
+    include_str!("script/map.js"),
+    include_str!("script/summary.js"),
+    include_str!("script/page.js"),
+);
 
 /// A page in the making.
 #[derive(Serialize)]
@@ -72,6 +81,9 @@ pub struct Page {
     deadlocks: Vec<Deadlock>,
     /// How many looks for deadlocks were given up: the ways to stop were too many.
     looks_given_up: u32,
+    /// Who was driven from outside, what it did against what the rules wanted, tick by tick.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    driven: Vec<Driven>,
     #[serde(skip)]
     most: usize,
     /// For each agent the tick after its last move.
@@ -144,6 +156,20 @@ struct Deadlock {
     until: u64,
 }
 
+/// An agent that was driven from outside in a tick.
+#[derive(Serialize)]
+struct Driven {
+    /// The position of the tick among the ticks of the page, and of the agent.
+    tick: usize,
+    agent: usize,
+    /// The agents that it observed, itself first.
+    observes: Vec<usize>,
+    /// Position in `actions` of what the rules wanted there.
+    wanted: u8,
+    /// The clauses that its action broke.
+    broken: Vec<usize>,
+}
+
 impl Page {
     /// A page without ticks, for the trace of that header.
     pub fn new(replay: &Replay, header: &TraceHeader, icons: &Icons, sources: &Sources) -> Page {
@@ -199,6 +225,7 @@ impl Page {
             routes: vec![Vec::new(); agents.len()],
             deadlocks: Vec::new(),
             looks_given_up: 0,
+            driven: Vec::new(),
             most: DECISIONS_MAX,
             still_since: vec![0; agents.len()],
             rows: vec![Vec::new(); world.vocabulary.predicates.len()],
@@ -251,9 +278,16 @@ impl Page {
             facts: self.changed(replay),
         };
         for (position, agent) in tick.agents.iter().enumerate() {
-            if let Some(clause) = agent.clauses.iter().find(|clause| **clause >= self.counted) {
-                let message = format!("there is no clause {clause}: the rules have {}", self.counted);
-                return Err(Diagnostic::new(Code::InvalidTrace, message));
+            self.check_clauses(&agent.clauses)?;
+            if let Some(driven) = &agent.driven {
+                self.check_clauses(&driven.broken)?;
+                self.driven.push(Driven {
+                    tick: self.ticks.len(),
+                    agent: position,
+                    observes: positions(replay, &driven.observes)?,
+                    wanted: driven.wanted()? as u8,
+                    broken: driven.broken.clone(),
+                });
             }
             let heading = agent.heading()?;
             let seen = field_of_view(cell(agent.at), heading, view, world.map());
@@ -270,8 +304,14 @@ impl Page {
                 self.still_since[position] = tick.tick + 1;
             }
         }
-        for (clause, (count, _)) in world.clauses().zip(&mut self.firings) {
-            *count += replay.session().fired(clause).len() as u64;
+        for (clause, (count, is_action)) in world.clauses().zip(&mut self.firings) {
+            // Of clauses that decide the trace has every firing.
+            if !*is_action {
+                *count += replay.session().fired(clause).len() as u64;
+            }
+        }
+        for &clause in tick.agents.iter().flat_map(|agent| &agent.clauses) {
+            self.firings[clause].0 += 1;
         }
         self.ticks.push(column);
         self.last = tick.agents.iter().map(|agent| agent.next).collect();
@@ -286,9 +326,10 @@ impl Page {
     /// # Errors
     /// Whatever `out` reports.
     pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
-        let mut packed = ZlibEncoder::new(Vec::new(), Compression::best());
+        // Numbers are written one by one, and the encoder works on what it is given at once.
+        let mut packed = BufWriter::with_capacity(1 << 16, ZlibEncoder::new(Vec::new(), Compression::best()));
         serde_json::to_writer(&mut packed, self)?;
-        let data = STANDARD.encode(packed.finish()?);
+        let data = STANDARD.encode(packed.into_inner()?.finish()?);
         let title = self.title.replace('&', "&amp;").replace('<', "&lt;");
         let parts = [
             ("TITLE", title.as_str()),
@@ -306,6 +347,14 @@ impl Page {
             rest = after;
         }
         out.write_all(rest.as_bytes())
+    }
+
+    fn check_clauses(&self, clauses: &[usize]) -> Result<(), Diagnostic> {
+        let Some(clause) = clauses.iter().find(|clause| **clause >= self.counted) else {
+            return Ok(());
+        };
+        let message = format!("there is no clause {clause}: the rules have {}", self.counted);
+        Err(Diagnostic::new(Code::InvalidTrace, message))
     }
 
     /// Why each agent did each action or did not.
@@ -389,6 +438,15 @@ impl Page {
             });
         }
     }
+}
+
+/// The agents of those names.
+fn positions(replay: &Replay, names: &[String]) -> Result<Vec<usize>, Diagnostic> {
+    let position = |name: &String| {
+        let unknown = || Diagnostic::new(Code::InvalidTrace, format!("there is no agent `{name}`"));
+        replay.position(name).ok_or_else(unknown)
+    };
+    names.iter().map(position).collect()
 }
 
 /// The icons of a page, each once.

@@ -1,7 +1,9 @@
 //! The explanations of a run, in which equal parts are stored once.
 
-use crate::engine::provenance::{Explanation, Node, Origin, Reason, Teller};
-use crate::lang::ClauseId;
+use crate::engine::provenance::{
+    Absence, Explanation, Fact, Failure, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise, Reason, Teller,
+};
+use crate::lang::{self, ClauseId};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -17,8 +19,12 @@ pub struct Proofs {
     pub nodes: Vec<Value>,
     #[serde(skip)]
     known_clauses: HashMap<ClauseId, usize>,
+    /// By what [`write_key`] writes.
     #[serde(skip)]
-    known_nodes: HashMap<String, u32>,
+    known_nodes: HashMap<Box<[u32]>, u32>,
+    /// The key of the node that is added, kept for its memory.
+    #[serde(skip)]
+    key: Vec<u32>,
 }
 
 impl Proofs {
@@ -38,9 +44,7 @@ impl Proofs {
     /// Adds an explanation; the number of its first node. Nodes that lead back to themselves, as what does not hold in a recursion may, are
     /// stored for each explanation anew.
     pub fn add(&mut self, teller: &Teller<'_>, explanation: &Explanation) -> u32 {
-        let Value::Array(nodes) = teller.json(explanation)["nodes"].take() else {
-            unreachable!("an explanation is told as a list of nodes")
-        };
+        let nodes = explanation.nodes();
         let mut numbers: Vec<Option<u32>> = vec![None; nodes.len()];
         let mut state = vec![State::New; nodes.len()];
         let mut stack = vec![0];
@@ -52,7 +56,7 @@ impl Proofs {
             }
             state[at] = State::Open;
             let mut waiting = None;
-            for child in children(&nodes[at]) {
+            for child in children(&nodes[at]).map(NodeId::index) {
                 match state[child] {
                     State::New => waiting = waiting.or(Some(child)),
                     // A node that leads back to itself has its number before it is complete.
@@ -66,13 +70,9 @@ impl Proofs {
                 stack.push(child);
                 continue;
             }
-            let clauses: Vec<usize> = (clauses_of(&explanation.nodes()[at]).into_iter())
-                .map(|clause| self.clause(teller, clause))
-                .collect();
-            let told = short(&nodes[at], &clauses, &numbers);
             match numbers[at] {
-                Some(number) => self.nodes[number as usize] = told,
-                None => numbers[at] = Some(self.share(told)),
+                Some(number) => self.nodes[number as usize] = self.told(teller, &nodes[at], &numbers),
+                None => numbers[at] = Some(self.share(teller, &nodes[at], &numbers)),
             }
             state[at] = State::Done;
             stack.pop();
@@ -85,14 +85,26 @@ impl Proofs {
         u32::try_from(self.nodes.len() - 1).expect("fewer than 2^32 nodes")
     }
 
-    fn share(&mut self, node: Value) -> u32 {
-        let key = node.to_string();
-        if let Some(&number) = self.known_nodes.get(&key) {
+    /// The number of a node whose children have theirs. Most have been told before, so words are looked for only once it is clear
+    /// that this one has not.
+    fn share(&mut self, teller: &Teller<'_>, node: &Node, numbers: &[Option<u32>]) -> u32 {
+        self.key.clear();
+        write_key(node, numbers, &mut self.key);
+        if let Some(&number) = self.known_nodes.get(self.key.as_slice()) {
             return number;
         }
-        let number = self.push(node);
-        self.known_nodes.insert(key, number);
+        let told = self.told(teller, node, numbers);
+        let number = self.push(told);
+        self.known_nodes.insert(self.key.as_slice().into(), number);
         number
+    }
+
+    fn told(&mut self, teller: &Teller<'_>, node: &Node, numbers: &[Option<u32>]) -> Value {
+        let clauses: Vec<usize> = clauses_of(node)
+            .into_iter()
+            .map(|clause| self.clause(teller, clause))
+            .collect();
+        short(&teller.node_json(node), &clauses, numbers)
     }
 }
 
@@ -150,10 +162,93 @@ enum State {
     Done,
 }
 
-/// The nodes that a node speaks of.
-fn children(node: &Value) -> impl Iterator<Item = usize> + '_ {
-    let fails = list(&node["clauses"]).flat_map(|miss| list(&miss["fails"]));
-    (list(&node["premises"]).chain(fails)).filter_map(|entry| usize::try_from(entry["node"].as_u64()?).ok())
+/// The nodes that a node speaks of, in the order in which [`Teller::json`] tells them.
+fn children(node: &Node) -> impl Iterator<Item = NodeId> + '_ {
+    let (premises, misses): (&[Premise], &[Miss]) = match node {
+        Node::Fact(Fact {
+            origin: Origin::Derived(derivation),
+            ..
+        }) => (&derivation.premises, &[]),
+        Node::Absence(Absence {
+            reason: Reason::NoClause(misses),
+            ..
+        }) => (&[], misses),
+        Node::Fact(_) | Node::Absence(_) => (&[], &[]),
+    };
+    let failures = misses.iter().flat_map(|miss| failures(&miss.obstacle));
+    let premises = premises.iter().filter_map(premise_node);
+    premises.chain(failures.filter_map(|failure| failure_node(&failure.kind)))
+}
+
+fn premise_node(premise: &Premise) -> Option<NodeId> {
+    match premise {
+        Premise::Fact(node) | Premise::Absence(node) => Some(*node),
+        Premise::Comparison { .. } | Premise::Computed { .. } => None,
+    }
+}
+
+fn failure_node(kind: &FailureKind) -> Option<NodeId> {
+    match kind {
+        FailureKind::Absent(node) | FailureKind::Holds(node) => Some(*node),
+        FailureKind::AbsentTwice | FailureKind::Comparison { .. } | FailureKind::Computed { .. } => None,
+    }
+}
+
+fn failures(obstacle: &Obstacle) -> &[Failure] {
+    match obstacle {
+        Obstacle::Head { .. } => &[],
+        Obstacle::Body { failures, .. } => failures,
+    }
+}
+
+/// Numbers that two nodes have in common only if they are told alike; `numbers` are those of the nodes that they speak of. Where the
+/// relation or clause does not say how long a list is, its length stands before it.
+fn write_key(node: &Node, numbers: &[Option<u32>], key: &mut Vec<u32>) {
+    let number = |node: Option<NodeId>| node.and_then(|node| numbers[node.index()]).unwrap_or(u32::MAX);
+    let count = |count: usize| u32::try_from(count).expect("a list of a clause");
+    let write_pattern = |pattern: &[Option<lang::Value>], key: &mut Vec<u32>| {
+        for value in pattern {
+            key.extend([u32::from(value.is_some()), value.map_or(0, |value| value.0)]);
+        }
+    };
+    match node {
+        Node::Fact(fact) => {
+            key.extend([0, fact.relation.0]);
+            key.extend(fact.row.iter().map(|value| value.0));
+            match &fact.origin {
+                Origin::Input => key.push(0),
+                Origin::Text(clause) => key.extend([1, clause.0]),
+                Origin::Derived(derivation) => {
+                    key.extend([2, derivation.clause.0]);
+                    write_pattern(&derivation.binding, key);
+                    key.extend(derivation.premises.iter().map(|premise| number(premise_node(premise))));
+                }
+            }
+        }
+        Node::Absence(absence) => {
+            key.extend([1, absence.relation.0]);
+            write_pattern(&absence.pattern, key);
+            match &absence.reason {
+                Reason::NotAFact => key.push(0),
+                Reason::NotLookedInto => key.push(1),
+                Reason::NoClause(misses) => {
+                    key.extend([2, count(misses.len())]);
+                    for Miss { clause, obstacle } in misses {
+                        key.push(clause.0);
+                        let Obstacle::Body { binding, failures } = obstacle else {
+                            key.push(u32::MAX);
+                            continue;
+                        };
+                        key.push(count(failures.len()));
+                        write_pattern(binding, key);
+                        for failure in failures {
+                            key.extend([count(failure.literal), number(failure_node(&failure.kind))]);
+                        }
+                    }
+                }
+            }
+        }
+    }
 }
 
 /// What stands in a list; nothing if there is none.

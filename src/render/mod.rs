@@ -63,7 +63,7 @@ mod view;
 pub use class::{Class, Facing};
 pub use encode::{Animation, write_png};
 pub use icon::{Difficulty, ICON_MAX, Icons, PixelBox, Stamp};
-pub use overview::Overview;
+pub use overview::{Driven, Overview};
 pub use pack::{Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault};
 pub use picture::Picture;
 pub use renderer::Renderer;

@@ -3,11 +3,11 @@
 use super::icon::{Icons, PixelBox};
 use super::label::{self, PAPER};
 use super::legend::{self, MUTED};
-use super::picture::Picture;
+use super::picture::{Picture, Rgb};
 use super::renderer::Renderer;
 use super::sprite::Sprite;
 use super::view::{Scale, View, ViewError};
-use crate::city::{CityMap, Heading};
+use crate::city::{Cell, CityMap, Heading};
 use crate::config::AgentKind;
 use embedded_graphics::mono_font::iso_8859_1::FONT_5X8;
 use embedded_graphics::text::Alignment;
@@ -28,6 +28,18 @@ const ENLARGED: i32 = 1000;
 const MOST: i32 = 1600;
 /// The largest cell, in pixels.
 const LARGEST_CELL: i32 = 12;
+
+/// The colour of what marks who is driven.
+const DRIVEN: Rgb = [0xc8, 0x1e, 0xb4];
+
+/// An agent that is driven from outside, to be marked.
+#[derive(Clone, Debug)]
+pub struct Driven {
+    /// Its position among the agents of the picture.
+    pub agent: usize,
+    /// The cells that it has still to go, its goal the last.
+    pub way: Vec<Cell>,
+}
 
 /// Draws overviews of one city.
 ///
@@ -93,8 +105,19 @@ impl Overview {
     /// Cars lie under pedestrians, and otherwise agents that come later lie on those before. The first 300 agents get a
     /// label, except where it would cover another one.
     pub fn draw(&self, tick: u64, agents: &[Sprite<'_>]) -> Picture {
+        self.draw_driven(tick, agents, &[])
+    }
+
+    /// The same, and who is driven stands in a frame, with a line along its way and a square around its goal.
+    ///
+    /// # Panics
+    /// If one who is driven is not among the agents.
+    pub fn draw_driven(&self, tick: u64, agents: &[Sprite<'_>], driven: &[Driven]) -> Picture {
         let mut picture = self.frame.clone();
         picture.lay(&self.map.draw(agents), self.area.x, self.area.y);
+        for Driven { agent, way } in driven {
+            self.mark(&agents[*agent], way, &mut picture);
+        }
         let shown = self.figures(agents);
         for (sprite, area) in &shown {
             if let Some(action) = sprite.action {
@@ -109,6 +132,33 @@ impl Overview {
         picture
     }
 
+    fn mark(&self, sprite: &Sprite<'_>, way: &[Cell], picture: &mut Picture) {
+        let around = |cell: Cell, reach: i32| {
+            let (x, y) = self.map.view().middle(cell)?;
+            let side = (2 * reach).cast_unsigned();
+            let (x, y) = (self.area.x + x - reach, self.area.y + y - reach);
+            Some(PixelBox {
+                x,
+                y,
+                width: side,
+                height: side,
+            })
+        };
+        for area in way.iter().filter_map(|cell| around(*cell, 1)) {
+            picture.fill(area, DRIVEN);
+        }
+        let goal = way.last().and_then(|goal| around(*goal, 6));
+        let car = self.map.pixel_box(sprite).map(|area| PixelBox {
+            x: area.x + self.area.x - 3,
+            y: area.y + self.area.y - 3,
+            width: area.width + 6,
+            height: area.height + 6,
+        });
+        for area in goal.into_iter().chain(car) {
+            frame(area, picture);
+        }
+    }
+
     /// The agents on the map in the order of drawing, each with what it covers of the picture.
     fn figures<'a>(&self, agents: &[Sprite<'a>]) -> Vec<(Sprite<'a>, PixelBox)> {
         let on_picture = |agent: &Sprite<'a>| {
@@ -119,6 +169,28 @@ impl Overview {
         let mut figures: Vec<_> = agents.iter().filter_map(on_picture).collect();
         figures.sort_by_key(|(sprite, _)| sprite.kind == AgentKind::Pedestrian);
         figures
+    }
+}
+
+/// The edge of a rectangle, two pixels wide.
+fn frame(area: PixelBox, picture: &mut Picture) {
+    let PixelBox { x, y, width, height } = area;
+    let (right, bottom) = (x + width.cast_signed() - 2, y + height.cast_signed() - 2);
+    for edge in [
+        PixelBox { height: 2, ..area },
+        PixelBox {
+            y: bottom,
+            height: 2,
+            ..area
+        },
+        PixelBox { width: 2, ..area },
+        PixelBox {
+            x: right,
+            width: 2,
+            ..area
+        },
+    ] {
+        picture.fill(edge, DRIVEN);
     }
 }
 

@@ -35,7 +35,7 @@ pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};
 pub use scene::MAX_ENTITIES;
 pub(crate) use simulation::start_threads;
 pub use simulation::{AgentTick, Batch, Moment, Phase, Settings, Simulation, Stop, TickReport};
-pub use trace::{TRACE_VERSION, TraceWriter, hash_sources};
+pub use trace::{Driven, TRACE_VERSION, TraceWriter, hash_sources};
 pub use vocabulary::{Actions, Predicate, Vocabulary};
 pub use why::{Account, Decision};
 pub use width::Width;

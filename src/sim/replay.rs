@@ -3,7 +3,7 @@
 use super::ground::{Chance, Entity, Facts, ground};
 use super::infer::GroundState;
 use super::simulation::Moment;
-use super::trace::TRACE_VERSION;
+use super::trace::{Driven, TRACE_VERSION};
 use super::vocabulary::Actions;
 use super::world::World;
 use crate::city::{Cell, Heading};
@@ -81,6 +81,9 @@ pub struct TraceState {
     pub clauses: Vec<usize>,
     /// Where it was afterwards.
     pub next: [i32; 2],
+    /// If it was driven from outside, what is told of that.
+    #[serde(default)]
+    pub driven: Option<Driven>,
 }
 
 impl TraceState {
@@ -100,9 +103,23 @@ impl TraceState {
     /// # Errors
     /// `invalid-trace`, without a place.
     pub fn action(&self) -> Result<Speed, Diagnostic> {
-        let known = Speed::ALL.into_iter().find(|speed| speed.name() == self.action);
-        known.ok_or_else(|| invalid(format!("`{}` is not the name of an action", self.action)))
+        action_named(&self.action)
     }
+}
+
+impl Driven {
+    /// The action that the rules wanted.
+    ///
+    /// # Errors
+    /// `invalid-trace`, without a place.
+    pub fn wanted(&self) -> Result<Speed, Diagnostic> {
+        action_named(&self.wanted)
+    }
+}
+
+fn action_named(name: &str) -> Result<Speed, Diagnostic> {
+    let known = Speed::ALL.into_iter().find(|speed| speed.name() == name);
+    known.ok_or_else(|| invalid(format!("`{name}` is not the name of an action")))
 }
 
 fn invalid(message: impl Into<String>) -> Diagnostic {

@@ -4,12 +4,25 @@ use super::simulation::Simulation;
 use crate::city::{Heading, Moved};
 use crate::config::{Definition, Speed};
 use crate::diag::{SourceId, Sources};
+use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
 use std::io::{self, Write};
 
 /// Version of the format; it grows when a reader of the old one would misread the new one.
 pub const TRACE_VERSION: u32 = 1;
+
+/// What a trace tells of an agent that was driven from outside in a tick, beside what it did. A reader that knows nothing of this still
+/// reads the action rightly: the rules asked something else, or the same.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Driven {
+    /// Names of the agents that it observed, itself first: those that its action was judged on.
+    pub observes: Vec<String>,
+    /// Name of the action that the rules wanted of it there.
+    pub wanted: String,
+    /// The clauses that its action broke there: positions in [`World::clauses`](super::World::clauses).
+    pub broken: Vec<usize>,
+}
 
 /// Writes a trace.
 pub struct TraceWriter<W: Write> {
@@ -89,8 +102,16 @@ impl<W: Write> TraceWriter<W> {
     /// # Errors
     /// Whatever the output reports.
     pub fn tick(&mut self, simulation: &Simulation) -> io::Result<()> {
+        self.tick_driven(simulation, &[])
+    }
+
+    /// The same, with what is to be told of agents that were driven, by their positions in the list.
+    ///
+    /// # Errors
+    /// Whatever the output reports.
+    pub fn tick_driven(&mut self, simulation: &Simulation, driven: &[(usize, Driven)]) -> io::Result<()> {
         let report = simulation.report();
-        let agents: Vec<Value> = (report.agents.iter().zip(simulation.agents()).enumerate())
+        let mut agents: Vec<Value> = (report.agents.iter().zip(simulation.agents()).enumerate())
             .map(|(index, (tick, agent))| {
                 let Moved {
                     from, to, replanned, ..
@@ -108,6 +129,9 @@ impl<W: Write> TraceWriter<W> {
                 })
             })
             .collect();
+        for (agent, driven) in driven {
+            agents[*agent]["driven"] = json!(driven);
+        }
         let names = simulation.agents();
         let predicates = &simulation.world().vocabulary.predicates;
         let facts = simulation.facts(|index| self.drawn.contains(&index));

@@ -13,6 +13,8 @@ pub(super) struct Heights {
     stratum: Vec<Option<usize>>,
     /// Heights of derived facts that some goal rests on, by relation and position of the row.
     relevant: HashMap<(RelId, u32), u32>,
+    /// The derivations that have been found.
+    best: HashMap<(RelId, Vec<Value>), (u32, Best)>,
     /// By position of the stratum: heights of all its facts, where what is relevant was too much.
     progress: HashMap<usize, Progress>,
 }
@@ -40,6 +42,7 @@ struct Height {
 }
 
 /// Where a fact comes from.
+#[derive(Clone)]
 pub(super) enum Best {
     Input,
     Text(ClauseId),
@@ -74,6 +77,7 @@ impl Heights {
             text,
             stratum,
             relevant: HashMap::new(),
+            best: HashMap::new(),
             progress: HashMap::new(),
         }
     }
@@ -103,12 +107,23 @@ fn positive(clause: &Clause) -> impl Iterator<Item = (usize, &Atom)> {
 impl Search<'_> {
     /// The height of a fact that holds, and the derivation that gives it.
     pub(super) fn origin(&mut self, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
-        if let Some(&clause) = self.heights.text.get(&(rel, row.to_vec())) {
+        let fact = (rel, row.to_vec());
+        if let Some(&clause) = self.heights.text.get(&fact) {
             return Ok((0, Best::Text(clause)));
         }
         let Some(stratum) = self.heights.stratum[rel.index()] else {
             return Ok((0, Best::Input));
         };
+        if let Some(found) = self.heights.best.get(&fact) {
+            return Ok(found.clone());
+        }
+        let found = self.derivation(stratum, rel, row)?;
+        self.heights.best.insert(fact, found.clone());
+        Ok(found)
+    }
+
+    /// Of a derived fact that does not stand in the text.
+    fn derivation(&mut self, stratum: usize, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
         let rules = self.rules();
         let clauses = self.clauses_of(rel);
         let goal = self.position(rel, row).map(|position| (rel, position));

@@ -94,13 +94,16 @@ impl<'a> Teller<'a> {
     /// `file`, `line` and `doc`; where only the head does not fit, `fails` is empty. What does not hold in a recursion may lead back to
     /// itself.
     pub fn json(&self, explanation: &Explanation) -> serde_json::Value {
-        let nodes: Vec<serde_json::Value> = (explanation.nodes().iter())
-            .map(|node| match node {
-                Node::Fact(fact) => self.fact_json(fact),
-                Node::Absence(absence) => self.absence_json(absence),
-            })
-            .collect();
-        json!({ "nodes": nodes })
+        let nodes = explanation.nodes().iter().map(|node| self.node_json(node));
+        json!({ "nodes": nodes.collect::<Vec<serde_json::Value>>() })
+    }
+
+    /// One node of [`Teller::json`].
+    pub fn node_json(&self, node: &Node) -> serde_json::Value {
+        match node {
+            Node::Fact(fact) => self.fact_json(fact),
+            Node::Absence(absence) => self.absence_json(absence),
+        }
     }
 
     fn fact_json(&self, fact: &Fact) -> serde_json::Value {

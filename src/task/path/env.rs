@@ -103,7 +103,21 @@ impl Env {
     /// # Errors
     /// As [`Env::new`].
     pub fn new_until(task: Arc<PathTask>, split: Split, egos: Egos, stop: Stop) -> Result<Env, Diagnostic> {
-        let city = Simulation::new_until(Arc::clone(task.world()), split, Seed(0), Settings::default(), stop)?;
+        Env::with(task, split, egos, Settings::default(), stop)
+    }
+
+    /// The same, in a city that works as `settings` say.
+    ///
+    /// # Errors
+    /// As [`Env::new`].
+    pub(super) fn with(
+        task: Arc<PathTask>,
+        split: Split,
+        egos: Egos,
+        settings: Settings,
+        stop: Stop,
+    ) -> Result<Env, Diagnostic> {
+        let city = Simulation::new_until(Arc::clone(task.world()), split, Seed(0), settings, stop)?;
         let agents = city.agents().iter().enumerate();
         let cars = agents
             .filter(|(_, agent)| agent.kind == AgentKind::Car)

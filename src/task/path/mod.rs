@@ -13,13 +13,15 @@
 //!
 //! [`rollout`] lets a policy drive an episode, an [`Exam`] lets one from outside drive a whole set, [`Baseline`] is how the random one
 //! does; [`summarise`] says how well a policy did over many episodes: the rates and the score of the paper. A [`VectorEnv`] is many
-//! environments that take a step together; [`explain`] tells why the rules want what they want.
+//! environments that take a step together; [`explain`] tells why the rules want what they want, and [`record`] writes the trace of an
+//! episode that was driven.
 
 mod env;
 mod episode;
 mod evaluate;
 mod explain;
 mod metrics;
+mod record;
 mod rollout;
 mod vector;
 
@@ -28,6 +30,7 @@ pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
 pub use evaluate::{Baseline, Exam, RANDOM_RUNS};
 pub use explain::{describe, explain};
 pub use metrics::{ActionRate, Rate, Score, Summary, summarise};
+pub use record::{Origin, RecordError, record};
 pub use rollout::{Policy, Rollout, constrained_by_name, make_episodes, rollout};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, Member, Outcome, VectorEnv, View};
 

@@ -1,0 +1,26 @@
+// What all parts of the page draw with.
+
+const COLOURS = { Slow: "#b87a00", Normal: "#3f7fb5", Fast: "#0a8a63", Stop: "#c8401a" };
+const $ = (id) => document.getElementById(id);
+
+/** An element with attributes and children; texts are never read as markup. */
+function make(name, attributes = {}, ...children) {
+  const element = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
+    else if (value === true) element.setAttribute(key, "");
+    else if (value !== false && value != null) element.setAttribute(key, value);
+  }
+  element.append(...children.filter((child) => child != null));
+  return element;
+}
+
+function isDark() {
+  const theme = document.documentElement.dataset.theme;
+  return theme ? theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+}
+
+/** How many pixels of a canvas are one of the page. */
+function pixelUnit() {
+  return window.devicePixelRatio || 1;
+}

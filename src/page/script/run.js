@@ -1,0 +1,117 @@
+"use strict";
+
+// What the page shows: the data of a run, and what follows from them.
+
+/** What stands in base 64. */
+function bytesOf(text) {
+  return Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
+}
+
+/** What stands in base 64, deflated, as JSON. */
+async function unpack(text) {
+  const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return JSON.parse(await new Response(stream).text());
+}
+
+class Run {
+  constructor(data) {
+    this.data = data;
+    this.count = data.ticks.length;
+    this.names = new Map(data.agents.map((agent, index) => [agent.id, index]));
+    this.facts = this.unfoldFacts();
+    this.firings = this.collectFirings();
+    this.progress = this.measureProgress();
+    /** By tick, what is told of the agents that were driven from outside. */
+    this.steered = Map.groupBy(data.driven ?? [], ({ tick }) => tick);
+  }
+
+  /** For every tick the rows of every predicate; ticks without a change share them. */
+  unfoldFacts() {
+    let rows = this.data.predicates.map(() => []);
+    return this.data.ticks.map(({ facts }) => {
+      if (facts.length) rows = rows.slice();
+      for (const [predicate, flat] of facts) rows[predicate] = flat;
+      return rows;
+    });
+  }
+
+  /** For every clause, [tick, agent] of its firings in order. */
+  collectFirings() {
+    const firings = this.data.clauses.map(() => []);
+    this.data.ticks.forEach(({ fired }, tick) => {
+      fired.forEach((clauses, agent) => clauses.forEach((clause) => firings[clause].push([tick, agent])));
+    });
+    return firings;
+  }
+
+  /** For every agent and tick, how many cells it has gone on its route, and which route that is. */
+  measureProgress() {
+    return this.data.agents.map((_, agent) => {
+      const routes = this.data.routes[agent];
+      let route = -1, gone = 0;
+      return this.data.ticks.map(({ at }, tick) => {
+        if (route + 1 < routes.length && routes[route + 1][0] === tick) {
+          route += 1;
+          gone = 0;
+        }
+        const here = { route, gone };
+        const next = this.at(tick + 1, agent);
+        gone += Math.abs(next[0] - at[agent][0]) + Math.abs(next[1] - at[agent][1]);
+        return here;
+      });
+    });
+  }
+
+  at(tick, agent) {
+    return tick < this.count ? this.data.ticks[tick].at[agent] : this.data.last[agent];
+  }
+
+  action(tick, agent) {
+    return this.data.actions[this.data.ticks[tick].action[agent]];
+  }
+
+  label(clause) {
+    return this.data.clauses[clause].label;
+  }
+
+  /** The first line of a clause's comment, else its name. */
+  title(clause) {
+    return (this.data.clauses[clause].doc || this.label(clause)).split("\n")[0];
+  }
+
+  /** What is left of an agent's route, as points [row, column]. */
+  wayAhead(tick, agent) {
+    const { route, gone } = this.progress[agent][tick];
+    const corners = route < 0 ? [] : this.data.routes[agent][route][1];
+    let left = gone;
+    for (let at = 0; at + 1 < corners.length; at += 1) {
+      const [a, b] = [corners[at], corners[at + 1]];
+      const length = Math.abs(b[0] - a[0]) + Math.abs(b[1] - a[1]);
+      if (left < length) return [this.at(tick, agent), ...corners.slice(at + 1)];
+      left -= length;
+    }
+    return [];
+  }
+
+  /** What is told of an agent that was driven from outside in a tick; `undefined` of others. */
+  driven(tick, agent) {
+    return this.steered.get(tick)?.find((one) => one.agent === agent);
+  }
+
+  /** The action that the rules are asked about first: what the agent did, or what they wanted of it where it was driven. */
+  byRules(tick, agent) {
+    return this.driven(tick, agent)?.wanted ?? this.data.ticks[tick].action[agent];
+  }
+
+  /** The clauses that fired for an agent. */
+  causes(tick, agent) {
+    return this.data.ticks[tick].fired[agent].map((clause) => this.title(clause)).join("; ");
+  }
+
+  /** The other agents that the proof of that action speaks of. */
+  partners(tick, agent) {
+    const node = this.data.nodes[this.data.ticks[tick].why[agent][this.byRules(tick, agent)]];
+    const named = Object.values(node?.b ?? {}).map((name) => this.names.get(name));
+    return [...new Set(named.filter((other) => other !== undefined && other !== agent))];
+  }
+}

@@ -1,0 +1,118 @@
+//! The trace of an episode that was driven.
+
+use super::{Egos, Env, Episode, PathTask};
+use crate::config::{Speed, Split};
+use crate::diag::{Code, Diagnostic, SourceId, Sources};
+use crate::sim::{Driven, MAX_ENTITIES, Settings, Stop, TraceWriter, hash_sources};
+use std::io::{self, Write};
+use std::sync::Arc;
+
+/// What the header of a trace tells of where the city comes from.
+#[derive(Clone, Copy)]
+pub struct Origin<'a> {
+    /// The texts that the rules were loaded from.
+    pub sources: &'a Sources,
+    /// The file of the configuration.
+    pub config_file: &'a str,
+    /// The file of the rules and all that it includes.
+    pub rule_files: &'a [SourceId],
+}
+
+/// Why no trace was written.
+#[derive(Debug)]
+pub enum RecordError {
+    /// The episode cannot be driven like that.
+    Fault(Diagnostic),
+    /// The output cannot be written.
+    Write(io::Error),
+}
+
+impl From<Diagnostic> for RecordError {
+    fn from(fault: Diagnostic) -> Self {
+        RecordError::Fault(fault)
+    }
+}
+
+impl From<io::Error> for RecordError {
+    fn from(error: io::Error) -> Self {
+        RecordError::Write(error)
+    }
+}
+
+/// Drives an episode of a split once more by the actions that the first car took in it, and writes the trace as `logicity run` would. An
+/// episode is a function of its beginning and the actions, so environments keep no trace while they work. The first car is told of as
+/// [`Driven`].
+///
+/// # Errors
+/// As [`Env::new`] and [`Env::reset_to`]; `invalid-value` for more actions than the episode has steps, `limit-exceeded` for more than
+/// [`MAX_ENTITIES`] agents, or if `stop` says so.
+///
+/// # Panics
+/// If `origin` names no rule file.
+pub fn record<W: Write>(
+    task: &Arc<PathTask>,
+    split: Split,
+    (episode, actions): (&Episode, &[Speed]),
+    origin: Origin<'_>,
+    stop: Stop,
+    out: W,
+) -> Result<W, RecordError> {
+    let settings = Settings {
+        count_firings: true,
+        ..Settings::default()
+    };
+    let mut env = Env::with(Arc::clone(task), split, Egos::First, settings, stop)?;
+    env.reset_to(episode)?;
+    let agents = env.city().agents().len();
+    if agents > MAX_ENTITIES {
+        let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
+        return Err(Diagnostic::new(Code::LimitExceeded, message).into());
+    }
+    let Origin {
+        sources,
+        config_file,
+        rule_files,
+    } = origin;
+    let hash = hash_sources(sources, rule_files);
+    let mut trace = TraceWriter::new(out, env.city(), sources, config_file, rule_files[0], &hash)?;
+    for &action in actions {
+        if (env.city().stop())() {
+            return Err(Diagnostic::interrupted().into());
+        }
+        if !env.riders()[0].is_running() {
+            let message = format!(
+                "{} actions for an episode that ends after {}",
+                actions.len(),
+                env.steps()
+            );
+            return Err(Diagnostic::new(Code::InvalidValue, message).into());
+        }
+        let mut driven = observed(&env);
+        env.step(&[action])?;
+        driven.broken = broken(&env);
+        trace.tick_driven(env.city(), &[(env.riders()[0].agent(), driven)])?;
+    }
+    Ok(trace.into_inner())
+}
+
+/// What the first rider observes, and what the rules want of it.
+fn observed(env: &Env) -> Driven {
+    let agents = env.city().agents();
+    let entities = env.riders()[0].observer().entities();
+    Driven {
+        observes: entities.map(|agent| agents[agent].name().to_string()).collect(),
+        wanted: env.oracle_action(0).name().to_owned(),
+        broken: Vec::new(),
+    }
+}
+
+/// The clauses that its last action broke.
+fn broken(env: &Env) -> Vec<usize> {
+    let (rider, demands) = (&env.riders()[0], env.task().oracle().demands());
+    let clauses = env.city().clauses();
+    let position = |&demand: &usize| {
+        let found = clauses.iter().position(|clause| *clause == demands[demand].clause);
+        found.expect("a clause that asks an action has a body")
+    };
+    rider.last().broken.iter().map(position).collect()
+}
