@@ -16,6 +16,7 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::parser::parse_message_type;
 use std::io::Write;
+use std::ops::Range;
 use std::panic::catch_unwind;
 use std::sync::Arc;
 
@@ -234,19 +235,31 @@ impl Table {
         read.map_err(|error| faulty(format!("not a table of frames: {error}")))
     }
 
-    fn column(&self, name: &str) -> Result<&Values, Diagnostic> {
+    /// The values of a column.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if there is no column of that name.
+    pub fn column(&self, name: &str) -> Result<&Values, Diagnostic> {
         let found = self.columns.iter().find(|(known, _)| known == name);
         Ok(&found.ok_or_else(|| faulty(format!("there is no column `{name}`")))?.1)
     }
 
-    fn ints(&self, name: &str) -> Result<&[i32], Diagnostic> {
+    /// The values of a column of numbers.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if there is none.
+    pub fn ints(&self, name: &str) -> Result<&[i32], Diagnostic> {
         match self.column(name)? {
             Values::Int(values) => Ok(values),
             _ => Err(faulty(format!("the column `{name}` is not of numbers"))),
         }
     }
 
-    fn bools(&self, name: &str) -> Result<&[bool], Diagnostic> {
+    /// The values of a column of truth values.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if there is none.
+    pub fn bools(&self, name: &str) -> Result<&[bool], Diagnostic> {
         match self.column(name)? {
             Values::Bool(values) => Ok(values),
             _ => Err(faulty(format!("the column `{name}` is not of truth values"))),
@@ -339,33 +352,25 @@ pub struct Sample {
     pub facts: Facts,
 }
 
-/// The samples of a world from its two tables.
+/// Where a sample stands in the two tables of its world.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SampleRows {
+    /// The tick.
+    pub tick: i32,
+    /// The rows of its entities.
+    pub entities: Range<usize>,
+    /// The rows of its pairs.
+    pub pairs: Range<usize>,
+}
+
+/// Where the samples of a world stand in its two tables.
 ///
 /// # Errors
-/// `invalid-data-set` if a column is missing, the rows of a sample are not all there in order, or a label is none.
-pub fn samples(
-    vocabulary: &Vocabulary,
-    world: u32,
-    entities: &Table,
-    pairs: &Table,
-) -> Result<Vec<Sample>, Diagnostic> {
+/// `invalid-data-set` if a column is missing, or the rows of a sample are not all there in order.
+pub fn sample_rows(world: u32, entities: &Table, pairs: &Table) -> Result<Vec<SampleRows>, Diagnostic> {
     let (worlds, ticks, places) = (entities.ints("world")?, entities.ints("tick")?, entities.ints("agent")?);
-    let (Values::Text(names), Values::MaybeInt(labels)) = (entities.column("name")?, entities.column("label")?) else {
-        return Err(faulty("the columns `name` and `label` are not of texts and numbers"));
-    };
     let [of_worlds, of_ticks] = [pairs.ints("world")?, pairs.ints("tick")?];
     let [firsts, seconds] = [pairs.ints("first")?, pairs.ints("second")?];
-    let label = |label: &Option<i32>| match label {
-        None => Ok(None),
-        Some(label) => {
-            let action = usize::try_from(*label)
-                .ok()
-                .and_then(|label| Speed::ALL.get(label).copied());
-            action
-                .map(Some)
-                .ok_or_else(|| faulty(format!("{label} is not a label")))
-        }
-    };
     let world = int(world);
     let mut samples = Vec::new();
     let (mut row, mut pair) = (0, 0);
@@ -384,32 +389,67 @@ pub fn samples(
                 "the rows of tick {tick} are not those of one sample, in order"
             )));
         }
-        let rows = vocabulary.predicates.iter().map(|predicate| {
-            let agent = |at: usize| u32::try_from(at).expect("fewer than 2^32 rows");
-            Ok(match predicate.arity {
-                1 => {
-                    let holds = &entities.bools(&predicate.name)?[own.clone()];
-                    (0..count).filter(|&at| holds[at]).map(|at| [agent(at), 0]).collect()
-                }
-                _ => {
-                    let holds = &pairs.bools(&predicate.name)?[of_two.clone()];
-                    let true_ones = (0..count * count).filter(|&at| holds[at]);
-                    true_ones.map(|at| [agent(at / count), agent(at % count)]).collect()
-                }
-            })
-        });
-        samples.push(Sample {
-            tick,
-            names: names[own.clone()].to_vec(),
-            labels: labels[own.clone()].iter().map(label).collect::<Result<_, _>>()?,
-            facts: Facts {
-                rows: rows.collect::<Result<_, Diagnostic>>()?,
-            },
-        });
         (row, pair) = (own.end, of_two.end);
+        samples.push(SampleRows {
+            tick,
+            entities: own,
+            pairs: of_two,
+        });
     }
     match pair == pairs.rows() {
         true => Ok(samples),
         false => Err(faulty("there are more pairs than the entities have")),
     }
+}
+
+/// The samples of a world from its two tables.
+///
+/// # Errors
+/// As [`sample_rows`], and `invalid-data-set` if a label is none.
+pub fn samples(
+    vocabulary: &Vocabulary,
+    world: u32,
+    entities: &Table,
+    pairs: &Table,
+) -> Result<Vec<Sample>, Diagnostic> {
+    let (Values::Text(names), Values::MaybeInt(labels)) = (entities.column("name")?, entities.column("label")?) else {
+        return Err(faulty("the columns `name` and `label` are not of texts and numbers"));
+    };
+    let label = |label: &Option<i32>| match label {
+        None => Ok(None),
+        Some(label) => {
+            let action = usize::try_from(*label)
+                .ok()
+                .and_then(|label| Speed::ALL.get(label).copied());
+            action
+                .map(Some)
+                .ok_or_else(|| faulty(format!("{label} is not a label")))
+        }
+    };
+    let sample = |rows: SampleRows| {
+        let count = rows.entities.len();
+        let facts = vocabulary.predicates.iter().map(|predicate| {
+            let agent = |at: usize| u32::try_from(at).expect("fewer than 2^32 rows");
+            Ok(match predicate.arity {
+                1 => {
+                    let holds = &entities.bools(&predicate.name)?[rows.entities.clone()];
+                    (0..count).filter(|&at| holds[at]).map(|at| [agent(at), 0]).collect()
+                }
+                _ => {
+                    let holds = &pairs.bools(&predicate.name)?[rows.pairs.clone()];
+                    let true_ones = (0..count * count).filter(|&at| holds[at]);
+                    true_ones.map(|at| [agent(at / count), agent(at % count)]).collect()
+                }
+            })
+        });
+        Ok(Sample {
+            tick: rows.tick,
+            facts: Facts {
+                rows: facts.collect::<Result<_, Diagnostic>>()?,
+            },
+            names: names[rows.entities.clone()].to_vec(),
+            labels: labels[rows.entities].iter().map(label).collect::<Result<_, _>>()?,
+        })
+    };
+    sample_rows(world, entities, pairs)?.into_iter().map(sample).collect()
 }
