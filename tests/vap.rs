@@ -55,7 +55,8 @@ fn refused(arguments: &[&str], words: &[&str]) {
     }
 }
 
-const MAKE: [&str; 5] = ["make", "--mode", "hard", "--split", "test"];
+/// Tables only.
+const MAKE: [&str; 6] = ["make", "--mode", "hard", "--split", "test", "--no-pictures"];
 
 fn make(folder: &Path, more: &[&str]) -> String {
     told(&[&MAKE[..], &["--out", folder.to_str().unwrap()], more].concat())
@@ -243,7 +244,7 @@ fn what_was_ended_early_goes_on_and_parts_are_the_whole() {
 fn tampered_sets_are_found_out(folder: &Path) {
     let path = folder.to_str().unwrap();
     let check = || told(&["check", path]);
-    assert!(check().starts_with("worlds: 3, frames: 267, every label follows from the facts\n"));
+    assert!(check().starts_with("worlds: 3, frames: 267, pictures: 0, every label follows from the facts\n"));
     let counts: Value = serde_json::from_str(&told(&["check", path, "--json"])).unwrap();
     assert_eq!(counts["published"], serde_json::json!([4155, 2882, 715, 6488]));
     let total: u64 = counts["actions"]
@@ -324,10 +325,10 @@ fn tampered_sets_are_found_out(folder: &Path) {
     refused(&["check", path], &["is not in the folder of the world"]);
     fs::write(
         folder.join("manifest.json"),
-        manifest.replace("\"version\": 1", "\"version\": 2"),
+        manifest.replace("\"version\": 2", "\"version\": 1"),
     )
     .unwrap();
-    refused(&["check", path], &["version 2"]);
+    refused(&["check", path], &["version 1; this program reads version 2"]);
     fs::write(
         folder.join("manifest.json"),
         manifest.replace("\"rules_hash\": \"", "\"rules_hash\": \"0"),

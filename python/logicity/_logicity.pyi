@@ -7,6 +7,7 @@ import numpy.typing as npt
 __all__ = [
     "ACTIONS",
     "HEADINGS",
+    "PICTURE_SIDE",
     "REASONS",
     "Baseline",
     "Cars",
@@ -30,6 +31,7 @@ __all__ = [
 __version__: str
 ACTIONS: list[str]
 HEADINGS: list[str]
+PICTURE_SIDE: int
 REASONS: list[str]
 
 _Path: TypeAlias = str | os.PathLike[str]

@@ -4,8 +4,10 @@ use crate::{input_error, slice_of};
 use logicity::city::Heading;
 use logicity::config::{AgentKind, Speed};
 use logicity::diag::{Code, Diagnostic, Sources};
-use logicity::task::vap::table::{Table, Values, sample_rows};
-use numpy::ndarray::{Array1, Array2};
+use logicity::render::PixelBox;
+use logicity::task::vap::SIDE;
+use logicity::task::vap::table::{Table, boxes, sample_rows};
+use numpy::ndarray::{Array2, ArrayView1, array};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadwriteArray3, PyUntypedArrayMethods};
 use png::{BitDepth, ColorType, Decoder, DecodingError};
 use pyo3::exceptions::{PyOSError, PyValueError};
@@ -17,6 +19,7 @@ use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("PICTURE_SIDE", SIDE)?;
     module.add_function(wrap_pyfunction!(read_world, module)?)?;
     module.add_function(wrap_pyfunction!(read_picture, module)?)
 }
@@ -72,20 +75,6 @@ fn read_bytes(path: PathBuf) -> Result<Vec<u8>, Unread> {
     fs::read(&path).map_err(|error| Unread::File(path, error))
 }
 
-fn texts<'a>(table: &'a Table, name: &str) -> Result<&'a [String], Unread> {
-    match table.column(name)? {
-        Values::Text(texts) => Ok(texts),
-        _ => Err(faulty(format!("the column `{name}` is not of texts"))),
-    }
-}
-
-fn maybe_ints<'a>(table: &'a Table, name: &str) -> Result<&'a [Option<i32>], Unread> {
-    match table.column(name)? {
-        Values::MaybeInt(numbers) => Ok(numbers),
-        _ => Err(faulty(format!("the column `{name}` is not of numbers or nothing"))),
-    }
-}
-
 /// The codes of a column, -1 for nothing.
 fn codes(table: &Table, name: &str, count: usize) -> Result<Vec<i64>, Unread> {
     let code = |value: &Option<i32>| match value {
@@ -93,14 +82,14 @@ fn codes(table: &Table, name: &str, count: usize) -> Result<Vec<i64>, Unread> {
         Some(code) if usize::try_from(*code).is_ok_and(|code| code < count) => Ok(i64::from(*code)),
         Some(other) => Err(faulty(format!("{other} is not a {name}"))),
     };
-    maybe_ints(table, name)?.iter().map(code).collect()
+    table.maybe_ints(name)?.iter().map(code).collect()
 }
 
 /// Columns of truth values side by side.
 fn truths(table: &Table, names: &[String]) -> Result<Array2<bool>, Unread> {
     let mut all = Array2::from_elem((table.rows(), names.len()), false);
     for (name, mut column) in names.iter().zip(all.columns_mut()) {
-        column.assign(&Array1::from(table.bools(name)?.to_vec()));
+        column.assign(&ArrayView1::from(table.bools(name)?));
     }
     Ok(all)
 }
@@ -110,24 +99,22 @@ impl World {
         let entities = Table::read(read_bytes(folder.join("entities.parquet"))?)?;
         let pairs = Table::read(read_bytes(folder.join("pairs.parquet"))?)?;
         let samples = sample_rows(number, &entities, &pairs)?;
-        let priorities = maybe_ints(&entities, "priority")?.iter();
+        let priorities = entities.maybe_ints("priority")?.iter();
         let priorities =
             priorities.map(|priority| priority.map(i64::from).ok_or_else(|| faulty("a priority is missing")));
         let labels = codes(&entities, "label", Speed::ALL.len())?;
-        let kinds = texts(&entities, "type")?;
-        let names = texts(&entities, "name")?;
+        let kinds = entities.texts("type")?;
+        let names = entities.texts("name")?;
         for ((kind, label), name) in kinds.iter().zip(&labels).zip(names) {
             if (kind == AgentKind::Car.name()) != (*label >= 0) {
                 return Err(faulty(format!("cars have labels, and they alone: {name} is a {kind}")));
             }
         }
-        let mut boxes = Array2::from_elem((entities.rows(), 4), f32::NAN);
-        for (name, mut column) in ["x", "y", "width", "height"].into_iter().zip(boxes.columns_mut()) {
-            for (place, value) in column.iter_mut().zip(maybe_ints(&entities, name)?) {
-                #[expect(clippy::cast_precision_loss, reason = "pixels of a picture are few")]
-                if let Some(value) = value {
-                    *place = *value as f32;
-                }
+        let mut sides = Array2::from_elem((entities.rows(), 4), f32::NAN);
+        for (pixels, mut place) in boxes(&entities)?.into_iter().zip(sides.rows_mut()) {
+            #[expect(clippy::cast_precision_loss, reason = "the pixels of a picture are few")]
+            if let Some(PixelBox { x, y, width, height }) = pixels {
+                place.assign(&array![x as f32, y as f32, width as f32, height as f32]);
             }
         }
         let row = |row: usize| i64::try_from(row).expect("fewer than 2^63");
@@ -137,13 +124,13 @@ impl World {
                 .chain([row(entities.rows())])
                 .collect(),
             names: names.to_vec(),
-            concepts: texts(&entities, "concepts")?.to_vec(),
+            concepts: entities.texts("concepts")?.to_vec(),
             numbers: [
                 priorities.collect::<Result<_, _>>()?,
                 codes(&entities, "heading", Heading::ALL.len())?,
                 labels,
             ],
-            boxes,
+            boxes: sides,
             unary: truths(&entities, unary)?,
             binary: truths(&pairs, binary)?,
             sees: pairs.bools("Sees")?.to_vec(),

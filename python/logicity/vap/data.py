@@ -39,11 +39,11 @@ UNARY = (
 BINARY = ("IsClose", "HigherPri", "CollidingClose", "LeftOf", "RightOf", "NextTo")
 """The predicates over two entities in the order of the paper, which is that of the last axis of `VapSample.binary`."""
 
-PICTURE_SIDE = 1024
-"""The side of a picture, in pixels."""
+PICTURE_SIDE = _logicity.PICTURE_SIDE
+"""The side of a picture in pixels, 1024."""
 
 #: The version of the format that is read.
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +138,8 @@ class VapDataset(Sequence[VapSample]):
     OSError
         For a file that cannot be read.
     ValueError
-        If it is no data set of this version, or has no pictures; `InputError`, also later, for faulty tables and
-        pictures.
+        If it is no data set of this version, or has no pictures though they are to be read; `InputError`, also later,
+        for faulty tables and pictures.
 
     """
 
@@ -149,6 +149,8 @@ class VapDataset(Sequence[VapSample]):
         """Read the manifest."""
         self.folder, self.images = Path(folder), images
         settings, counts = _read_manifest(self.folder)
+        if images and not settings["pictures"]:
+            raise ValueError(f"`{self.folder}` was made with `--no-pictures`: images=False reads it")
         self.mode: str = settings["mode"]
         self.agents: str = settings["agents"]
         self.split = cast(Split, settings["split"])
@@ -156,11 +158,6 @@ class VapDataset(Sequence[VapSample]):
         self._worlds = list(counts)
         self._ends = list(accumulate(counts.values()))
         self._tables = lru_cache(maxsize=cached_worlds)(self._read_tables)
-        if images and self._worlds and not any(self._world_folder(self._worlds[0]).glob("frame-*.png")):
-            raise ValueError(
-                f"`{self.folder}` has no pictures: `logicity vap make` leaves them out with `--no-pictures`; "
-                "images=False reads the rest"
-            )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle by the folder."""
@@ -279,7 +276,7 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
         raise ValueError(f"`{path}`: a data set `{data}`, version {version}; this package reads version {VERSION}")
     try:
         counts = {int(world["world"]): int(world["frames"]) for world in manifest["worlds"]}
-        named = {name: str(settings[name]) for name in ("mode", "agents", "split")}
+        named = {name: settings[name] for name in ("mode", "agents", "split", "pictures")}
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"`{path}` is no manifest of `logicity vap make`: {error!r}") from None
     return named, counts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
@@ -42,12 +43,25 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         """Read a sample."""
-        sample = as_tensors(self.samples.facts(index))
+        return self.__getitems__([index])[0]
+
+    def __getitems__(self, indices: Sequence[int]) -> list[dict[str, Any]]:
+        """Read samples. Their pictures lie side by side, so that a batch of them is made without a copy."""
+        samples = [as_tensors(self.samples.facts(index)) for index in indices]
         if self.samples.images:
-            image = torch.empty((3, PICTURE_SIDE, PICTURE_SIDE), dtype=torch.uint8)
-            self.samples.read_picture(index, image.numpy())
-            sample["image"] = image
-        return sample
+            images = _room((len(indices), 3, PICTURE_SIDE, PICTURE_SIDE))
+            for index, image, sample in zip(indices, images, samples, strict=True):
+                self.samples.read_picture(index, image.numpy())
+                sample["image"] = image
+        return samples
+
+
+def _room(shape: tuple[int, ...]) -> torch.Tensor:
+    """Bytes to be written; in a worker, where the process that trains finds them, as `default_collate` has them."""
+    if torch.utils.data.get_worker_info() is None:
+        return torch.empty(shape, dtype=torch.uint8)
+    storage = torch.UntypedStorage._new_shared(math.prod(shape))
+    return torch.empty(0, dtype=torch.uint8).set_(storage, 0, shape)
 
 
 def as_tensors(sample: VapSample) -> dict[str, Any]:
@@ -79,8 +93,9 @@ def _padded(tensors: list[torch.Tensor], axes: int, most: int, filler: float) ->
 
 
 def _stacked(images: list[torch.Tensor]) -> torch.Tensor:
-    """Pictures side by side; in a worker, where the process that trains finds them without a copy."""
-    out = torch.empty((len(images), *images[0].shape), dtype=torch.uint8)
-    if torch.utils.data.get_worker_info() is not None:
-        out.share_memory_()
-    return torch.stack(images, out=out)
+    """Pictures as a batch: that of `__getitems__`, if it is theirs."""
+    whole = images[0]._base
+    places = [image.data_ptr() for image in images]
+    if whole is not None and places == [row.data_ptr() for row in whole]:
+        return whole
+    return torch.stack(images)

@@ -1,6 +1,6 @@
 //! Frames as columns, written as Parquet: a table of entities, with what is true of each, and a table of ordered pairs of them.
 
-use super::{Frame, FrameAgent, Worlds, faulty};
+use super::{Frame, FrameAgent, SIDE, Worlds, faulty};
 use crate::city::Heading;
 use crate::config::{AgentKind, Speed};
 use crate::diag::Diagnostic;
@@ -15,6 +15,7 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::parser::parse_message_type;
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::ops::Range;
 use std::panic::catch_unwind;
@@ -79,7 +80,7 @@ pub const ENTITY_NAMES: [(&str, &str); 6] = [
 ];
 
 /// The columns after those. After these come the unary predicates.
-pub const ENTITY_NUMBERS: [EntityColumn; 10] = [
+pub const ENTITY_NUMBERS: [EntityColumn; 11] = [
     ("priority", "right of way; a smaller number goes first", |agent, _| {
         Some(agent.priority)
     }),
@@ -102,6 +103,11 @@ pub const ENTITY_NUMBERS: [EntityColumn; 10] = [
         "facing",
         "of its icon, in eighths of a turn clockwise from up",
         |agent, _| Some(agent.facing as i32),
+    ),
+    (
+        "instance",
+        "which instance of its class the picture shows, from 0; the same number shows the same icon all over the split",
+        |agent, _| Some(agent.instance.cast_signed()),
     ),
     (
         "x",
@@ -235,11 +241,7 @@ impl Table {
         read.map_err(|error| faulty(format!("not a table of frames: {error}")))
     }
 
-    /// The values of a column.
-    ///
-    /// # Errors
-    /// `invalid-data-set` if there is no column of that name.
-    pub fn column(&self, name: &str) -> Result<&Values, Diagnostic> {
+    fn column(&self, name: &str) -> Result<&Values, Diagnostic> {
         let found = self.columns.iter().find(|(known, _)| known == name);
         Ok(&found.ok_or_else(|| faulty(format!("there is no column `{name}`")))?.1)
     }
@@ -255,6 +257,28 @@ impl Table {
         }
     }
 
+    /// The values of a column of numbers, or nothing.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if there is none.
+    pub fn maybe_ints(&self, name: &str) -> Result<&[Option<i32>], Diagnostic> {
+        match self.column(name)? {
+            Values::MaybeInt(values) => Ok(values),
+            _ => Err(faulty(format!("the column `{name}` is not of numbers or nothing"))),
+        }
+    }
+
+    /// The values of a column of texts.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if there is none.
+    pub fn texts(&self, name: &str) -> Result<&[String], Diagnostic> {
+        match self.column(name)? {
+            Values::Text(values) => Ok(values),
+            _ => Err(faulty(format!("the column `{name}` is not of texts"))),
+        }
+    }
+
     /// The values of a column of truth values.
     ///
     /// # Errors
@@ -265,6 +289,47 @@ impl Table {
             _ => Err(faulty(format!("the column `{name}` is not of truth values"))),
         }
     }
+}
+
+/// How many rows of the table of entities carry each concept; those that carry none count by type.
+///
+/// # Errors
+/// `invalid-data-set` if a column is missing.
+pub fn count_concepts(entities: &Table) -> Result<BTreeMap<String, u64>, Diagnostic> {
+    let mut counts = BTreeMap::new();
+    for (concepts, kind) in entities.texts("concepts")?.iter().zip(entities.texts("type")?) {
+        let carried = if concepts.is_empty() { kind } else { concepts };
+        for concept in carried.split('+') {
+            *counts.entry(concept.to_owned()).or_default() += 1;
+        }
+    }
+    Ok(counts)
+}
+
+/// What each row of the table of entities covers of its picture.
+///
+/// # Errors
+/// `invalid-data-set` if a column is missing, or a box is not in the picture.
+pub fn boxes(entities: &Table) -> Result<Vec<Option<PixelBox>>, Diagnostic> {
+    let [xs, ys] = [entities.maybe_ints("x")?, entities.maybe_ints("y")?];
+    let [widths, heights] = [entities.maybe_ints("width")?, entities.maybe_ints("height")?];
+    let pixels = |row: usize| match (xs[row], ys[row], widths[row], heights[row]) {
+        (None, None, None, None) => Some(None),
+        (Some(x), Some(y), Some(width), Some(height)) => {
+            let (width, height) = (u32::try_from(width).ok()?, u32::try_from(height).ok()?);
+            let pixels = PixelBox { x, y, width, height };
+            (pixels.clipped(SIDE, SIDE) == Some(pixels)).then_some(Some(pixels))
+        }
+        _ => None,
+    };
+    let all = (0..entities.rows()).map(|row| {
+        pixels(row).ok_or_else(|| {
+            faulty(format!(
+                "the box of row {row} of the entities is not one in the picture"
+            ))
+        })
+    });
+    all.collect()
 }
 
 /// For each predicate over so many agents whether it holds, row by row.
@@ -412,9 +477,7 @@ pub fn samples(
     entities: &Table,
     pairs: &Table,
 ) -> Result<Vec<Sample>, Diagnostic> {
-    let (Values::Text(names), Values::MaybeInt(labels)) = (entities.column("name")?, entities.column("label")?) else {
-        return Err(faulty("the columns `name` and `label` are not of texts and numbers"));
-    };
+    let (names, labels) = (entities.texts("name")?, entities.maybe_ints("label")?);
     let label = |label: &Option<i32>| match label {
         None => Ok(None),
         Some(label) => {
