@@ -149,7 +149,9 @@ impl Texture {
     fn weathered(self, rgb: Rgb, x: i64, y: i64, scale: Scale, layer: u32) -> Rgb {
         let cell = i64::from(scale.pixels);
         let mut light = (self.wave(x, y, 6 * cell, layer) * (5 * 256 + 18 * self.noise)) >> 16;
-        let speck = self.hash(x, y, layer);
+        // Many specks are of 2 x 2 pixels: single ones would be most of what a picture takes on disk.
+        let fine = i64::from(self.noise > 0);
+        let speck = self.hash(x >> fine, y >> fine, layer);
         // Specks are rare where all is clean, so that pictures stay small.
         if (speck & 255) < 14 + ((self.noise as u32 * 150) >> 8) {
             light += (((speck >> 8) as i32 % 19 - 9) * (256 + self.noise)) >> 8;
