@@ -41,7 +41,7 @@ page: $(VENV)/bin/python
 
 # The same with Stable-Baselines3, whose tests are skipped above: it brings torch, some gigabytes.
 python-all: $(VENV)-all/bin/python
-	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check './python[all,test]'
+	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check './python[test-all]'
 	$(VENV)-all/bin/python -m pytest -q python/tests
 
 $(VENV)/bin/python $(VENV)-all/bin/python: %/bin/python:

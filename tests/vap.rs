@@ -1,12 +1,12 @@
-//! Visual Action Prediction: worlds, tables, and data sets that are ended early, made in parts, or tampered with.
+//! Visual Action Prediction: worlds, tables, pictures, and data sets that are ended early, made in parts, or tampered with.
 
 use logicity::config::{AgentKind, Split, load_scenario};
 use logicity::diag::Sources;
 use logicity::engine::Program;
-use logicity::render::{Difficulty, Icons};
-use logicity::rng::Seed;
+use logicity::render::{Difficulty, Icons, Picture, PixelBox, read_png, write_png};
+use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::task::vap::table::{Sample, Table, Values, samples};
-use logicity::task::vap::{Agents, FIRST_TICK, Frame, TICKS, Worlds, count_actions};
+use logicity::task::vap::{Agents, FIRST_TICK, Frame, SIDE, TICKS, Worlds, count_actions, icon_seed};
 use logicity::{files, lang};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -55,7 +55,8 @@ fn refused(arguments: &[&str], words: &[&str]) {
     }
 }
 
-const MAKE: [&str; 5] = ["make", "--mode", "hard", "--split", "test"];
+/// Tables only.
+const MAKE: [&str; 6] = ["make", "--mode", "hard", "--split", "test", "--no-pictures"];
 
 fn make(folder: &Path, more: &[&str]) -> String {
     told(&[&MAKE[..], &["--out", folder.to_str().unwrap()], more].concat())
@@ -192,37 +193,13 @@ fn drawn_agents_are_as_the_paper_says() {
 }
 
 #[test]
-fn what_was_ended_early_goes_on_and_parts_are_the_whole() {
+fn parts_are_the_whole() {
     let folder = tempfile::tempdir().unwrap();
-    let [whole, killed, part] = ["whole", "killed", "part"].map(|name| folder.path().join(name));
+    let [whole, part] = ["whole", "part"].map(|name| folder.path().join(name));
     let said = make(&whole, &["--worlds", "3"]);
     assert!(said.starts_with("worlds made: 3, in "), "{said}");
     let expected = contents(&whole);
     assert_eq!(expected.len(), 3 * 3 + 2);
-
-    // Killed as soon as a world is there.
-    let arguments = [&MAKE[..], &["--worlds", "3", "--out", killed.to_str().unwrap()]].concat();
-    let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"));
-    let process = process
-        .arg("vap")
-        .args(&arguments)
-        .current_dir(env!("CARGO_MANIFEST_DIR"));
-    let mut process = process.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-    while !killed.join("world-00000").exists() {
-        assert!(process.try_wait().unwrap().is_none(), "it ended by itself");
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    process.kill().unwrap();
-    process.wait().unwrap();
-    assert!(!killed.join("manifest.json").exists() || killed.join("world-00002").exists());
-    // And at the worst moment: something of a world was written.
-    fs::create_dir_all(killed.join(".world-00002.partial")).unwrap();
-    fs::write(killed.join(".world-00002.partial/entities.parquet"), "PAR1").unwrap();
-    let said = make(&killed, &["--worlds", "3"]);
-    assert!(!said.starts_with("worlds made: 3"), "what was there stays: {said}");
-    assert_eq!(contents(&killed), expected);
-    assert!(make(&killed, &["--worlds", "3"]).starts_with("worlds made: 0, in "));
-    assert_eq!(contents(&killed), expected);
 
     make(&part, &["--worlds", "1", "--first-world", "2"]);
     let parts = contents(&part);
@@ -230,11 +207,20 @@ fn what_was_ended_early_goes_on_and_parts_are_the_whole() {
     for name in parts.keys().filter(|name| name.starts_with("world-00002")) {
         assert_eq!(parts[name], expected[name], "{name}");
     }
-    let seed = "--seed";
-    refused(
-        &[&MAKE[..], &["--out", part.to_str().unwrap(), seed, "1"]].concat(),
-        &["invalid-data-set", "other settings"],
-    );
+    // What is to be made must be what is there.
+    let again = [&MAKE[..], &["--out", part.to_str().unwrap()]].concat();
+    for more in [["--seed", "1"], ["--difficulty", "0"]] {
+        refused(&[&again[..], &more].concat(), &["invalid-data-set", "other settings"]);
+    }
+    let pictures: Vec<&str> = again.iter().copied().filter(|word| *word != "--no-pictures").collect();
+    refused(&pictures, &["invalid-data-set", "other settings"]);
+    let old = fs::read_to_string(part.join("world-00002/world.json")).unwrap();
+    fs::write(
+        part.join("world-00002/world.json"),
+        old.replace("\"version\": 2", "\"version\": 1"),
+    )
+    .unwrap();
+    refused(&again, &["version 1; this program reads version 2"]);
 
     tampered_sets_are_found_out(&whole);
 }
@@ -243,7 +229,7 @@ fn what_was_ended_early_goes_on_and_parts_are_the_whole() {
 fn tampered_sets_are_found_out(folder: &Path) {
     let path = folder.to_str().unwrap();
     let check = || told(&["check", path]);
-    assert!(check().starts_with("worlds: 3, frames: 267, every label follows from the facts\n"));
+    assert!(check().starts_with("worlds: 3, frames: 267, pictures: 0, every label follows from the facts\n"));
     let counts: Value = serde_json::from_str(&told(&["check", path, "--json"])).unwrap();
     assert_eq!(counts["published"], serde_json::json!([4155, 2882, 715, 6488]));
     let total: u64 = counts["actions"]
@@ -290,12 +276,26 @@ fn tampered_sets_are_found_out(folder: &Path) {
         agents.swap(0, 1);
     };
     let column = |table: &mut Table| drop(table.columns.pop());
+    let corner = |table: &mut Table| {
+        let (_, Values::MaybeInt(xs)) = table.columns.iter_mut().find(|(name, _)| name == "x").unwrap() else {
+            panic!("corners are numbers")
+        };
+        *xs.iter_mut().flatten().next().unwrap() = 1020;
+    };
+    let concept = |table: &mut Table| {
+        let (_, Values::Text(concepts)) = table.columns.iter_mut().find(|(name, _)| name == "concepts").unwrap() else {
+            panic!("concepts are texts")
+        };
+        concepts[0] = "taxi".to_owned();
+    };
     type Change<'a> = &'a dyn Fn(&mut Table);
-    let faults: [(Change<'_>, &str); 4] = [
+    let faults: [(Change<'_>, &str); 6] = [
         (&label, "is labelled"),
         (&fact, "is labelled"),
         (&order, "in order"),
         (&column, "there is no column `IsInInter`"),
+        (&corner, "is not one in the picture"),
+        (&concept, "does not count what its tables have"),
     ];
     for (change, word) in faults {
         let mut table = Table::read(original[entities].clone()).unwrap();
@@ -324,10 +324,10 @@ fn tampered_sets_are_found_out(folder: &Path) {
     refused(&["check", path], &["is not in the folder of the world"]);
     fs::write(
         folder.join("manifest.json"),
-        manifest.replace("\"version\": 1", "\"version\": 2"),
+        manifest.replace("\"version\": 2", "\"version\": 1"),
     )
     .unwrap();
-    refused(&["check", path], &["version 2"]);
+    refused(&["check", path], &["version 1; this program reads version 2"]);
     fs::write(
         folder.join("manifest.json"),
         manifest.replace("\"rules_hash\": \"", "\"rules_hash\": \"0"),
@@ -338,7 +338,7 @@ fn tampered_sets_are_found_out(folder: &Path) {
     check();
 }
 
-/// Replaces a file and what is told of it.
+/// Replaces a file of world 1 and what is told of it.
 fn put(folder: &Path, name: &str, bytes: &[u8]) {
     fs::write(folder.join(name), bytes).unwrap();
     let (world, file) = name.split_once('/').unwrap();
@@ -352,6 +352,270 @@ fn put(folder: &Path, name: &str, bytes: &[u8]) {
         record["bytes"] = bytes.len().into();
         record["sha256"] = format!("{:x}", Sha256::digest(bytes)).into();
         fs::write(&path, value.to_string()).unwrap();
+    }
+}
+
+/// Icons of one instance each, so that even a debug build has soon drawn them all.
+fn write_pack(folder: &Path) {
+    let classes = [
+        "car",
+        "bus",
+        "ambulance",
+        "police",
+        "reckless",
+        "tiro",
+        "old",
+        "young",
+        "pedestrian",
+        "house",
+        "office",
+        "garage",
+        "store",
+        "gas-station",
+    ];
+    for (number, class) in classes.iter().enumerate() {
+        fs::create_dir_all(folder.join(class)).unwrap();
+        let ellipse = format!(
+            "<ellipse cx='15' cy='25' rx='14' ry='{}' fill='#9{number:x}3'/>",
+            10 + number
+        );
+        let drawing = format!("<svg xmlns='http://www.w3.org/2000/svg' width='30' height='50'>{ellipse}</svg>");
+        fs::write(folder.join(class).join("1.svg"), drawing).unwrap();
+    }
+}
+
+/// How many files are in folders of a folder.
+fn files_inside(folder: &Path) -> usize {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    // A folder may be renamed meanwhile.
+    let inside = entries.filter_map(|entry| Some(fs::read_dir(entry.path()).ok()?.count()));
+    inside.sum()
+}
+
+#[test]
+fn killed_or_not_and_on_any_threads_pictures_are_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let [whole, killed, pack] = ["whole", "killed", "pack"].map(|name| folder.path().join(name));
+    write_pack(&pack);
+    let make = |out: &Path, threads: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_logicity"));
+        command.args([
+            "vap", "make", "--mode", "easy", "--agents", "random", "--split", "val", "--worlds", "2",
+        ]);
+        command.args([
+            "--pack",
+            pack.to_str().unwrap(),
+            "--pack-mode",
+            "replace",
+            "--threads",
+            threads,
+        ]);
+        command
+            .arg("--out")
+            .arg(out)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null());
+        command
+    };
+    assert!(make(&whole, "1").status().unwrap().success());
+    let expected = contents(&whole);
+    assert_eq!(expected.len(), 2 * (89 + 3) + 2);
+
+    let mut stream = Seed(5).stream(Purpose::Scene, 0, 0);
+    for round in 0..5 {
+        let mut process = make(&killed, if round % 2 == 0 { "2" } else { "1" }).spawn().unwrap();
+        // Somewhere in what it writes; what an earlier round left does not count.
+        let begin = files_inside(&killed);
+        let end = begin + stream.random_range(1..30);
+        while files_inside(&killed) < end && process.try_wait().unwrap().is_none() {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        process.kill().unwrap();
+        process.wait().unwrap();
+        for (name, bytes) in contents(&killed) {
+            assert!(
+                name.starts_with('.') || bytes == expected[&name],
+                "round {round}: {name}"
+            );
+        }
+    }
+    // And at the worst moment.
+    fs::create_dir_all(killed.join(".world-00001.partial")).unwrap();
+    fs::write(killed.join(".world-00001.partial/entities.parquet"), "PAR1").unwrap();
+    fs::write(killed.join(".manifest.json.partial"), "{").unwrap();
+    for _ in 0..2 {
+        assert!(make(&killed, "3").status().unwrap().success());
+        assert!(contents(&killed) == expected);
+    }
+    tampered_pictures_are_found_out(&whole, &expected);
+}
+
+fn tampered_pictures_are_found_out(folder: &Path, original: &BTreeMap<String, Vec<u8>>) {
+    let path = folder.to_str().unwrap();
+    let said = told(&["check", path]);
+    assert!(said.starts_with("worlds: 2, frames: 178, pictures: 178, "), "{said}");
+    let frame = |tick: u32| format!("world-00001/frame-{tick:03}.png");
+    let picture = read_png(&original[&frame(42)]).unwrap();
+    assert_eq!((picture.width(), picture.height()), (SIDE, SIDE));
+
+    // All at once, and every fault is told: a changed pixel, a missing picture, and with hashes to match what is no such picture.
+    let mut pixels = picture.pixels().to_vec();
+    pixels[3_000] ^= 1;
+    fs::write(folder.join(frame(42)), encoded(&pixels, SIDE, png::ColorType::Rgb)).unwrap();
+    fs::remove_file(folder.join(frame(43))).unwrap();
+    put(folder, &frame(44), &encoded(&pixels[..30], 10, png::ColorType::Rgb));
+    put(
+        folder,
+        &frame(45),
+        &encoded(&pixels[..1 << 20], SIDE, png::ColorType::Grayscale),
+    );
+    put(
+        folder,
+        &frame(46),
+        &original[&frame(46)][..original[&frame(46)].len() / 2],
+    );
+    let faults = [
+        (42, "is not the file that was made"),
+        (43, "No such file"),
+        (44, "10 x 1 pixels instead of 1024 x 1024"),
+        (45, "are not red, green and blue"),
+        (46, "not a PNG picture that can be read"),
+    ];
+    let output = vap(&["check", path]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    for (tick, word) in faults {
+        let line = said
+            .lines()
+            .find(|line| line.contains(&frame(tick)))
+            .unwrap_or_default();
+        assert!(
+            line.contains("error[invalid-data-set]") && line.contains(word),
+            "{word}:\n{said}"
+        );
+    }
+    assert!(said.contains("5 errors"), "{said}");
+    original
+        .iter()
+        .for_each(|(name, bytes)| fs::write(folder.join(name), bytes).unwrap());
+
+    // Files that nobody has asked for.
+    fs::write(folder.join("notes.txt"), "").unwrap();
+    fs::write(folder.join(frame(100)), &original[&frame(42)]).unwrap();
+    let strangers = [
+        "belongs to no data set",
+        "notes.txt",
+        "is not of the world",
+        &frame(100),
+        "2 errors",
+    ];
+    refused(&["check", path], &strangers);
+    fs::remove_file(folder.join("notes.txt")).unwrap();
+    put(folder, &frame(100), &original[&frame(42)]);
+    refused(
+        &["check", path],
+        &["has not one picture for each of its frames", "world-00001"],
+    );
+}
+
+/// A PNG of so many columns.
+fn encoded(pixels: &[u8], width: u32, colours: png::ColorType) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let height = u32::try_from(pixels.len() / colours.samples()).unwrap() / width;
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_color(colours);
+    let mut writer = encoder.write_header().unwrap();
+    writer.write_image_data(pixels).unwrap();
+    writer.finish().unwrap();
+    bytes
+}
+
+/// Whether two pictures differ in each pixel of a rectangle.
+fn differs(left: &Picture, right: &Picture, area: PixelBox) -> Vec<bool> {
+    let pixel = |picture: &Picture, x: i32, y: i32| {
+        let at = 3 * (y.cast_unsigned() * picture.width() + x.cast_unsigned()) as usize;
+        picture.pixels()[at..at + 3].to_vec()
+    };
+    let rows = area.y..area.y + area.height.cast_signed();
+    let places = rows.flat_map(|y| (area.x..area.x + area.width.cast_signed()).map(move |x| (x, y)));
+    places.map(|(x, y)| pixel(left, x, y) != pixel(right, x, y)).collect()
+}
+
+#[test]
+fn boxes_are_where_agents_are_in_the_picture() {
+    let worlds = worlds(Agents::Fixed, Split::Test);
+    let renderer = worlds.renderer(0);
+    let frames = worlds.frames(0).unwrap();
+    let mut looked_at = 0;
+    for frame in frames.iter().step_by(22) {
+        let sprites = frame.sprites();
+        let boxes = worlds.boxes(frame);
+        assert_eq!(boxes, renderer.boxes(&sprites));
+        for (sprite, area) in sprites.iter().zip(boxes) {
+            let alone = renderer.draw(&[*sprite]);
+            let Some(area) = area else { continue };
+            let changed = differs(&alone, renderer.ground(), area);
+            let count = changed.iter().filter(|changed| **changed).count();
+            assert!(
+                2 * count > changed.len(),
+                "{count} of {} pixels: {sprite:?}",
+                changed.len()
+            );
+            // Each side of the box touches the agent: a smaller one would miss something.
+            let PixelBox { x, y, width, height } = area;
+            let (right, bottom) = (x + width.cast_signed() - 1, y + height.cast_signed() - 1);
+            for side in [
+                PixelBox { width: 1, ..area },
+                PixelBox {
+                    x: right,
+                    width: 1,
+                    ..area
+                },
+                PixelBox { height: 1, ..area },
+                PixelBox {
+                    y: bottom,
+                    height: 1,
+                    ..area
+                },
+            ] {
+                assert!(
+                    differs(&alone, renderer.ground(), side).contains(&true),
+                    "{side:?} of {sprite:?}"
+                );
+            }
+            looked_at += 1;
+        }
+        // What is written is what was drawn.
+        let mut bytes = Vec::new();
+        write_png(&renderer.draw(&sprites), &mut bytes).unwrap();
+        assert!(read_png(&bytes).unwrap() == renderer.draw(&sprites));
+    }
+    assert!(looked_at > 30, "{looked_at}");
+}
+
+#[test]
+fn every_world_has_a_ground_and_every_split_icons_of_its_own() {
+    let worlds = worlds(Agents::Fixed, Split::Test);
+    let grounds = [0, 1].map(|number| worlds.renderer(number).ground().clone());
+    let whole = PixelBox {
+        x: 0,
+        y: 0,
+        width: SIDE,
+        height: SIDE,
+    };
+    let other = differs(&grounds[0], &grounds[1], whole);
+    assert!(other.iter().filter(|other| **other).count() > 600_000);
+    assert!(grounds[0] == *worlds.renderer(0).ground());
+    let seeds = [0, 1].map(|seed| Split::ALL.map(|split| icon_seed(seed, split).0));
+    assert_eq!(BTreeSet::from_iter(seeds.concat()).len(), 6);
+    // Over the frames of a world everybody is shown as many instances.
+    let frames = worlds.frames(0).unwrap();
+    for agent in 0..frames[0].agents.len() {
+        let shown: BTreeSet<u32> = frames.iter().map(|frame| frame.agents[agent].instance).collect();
+        assert!(
+            shown.len() > 40 && shown.iter().all(|instance| *instance < 100),
+            "{shown:?}"
+        );
     }
 }
 

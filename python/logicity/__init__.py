@@ -9,7 +9,8 @@ What to reach for:
 - a car to drive: `gymnasium.make("logicity/SPF-Expert-v0")`, see `logicity.envs`; every car: `parallel_env`;
 - what the numbers of its observations stand for: `observation_names`;
 - how well a policy drives: `evaluate`, or `Benchmark` for many; what the oracle does, as data: `demonstrations`;
-- a language model to question about cars: `logicity.questions`.
+- a language model to question about cars: `logicity.questions`;
+- pictures of cities, what is true in them and what cars do next: `logicity.vap`.
 
 `logicity.sb3`, `train`, `parallel` and `icons` need extras; they are imported when they are first asked for.
 
@@ -20,6 +21,7 @@ Faulty input raises `InputError`, which has every fault with its place; input th
 import importlib
 from typing import TYPE_CHECKING
 
+from . import vap
 from ._logicity import __version__
 from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
 from .describe import observation_names
@@ -107,4 +109,5 @@ __all__ = [
     "infer",
     "observation_names",
     "parallel_env",
+    "vap",
 ]

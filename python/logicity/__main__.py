@@ -1,4 +1,4 @@
-"""`python -m logicity`: measure policies, train them, question language models, and print tables of environments."""
+"""`python -m logicity`: policies, questions for language models, data sets of pictures, and tables of environments."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from .describe import describe
 from .evaluation import Benchmark, Evaluation, Policy, table, write_json
 from .modes import ENVIRONMENTS, checked_mode
 from .questions import Endpoint, ask_with_progress, grade, load_answers, load_questions
+from .vap import baseline_table, measure_baselines, to_coco, to_webdataset
 
 QUESTIONS = "as `logicity questions` writes it; default: questions.jsonl"
 
@@ -25,7 +26,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser = _parser()
     given = parser.parse_args(arguments)
     try:
-        commands = {"evaluate": _evaluate, "train": _train, "ask": _ask, "grade": _grade, "describe": _describe}
+        commands = {
+            **{"evaluate": _evaluate, "train": _train, "ask": _ask, "grade": _grade},
+            **{"vap": _vap, "describe": _describe},
+        }
         return commands[given.command](given)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
@@ -80,8 +84,35 @@ def _parser() -> argparse.ArgumentParser:
     mark.add_argument("--questions", type=Path, default=Path("questions.jsonl"), metavar="FILE", help=QUESTIONS)
     mark.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
 
+    _add_vap(commands)
     _add(commands, "describe", "print tables of environments, observations and rewards, as Markdown")
     return parser
+
+
+def _add_vap(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the commands about data sets of Visual Action Prediction."""
+    vap = _add(commands, "vap", "convert data sets of `logicity vap make`, or measure what predictors reach on them")
+    kinds = vap.add_subparsers(dest="what", required=True, metavar="COMMAND")
+
+    shards = _add(kinds, "webdataset", "write tar files as the package webdataset reads them")
+    shards.add_argument("folder", type=Path, help="the data set")
+    shards.add_argument("out", type=Path, help="the folder to make")
+    shards.add_argument("--shard-size", type=int, default=1000, help="samples of a file; default: 1000")
+
+    boxes = _add(kinds, "coco", "write boxes as COCO has them")
+    boxes.add_argument("folder", type=Path, help="the data set")
+    boxes.add_argument("out", type=Path, help="the JSON file to write")
+    for kind in (shards, boxes):
+        kind.add_argument(
+            "--no-pictures", action="store_true", help="the data set has none, or they are to be left out"
+        )
+
+    simple = _add(kinds, "baselines", "measure the most frequent action, a small network on the facts, and the rules")
+    simple.add_argument("--train", type=Path, required=True, metavar="FOLDER", help="the data set to learn on")
+    simple.add_argument("--test", type=Path, required=True, metavar="FOLDER", help="the data set to measure on")
+    simple.add_argument("--seed", type=int, default=0, help="of the network; default: 0")
+    simple.add_argument("--epochs", type=int, default=30, help="of the network; default: 30")
+    simple.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
 
 
 def _add(
@@ -179,6 +210,30 @@ def _grade(given: argparse.Namespace) -> int:
             print(f"{what}: {len(names)}: {', '.join(names[:5])}{', ...' * (len(names) > 5)}", file=sys.stderr)
     if given.json is not None:
         write_json(given.json, graded.to_dict())
+    return 0
+
+
+def _vap(given: argparse.Namespace) -> int:
+    match given.what:
+        case "webdataset":
+            shards = to_webdataset(given.folder, given.out, given.shard_size, images=not given.no_pictures)
+            print(f"{len(shards)} files in {given.out}")
+        case "coco":
+            to_coco(given.folder, given.out, images=not given.no_pictures)
+        case "baselines":
+            return _baselines(given)
+    return 0
+
+
+def _baselines(given: argparse.Namespace) -> int:
+    results = measure_baselines(given.train, given.test, given.seed, given.epochs)
+    print(baseline_table(results))
+    if given.json is not None:
+        write_json(given.json, [result.to_dict() for result in results])
+    by_rules = next(result for result in results if result.name == "rules")
+    if set(by_rules.metrics.recall.values()) != {1.0}:
+        print(f"error: the labels of {given.test} are not what the rules derive from its facts", file=sys.stderr)
+        return 1
     return 0
 
 

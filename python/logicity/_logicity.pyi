@@ -7,6 +7,7 @@ import numpy.typing as npt
 __all__ = [
     "ACTIONS",
     "HEADINGS",
+    "PICTURE_SIDE",
     "REASONS",
     "Baseline",
     "Cars",
@@ -23,11 +24,14 @@ __all__ = [
     "describe",
     "did_you_mean",
     "read_file",
+    "read_picture",
+    "read_world",
 ]
 
 __version__: str
 ACTIONS: list[str]
 HEADINGS: list[str]
+PICTURE_SIDE: int
 REASONS: list[str]
 
 _Path: TypeAlias = str | os.PathLike[str]
@@ -189,3 +193,17 @@ class Exam:
     def report(self, baseline: Baseline) -> dict[str, Any]: ...
 
 def describe(task: Task) -> dict[str, Any]: ...
+def read_world(
+    folder: _Path, number: int, unary: list[str], binary: list[str]
+) -> tuple[
+    npt.NDArray[np.int32],
+    npt.NDArray[np.int64],
+    list[str],
+    list[str],
+    list[npt.NDArray[np.int64]],
+    npt.NDArray[np.float32],
+    npt.NDArray[np.bool_],
+    npt.NDArray[np.bool_],
+    npt.NDArray[np.bool_],
+]: ...
+def read_picture(path: _Path, out: npt.NDArray[np.uint8]) -> None: ...

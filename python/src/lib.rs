@@ -3,8 +3,8 @@
 //!
 //! This file has what all parts need: exceptions, and objects that long work is done on ([`Shared`]). `engine` has programs and
 //! sessions, `columns` their rows as Python values and numpy arrays, `city` scenes and simulations, `task` what is to be driven, `episode` how
-//! it begins, `env` one car that is driven or many of them in one call, `cars` every car of a city, `evaluate` how well policies drive. Each
-//! part registers its own classes.
+//! it begins, `env` one car that is driven or many of them in one call, `cars` every car of a city, `evaluate` how well policies drive, `vap` data
+//! sets of pictures and what is true in them. Each part registers its own classes.
 
 mod cars;
 mod city;
@@ -14,6 +14,7 @@ mod env;
 mod episode;
 mod evaluate;
 mod task;
+mod vap;
 
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::files::{ReadError, read_or_builtin};
@@ -309,5 +310,6 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     task::register(module)?;
     env::register(module)?;
     cars::register(module)?;
-    evaluate::register(module)
+    evaluate::register(module)?;
+    vap::register(module)
 }

@@ -1,12 +1,22 @@
 from __future__ import annotations
 
+import shutil
 import signal
+import struct
+import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
+
+from logicity.vap import VapDataset
+
+ROOT = Path(__file__).parents[2]
 
 Interrupt = Callable[[Callable[[], object]], None]
 
@@ -62,3 +72,58 @@ def own_city(tmp_path: Path) -> Path:
     city = tmp_path / "own.yaml"
     city.write_text("base: configs/easy.yaml\ntask:\n  episodes: {val: five.jsonl}\n", encoding="utf-8")
     return city
+
+
+#: What `logicity vap make` makes for the tests.
+SETS = {
+    "hard": ["--mode", "hard", "--split", "test", "--worlds", "2"],
+    "random": ["--mode", "easy", "--split", "val", "--worlds", "3", "--agents", "random"],
+}
+
+
+@pytest.fixture(scope="session")
+def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Data sets without pictures, by the program that a user has."""
+    folder = tmp_path_factory.mktemp("sets")
+    for name, options in SETS.items():
+        command = ["cargo", "run", "--quiet", "--locked", "--", "vap", "make", "--no-pictures"]
+        command += ["--out", str(folder / name), *options]
+        subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+    return folder
+
+
+def png(pixels: NDArray[np.uint8], *, interlaced: int = 0, rows: int | None = None) -> bytes:
+    """A picture as the specification of PNG has it, every row with another of its first three filters."""
+    height, width, _ = pixels.shape
+    lines = []
+    above = np.zeros(3 * width, np.uint8)
+    for number, line in enumerate(pixels.reshape(height, -1)):
+        left = np.concatenate([np.zeros(3, np.uint8), line[:-3]])
+        lines.append(bytes([number % 3]) + (line - (0, left, above)[number % 3]).tobytes())
+        above = line
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, interlaced)
+    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(b"".join(lines[:rows]), 1)), (b"IEND", b"")]
+    packed = [struct.pack(">I", len(data)) + name + data + _crc(name + data) for name, data in chunks]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
+
+
+def _crc(data: bytes) -> bytes:
+    return struct.pack(">I", zlib.crc32(data))
+
+
+def picture(world: int, tick: int) -> NDArray[np.uint8]:
+    """What the picture of a sample shows in these tests: squares of 64 pixels in colours that no other has."""
+    colours = np.random.default_rng([world, tick]).integers(0, 256, (16, 16, 3), np.uint8)
+    return np.repeat(np.repeat(colours, 64, 0), 64, 1)
+
+
+@pytest.fixture(scope="session")
+def shown(sets: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The random set with pictures."""
+    folder = Path(shutil.copytree(sets / "random", tmp_path_factory.mktemp("shown") / "set"))
+    manifest = folder / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"pictures": false', '"pictures": true'))
+    samples = VapDataset(folder, images=False)
+    for index, sample in enumerate(samples):
+        samples.picture_path(index).write_bytes(png(picture(sample.world, sample.tick)))
+    return folder

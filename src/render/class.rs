@@ -89,6 +89,14 @@ impl Class {
         agents.chain(Building::ALL.map(Class::building)).collect()
     }
 
+    /// The kind and the concepts, if it is of agents.
+    pub fn of_agent(&self) -> Option<(AgentKind, &[String])> {
+        match &self.0 {
+            Subject::Agent(kind, concepts) => Some((*kind, concepts)),
+            Subject::Building(_) => None,
+        }
+    }
+
     /// What a car's drawing shows, and what a pedestrian's does.
     pub(super) fn features(concepts: &[String]) -> (car::Features, pedestrian::Features) {
         let has = |name: &str| concepts.iter().any(|concept| concept == name);

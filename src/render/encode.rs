@@ -1,11 +1,11 @@
-//! Pictures to PNG and GIF.
+//! Pictures to PNG and GIF, and back from PNG.
 
 use super::picture::{Picture, Rgb};
 use std::borrow::Cow;
-use std::io::{self, Write};
+use std::io::{self, Cursor, Write};
 use std::time::Duration;
 
-/// Writes a picture as a PNG of red, green and blue, quickly rather than as small as could be.
+/// Writes a picture as a PNG of red, green and blue, so that it is quickly read, and written without taking much longer than that.
 ///
 /// # Errors
 /// Those of the output.
@@ -13,6 +13,33 @@ pub fn write_png(picture: &Picture, out: impl Write) -> io::Result<()> {
     let (width, height) = (picture.width(), picture.height());
     write(picture.pixels(), width, height, png::ColorType::Rgb, out)
 }
+
+/// Reads a PNG of red, green and blue, eight bits each.
+///
+/// # Errors
+/// Why it is none, or that a side has more than 16,384 pixels.
+pub fn read_png(bytes: &[u8]) -> Result<Picture, String> {
+    let fault = |error: png::DecodingError| format!("not a PNG picture that can be read: {error}");
+    let mut reader = png::Decoder::new(Cursor::new(bytes)).read_info().map_err(fault)?;
+    let info = reader.info();
+    let (width, height) = info.size();
+    if width.max(height) > DECODED_SIDE_MAX {
+        return Err(format!(
+            "{width} x {height} pixels; no side may have more than {DECODED_SIDE_MAX}"
+        ));
+    }
+    if (info.color_type, info.bit_depth) != (png::ColorType::Rgb, png::BitDepth::Eight) {
+        return Err("its pixels are not red, green and blue of eight bits each".to_owned());
+    }
+    let mut pixels = vec![0; 3 * width as usize * height as usize];
+    reader.next_frame(&mut pixels).map_err(fault)?;
+    // Bytes that are missing are told here.
+    reader.finish().map_err(fault)?;
+    Ok(Picture::from_pixels(width, height, pixels))
+}
+
+/// What is not decoded cannot be too much.
+const DECODED_SIDE_MAX: u32 = 1 << 14;
 
 /// Writes pixels of red, green, blue and opacity.
 pub(super) fn write_rgba(pixels: &[u8], width: u32, height: u32, out: impl Write) -> io::Result<()> {
@@ -23,7 +50,9 @@ fn write(pixels: &[u8], width: u32, height: u32, colours: png::ColorType, out: i
     let mut encoder = png::Encoder::new(out, width, height);
     encoder.set_color(colours);
     encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(png::Compression::Fast);
+    // Differences to the row above are undone many bytes at a time, those of the other filters byte by byte; higher levels save little.
+    encoder.set_filter(png::Filter::Up);
+    encoder.set_deflate_compression(png::DeflateCompression::Level(2));
     let written = encoder.write_header().and_then(|mut writer| {
         writer.write_image_data(pixels)?;
         writer.finish()

@@ -14,6 +14,33 @@ use crate::rng::{Purpose, RngExt, Seed};
 pub(super) const MID_LINE: Rgb = [255, 215, 0];
 pub(super) const PAINT: Rgb = [236, 236, 230];
 
+/// In what the grounds of one map differ.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Look {
+    /// Of textures.
+    seed: Seed,
+    /// The instance that the first building of the map shows; each following one shows the next.
+    first_building: u32,
+}
+
+impl Look {
+    /// What goes with icons: their seed, and buildings from the first instance on.
+    pub(super) fn of(icons: &Icons) -> Look {
+        Look {
+            seed: icons.seed(),
+            first_building: 0,
+        }
+    }
+
+    /// One of many.
+    pub(super) fn drawn(seed: Seed) -> Look {
+        Look {
+            seed,
+            first_building: seed.stream(Purpose::Texture, 1, 0).random(),
+        }
+    }
+}
+
 /// The colours and the texture of the ground.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Texture {
@@ -79,7 +106,7 @@ fn walks_along_row(map: &CityMap, cell: Cell) -> bool {
 }
 
 impl Texture {
-    /// The texture that goes with icons of a seed, as uneven as the difficulty says (0..=1).
+    /// The texture of a seed, as uneven as the difficulty says (0..=1).
     pub(super) fn new(seed: Seed, difficulty: f32) -> Texture {
         let mut stream = seed.stream(Purpose::Texture, 0, 0);
         let mut tone = |rgb: Rgb, spread: i32| {
@@ -122,7 +149,9 @@ impl Texture {
     fn weathered(self, rgb: Rgb, x: i64, y: i64, scale: Scale, layer: u32) -> Rgb {
         let cell = i64::from(scale.pixels);
         let mut light = (self.wave(x, y, 6 * cell, layer) * (5 * 256 + 18 * self.noise)) >> 16;
-        let speck = self.hash(x, y, layer);
+        // Many specks are of 2 x 2 pixels: single ones would be most of what a picture takes on disk.
+        let fine = i64::from(self.noise > 0);
+        let speck = self.hash(x >> fine, y >> fine, layer);
         // Specks are rare where all is clean, so that pictures stay small.
         if (speck & 255) < 14 + ((self.noise as u32 * 150) >> 8) {
             light += (((speck >> 8) as i32 % 19 - 9) * (256 + self.noise)) >> 8;
@@ -213,10 +242,10 @@ pub(super) const fn roof(building: Building) -> Rgb {
 }
 
 /// The picture of a view without agents.
-pub(super) fn draw(map: &CityMap, icons: &Icons, view: &View) -> Picture {
+pub(super) fn draw(map: &CityMap, icons: &Icons, view: &View, look: Look) -> Picture {
     let (width, height) = view.size();
     let mut picture = Picture::new(width, height, [0; 3]);
-    let texture = Texture::new(icons.seed(), icons.difficulty().share());
+    let texture = Texture::new(look.seed, icons.difficulty().share());
     let scale = view.scale;
     let (left, top) = (scale.start(view.corner.col), scale.start(view.corner.row));
     let side = scale.pixels as usize;
@@ -245,13 +274,13 @@ pub(super) fn draw(map: &CityMap, icons: &Icons, view: &View) -> Picture {
         }
     }
     if scale.cells == 1 {
-        buildings(map, icons, view, &mut picture);
+        buildings(map, icons, view, look.first_building, &mut picture);
     }
     picture
 }
 
 /// Every building that the view shows a part of.
-fn buildings(map: &CityMap, icons: &Icons, view: &View, picture: &mut Picture) {
+fn buildings(map: &CityMap, icons: &Icons, view: &View, first: u32, picture: &mut Picture) {
     let layout = map.layout;
     let [block_rows, block_cols] = layout.blocks();
     let shown = |from: i32, cells: i32, blocks: i32| {
@@ -267,7 +296,7 @@ fn buildings(map: &CityMap, icons: &Icons, view: &View, picture: &mut Picture) {
                     layout.building_span(col, which % 2),
                 );
                 let size = (rows.len() as i64 * i64::from(view.scale.pixels)) as u32;
-                let instance = (4 * number + which).cast_unsigned();
+                let instance = first.wrapping_add((4 * number + which).cast_unsigned());
                 let stamp = icons.stamp(&Class::building(building), instance, Facing::Up, size);
                 let along = |start: i32, corner: i32| {
                     let pixels = view.scale.start(start) - view.scale.start(corner);

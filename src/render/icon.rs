@@ -8,7 +8,7 @@ use crate::config::AgentKind;
 use crate::rng::{Purpose, Rng, Seed};
 use resvg::tiny_skia::{FilterQuality, Pixmap, PixmapPaint, Transform};
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// How hard icons are to tell apart, in percent: 0 is clean; the higher, the more their colours, light, sharpness and markings vary and
 /// the more lies on and around them.
@@ -26,6 +26,11 @@ impl Difficulty {
         if percent > 100 { None } else { Some(Difficulty(percent)) }
     }
 
+    /// From 0 to 100.
+    pub const fn as_percent(self) -> u8 {
+        self.0
+    }
+
     /// 0..=1.
     pub(super) fn share(self) -> f32 {
         f32::from(self.0) / 100.0
@@ -40,6 +45,9 @@ const DRAWN: u32 = 100;
 
 /// Kept icons take at most about this much memory, in bytes.
 const KEPT: usize = 64 << 20;
+
+/// So many are kept of what agents cover.
+const BODIES_KEPT: usize = 1 << 17;
 
 /// A rectangle in a picture, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,6 +91,16 @@ pub struct Stamp {
 
 type Key = (Class, u32, Facing, u32);
 
+/// What has been drawn.
+#[derive(Debug, Default)]
+struct Kept {
+    stamps: BTreeMap<Key, Arc<Stamp>>,
+    /// Of the stamps' pixels.
+    bytes: usize,
+    /// What agents cover, of icons whether drawn or not.
+    bodies: BTreeMap<Key, PixelBox>,
+}
+
 /// All icons there are: drawn by parameters, from a pack, or both. Each is a function of seed, difficulty, pack, class, instance, facing
 /// and size; what has been drawn once is kept for a while. Several threads can share one.
 #[derive(Debug)]
@@ -90,7 +108,16 @@ pub struct Icons {
     seed: Seed,
     difficulty: Difficulty,
     pack: Option<Pack>,
-    kept: Mutex<(BTreeMap<Key, Arc<Stamp>>, usize)>,
+    kept: Mutex<Kept>,
+}
+
+impl Kept {
+    fn note_body(&mut self, key: &Key, body: PixelBox) {
+        if self.bodies.len() >= BODIES_KEPT {
+            self.bodies.clear();
+        }
+        self.bodies.insert(key.clone(), body);
+    }
 }
 
 impl Default for Icons {
@@ -148,25 +175,56 @@ impl Icons {
     /// An icon. Instances are counted from 0 and repeat after [`Icons::instances`]. The size is the short side of a car and the side of a
     /// pedestrian or building in pixels, 1 to [`ICON_MAX`]; others are brought into that range.
     pub fn stamp(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> Arc<Stamp> {
-        let size = size.clamp(1, ICON_MAX);
-        let key = (class.clone(), instance % self.instances(class), facing, size);
-        let lock = || self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(stamp) = lock().0.get(&key) {
+        let key = self.key(class, instance, facing, size);
+        if let Some(stamp) = self.kept().stamps.get(&key) {
             return Arc::clone(stamp);
         }
-        let stamp = Arc::new(self.draw(class, instance, facing, size));
-        let mut kept = lock();
-        if kept.1 > KEPT {
-            *kept = Default::default();
+        let stamp = Arc::new(self.draw(class, key.1, facing, key.3));
+        let mut kept = self.kept();
+        if kept.bytes > KEPT {
+            (kept.stamps, kept.bytes) = Default::default();
         }
-        kept.1 += stamp.pixels.len();
-        kept.0.insert(key, Arc::clone(&stamp));
+        kept.bytes += stamp.pixels.len();
+        kept.note_body(&key, stamp.body);
+        kept.stamps.insert(key, Arc::clone(&stamp));
         stamp
+    }
+
+    /// What an agent with an icon covers, without shadow and the like, relative to the middle: that of the stamp, which is not drawn for it.
+    pub(super) fn body(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> PixelBox {
+        let key = self.key(class, instance, facing, size);
+        if let Some(body) = self.kept().bodies.get(&key) {
+            return *body;
+        }
+        let (drawing, _) = self.drawing(class, key.1, facing);
+        let body = body_of(&drawing.outline(facing, key.3));
+        self.kept().note_body(&key, body);
+        body
+    }
+
+    fn key(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> Key {
+        (
+            class.clone(),
+            instance % self.instances(class),
+            facing,
+            size.clamp(1, ICON_MAX),
+        )
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Kept> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// An icon, drawn anew.
     pub(super) fn draw(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> Stamp {
-        let instance = instance % self.instances(class);
+        let (drawing, mut dice) = self.drawing(class, instance % self.instances(class), facing);
+        let is_agent = matches!(class.0, Subject::Agent(..));
+        let layers = drawing.layers(facing, size);
+        layers.finish(&mut dice, self.difficulty.share(), size, is_agent)
+    }
+
+    /// What an icon is made of, and the dice for what is added to it. The instance is one of those that there are.
+    fn drawing(&self, class: &Class, instance: u32, facing: Facing) -> (Drawing<'_>, Dice<impl Rng + use<>>) {
         let name = class.to_string();
         // FNV-1a: stable for ever, unlike the hasher of the standard library.
         let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
@@ -174,28 +232,25 @@ impl Icons {
         });
         let mut dice = Dice(self.seed.stream(Purpose::Icon, hash, instance.into()));
         let noise = self.difficulty.share();
-        let art = self.art(class).get(instance as usize);
-        let layers = match (&class.0, art) {
-            (_, Some(art)) => Layers::of_art(art, class, facing, size),
-            (Subject::Building(building), None) => {
-                let sketch = building::draw(*building, &mut dice, noise);
-                Layers::square(size, |on, transform| sketch.paint(on, transform))
-            }
+        let drawing = match (&class.0, self.art(class).get(instance as usize)) {
+            (Subject::Agent(AgentKind::Car, _), Some(art)) => Drawing::CarArt(art),
+            (Subject::Agent(AgentKind::Pedestrian, _), Some(art)) => Drawing::PedestrianArt(art),
+            (Subject::Building(_), Some(art)) => Drawing::BuildingArt(art),
+            (Subject::Building(building), None) => Drawing::Square(building::draw(*building, &mut dice, noise)),
             (Subject::Agent(AgentKind::Pedestrian, concepts), None) => {
                 let (_, features) = Class::features(concepts);
                 let mut sketch = pedestrian::draw(&features, facing.side(), &mut dice, noise);
                 badges(&mut sketch, AgentKind::Pedestrian, concepts, (0.0, 0.12), 0.14);
-                Layers::square(size, |on, transform| sketch.paint(on, transform))
+                Drawing::Square(sketch)
             }
             (Subject::Agent(AgentKind::Car, concepts), None) => {
                 let (features, _) = Class::features(concepts);
                 let mut car = car::draw(&features, &mut dice, noise);
                 badges(&mut car.body, AgentKind::Car, concepts, (0.0, 0.36 * car.length), 0.19);
-                Layers::of_car(&car, facing, size)
+                Drawing::Car(car)
             }
         };
-        let is_agent = matches!(class.0, Subject::Agent(..));
-        layers.finish(&mut dice, noise, size, is_agent)
+        (drawing, dice)
     }
 
     /// An icon as a square PNG with transparent ground, the whole of it fitted into `side` pixels, 1 to [`ICON_MAX`].
@@ -258,6 +313,18 @@ fn badges(sketch: &mut Sketch, kind: AgentKind, concepts: &[String], (x, y): (f3
     }
 }
 
+/// What an icon is made of, at any size.
+enum Drawing<'a> {
+    /// Fills a square.
+    Square(Sketch),
+    Car(car::Drawing),
+    /// Of a pack; its short side has the size.
+    CarArt(&'a Pixmap),
+    /// Of a pack; others fit into a square.
+    PedestrianArt(&'a Pixmap),
+    BuildingArt(&'a Pixmap),
+}
+
 /// An icon before light and shadow: what lies below it, and itself, both around the middle of pixmaps of one size.
 struct Layers {
     ground: Pixmap,
@@ -281,41 +348,73 @@ fn turned(facing: Facing, scale: f32) -> Transform {
 }
 
 #[allow(clippy::cast_precision_loss)]
-impl Layers {
-    /// What fills a square of that side.
-    fn square(size: u32, paint: impl FnOnce(&mut Pixmap, Transform)) -> Layers {
-        let (mut body, middle) = canvas(size as f32 * 0.75);
-        // An odd side begins half a pixel before the middle's corner, as the cells it lies on do.
-        let half = if size % 2 == 1 { 0.5 } else { 0.0 };
-        let scale = Transform::from_scale(size as f32, size as f32);
-        paint(&mut body, scale.post_concat(middle).post_translate(half, half));
-        let ground = Pixmap::new(body.width(), body.height()).expect("as large as the other");
+impl Drawing<'_> {
+    /// An empty pixmap for a sketch of that size, and the transformation from the sketch to it.
+    fn canvas(&self, facing: Facing, size: u32) -> (Pixmap, Transform) {
+        let side = size as f32;
+        match self {
+            Drawing::Car(car) => {
+                let (pixmap, middle) = canvas(side * (car.length / 2.0 + 1.0));
+                (pixmap, turned(facing, side).post_concat(middle))
+            }
+            _ => {
+                let (pixmap, middle) = canvas(side * 0.75);
+                // An odd side begins half a pixel before the middle's corner, as the cells it lies on do.
+                let half = if size % 2 == 1 { 0.5 } else { 0.0 };
+                let scale = Transform::from_scale(side, side);
+                (pixmap, scale.post_concat(middle).post_translate(half, half))
+            }
+        }
+    }
+
+    /// Everything.
+    fn layers(&self, facing: Facing, size: u32) -> Layers {
+        let (mut body, transform) = match self.art(facing, size) {
+            Some(body) => (body, Transform::identity()),
+            None => self.canvas(facing, size),
+        };
+        let mut ground = Pixmap::new(body.width(), body.height()).expect("as large as the other");
+        match self {
+            Drawing::Square(sketch) => sketch.paint(&mut body, transform),
+            Drawing::Car(car) => {
+                car.ground.paint(&mut ground, transform);
+                car.body.paint(&mut body, transform);
+            }
+            Drawing::CarArt(_) | Drawing::PedestrianArt(_) | Drawing::BuildingArt(_) => {}
+        }
         Layers { ground, body }
     }
 
-    fn of_car(car: &car::Drawing, facing: Facing, size: u32) -> Layers {
-        let reach = size as f32 * (car.length / 2.0 + 1.0);
-        let (mut body, middle) = canvas(reach);
-        let (mut ground, _) = canvas(reach);
-        let transform = turned(facing, size as f32).post_concat(middle);
-        car.ground.paint(&mut ground, transform);
-        car.body.paint(&mut body, transform);
-        Layers { ground, body }
+    /// The body with its opacities, but not all of its colours.
+    fn outline(&self, facing: Facing, size: u32) -> Pixmap {
+        if let Some(body) = self.art(facing, size) {
+            return body;
+        }
+        let (mut body, transform) = self.canvas(facing, size);
+        if let Drawing::Square(sketch) | Drawing::Car(car::Drawing { body: sketch, .. }) = self {
+            sketch.paint_outline(&mut body, transform);
+        }
+        body
     }
 
-    /// A car's short side has the size; others fit into a square.
-    fn of_art(art: &Pixmap, class: &Class, facing: Facing, size: u32) -> Layers {
+    /// The body if it is of a pack. A car's short side has the size and turns; others fit into a square, and pedestrians look to their side.
+    fn art(&self, facing: Facing, size: u32) -> Option<Pixmap> {
+        let (art, turn) = match self {
+            Drawing::CarArt(art) => (art, turned(facing, 1.0)),
+            Drawing::PedestrianArt(art) if facing.side() == pedestrian::Side::Left => {
+                (art, Transform::from_scale(-1.0, 1.0))
+            }
+            Drawing::PedestrianArt(art) | Drawing::BuildingArt(art) => (art, Transform::identity()),
+            Drawing::Square(_) | Drawing::Car(_) => return None,
+        };
         let (width, height) = (art.width() as f32, art.height() as f32);
-        let turns = matches!(class.0, Subject::Agent(AgentKind::Car, _));
-        let scale = size as f32 / if turns { width.min(height) } else { width.max(height) };
+        let fitted = match self {
+            Drawing::CarArt(_) => width.min(height),
+            _ => width.max(height),
+        };
+        let scale = size as f32 / fitted;
         let (wide, high) = (width * scale, height * scale);
         let (mut body, middle) = canvas((wide * wide + high * high).sqrt() / 2.0);
-        let mirrored = !turns && facing.side() == pedestrian::Side::Left && !matches!(class.0, Subject::Building(_));
-        let turn = match (turns, mirrored) {
-            (true, _) => turned(facing, 1.0),
-            (false, true) => Transform::from_scale(-1.0, 1.0),
-            (false, false) => Transform::identity(),
-        };
         let transform = Transform::from_translate(-wide / 2.0, -high / 2.0)
             .post_concat(turn)
             .post_concat(middle);
@@ -332,14 +431,16 @@ impl Layers {
         };
         let transform = transform.pre_scale(rest_x, rest_y);
         body.draw_pixmap(0, 0, small.as_ref(), &paint, transform, None);
-        let ground = Pixmap::new(body.width(), body.height()).expect("as large as the other");
-        Layers { ground, body }
+        Some(body)
     }
+}
 
+#[allow(clippy::cast_precision_loss)]
+impl Layers {
     /// Adds what the difficulty adds, and a shadow, and cuts off what is empty.
     fn finish<R: Rng>(mut self, dice: &mut Dice<R>, noise: f32, size: u32, shadow: bool) -> Stamp {
         let (width, height) = (self.body.width(), self.body.height());
-        let body = bounds(&self.body, 128).unwrap_or((width / 2, height / 2, width / 2 + 1, height / 2 + 1));
+        let body = body_of(&self.body);
         if noise > 0.0 {
             disturb(&mut self.body, dice, noise, size);
         }
@@ -373,38 +474,51 @@ impl Layers {
             Transform::identity(),
             None,
         );
-        let (left, top, right, bottom) = bounds(&all, 1).unwrap_or(body);
-        let mut pixels = Vec::with_capacity(4 * ((right - left) * (bottom - top)) as usize);
-        for row in top..bottom {
+        let area = bounds(&all, 1).unwrap_or(body);
+        let pixel = |from: i32, side: u32| (from + (side / 2).cast_signed()).cast_unsigned();
+        let (left, top) = (pixel(area.x, width), pixel(area.y, height));
+        let mut pixels = Vec::with_capacity(4 * (area.width * area.height) as usize);
+        for row in top..top + area.height {
             let start = 4 * (row * width + left) as usize;
-            pixels.extend_from_slice(&all.data()[start..start + 4 * (right - left) as usize]);
+            pixels.extend_from_slice(&all.data()[start..start + 4 * area.width as usize]);
         }
-        let around = |(left, top, right, bottom): (u32, u32, u32, u32)| PixelBox {
-            x: left.cast_signed() - (width / 2).cast_signed(),
-            y: top.cast_signed() - (height / 2).cast_signed(),
-            width: right - left,
-            height: bottom - top,
-        };
-        Stamp {
-            area: around((left, top, right, bottom)),
-            body: around(body),
-            pixels,
-        }
+        Stamp { area, body, pixels }
     }
 }
 
-/// Where a pixmap is at least so opaque: left, top, right, bottom, the last two exclusive.
-fn bounds(pixmap: &Pixmap, least: u8) -> Option<(u32, u32, u32, u32)> {
-    let mut found: Option<(u32, u32, u32, u32)> = None;
-    for (pixel, at) in pixmap.data().chunks_exact(4).zip(0_u32..) {
-        if pixel[3] >= least {
-            let (x, y) = (at % pixmap.width(), at / pixmap.width());
-            found = Some(found.map_or((x, y, x + 1, y + 1), |(left, top, right, bottom)| {
-                (left.min(x), top.min(y), right.max(x + 1), bottom.max(y + 1))
-            }));
-        }
+/// What a body covers, where it is rather there than not; its middle if that is nowhere.
+fn body_of(body: &Pixmap) -> PixelBox {
+    bounds(body, 128).unwrap_or(PixelBox {
+        x: 0,
+        y: 0,
+        width: 1,
+        height: 1,
+    })
+}
+
+/// Where a pixmap is at least so opaque, relative to its middle.
+fn bounds(pixmap: &Pixmap, least: u8) -> Option<PixelBox> {
+    let rows = || pixmap.data().chunks_exact(4 * pixmap.width() as usize);
+    let opaque = |pixel: &[u8]| pixel[3] >= least;
+    let is_in = |row: &[u8]| row.chunks_exact(4).any(opaque);
+    let (top, last) = (rows().position(is_in)?, rows().rposition(is_in)?);
+    let (mut left, mut right) = (pixmap.width() as usize, 0);
+    for row in rows().take(last + 1).skip(top) {
+        // Pixels between the two change nothing.
+        let (before, behind) = (&row[..4 * left], &row[4 * right..]);
+        left = before.chunks_exact(4).position(opaque).unwrap_or(left);
+        right += behind.chunks_exact(4).rposition(opaque).map_or(0, |at| at + 1);
     }
-    found
+    #[allow(clippy::cast_possible_wrap, clippy::cast_possible_truncation)]
+    let place = |at: usize, side: u32| at as i32 - (side / 2).cast_signed();
+    #[allow(clippy::cast_possible_truncation)]
+    let length = |from: usize, to: usize| (to - from) as u32;
+    Some(PixelBox {
+        x: place(left, pixmap.width()),
+        y: place(top, pixmap.height()),
+        width: length(left, right),
+        height: length(top, last + 1),
+    })
 }
 
 /// Changes colours, light and sharpness, and adds grain.
@@ -458,5 +572,66 @@ fn blur(pixmap: &mut Pixmap, radius: usize) {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::RngExt;
+
+    /// Opaque in its lower half, as an SVG.
+    const ART: &str =
+        r#"<svg xmlns="http://www.w3.org/2000/svg" width="30" height="50"><circle cx="14" cy="30" r="13"/></svg>"#;
+
+    #[test]
+    fn outlines_are_those_of_what_is_drawn() {
+        let concepts = ["bus", "tiro", "ambulance", "taxi", "old", "young", "police", "reckless"].map(str::to_owned);
+        for case in 0..60 {
+            let mut stream = Seed(3).stream(Purpose::Scene, case, 0);
+            let difficulty = Difficulty::percent(stream.random_range(0..=100)).expect("a percentage");
+            let files = ["car/a.svg", "old/a.svg"].map(|name| (name.to_owned(), ART.as_bytes().to_vec()));
+            let pack = Pack::new(Mode::Extend, files.to_vec()).unwrap_or_else(|faults| panic!("{faults:?}"));
+            let icons = Icons::new(Seed(case), difficulty).with_pack(pack);
+            let first = stream.random_range(0..concepts.len());
+            let carried = &concepts[first..stream.random_range(first..=concepts.len())];
+            let class = match stream.random_range(0..6) {
+                0 => Class::known()[stream.random_range(0..Class::known().len())].clone(),
+                1 => Class::agent(AgentKind::Car, &[]),
+                2 => Class::agent(AgentKind::Pedestrian, &["old".to_owned()]),
+                3 => Class::agent(AgentKind::Pedestrian, carried),
+                _ => Class::agent(AgentKind::Car, carried),
+            };
+            let (instance, facing) = (stream.random_range(0..4), Facing::ALL[stream.random_range(0..8)]);
+            let size = stream.random_range(1..90);
+            let (drawing, _) = icons.drawing(&class, instance, facing);
+            let opacities = |body: &Pixmap| -> Vec<u8> { body.pixels().iter().map(|pixel| pixel.alpha()).collect() };
+            let (drawn, outline) = (drawing.layers(facing, size).body, drawing.outline(facing, size));
+            assert!(opacities(&drawn) == opacities(&outline), "case {case}: {class}");
+            let told = icons.body(&class, instance, facing, size);
+            assert_eq!(
+                told,
+                icons.stamp(&class, instance, facing, size).body,
+                "case {case}: {class}"
+            );
+            assert_eq!(told, slow_bounds(&drawn), "case {case}: {class}");
+        }
+    }
+
+    /// What is at least half opaque, pixel by pixel.
+    fn slow_bounds(pixmap: &Pixmap) -> PixelBox {
+        let (width, height) = (pixmap.width().cast_signed(), pixmap.height().cast_signed());
+        let places = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        let pixels = places.zip(pixmap.pixels()).filter(|(_, pixel)| pixel.alpha() >= 128);
+        let (xs, ys): (Vec<i32>, Vec<i32>) = pixels.map(|((x, y), _)| (x - width / 2, y - height / 2)).unzip();
+        let along = |places: &[i32]| {
+            let first = places.iter().min().copied().unwrap_or(0);
+            (
+                first,
+                (places.iter().max().map_or(1, |last| last + 1 - first)).cast_unsigned(),
+            )
+        };
+        let ((x, width), (y, height)) = (along(&xs), along(&ys));
+        PixelBox { x, y, width, height }
     }
 }

@@ -31,6 +31,12 @@ impl Picture {
         }
     }
 
+    /// A picture of three bytes a pixel.
+    pub(super) fn from_pixels(width: u32, height: u32, pixels: Vec<u8>) -> Picture {
+        debug_assert_eq!(pixels.len(), 3 * width as usize * height as usize);
+        Picture { width, height, pixels }
+    }
+
     /// Width in pixels.
     pub fn width(&self) -> u32 {
         self.width

@@ -1,24 +1,84 @@
 //! Pictures of one view of a map: the ground once, the agents every time.
 
-use super::ground;
+use super::ground::{self, Look};
 use super::icon::{Icons, PixelBox, Stamp};
 use super::picture::Picture;
 use super::sprite::Sprite;
 use super::view::View;
 use crate::city::CityMap;
 use crate::config::AgentKind;
+use crate::rng::Seed;
 use std::sync::Arc;
 
-/// Draws pictures of one view of one map.
-///
-/// The ground is drawn once, and every icon once; a picture is a copy of the ground with icons laid over it. It is a function of map,
-/// icons, view and agents, whatever was drawn before, on however many threads.
+/// Tells where agents are in pictures of one view of one map, and draws none.
 #[derive(Clone, Debug)]
-pub struct Renderer {
+pub struct Placement {
     icons: Arc<Icons>,
     view: View,
     /// Rows and columns of the map.
     cells: (i32, i32),
+}
+
+impl Placement {
+    /// For pictures with these icons.
+    pub fn new(map: &CityMap, icons: Arc<Icons>, view: View) -> Placement {
+        Placement {
+            icons,
+            view,
+            cells: (map.rows(), map.cols()),
+        }
+    }
+
+    /// The icons.
+    pub fn icons(&self) -> &Arc<Icons> {
+        &self.icons
+    }
+
+    /// As [`Renderer::boxes`].
+    pub fn boxes(&self, agents: &[Sprite<'_>]) -> Vec<Option<PixelBox>> {
+        agents.iter().map(|agent| self.pixel_box(agent)).collect()
+    }
+
+    fn pixel_box(&self, agent: &Sprite<'_>) -> Option<PixelBox> {
+        let (x, y) = self.middle(agent)?;
+        let body = (self.icons).body(&agent.class(), agent.instance, agent.facing, self.size(agent));
+        let (width, height) = self.view.size();
+        PixelBox {
+            x: x + body.x,
+            y: y + body.y,
+            ..body
+        }
+        .clipped(width, height)
+    }
+
+    fn stamp(&self, agent: &Sprite<'_>) -> Option<Placed> {
+        let (x, y) = self.middle(agent)?;
+        let stamp = (self.icons).stamp(&agent.class(), agent.instance, agent.facing, self.size(agent));
+        Some(Placed { stamp, x, y })
+    }
+
+    /// The middle of its icon; `None` if it is off the map or far off the picture.
+    fn middle(&self, agent: &Sprite<'_>) -> Option<(i32, i32)> {
+        let (rows, cols) = self.cells;
+        let on_map = (0..rows).contains(&agent.at.row) && (0..cols).contains(&agent.at.col);
+        on_map.then(|| self.view.middle(agent.at))?
+    }
+
+    fn size(&self, agent: &Sprite<'_>) -> u32 {
+        match agent.kind {
+            AgentKind::Car => self.view.car,
+            AgentKind::Pedestrian => self.view.pedestrian,
+        }
+    }
+}
+
+/// Draws pictures of one view of one map.
+///
+/// The ground is drawn once, and every icon once; a picture is a copy of the ground with icons laid over it. It is a function of map,
+/// icons, view, ground and agents, whatever was drawn before, on however many threads.
+#[derive(Clone, Debug)]
+pub struct Renderer {
+    placement: Placement,
     ground: Picture,
 }
 
@@ -31,24 +91,32 @@ struct Placed {
 }
 
 impl Renderer {
-    /// Draws the ground.
+    /// Draws the ground, its textures by the seed of the icons.
     pub fn new(map: &CityMap, icons: Arc<Icons>, view: View) -> Renderer {
+        let look = Look::of(&icons);
+        Renderer::with_look(map, Placement::new(map, icons, view), look)
+    }
+
+    /// The same for a ground of its own: a seed says what textures it has and which instance of its class each building is.
+    pub fn with_ground(map: &CityMap, placement: Placement, seed: Seed) -> Renderer {
+        Renderer::with_look(map, placement, Look::drawn(seed))
+    }
+
+    fn with_look(map: &CityMap, placement: Placement, look: Look) -> Renderer {
         Renderer {
-            ground: ground::draw(map, &icons, &view),
-            cells: (map.rows(), map.cols()),
-            icons,
-            view,
+            ground: ground::draw(map, &placement.icons, &placement.view, look),
+            placement,
         }
     }
 
     /// What it shows.
     pub fn view(&self) -> &View {
-        &self.view
+        &self.placement.view
     }
 
     /// The icons it draws with.
     pub fn icons(&self) -> &Arc<Icons> {
-        &self.icons
+        &self.placement.icons
     }
 
     /// The picture without agents.
@@ -72,7 +140,7 @@ impl Renderer {
     fn add_agents(&self, agents: &[Sprite<'_>], picture: &mut Picture) {
         for kind in [AgentKind::Car, AgentKind::Pedestrian] {
             for agent in agents.iter().filter(|agent| agent.kind == kind) {
-                if let Some(Placed { stamp, x, y }) = self.place(agent) {
+                if let Some(Placed { stamp, x, y }) = self.placement.stamp(agent) {
                     picture.stamp(&stamp, x, y);
                 }
             }
@@ -81,31 +149,11 @@ impl Renderer {
 
     /// What each agent covers, without shadow and skid marks, clipped to the picture; `None` if it is off the map or the picture.
     pub fn boxes(&self, agents: &[Sprite<'_>]) -> Vec<Option<PixelBox>> {
-        agents.iter().map(|agent| self.pixel_box(agent)).collect()
+        self.placement.boxes(agents)
     }
 
     pub(super) fn pixel_box(&self, agent: &Sprite<'_>) -> Option<PixelBox> {
-        let Placed { stamp, x, y } = self.place(agent)?;
-        let body = PixelBox {
-            x: x + stamp.body.x,
-            y: y + stamp.body.y,
-            ..stamp.body
-        };
-        body.clipped(self.ground.width(), self.ground.height())
-    }
-
-    fn place(&self, agent: &Sprite<'_>) -> Option<Placed> {
-        let (rows, cols) = self.cells;
-        if !(0..rows).contains(&agent.at.row) || !(0..cols).contains(&agent.at.col) {
-            return None;
-        }
-        let (x, y) = self.view.middle(agent.at)?;
-        let size = match agent.kind {
-            AgentKind::Car => self.view.car,
-            AgentKind::Pedestrian => self.view.pedestrian,
-        };
-        let stamp = self.icons.stamp(&agent.class(), agent.instance, agent.facing, size);
-        Some(Placed { stamp, x, y })
+        self.placement.pixel_box(agent)
     }
 }
 
@@ -143,14 +191,15 @@ mod tests {
     }
 
     /// The picture pixel by pixel, nothing drawn before or kept.
-    fn slowly(map: &CityMap, icons: &dyn Fn() -> Icons, view: &View, agents: &[Sprite<'_>]) -> Vec<u8> {
+    fn slowly(map: &CityMap, icons: &dyn Fn() -> Icons, view: &View, look: Look, agents: &[Sprite<'_>]) -> Vec<u8> {
         let (width, height) = view.size();
         let mut pixels = vec![0; 3 * (width * height) as usize];
         let side = view.scale.pixels as usize;
         for row in 0..view.rows {
             for col in 0..view.cols {
                 let corner = Cell::new(view.corner.row + row, view.corner.col + col);
-                let cell = ground::draw(map, &icons(), &View::new(corner, 1, 1, view.scale).expect("a cell"));
+                let view = View::new(corner, 1, 1, view.scale).expect("a cell");
+                let cell = ground::draw(map, &icons(), &view, look);
                 for (line, from) in cell.pixels().chunks_exact(3 * side).enumerate() {
                     let at = 3 * ((row as usize * side + line) * width as usize + col as usize * side);
                     pixels[at..at + 3 * side].copy_from_slice(from);
@@ -199,7 +248,14 @@ mod tests {
             let corner = Cell::new(stream.random_range(-3..20), stream.random_range(-3..20));
             let scale = Scale::pixels(stream.random_range(1..9)).expect("a scale");
             let view = View::new(corner, 14, 11, scale).expect("a view");
-            let renderer = Renderer::new(&map, Arc::new(icons()), view);
+            let placement = Placement::new(&map, Arc::new(icons()), view);
+            let (renderer, look) = match case % 2 {
+                0 => (Renderer::new(&map, Arc::new(icons()), view), Look::of(&icons())),
+                _ => {
+                    let seed = Seed(case + 100);
+                    (Renderer::with_ground(&map, placement.clone(), seed), Look::drawn(seed))
+                }
+            };
             for _ in 0..2 {
                 let agents: Vec<Sprite<'_>> = (0..5)
                     .map(|_| {
@@ -219,9 +275,10 @@ mod tests {
                     })
                     .collect();
                 assert!(
-                    renderer.draw(&agents).pixels() == slowly(&map, &icons, &view, &agents),
+                    renderer.draw(&agents).pixels() == slowly(&map, &icons, &view, look, &agents),
                     "case {case}"
                 );
+                assert_eq!(renderer.boxes(&agents), placement.boxes(&agents), "case {case}");
             }
         }
     }

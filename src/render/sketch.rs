@@ -136,6 +136,14 @@ impl Sketch {
         }
     }
 
+    /// Leaves out what shows only where something has been painted. The opacities of all pixels are those of [`Sketch::paint`].
+    pub(super) fn paint_outline(&self, on: &mut Pixmap, transform: Transform) {
+        let outside = (self.shapes.iter()).filter(|(_, paint)| paint.blend_mode == BlendMode::SourceOver);
+        for (path, paint) in outside {
+            on.fill_path(path, paint, FillRule::Winding, transform, None);
+        }
+    }
+
     fn add(&mut self, path: Option<Path>, shader: Shader<'static>) {
         // A shape without an area has no path and shows nothing.
         let Some(path) = path else { return };

@@ -1,7 +1,7 @@
 //! Visual Action Prediction: what does every car do next, given a picture of the city?
 //!
-//! A [`Worlds`] is the cities of one split; each has [`TICKS`] ticks, of which all but the first are [`Frame`]s. [`table`] holds what is true of a
-//! frame as columns.
+//! A [`Worlds`] is the cities of one split; each has [`TICKS`] ticks, of which all but the first are [`Frame`]s, and a [`Renderer`] that draws
+//! them on a ground of its own. [`table`] holds what is true of a frame as columns.
 
 pub mod table;
 
@@ -9,7 +9,7 @@ use crate::city::{Cell, Heading};
 use crate::config::{AgentGroup, AgentKind, AgentName, AgentSet, Scenario, Speed, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::engine::Program;
-use crate::render::{Facing, Icons, PixelBox, Renderer, Sprite, View};
+use crate::render::{Class, Facing, Icons, Picture, PixelBox, Placement, Renderer, Scale, Sprite, View};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, Settings, Simulation, World};
 use std::sync::Arc;
@@ -47,6 +47,14 @@ impl Agents {
     }
 }
 
+/// Side of a picture in pixels.
+pub const SIDE: u32 = 1024;
+
+/// The seed of the icons of a split, so that what is tested on looks different from what was learnt from.
+pub fn icon_seed(seed: u64, split: Split) -> Seed {
+    Seed(Seed(seed).stream(Purpose::Icon, split as u64, 0).random())
+}
+
 /// How many worlds the published sets have.
 pub const fn published_worlds(split: Split) -> u32 {
     match split {
@@ -58,7 +66,7 @@ pub const fn published_worlds(split: Split) -> u32 {
 /// The worlds of a split. World `k` is a function of seed, split and `k`, so they can be made in any order and by many processes.
 pub struct Worlds {
     world: Arc<World>,
-    renderer: Renderer,
+    placement: Placement,
     agents: Agents,
     split: Split,
     seed: u64,
@@ -90,7 +98,7 @@ pub struct FrameAgent {
     pub heading: Option<Heading>,
     /// Where it faces in the picture.
     pub facing: Facing,
-    /// Which instance of its class the picture shows.
+    /// Which instance of its class the picture shows, from 0; less than [`Icons::instances`].
     pub instance: u32,
     /// What the rules want.
     pub action: Speed,
@@ -111,8 +119,15 @@ impl FrameAgent {
     }
 }
 
+impl Frame {
+    /// What a picture shows of the agents.
+    pub fn sprites(&self) -> Vec<Sprite<'_>> {
+        self.agents.iter().map(|agent| agent.sprite("")).collect()
+    }
+}
+
 impl Worlds {
-    /// Makes ready what all worlds share.
+    /// Makes ready what all worlds share. The icons had better be of [`icon_seed`].
     ///
     /// # Errors
     /// As [`World::new`], and `unknown-split`.
@@ -129,7 +144,7 @@ impl Worlds {
         Simulation::new(Arc::clone(&world), split, Seed(seed), Settings::default()).map_err(|fault| vec![fault])?;
         let view = View::published(Cell::new(0, 0)).expect("the first cell is a corner");
         Ok(Worlds {
-            renderer: Renderer::new(world.map(), icons, view),
+            placement: Placement::new(world.map(), icons, view),
             world,
             agents,
             split,
@@ -142,9 +157,36 @@ impl Worlds {
         &self.world
     }
 
-    /// What draws the frames.
-    pub fn renderer(&self) -> &Renderer {
-        &self.renderer
+    /// What draws the frames of a world: the first 128 rows and columns, 8 pixels a cell, textures and buildings its own.
+    pub fn renderer(&self, number: u32) -> Renderer {
+        Renderer::with_ground(self.world.map(), self.placement.clone(), Seed(self.seed(number)))
+    }
+
+    /// A small picture with something of everything: a corner of the ground of world 0, and an agent of every known class in every facing.
+    /// Where it is the same, so are all other pictures and boxes.
+    pub fn specimen(&self) -> Picture {
+        let scale = Scale::pixels(8).expect("within bounds");
+        let view = View::new(Cell::new(0, 0), 20, 40, scale).and_then(|view| view.with_agents(48, 32));
+        let placement = Placement::new(
+            self.world.map(),
+            Arc::clone(self.placement.icons()),
+            view.expect("it is small"),
+        );
+        let renderer = Renderer::with_ground(self.world.map(), placement, Seed(self.seed(0)));
+        let classes = Class::known();
+        let agents = classes.iter().enumerate().filter_map(|(place, class)| {
+            let (kind, concepts) = class.of_agent()?;
+            Some(Sprite {
+                name: "",
+                kind,
+                concepts,
+                at: Cell::new(5 + 8 * (place as i32 % 2), 4 + 4 * place as i32),
+                facing: Facing::ALL[place % 8],
+                instance: place as u32,
+                action: None,
+            })
+        });
+        renderer.draw(&agents.collect::<Vec<_>>())
     }
 
     /// The seed of a world: `logicity run` with it shows the same city, if agents are fixed.
@@ -168,15 +210,19 @@ impl Worlds {
         let mut frames = Vec::new();
         for tick in 0..TICKS {
             // Agents are as they were decided about: before they move.
-            let agents = city.agents().iter().enumerate().map(|(index, agent)| FrameAgent {
-                name: agent.name(),
-                concepts: Arc::clone(&agent.concepts),
-                priority: agent.priority,
-                at: agent.cell,
-                heading: agent.heading,
-                facing: Sprite::of(agent, "", None).facing,
-                instance: seed.stream(Purpose::Look, index as u64, tick).random(),
-                action: Speed::Stop,
+            let agents = city.agents().iter().enumerate().map(|(index, agent)| {
+                let sprite = Sprite::of(agent, "", None);
+                let drawn: u32 = seed.stream(Purpose::Look, index as u64, tick).random();
+                FrameAgent {
+                    name: agent.name(),
+                    concepts: Arc::clone(&agent.concepts),
+                    priority: agent.priority,
+                    at: agent.cell,
+                    heading: agent.heading,
+                    facing: sprite.facing,
+                    instance: drawn % self.placement.icons().instances(&sprite.class()),
+                    action: Speed::Stop,
+                }
             });
             let mut agents: Vec<FrameAgent> = agents.collect();
             city.tick(&[])?;
@@ -197,8 +243,7 @@ impl Worlds {
 
     /// What each agent of a frame covers of its picture; `None` for those outside.
     pub fn boxes(&self, frame: &Frame) -> Vec<Option<PixelBox>> {
-        let sprites: Vec<Sprite<'_>> = frame.agents.iter().map(|agent| agent.sprite("")).collect();
-        self.renderer.boxes(&sprites)
+        self.placement.boxes(&frame.sprites())
     }
 
     /// The same world with agents of its own.

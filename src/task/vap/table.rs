@@ -1,6 +1,6 @@
 //! Frames as columns, written as Parquet: a table of entities, with what is true of each, and a table of ordered pairs of them.
 
-use super::{Frame, FrameAgent, Worlds, faulty};
+use super::{Frame, FrameAgent, SIDE, Worlds, faulty};
 use crate::city::Heading;
 use crate::config::{AgentKind, Speed};
 use crate::diag::Diagnostic;
@@ -15,7 +15,9 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::parser::parse_message_type;
+use std::collections::BTreeMap;
 use std::io::Write;
+use std::ops::Range;
 use std::panic::catch_unwind;
 use std::sync::Arc;
 
@@ -78,7 +80,7 @@ pub const ENTITY_NAMES: [(&str, &str); 6] = [
 ];
 
 /// The columns after those. After these come the unary predicates.
-pub const ENTITY_NUMBERS: [EntityColumn; 10] = [
+pub const ENTITY_NUMBERS: [EntityColumn; 11] = [
     ("priority", "right of way; a smaller number goes first", |agent, _| {
         Some(agent.priority)
     }),
@@ -101,6 +103,11 @@ pub const ENTITY_NUMBERS: [EntityColumn; 10] = [
         "facing",
         "of its icon, in eighths of a turn clockwise from up",
         |agent, _| Some(agent.facing as i32),
+    ),
+    (
+        "instance",
+        "which instance of its class the picture shows, from 0; the same number shows the same icon all over the split",
+        |agent, _| Some(agent.instance.cast_signed()),
     ),
     (
         "x",
@@ -239,19 +246,90 @@ impl Table {
         Ok(&found.ok_or_else(|| faulty(format!("there is no column `{name}`")))?.1)
     }
 
-    fn ints(&self, name: &str) -> Result<&[i32], Diagnostic> {
+    /// The values of a column of numbers.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if there is none.
+    pub fn ints(&self, name: &str) -> Result<&[i32], Diagnostic> {
         match self.column(name)? {
             Values::Int(values) => Ok(values),
             _ => Err(faulty(format!("the column `{name}` is not of numbers"))),
         }
     }
 
-    fn bools(&self, name: &str) -> Result<&[bool], Diagnostic> {
+    /// The values of a column of numbers, or nothing.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if there is none.
+    pub fn maybe_ints(&self, name: &str) -> Result<&[Option<i32>], Diagnostic> {
+        match self.column(name)? {
+            Values::MaybeInt(values) => Ok(values),
+            _ => Err(faulty(format!("the column `{name}` is not of numbers or nothing"))),
+        }
+    }
+
+    /// The values of a column of texts.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if there is none.
+    pub fn texts(&self, name: &str) -> Result<&[String], Diagnostic> {
+        match self.column(name)? {
+            Values::Text(values) => Ok(values),
+            _ => Err(faulty(format!("the column `{name}` is not of texts"))),
+        }
+    }
+
+    /// The values of a column of truth values.
+    ///
+    /// # Errors
+    /// `invalid-data-set` if there is none.
+    pub fn bools(&self, name: &str) -> Result<&[bool], Diagnostic> {
         match self.column(name)? {
             Values::Bool(values) => Ok(values),
             _ => Err(faulty(format!("the column `{name}` is not of truth values"))),
         }
     }
+}
+
+/// How many rows of the table of entities carry each concept; those that carry none count by type.
+///
+/// # Errors
+/// `invalid-data-set` if a column is missing.
+pub fn count_concepts(entities: &Table) -> Result<BTreeMap<String, u64>, Diagnostic> {
+    let mut counts = BTreeMap::new();
+    for (concepts, kind) in entities.texts("concepts")?.iter().zip(entities.texts("type")?) {
+        let carried = if concepts.is_empty() { kind } else { concepts };
+        for concept in carried.split('+') {
+            *counts.entry(concept.to_owned()).or_default() += 1;
+        }
+    }
+    Ok(counts)
+}
+
+/// What each row of the table of entities covers of its picture.
+///
+/// # Errors
+/// `invalid-data-set` if a column is missing, or a box is not in the picture.
+pub fn boxes(entities: &Table) -> Result<Vec<Option<PixelBox>>, Diagnostic> {
+    let [xs, ys] = [entities.maybe_ints("x")?, entities.maybe_ints("y")?];
+    let [widths, heights] = [entities.maybe_ints("width")?, entities.maybe_ints("height")?];
+    let pixels = |row: usize| match (xs[row], ys[row], widths[row], heights[row]) {
+        (None, None, None, None) => Some(None),
+        (Some(x), Some(y), Some(width), Some(height)) => {
+            let (width, height) = (u32::try_from(width).ok()?, u32::try_from(height).ok()?);
+            let pixels = PixelBox { x, y, width, height };
+            (pixels.clipped(SIDE, SIDE) == Some(pixels)).then_some(Some(pixels))
+        }
+        _ => None,
+    };
+    let all = (0..entities.rows()).map(|row| {
+        pixels(row).ok_or_else(|| {
+            faulty(format!(
+                "the box of row {row} of the entities is not one in the picture"
+            ))
+        })
+    });
+    all.collect()
 }
 
 /// For each predicate over so many agents whether it holds, row by row.
@@ -339,33 +417,25 @@ pub struct Sample {
     pub facts: Facts,
 }
 
-/// The samples of a world from its two tables.
+/// Where a sample stands in the two tables of its world.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SampleRows {
+    /// The tick.
+    pub tick: i32,
+    /// The rows of its entities.
+    pub entities: Range<usize>,
+    /// The rows of its pairs.
+    pub pairs: Range<usize>,
+}
+
+/// Where the samples of a world stand in its two tables.
 ///
 /// # Errors
-/// `invalid-data-set` if a column is missing, the rows of a sample are not all there in order, or a label is none.
-pub fn samples(
-    vocabulary: &Vocabulary,
-    world: u32,
-    entities: &Table,
-    pairs: &Table,
-) -> Result<Vec<Sample>, Diagnostic> {
+/// `invalid-data-set` if a column is missing, or the rows of a sample are not all there in order.
+pub fn sample_rows(world: u32, entities: &Table, pairs: &Table) -> Result<Vec<SampleRows>, Diagnostic> {
     let (worlds, ticks, places) = (entities.ints("world")?, entities.ints("tick")?, entities.ints("agent")?);
-    let (Values::Text(names), Values::MaybeInt(labels)) = (entities.column("name")?, entities.column("label")?) else {
-        return Err(faulty("the columns `name` and `label` are not of texts and numbers"));
-    };
     let [of_worlds, of_ticks] = [pairs.ints("world")?, pairs.ints("tick")?];
     let [firsts, seconds] = [pairs.ints("first")?, pairs.ints("second")?];
-    let label = |label: &Option<i32>| match label {
-        None => Ok(None),
-        Some(label) => {
-            let action = usize::try_from(*label)
-                .ok()
-                .and_then(|label| Speed::ALL.get(label).copied());
-            action
-                .map(Some)
-                .ok_or_else(|| faulty(format!("{label} is not a label")))
-        }
-    };
     let world = int(world);
     let mut samples = Vec::new();
     let (mut row, mut pair) = (0, 0);
@@ -384,32 +454,65 @@ pub fn samples(
                 "the rows of tick {tick} are not those of one sample, in order"
             )));
         }
-        let rows = vocabulary.predicates.iter().map(|predicate| {
-            let agent = |at: usize| u32::try_from(at).expect("fewer than 2^32 rows");
-            Ok(match predicate.arity {
-                1 => {
-                    let holds = &entities.bools(&predicate.name)?[own.clone()];
-                    (0..count).filter(|&at| holds[at]).map(|at| [agent(at), 0]).collect()
-                }
-                _ => {
-                    let holds = &pairs.bools(&predicate.name)?[of_two.clone()];
-                    let true_ones = (0..count * count).filter(|&at| holds[at]);
-                    true_ones.map(|at| [agent(at / count), agent(at % count)]).collect()
-                }
-            })
-        });
-        samples.push(Sample {
-            tick,
-            names: names[own.clone()].to_vec(),
-            labels: labels[own.clone()].iter().map(label).collect::<Result<_, _>>()?,
-            facts: Facts {
-                rows: rows.collect::<Result<_, Diagnostic>>()?,
-            },
-        });
         (row, pair) = (own.end, of_two.end);
+        samples.push(SampleRows {
+            tick,
+            entities: own,
+            pairs: of_two,
+        });
     }
     match pair == pairs.rows() {
         true => Ok(samples),
         false => Err(faulty("there are more pairs than the entities have")),
     }
+}
+
+/// The samples of a world from its two tables.
+///
+/// # Errors
+/// As [`sample_rows`], and `invalid-data-set` if a label is none.
+pub fn samples(
+    vocabulary: &Vocabulary,
+    world: u32,
+    entities: &Table,
+    pairs: &Table,
+) -> Result<Vec<Sample>, Diagnostic> {
+    let (names, labels) = (entities.texts("name")?, entities.maybe_ints("label")?);
+    let label = |label: &Option<i32>| match label {
+        None => Ok(None),
+        Some(label) => {
+            let action = usize::try_from(*label)
+                .ok()
+                .and_then(|label| Speed::ALL.get(label).copied());
+            action
+                .map(Some)
+                .ok_or_else(|| faulty(format!("{label} is not a label")))
+        }
+    };
+    let sample = |rows: SampleRows| {
+        let count = rows.entities.len();
+        let facts = vocabulary.predicates.iter().map(|predicate| {
+            let agent = |at: usize| u32::try_from(at).expect("fewer than 2^32 rows");
+            Ok(match predicate.arity {
+                1 => {
+                    let holds = &entities.bools(&predicate.name)?[rows.entities.clone()];
+                    (0..count).filter(|&at| holds[at]).map(|at| [agent(at), 0]).collect()
+                }
+                _ => {
+                    let holds = &pairs.bools(&predicate.name)?[rows.pairs.clone()];
+                    let true_ones = (0..count * count).filter(|&at| holds[at]);
+                    true_ones.map(|at| [agent(at / count), agent(at % count)]).collect()
+                }
+            })
+        });
+        Ok(Sample {
+            tick: rows.tick,
+            facts: Facts {
+                rows: facts.collect::<Result<_, Diagnostic>>()?,
+            },
+            names: names[rows.entities.clone()].to_vec(),
+            labels: labels[rows.entities].iter().map(label).collect::<Result<_, _>>()?,
+        })
+    };
+    sample_rows(world, entities, pairs)?.into_iter().map(sample).collect()
 }

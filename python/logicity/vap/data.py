@@ -1,0 +1,293 @@
+"""Samples of a data set that `logicity vap make` has made, as numpy arrays."""
+
+from __future__ import annotations
+
+import json
+import os
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import accumulate
+from operator import index as as_index
+from pathlib import Path
+from typing import Any, NamedTuple, SupportsIndex, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _logicity
+from ..types import Split
+
+__all__ = ["BINARY", "PICTURE_SIDE", "UNARY", "VapDataset", "VapSample"]
+
+UNARY = (
+    "IsPedestrian",
+    "IsCar",
+    "IsAmbulance",
+    "IsBus",
+    "IsPolice",
+    "IsTiro",
+    "IsReckless",
+    "IsOld",
+    "IsYoung",
+    "IsAtInter",
+    "IsInInter",
+)
+"""The predicates over one entity in the order of the paper, which is that of the columns of `VapSample.unary`."""
+
+BINARY = ("IsClose", "HigherPri", "CollidingClose", "LeftOf", "RightOf", "NextTo")
+"""The predicates over two entities in the order of the paper, which is that of the last axis of `VapSample.binary`."""
+
+PICTURE_SIDE = _logicity.PICTURE_SIDE
+"""The side of a picture in pixels, 1024."""
+
+#: The version of the format that is read.
+VERSION = 2
+
+
+@dataclass(frozen=True, eq=False)
+class VapSample:
+    """A state of a city with N entities, in the order of the list of agents, and what the rules want in it.
+
+    Attributes
+    ----------
+    world, tick
+        Where it comes from; together they name the sample.
+    names, concepts
+        Such as `"Car_1"` and `"ambulance"`; concepts are joined by `+`, and an empty text if there are none.
+    image
+        uint8 (1024, 1024, 3): rows, columns, and red, green and blue; `None` if pictures are not read.
+    boxes
+        float32 (N, 4): left and upper edge, width and height in pixels; NaN for entities outside of the picture.
+    h
+        float32 (N, 9), the node vector of the paper: the box as shares of the picture's side, 0 to 1, or 0 for entities
+        outside; 1 for the heading, left, right, up or down, or 0 before the first move; priority as a share of the
+        largest of the sample. A smaller priority goes first.
+    unary
+        bool (N, 11): whether predicate k of `UNARY` holds of entity i, at [i, k].
+    binary
+        bool (N, N, 6): whether predicate k of `BINARY` holds of entities i and j, at [i, j, k].
+    sees
+        bool (N, N): whether entity i sees entity j.
+    actions
+        int64 (N,): what the rules want of a car, a position in `logicity.ACTIONS`; -1 for pedestrians.
+    mask
+        bool (N,): whether it is a car, the actions of which are scored.
+
+    """
+
+    world: int
+    tick: int
+    names: tuple[str, ...]
+    concepts: tuple[str, ...]
+    image: NDArray[np.uint8] | None
+    boxes: NDArray[np.float32]
+    h: NDArray[np.float32]
+    unary: NDArray[np.bool_]
+    binary: NDArray[np.bool_]
+    sees: NDArray[np.bool_]
+    actions: NDArray[np.int64]
+    mask: NDArray[np.bool_]
+
+
+class _Tables(NamedTuple):
+    """The tables of a world; rows of all its samples one after the other, of entities or of pairs of them."""
+
+    ticks: NDArray[np.int32]
+    starts: NDArray[np.int64]
+    names: list[str]
+    concepts: list[str]
+    numbers: list[NDArray[np.int64]]
+    boxes: NDArray[np.float32]
+    unary: NDArray[np.bool_]
+    binary: NDArray[np.bool_]
+    sees: NDArray[np.bool_]
+
+
+class VapDataset(Sequence[VapSample]):
+    """The samples of a data set, by world and tick.
+
+    Tables are read once for each world, and kept for some; pictures are read when their sample is asked for. Several
+    threads can read, and pictures are decoded beside other threads. Can be pickled and copied: it is made again of its
+    folder, and nothing that was read goes along.
+
+    Parameters
+    ----------
+    folder
+        That `logicity vap make` has made.
+    images
+        Whether to read pictures.
+    cached_worlds
+        The tables of so many worlds are kept; those of one take about 0.3 MB. Reading the samples in a random order
+        wants as many as there are.
+
+    Attributes
+    ----------
+    folder
+        As it was given.
+    mode, split, agents
+        Whose rules, `"easy"` or `"hard"`; `"train"`, `"val"` or `"test"`; `"fixed"` or `"random"` agents.
+    images
+        Whether pictures are read.
+    predicates
+        `UNARY` and `BINARY`.
+
+    Raises
+    ------
+    OSError
+        For a file that cannot be read.
+    ValueError
+        If it is no data set of this version, or has no pictures though they are to be read; `InputError`, also later,
+        for faulty tables and pictures.
+
+    """
+
+    predicates = (UNARY, BINARY)
+
+    def __init__(self, folder: str | os.PathLike[str], images: bool = True, *, cached_worlds: int = 128) -> None:
+        """Read the manifest."""
+        self.folder, self.images = Path(folder), images
+        settings, counts = _read_manifest(self.folder)
+        if images and not settings["pictures"]:
+            raise ValueError(f"`{self.folder}` was made with `--no-pictures`: images=False reads it")
+        self.mode: str = settings["mode"]
+        self.agents: str = settings["agents"]
+        self.split = cast(Split, settings["split"])
+        self._cached_worlds = cached_worlds
+        self._worlds = list(counts)
+        self._ends = list(accumulate(counts.values()))
+        self._tables = lru_cache(maxsize=cached_worlds)(self._read_tables)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle by the folder."""
+        return _restore, (self.folder, self.images, self._cached_worlds)
+
+    def __repr__(self) -> str:
+        """How much there is of what."""
+        return f"<VapDataset {self.mode}, {self.agents} agents, {self.split}: {len(self)} samples>"
+
+    def __len__(self) -> int:
+        """How many samples there are."""
+        return self._ends[-1] if self._ends else 0
+
+    def __getitem__(self, index: SupportsIndex) -> VapSample:  # type: ignore[override]
+        """Read a sample. Its arrays belong to whoever asks."""
+        sample = self.facts(index)
+        if not self.images:
+            return sample
+        image = np.empty((PICTURE_SIDE, PICTURE_SIDE, 3), np.uint8)
+        self.read_picture(index, image)
+        return replace(sample, image=image)
+
+    def facts(self, index: SupportsIndex) -> VapSample:
+        """Read a sample without its picture."""
+        tables, world, place = self._locate(index)
+        begin, end = tables.starts[place : place + 2].tolist()
+        count = end - begin
+        # The pairs of the samples before this one, each of which has the square of its entities.
+        before = int((np.diff(tables.starts[: place + 1]) ** 2).sum())
+        pairs = slice(before, before + count * count)
+        priorities, headings, actions = (numbers[begin:end] for numbers in tables.numbers)
+        boxes = tables.boxes[begin:end].copy()
+        return VapSample(
+            world=world,
+            tick=int(tables.ticks[place]),
+            names=tuple(tables.names[begin:end]),
+            concepts=tuple(tables.concepts[begin:end]),
+            image=None,
+            boxes=boxes,
+            h=_node_vectors(boxes, headings, priorities),
+            unary=tables.unary[begin:end].copy(),
+            binary=tables.binary[pairs].reshape(count, count, len(BINARY)).copy(),
+            sees=tables.sees[pairs].reshape(count, count).copy(),
+            actions=actions.copy(),
+            mask=actions >= 0,
+        )
+
+    def picture_path(self, index: SupportsIndex) -> Path:
+        """Where the picture of a sample is, as PNG."""
+        tables, world, place = self._locate(index)
+        return self._world_folder(world) / f"frame-{tables.ticks[place]:03}.png"
+
+    def read_picture(self, index: SupportsIndex, out: NDArray[np.uint8]) -> None:
+        """Read the picture of a sample into an array of shape (1024, 1024, 3), or (3, 1024, 1024) for a plane a colour.
+
+        Raises `ValueError` for an array of another shape, or one whose numbers do not lie side by side.
+        """
+        if out.shape not in ((PICTURE_SIDE, PICTURE_SIDE, 3), (3, PICTURE_SIDE, PICTURE_SIDE)):
+            raise ValueError(f"a picture has the shape (1024, 1024, 3) or (3, 1024, 1024), not {out.shape}")
+        _logicity.read_picture(self.picture_path(index), out)
+
+    def iterate(self, seed: int = 0, *, shuffle: bool = True, shard: tuple[int, int] = (0, 1)) -> Iterator[VapSample]:
+        """Go through the samples once, in an order that is a function of the seed.
+
+        Parameters
+        ----------
+        seed
+            From 0 on. Another one for each epoch gives each its own order.
+        shuffle
+            Whether to; else the order is that of worlds and ticks.
+        shard
+            (i, n): only every n-th sample of that order, from the i-th on, so that the shards 0 to n - 1 have every
+            sample once.
+
+        """
+        part, parts = shard
+        if not 0 <= part < parts:
+            raise ValueError(f"shard {part} of {parts}: they count from 0")
+        order = np.random.default_rng(seed).permutation(len(self)) if shuffle else np.arange(len(self))
+        return (self[position] for position in order[part::parts])
+
+    def _locate(self, index: SupportsIndex) -> tuple[_Tables, int, int]:
+        """The tables with a sample, the number of its world, and its place in it."""
+        # Negative positions count from the end, and those that are not there raise `IndexError`.
+        position = range(len(self))[as_index(index)]
+        which = bisect_right(self._ends, position)
+        world, begin = self._worlds[which], self._ends[which - 1] if which else 0
+        return self._tables(which), world, position - begin
+
+    def _read_tables(self, which: int) -> _Tables:
+        folder = self._world_folder(self._worlds[which])
+        tables = _Tables(*_logicity.read_world(folder, self._worlds[which], list(UNARY), list(BINARY)))
+        listed = self._ends[which] - (self._ends[which - 1] if which else 0)
+        if len(tables.ticks) != listed:
+            raise ValueError(f"`{folder}` has {len(tables.ticks)} frames, the manifest lists {listed}")
+        return tables
+
+    def _world_folder(self, world: int) -> Path:
+        return self.folder / f"world-{world:05}"
+
+
+def _restore(folder: Path, images: bool, cached_worlds: int) -> VapDataset:
+    return VapDataset(folder, images, cached_worlds=cached_worlds)
+
+
+def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
+    """The settings of a data set, and how many frames each of its worlds has, by number."""
+    path = folder / "manifest.json"
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        settings = manifest["settings"]
+        data, version = settings["data"], settings["version"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"`{path}` is no manifest of `logicity vap make`: {error!r}") from None
+    if (data, version) != ("logicity vap", VERSION):
+        raise ValueError(f"`{path}`: a data set `{data}`, version {version}; this package reads version {VERSION}")
+    try:
+        counts = {int(world["world"]): int(world["frames"]) for world in manifest["worlds"]}
+        named = {name: settings[name] for name in ("mode", "agents", "split", "pictures")}
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"`{path}` is no manifest of `logicity vap make`: {error!r}") from None
+    return named, counts
+
+
+def _node_vectors(
+    boxes: NDArray[np.float32], headings: NDArray[np.int64], priorities: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    vectors = np.zeros((len(boxes), 9), np.float32)
+    vectors[:, :4] = np.nan_to_num(boxes / PICTURE_SIDE)
+    headed = np.flatnonzero(headings >= 0)
+    vectors[headed, 4 + headings[headed]] = 1
+    vectors[:, 8] = priorities / max(1, priorities.max(initial=1))
+    return vectors

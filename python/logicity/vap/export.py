@@ -1,0 +1,170 @@
+"""A data set in other formats."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import tarfile
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..city import ACTIONS
+from ..evaluation import Progress, write_json
+from .data import BINARY, PICTURE_SIDE, UNARY, VapDataset, VapSample
+
+__all__ = ["to_coco", "to_webdataset"]
+
+#: What entities are, in the order of the categories; those with several concepts come behind.
+CATEGORIES = {
+    **dict.fromkeys(("car", "ambulance", "bus", "police", "tiro", "reckless"), "Car"),
+    **dict.fromkeys(("pedestrian", "old", "young"), "Pedestrian"),
+}
+
+
+def to_webdataset(
+    folder: str | os.PathLike[str], out_dir: str | os.PathLike[str], shard_size: int = 1000, *, images: bool = True
+) -> list[Path]:
+    """Write a data set as tar files of samples one after the other, as the package `webdataset` reads them.
+
+    A sample `world-00000-frame-011` has `.png`, the picture; `.npz`, the arrays of `VapSample`; and `.json`, an object
+    with `world`, `tick`, `names`, `concepts`, `mode`, `split`, and `unary` and `binary`, the names of predicates. The
+    same data set gives the same bytes.
+
+    Args:
+        folder: that `logicity vap make` has made.
+        out_dir: made under another name and renamed when all is there: `shard-000000.tar` and so on.
+        shard_size: so many samples a file, but for the last.
+        images: whether pictures go along.
+
+    Returns:
+        The files.
+
+    Raises:
+        FileExistsError: there is something at `out_dir`.
+        OSError: a file cannot be read or written.
+        ValueError: as `VapDataset`, or a `shard_size` below 1.
+    """
+    if shard_size < 1:
+        raise ValueError(f"a shard has at least one sample, not {shard_size}")
+    samples = VapDataset(folder, images)
+    with _new_folder(Path(out_dir)) as partial, Progress("sample", len(samples)) as progress:
+        for first in range(0, len(samples), shard_size):
+            with tarfile.open(partial / f"shard-{first // shard_size:06}.tar", "w") as tar:
+                for index in range(first, min(first + shard_size, len(samples))):
+                    _add_sample(tar, samples, index)
+                    progress.tell(index + 1)
+    return sorted(Path(out_dir).iterdir())
+
+
+def _add_sample(tar: tarfile.TarFile, samples: VapDataset, index: int) -> None:
+    sample = samples.facts(index)
+    told = {
+        **{name: getattr(sample, name) for name in ("world", "tick", "names", "concepts")},
+        **{"mode": samples.mode, "split": samples.split, "unary": UNARY, "binary": BINARY},
+    }
+    arrays = io.BytesIO()
+    np.savez_compressed(arrays, **_arrays(sample))
+    contents = {"json": json.dumps(told).encode(), "npz": arrays.getvalue()}
+    if samples.images:
+        contents["png"] = samples.picture_path(index).read_bytes()
+    for ending, content in contents.items():
+        # The name up to the first dot is that of the sample; owner and time stay zero.
+        entry = tarfile.TarInfo(f"world-{sample.world:05}-frame-{sample.tick:03}.{ending}")
+        entry.size = len(content)
+        tar.addfile(entry, io.BytesIO(content))
+
+
+def _arrays(sample: VapSample) -> dict[str, Any]:
+    values = {field.name: getattr(sample, field.name) for field in fields(sample)}
+    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+
+
+@contextmanager
+def _new_folder(path: Path) -> Iterator[Path]:
+    """A folder under another name, which becomes `path` when it is whole."""
+    if path.exists():
+        raise FileExistsError(f"`{path}` is there already")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+    try:
+        yield partial
+        partial.chmod(0o755)
+        partial.rename(path)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, images: bool = True) -> None:
+    """Write the boxes of a data set as JSON in the format of COCO, under a temporary name that becomes `out`.
+
+    `images` have a `file_name` below the folder of the data set, `world` and `tick`. `annotations` are of entities in
+    the picture: `bbox` (left and upper edge, width and height in pixels), `area` of the box, `category_id`, and beside
+    what COCO has, `name`, `concepts`, and `action` for cars. `categories` are `car`, `ambulance`, `bus`, `police`,
+    `tiro`, `reckless`, `pedestrian`, `old` and `young`, from 1 on, and behind them those with several concepts, such as
+    `bus+tiro`, that occur; the `supercategory` is `Car` or `Pedestrian`.
+
+    Args:
+        folder: that `logicity vap make` has made.
+        out: the file.
+        images: whether the pictures have to be there.
+
+    Raises:
+        OSError: a file cannot be read or written.
+        ValueError: as `VapDataset`.
+    """
+    samples = VapDataset(folder, images)
+    pictures: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    kinds: dict[str, str] = {}
+    with Progress("sample", len(samples)) as progress:
+        for index in range(len(samples)):
+            sample = samples.facts(index)
+            place = samples.picture_path(index).relative_to(samples.folder).as_posix()
+            pictures.append(
+                {
+                    **{"id": index, "file_name": place, "width": PICTURE_SIDE, "height": PICTURE_SIDE},
+                    **{"world": sample.world, "tick": sample.tick},
+                }
+            )
+            for told in _annotations(sample):
+                kinds[told["category"]] = told.pop("type")
+                annotations.append({"id": len(annotations) + 1, "image_id": index, **told})
+            progress.tell(index + 1)
+    several = sorted(set(kinds) - set(CATEGORIES))
+    categories = [
+        {"id": number, "name": name, "supercategory": CATEGORIES.get(name) or kinds[name]}
+        for number, name in enumerate([*CATEGORIES, *several], 1)
+    ]
+    numbers = {category["name"]: category["id"] for category in categories}
+    for annotation in annotations:
+        annotation["category_id"] = numbers[annotation.pop("category")]
+    told = {"description": f"LogiCity, Visual Action Prediction, {samples.mode}, {samples.split}"}
+    write_json(out, {"info": told, "images": pictures, "annotations": annotations, "categories": categories})
+
+
+def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:
+    """The entities in a picture, with the names of type and category."""
+    for entity in np.flatnonzero(~np.isnan(sample.boxes[:, 0])).tolist():
+        box = sample.boxes[entity].tolist()
+        kind = "Car" if sample.mask[entity] else "Pedestrian"
+        told = {
+            "category": sample.concepts[entity] or kind.lower(),
+            "type": kind,
+            "bbox": box,
+            "area": box[2] * box[3],
+            "iscrowd": 0,
+            "name": sample.names[entity],
+            "concepts": sample.concepts[entity],
+        }
+        if sample.mask[entity]:
+            told["action"] = ACTIONS[sample.actions[entity]]
+        yield told

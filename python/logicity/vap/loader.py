@@ -1,0 +1,101 @@
+"""Samples for PyTorch. Needs the extra `vap`: `pip install './python[vap]'`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+from ..errors import missing_extra
+from .data import PICTURE_SIDE, VapDataset, VapSample
+
+try:
+    import torch
+    import torch.utils.data
+except ImportError as error:
+    raise missing_extra("vap", error) from error
+
+__all__ = ["TorchVapDataset", "padded_batch"]
+
+#: How many of the first axes of a field count entities, and what stands where there are none.
+PADDED: dict[str, tuple[int, float]] = {
+    "boxes": (1, float("nan")),
+    "h": (1, 0),
+    "unary": (1, 0),
+    "binary": (2, 0),
+    "sees": (2, 0),
+    "actions": (1, -1),
+    "mask": (1, 0),
+}
+
+
+class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
+    """A data set as `torch_dataset` tells."""
+
+    def __init__(self, samples: VapDataset) -> None:
+        """Take the samples of a data set."""
+        self.samples = samples
+
+    def __len__(self) -> int:
+        """How many samples there are."""
+        return len(self.samples)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        """Read a sample."""
+        return self.__getitems__([index])[0]
+
+    def __getitems__(self, indices: Sequence[int]) -> list[dict[str, Any]]:
+        """Read samples. Their pictures lie side by side, so that a batch of them is made without a copy."""
+        samples = [as_tensors(self.samples.facts(index)) for index in indices]
+        if self.samples.images:
+            images = _room((len(indices), 3, PICTURE_SIDE, PICTURE_SIDE))
+            for index, image, sample in zip(indices, images, samples, strict=True):
+                self.samples.read_picture(index, image.numpy())
+                sample["image"] = image
+        return samples
+
+
+def _room(shape: tuple[int, ...]) -> torch.Tensor:
+    """Bytes to be written; in a worker, where the process that trains finds them, as `default_collate` has them."""
+    if torch.utils.data.get_worker_info() is None:
+        return torch.empty(shape, dtype=torch.uint8)
+    storage = torch.UntypedStorage._new_shared(math.prod(shape))
+    return torch.empty(0, dtype=torch.uint8).set_(storage, 0, shape)
+
+
+def as_tensors(sample: VapSample) -> dict[str, Any]:
+    """All of a sample but its picture."""
+    told = {field.name: getattr(sample, field.name) for field in fields(sample) if field.name != "image"}
+    return {name: torch.from_numpy(value) if name in PADDED else value for name, value in told.items()}
+
+
+def padded_batch(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Make a batch as `collate` tells."""
+    if not samples:
+        raise ValueError("there are no samples")
+    counts = torch.tensor([len(sample["mask"]) for sample in samples])
+    batch: dict[str, Any] = {name: [sample[name] for sample in samples] for name in ("names", "concepts")}
+    batch |= {name: torch.tensor([sample[name] for sample in samples]) for name in ("world", "tick")}
+    batch["there"] = torch.arange(int(counts.max())) < counts[:, None]
+    for name, (axes, filler) in PADDED.items():
+        batch[name] = _padded([sample[name] for sample in samples], axes, int(counts.max()), filler)
+    if "image" in samples[0]:
+        batch["image"] = _stacked([sample["image"] for sample in samples])
+    return batch
+
+
+def _padded(tensors: list[torch.Tensor], axes: int, most: int, filler: float) -> torch.Tensor:
+    all_of_them = tensors[0].new_full((len(tensors), *(most,) * axes, *tensors[0].shape[axes:]), filler)
+    for row, tensor in zip(all_of_them, tensors, strict=True):
+        row[tuple(slice(count) for count in tensor.shape[:axes])] = tensor
+    return all_of_them
+
+
+def _stacked(images: list[torch.Tensor]) -> torch.Tensor:
+    """Pictures as a batch: that of `__getitems__`, if it is theirs."""
+    whole = images[0]._base
+    places = [image.data_ptr() for image in images]
+    if whole is not None and places == [row.data_ptr() for row in whole]:
+        return whole
+    return torch.stack(images)

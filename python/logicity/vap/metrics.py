@@ -1,0 +1,84 @@
+"""How good predicted actions are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..city import ACTIONS
+
+__all__ = ["VapMetrics", "vap_metrics"]
+
+
+@dataclass(frozen=True)
+class VapMetrics:
+    """How good predicted actions of cars are; rates are shares, 0 to 1.
+
+    - `recall`: by action that occurs, of the cars of which the rules want it, those of which it is predicted.
+    - `counts`: by action, of how many cars the rules want it.
+    - `a_acc`: the mean over frames of the share of the frame's cars that are predicted right.
+    - `w_acc`: the sum of recall / count over the sum of 1 / count, over the actions that occur: rare ones weigh most.
+    """
+
+    recall: Mapping[str, float]
+    counts: Mapping[str, int]
+    a_acc: float
+    w_acc: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, as they are written to JSON."""
+        return asdict(self)
+
+
+def vap_metrics(labels: ArrayLike, predictions: ArrayLike, frames: ArrayLike) -> VapMetrics:
+    """Measure predictions as the paper does (LogiCity, NeurIPS 2024, Datasets and Benchmarks).
+
+    With the M cars of all frames one after the other, in any order:
+
+    Args:
+        labels: integers (M,), what the rules want, positions in `logicity.ACTIONS`.
+        predictions: integers (M,), what is predicted.
+        frames: integers (M,), equal for cars of the same frame.
+
+    Raises:
+        TypeError: something that is no array of integers.
+        ValueError: there are no cars, arrays of different lengths, or a number that is no action.
+    """
+    wanted, predicted, of_frame = (
+        _integers(name, values)
+        for name, values in [("labels", labels), ("predictions", predictions), ("frames", frames)]
+    )
+    if not len(wanted) == len(predicted) == len(of_frame):
+        raise ValueError(f"{len(wanted)} labels, {len(predicted)} predictions and {len(of_frame)} frames")
+    if len(wanted) == 0:
+        raise ValueError("there are no cars")
+    for name, values in [("labels", wanted), ("predictions", predicted)]:
+        if values.min() < 0 or values.max() >= len(ACTIONS):
+            wrong = values[(values < 0) | (values >= len(ACTIONS))][0]
+            raise ValueError(f"{name} are 0 to {len(ACTIONS) - 1}, not {wrong}; leave pedestrians out")
+    right = wanted == predicted
+    counts = np.bincount(wanted, minlength=len(ACTIONS))
+    occurs = np.flatnonzero(counts)
+    recall = np.bincount(wanted[right], minlength=len(ACTIONS))[occurs] / counts[occurs]
+    weights = 1 / counts[occurs]
+    _, frame = np.unique(of_frame, return_inverse=True)
+    return VapMetrics(
+        recall={ACTIONS[action]: float(share) for action, share in zip(occurs, recall, strict=True)},
+        counts={ACTIONS[action]: int(counts[action]) for action in occurs},
+        a_acc=float(np.mean(np.bincount(frame, right) / np.bincount(frame))),
+        w_acc=float((recall * weights).sum() / weights.sum()),
+    )
+
+
+def _integers(name: str, values: ArrayLike) -> NDArray[np.int64]:
+    array = np.asarray(values)
+    if array.ndim != 1:
+        raise ValueError(f"{name} have the shape (M,), not {array.shape}")
+    # An empty list has no type of its own.
+    if array.size and not np.issubdtype(array.dtype, np.integer):
+        raise TypeError(f"{name} are integers, not {array.dtype}")
+    return array.astype(np.int64)

@@ -1,0 +1,253 @@
+//! Data sets of Visual Action Prediction: tables of a world as arrays, and pictures.
+
+use crate::{input_error, slice_of};
+use logicity::city::Heading;
+use logicity::config::{AgentKind, Speed};
+use logicity::diag::{Code, Diagnostic, Sources};
+use logicity::render::PixelBox;
+use logicity::task::vap::SIDE;
+use logicity::task::vap::table::{Table, boxes, sample_rows};
+use numpy::ndarray::{Array2, ArrayView1, array};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadwriteArray3, PyUntypedArrayMethods};
+use png::{BitDepth, ColorType, Decoder, DecodingError};
+use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyString;
+use std::collections::HashMap;
+use std::fs;
+use std::io::{self, Cursor};
+use std::path::{Path, PathBuf};
+
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("PICTURE_SIDE", SIDE)?;
+    module.add_function(wrap_pyfunction!(read_world, module)?)?;
+    module.add_function(wrap_pyfunction!(read_picture, module)?)
+}
+
+/// Why a file of a data set is not one.
+enum Unread {
+    File(PathBuf, io::Error),
+    Faulty(Diagnostic),
+}
+
+impl From<Diagnostic> for Unread {
+    fn from(fault: Diagnostic) -> Self {
+        Unread::Faulty(fault)
+    }
+}
+
+impl Unread {
+    fn raise(self, py: Python<'_>, path: &Path) -> PyErr {
+        match self {
+            // As Python itself reports it, with the class that goes with the number.
+            Unread::File(path, error) => match error.raw_os_error() {
+                Some(code) => PyOSError::new_err((code, error.kind().to_string(), path)),
+                None => PyOSError::new_err(format!("cannot read `{}`: {error}", path.display())),
+            },
+            Unread::Faulty(fault) => {
+                let placed = fault.note(format!("in `{}`", path.display()));
+                input_error(py, &[placed], &Sources::new())
+            }
+        }
+    }
+}
+
+fn faulty(message: impl Into<String>) -> Unread {
+    Unread::Faulty(Diagnostic::new(Code::InvalidDataSet, message))
+}
+
+/// What the two tables of a world hold, row by row.
+struct World {
+    ticks: Vec<i32>,
+    /// Where the entities of each sample begin, and where the last ones end.
+    starts: Vec<i64>,
+    names: Vec<String>,
+    concepts: Vec<String>,
+    /// Priority, heading and label; -1 for a heading and a label that are not there.
+    numbers: [Vec<i64>; 3],
+    boxes: Array2<f32>,
+    unary: Array2<bool>,
+    binary: Array2<bool>,
+    sees: Vec<bool>,
+}
+
+fn read_bytes(path: PathBuf) -> Result<Vec<u8>, Unread> {
+    fs::read(&path).map_err(|error| Unread::File(path, error))
+}
+
+/// The codes of a column, -1 for nothing.
+fn codes(table: &Table, name: &str, count: usize) -> Result<Vec<i64>, Unread> {
+    let code = |value: &Option<i32>| match value {
+        None => Ok(-1),
+        Some(code) if usize::try_from(*code).is_ok_and(|code| code < count) => Ok(i64::from(*code)),
+        Some(other) => Err(faulty(format!("{other} is not a {name}"))),
+    };
+    table.maybe_ints(name)?.iter().map(code).collect()
+}
+
+/// Columns of truth values side by side.
+fn truths(table: &Table, names: &[String]) -> Result<Array2<bool>, Unread> {
+    let mut all = Array2::from_elem((table.rows(), names.len()), false);
+    for (name, mut column) in names.iter().zip(all.columns_mut()) {
+        column.assign(&ArrayView1::from(table.bools(name)?));
+    }
+    Ok(all)
+}
+
+impl World {
+    fn read(folder: &Path, number: u32, unary: &[String], binary: &[String]) -> Result<World, Unread> {
+        let entities = Table::read(read_bytes(folder.join("entities.parquet"))?)?;
+        let pairs = Table::read(read_bytes(folder.join("pairs.parquet"))?)?;
+        let samples = sample_rows(number, &entities, &pairs)?;
+        let priorities = entities.maybe_ints("priority")?.iter();
+        let priorities =
+            priorities.map(|priority| priority.map(i64::from).ok_or_else(|| faulty("a priority is missing")));
+        let labels = codes(&entities, "label", Speed::ALL.len())?;
+        let kinds = entities.texts("type")?;
+        let names = entities.texts("name")?;
+        for ((kind, label), name) in kinds.iter().zip(&labels).zip(names) {
+            if (kind == AgentKind::Car.name()) != (*label >= 0) {
+                return Err(faulty(format!("cars have labels, and they alone: {name} is a {kind}")));
+            }
+        }
+        let mut sides = Array2::from_elem((entities.rows(), 4), f32::NAN);
+        for (pixels, mut place) in boxes(&entities)?.into_iter().zip(sides.rows_mut()) {
+            #[expect(clippy::cast_precision_loss, reason = "the pixels of a picture are few")]
+            if let Some(PixelBox { x, y, width, height }) = pixels {
+                place.assign(&array![x as f32, y as f32, width as f32, height as f32]);
+            }
+        }
+        let row = |row: usize| i64::try_from(row).expect("fewer than 2^63");
+        Ok(World {
+            ticks: samples.iter().map(|sample| sample.tick).collect(),
+            starts: (samples.iter().map(|sample| row(sample.entities.start)))
+                .chain([row(entities.rows())])
+                .collect(),
+            names: names.to_vec(),
+            concepts: entities.texts("concepts")?.to_vec(),
+            numbers: [
+                priorities.collect::<Result<_, _>>()?,
+                codes(&entities, "heading", Heading::ALL.len())?,
+                labels,
+            ],
+            boxes: sides,
+            unary: truths(&entities, unary)?,
+            binary: truths(&pairs, binary)?,
+            sees: pairs.bools("Sees")?.to_vec(),
+        })
+    }
+}
+
+/// The arrays of a world, as `_logicity.pyi` tells them.
+type WorldArrays<'py> = (
+    Bound<'py, PyArray1<i32>>,
+    Bound<'py, PyArray1<i64>>,
+    Vec<Bound<'py, PyString>>,
+    Vec<Bound<'py, PyString>>,
+    Vec<Bound<'py, PyArray1<i64>>>,
+    Bound<'py, PyArray2<f32>>,
+    Bound<'py, PyArray2<bool>>,
+    Bound<'py, PyArray2<bool>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+/// Texts, each of which is made once.
+fn shared_texts<'py>(py: Python<'py>, texts: &[String]) -> Vec<Bound<'py, PyString>> {
+    let mut made: HashMap<&str, Bound<'_, PyString>> = HashMap::new();
+    let once = |text| made.entry(text).or_insert_with(|| PyString::new(py, text)).clone();
+    texts.iter().map(String::as_str).map(once).collect()
+}
+
+/// The tables of a world. Other threads of Python run meanwhile.
+#[pyfunction]
+fn read_world(
+    py: Python<'_>,
+    folder: PathBuf,
+    number: u32,
+    unary: Vec<String>,
+    binary: Vec<String>,
+) -> PyResult<WorldArrays<'_>> {
+    let read = py.detach(|| World::read(&folder, number, &unary, &binary));
+    let world = read.map_err(|unread| unread.raise(py, &folder))?;
+    Ok((
+        world.ticks.into_pyarray(py),
+        world.starts.into_pyarray(py),
+        shared_texts(py, &world.names),
+        shared_texts(py, &world.concepts),
+        world.numbers.map(|numbers| numbers.into_pyarray(py)).into(),
+        world.boxes.into_pyarray(py),
+        world.unary.into_pyarray(py),
+        world.binary.into_pyarray(py),
+        world.sees.into_pyarray(py),
+    ))
+}
+
+/// How the colours of a picture lie in memory.
+#[derive(Clone, Copy)]
+enum Layout {
+    /// (rows, columns, 3)
+    Pixels,
+    /// (3, rows, columns)
+    Planes,
+}
+
+fn undecoded(error: DecodingError) -> Unread {
+    faulty(format!("not a picture: {error}"))
+}
+
+/// Decodes a PNG of that many rows and columns, 8 bits a colour.
+fn decode(path: &Path, (rows, columns): (usize, usize), layout: Layout, out: &mut [u8]) -> Result<(), Unread> {
+    let bytes = read_bytes(path.to_owned())?;
+    let mut reader = Decoder::new(Cursor::new(bytes)).read_info().map_err(undecoded)?;
+    let info = reader.info();
+    let found = (
+        info.height as usize,
+        info.width as usize,
+        info.color_type,
+        info.bit_depth,
+        info.interlaced,
+    );
+    if found != (rows, columns, ColorType::Rgb, BitDepth::Eight, false) {
+        return Err(faulty(format!(
+            "not a picture of {rows} rows and {columns} columns in red, green and blue of 8 bits, row by row"
+        )));
+    }
+    let size = rows * columns;
+    for number in 0..rows {
+        let row = reader.next_row().map_err(undecoded)?;
+        let row = row.ok_or_else(|| faulty("not a picture: rows are missing"))?;
+        let start = number * columns;
+        match layout {
+            Layout::Pixels => out[3 * start..][..3 * columns].copy_from_slice(row.data()),
+            Layout::Planes => {
+                let (red, rest) = out.split_at_mut(size);
+                let (green, blue) = rest.split_at_mut(size);
+                let planes = (red[start..][..columns].iter_mut())
+                    .zip(&mut green[start..][..columns])
+                    .zip(&mut blue[start..][..columns]);
+                for (((red, green), blue), pixel) in planes.zip(row.data().chunks_exact(3)) {
+                    (*red, *green, *blue) = (pixel[0], pixel[1], pixel[2]);
+                }
+            }
+        }
+    }
+    // Reads what is behind the last row, so that damage there is found, too.
+    reader.finish().map_err(undecoded)
+}
+
+/// Decodes a picture into an array of shape (rows, columns, 3) or, in planes, (3, rows, columns). Other threads of Python run meanwhile.
+#[pyfunction]
+fn read_picture(py: Python<'_>, path: PathBuf, mut out: PyReadwriteArray3<'_, u8>) -> PyResult<()> {
+    let (layout, size) = match *out.shape() {
+        [rows, columns, 3] => (Layout::Pixels, (rows, columns)),
+        [3, rows, columns] => (Layout::Planes, (rows, columns)),
+        _ => {
+            return Err(PyValueError::new_err(
+                "a picture has the shape (rows, columns, 3) or (3, rows, columns)",
+            ));
+        }
+    };
+    let pixels = slice_of(&mut out, 3 * size.0 * size.1)?;
+    let decoded = py.detach(|| decode(&path, size, layout, pixels));
+    decoded.map_err(|unread| unread.raise(py, &path))
+}

@@ -1,0 +1,629 @@
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import pickle
+import random
+import shutil
+import tarfile
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import SETS, picture, png
+from numpy.typing import NDArray
+
+import logicity
+from logicity import ACTIONS, HEADINGS, InputError
+from logicity.__main__ import main
+from logicity.vap import (
+    BINARY,
+    PICTURE_SIDE,
+    UNARY,
+    VapDataset,
+    VapSample,
+    collate,
+    measure_baselines,
+    to_coco,
+    to_webdataset,
+    torch_dataset,
+    vap_metrics,
+)
+from logicity.vap.baselines import rule_actions
+
+
+@pytest.fixture(scope="session")
+def hard(sets: Path) -> VapDataset:
+    return VapDataset(sets / "hard", images=False)
+
+
+@pytest.fixture(scope="session")
+def drawn(sets: Path) -> VapDataset:
+    return VapDataset(sets / "random", images=False)
+
+
+@pytest.fixture
+def own(sets: Path, tmp_path: Path) -> Path:
+    """A copy of a data set to be damaged."""
+    return Path(shutil.copytree(sets / "hard", tmp_path / "own"))
+
+
+def test_samples_are_by_world_and_tick(hard: VapDataset, drawn: VapDataset) -> None:
+    assert (hard.mode, hard.agents, hard.split) == ("hard", "fixed", "test")
+    assert (drawn.mode, drawn.agents, drawn.split) == ("easy", "random", "val")
+    assert repr(hard) == "<VapDataset hard, fixed agents, test: 178 samples>"
+    for samples, worlds in ((hard, 2), (drawn, 3)):
+        wanted = [(world, tick) for world in range(worlds) for tick in range(11, 100)]
+        assert [(sample.world, sample.tick) for sample in samples] == wanted and len(samples) == len(wanted)
+    assert len({len(sample.names) for sample in drawn}) > 1, "these tests want worlds of different sizes"
+    assert (hard[-1].world, hard[-1].tick) == (1, 99)
+    for index in (178, -179):
+        with pytest.raises(IndexError):
+            hard[index]
+
+
+def test_arrays_have_their_shapes_and_types(drawn: VapDataset) -> None:
+    for sample in drawn:
+        count = len(sample.names)
+        shapes = {
+            "boxes": ((count, 4), np.float32),
+            "h": ((count, 9), np.float32),
+            "unary": ((count, 11), np.bool_),
+            "binary": ((count, count, 6), np.bool_),
+            "sees": ((count, count), np.bool_),
+            "actions": ((count,), np.int64),
+            "mask": ((count,), np.bool_),
+        }
+        for name, (shape, dtype) in shapes.items():
+            array = getattr(sample, name)
+            assert array.shape == shape and array.dtype == dtype and array.flags.c_contiguous and array.flags.owndata
+        assert len(sample.concepts) == count and sample.image is None
+        assert [name.startswith("Car") for name in sample.names] == sample.mask.tolist()
+        assert ((sample.actions >= 0) == sample.mask).all() and sample.actions.max() < 4
+        assert sample.sees.diagonal().all() and not sample.binary.diagonal().any()
+
+
+def test_what_is_read_is_ones_own(hard: VapDataset) -> None:
+    before = hard[5]
+    for name in ("boxes", "h", "unary", "binary", "sees", "actions", "mask"):
+        getattr(hard[5], name)[:] = 1
+    assert alike(before, hard[5])
+
+
+def alike(one: VapSample, other: VapSample) -> bool:
+    """Whether two samples are the same."""
+    values = [(getattr(one, name), getattr(other, name)) for name in one.__dataclass_fields__]
+    return all(np.array_equal(a, b, equal_nan=np.asarray(a).dtype == np.float32) for a, b in values)
+
+
+def test_the_columns_of_predicates_are_those_they_are_named_by(hard: VapDataset) -> None:
+    concepts = ["ambulance", "bus", "police", "tiro", "reckless", "old", "young"]
+    for sample in hard:
+        of = dict(zip(UNARY, sample.unary.T, strict=True))
+        assert (of["IsCar"] == sample.mask).all() and (of["IsPedestrian"] != sample.mask).all()
+        for concept in concepts:
+            carried = [concept in carries.split("+") for carries in sample.concepts]
+            assert of[f"Is{concept.capitalize()}"].tolist() == carried
+        between = dict(zip(BINARY, np.moveaxis(sample.binary, -1, 0), strict=True))
+        priorities = sample.h[:, 8]
+        assert (between["HigherPri"] == (priorities[:, None] < priorities)).all()
+        assert not (between["LeftOf"] & between["RightOf"]).any() and not (between["IsClose"] & between["NextTo"]).any()
+    assert all(np.any([sample.unary[:, column].any() for sample in hard]) for column in range(len(UNARY)))
+    assert all(np.any([sample.binary[..., column].any() for sample in hard]) for column in range(len(BINARY)))
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_the_rules_derive_every_label(name: str, sets: Path) -> None:
+    samples = VapDataset(sets / name, images=False)
+    labels = np.concatenate([sample.actions[sample.mask] for sample in samples])
+    assert (rule_actions(samples) == labels).all()
+
+
+def test_a_sample_is_what_the_tables_say(sets: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="needs the extra `offline`: `make python-all` installs it")
+    samples = iter(VapDataset(sets / "random", images=False))
+    for world in range(3):
+        folder = sets / "random" / f"world-{world:05}"
+        rows = parquet.read_table(folder / "entities.parquet").to_pylist()
+        pairs = defaultdict(list)
+        for row in parquet.read_table(folder / "pairs.parquet").to_pylist():
+            pairs[row["tick"]].append(row)
+        for tick in range(11, 100):
+            sample = next(samples)
+            entities = [row for row in rows if row["tick"] == tick]
+            largest = max(row["priority"] for row in entities)
+            assert sample.names == tuple(row["name"] for row in entities)
+            assert sample.concepts == tuple(row["concepts"] for row in entities)
+            for at, row in enumerate(entities):
+                box = [row[side] for side in ("x", "y", "width", "height")]
+                heading = [0.0] * 4
+                if row["heading"] is not None:
+                    heading[row["heading"]] = 1.0
+                if box[0] is None:
+                    assert np.isnan(sample.boxes[at]).all()
+                    box = [0] * 4
+                else:
+                    assert sample.boxes[at].tolist() == box
+                wanted = [*(side / 1024 for side in box), *heading, row["priority"] / largest]
+                assert sample.h[at].tolist() == pytest.approx(wanted)
+                assert sample.actions[at] == (-1 if row["label"] is None else row["label"])
+                assert sample.unary[at].tolist() == [row[name] for name in UNARY]
+            for row in pairs[tick]:
+                pair = (row["first"], row["second"])
+                assert sample.binary[pair].tolist() == [row[name] for name in BINARY]
+                assert sample.sees[pair] == row["Sees"]
+    assert HEADINGS == ("Left", "Right", "Up", "Down")
+
+
+def test_node_vectors_are_shares(hard: VapDataset, drawn: VapDataset) -> None:
+    for sample in (*hard, *drawn):
+        assert (sample.h >= 0).all() and (sample.h <= 1).all() and (sample.h[:, 2:4] > 0).all()
+        assert (sample.h[:, 4:8].sum(1) <= 1).all() and sample.h[:, 8].max() == 1
+        assert (sample.h[:, :4] * PICTURE_SIDE == sample.boxes).all()
+
+
+def test_entities_outside_have_no_box(own: Path, tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow", reason="needs the extra `offline`: `make python-all` installs it")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path = own / "world-00000" / "entities.parquet"
+    table = parquet.read_table(path)
+    outside = np.arange(table.num_rows) % 5 == 2
+    for name in ("x", "y", "width", "height"):
+        column = pyarrow.array(table[name].to_numpy(), mask=outside, type=pyarrow.int32())
+        table = table.set_column(table.schema.get_field_index(name), table.schema.field(name), column)
+    parquet.write_table(table, path)
+    samples = VapDataset(own, images=False)
+    for index, gone in enumerate(np.split(outside, 89)):
+        sample = samples[index]
+        assert np.isnan(sample.boxes[gone]).all() and not np.isnan(sample.boxes[~gone]).any()
+        assert (sample.h[gone, :4] == 0).all() and (sample.h[~gone, 2:4] > 0).all()
+    to_coco(own, tmp_path / "boxes.json", images=False)
+    told = check_coco(tmp_path / "boxes.json", samples)
+    assert len(told["annotations"]) == 2 * 89 * 14 - outside.sum()
+
+
+def image_of(sample: VapSample) -> NDArray[np.uint8]:
+    assert sample.image is not None
+    return sample.image
+
+
+def test_pictures_are_those_of_their_samples(shown: Path) -> None:
+    samples = VapDataset(shown)
+    planes = np.empty((3, PICTURE_SIDE, PICTURE_SIDE), np.uint8)
+    for index in (0, 1, 90, -1):
+        sample = samples[index]
+        wanted = picture(sample.world, sample.tick)
+        assert np.array_equal(image_of(sample), wanted)
+        samples.read_picture(index, planes)
+        assert (planes == wanted.transpose(2, 0, 1)).all()
+    noise = np.random.default_rng(0).integers(0, 256, (PICTURE_SIDE, PICTURE_SIDE, 3), np.uint8)
+    path = samples.picture_path(3)
+    before = path.read_bytes()
+    path.write_bytes(png(noise))
+    assert np.array_equal(image_of(samples[3]), noise)
+    path.write_bytes(before)
+
+
+def test_pictures_go_only_where_they_fit(shown: Path) -> None:
+    samples = VapDataset(shown)
+    for shape in [(PICTURE_SIDE, PICTURE_SIDE), (PICTURE_SIDE, PICTURE_SIDE, 4), (3, 3, 3), (3, PICTURE_SIDE, 3)]:
+        with pytest.raises(ValueError, match="shape"):
+            samples.read_picture(0, np.empty(shape, np.uint8))
+    with pytest.raises(ValueError, match="contiguous"):
+        samples.read_picture(0, np.empty((PICTURE_SIDE, 2 * PICTURE_SIDE, 3), np.uint8)[:, ::2])
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda whole: b"", "not a picture"),
+        (lambda whole: whole[: len(whole) // 2], "not a picture"),
+        (lambda whole: whole[:-6], "not a picture"),
+        (lambda whole: whole[:200] + bytes([whole[200] ^ 1]) + whole[201:], "not a picture"),
+        (lambda whole: png(picture(0, 11), rows=1000), "not a picture"),
+        (lambda whole: png(picture(0, 11)[:512]), "1024 rows and 1024 columns"),
+        (lambda whole: png(picture(0, 11), interlaced=1), "row by row"),
+    ],
+)
+def test_faulty_pictures_are_told(damage: Callable[[bytes], bytes], told: str, shown: Path) -> None:
+    samples = VapDataset(shown)
+    path = samples.picture_path(5)
+    whole = path.read_bytes()
+    path.write_bytes(damage(whole))
+    with pytest.raises(InputError, match=told) as error:
+        samples[5]
+    assert path.name in str(error.value) and error.value.diagnostics[0]["code"] == "invalid-data-set"
+    path.unlink()
+    with pytest.raises(FileNotFoundError, match=path.name):
+        samples[5]
+    path.write_bytes(whole)
+
+
+def test_faulty_data_sets_are_told(own: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        VapDataset(tmp_path / "nowhere")
+    with pytest.raises(ValueError, match="made with `--no-pictures`"):
+        VapDataset(own)
+    manifest = (own / "manifest.json").read_text()
+    for text, told in [
+        (manifest.replace('"version": 2', '"version": 1'), "version 1; this package reads version 2"),
+        (manifest.replace('"logicity vap"', '"photographs"'), "a data set `photographs`"),
+        ("{", "no manifest"),
+        ("[]", "no manifest"),
+        (manifest.replace('"split"', '"half"'), "no manifest"),
+        (manifest.replace('"world"', '"town"'), "no manifest"),
+    ]:
+        assert text != manifest
+        (own / "manifest.json").write_text(text)
+        with pytest.raises(ValueError, match=told):
+            VapDataset(own, images=False)
+    (own / "manifest.json").write_text(manifest.replace('"frames": 89', '"frames": 88'))
+    with pytest.raises(ValueError, match="has 89 frames, the manifest lists 88"):
+        VapDataset(own, images=False)[0]
+
+
+def test_faulty_tables_are_told(own: Path) -> None:
+    samples = VapDataset(own, images=False, cached_worlds=0)
+    entities, pairs = (own / "world-00001" / name for name in ("entities.parquet", "pairs.parquet"))
+    whole = entities.read_bytes()
+    for damaged, told in [
+        (whole[: len(whole) // 2], "not a table of frames"),
+        (pairs.read_bytes(), "there is no column `agent`"),
+        ((own / "world-00000" / "entities.parquet").read_bytes(), "not those of one sample"),
+        (whole.replace(b"IsInInter", b"IsInOuter"), "there is no column `IsInInter`"),
+        (whole.replace(b"Pedestrian", b"Pedestrain").replace(b"\x03\x00\x00\x00Car", b"\x03\x00\x00\x00Bar"), ""),
+    ]:
+        assert damaged != whole
+        entities.write_bytes(damaged)
+        assert alike(samples[0], samples[0]), "the other world is whole"
+        with pytest.raises(InputError, match=told) as error:
+            samples[100]
+        assert "world-00001" in str(error.value) and error.value.diagnostics[0]["code"] == "invalid-data-set"
+    entities.unlink()
+    with pytest.raises(FileNotFoundError, match=entities.name):
+        samples[100]
+
+
+def test_data_sets_can_be_pickled(hard: VapDataset, shown: Path) -> None:
+    assert alike(pickle.loads(pickle.dumps(hard))[120], hard[120])
+    again = pickle.loads(pickle.dumps(VapDataset(shown)))
+    assert again[7].image is not None and len(pickle.dumps(again)) < 1000
+
+
+def test_shuffling_is_a_function_of_the_seed(drawn: VapDataset) -> None:
+    def order(**options: Any) -> list[tuple[int, int]]:
+        return [(sample.world, sample.tick) for sample in drawn.iterate(**options)]
+
+    plain = [(sample.world, sample.tick) for sample in drawn]
+    assert order(shuffle=False) == plain
+    assert order(seed=3) == order(seed=3) != order(seed=4)
+    assert order(seed=3) != plain and sorted(order(seed=3)) == plain
+    for shuffle in (True, False):
+        shards = [order(seed=3, shuffle=shuffle, shard=(part, 4)) for part in range(4)]
+        assert sorted(sum(shards, [])) == plain and {len(shard) for shard in shards} == {66, 67}
+        assert [shards[place % 4][place // 4] for place in range(len(plain))] == order(seed=3, shuffle=shuffle)
+    for shard in [(0, 0), (1, 1), (-1, 2)]:
+        with pytest.raises(ValueError, match="count from 0"):
+            drawn.iterate(shard=shard)
+
+
+def slow_metrics(
+    labels: list[int], predictions: list[int], frames: list[int]
+) -> tuple[Mapping[str, float], float, float]:
+    """Recalls, aAcc and wAcc by their definitions."""
+    cars = list(zip(labels, predictions, frames, strict=True))
+    recall: dict[str, float] = {}
+    above, below = 0.0, 0.0
+    for action, name in enumerate(ACTIONS):
+        of_it = [predicted for wanted, predicted, _ in cars if wanted == action]
+        if of_it:
+            recall[name] = of_it.count(action) / len(of_it)
+            above += recall[name] / len(of_it)
+            below += 1 / len(of_it)
+    accuracies = []
+    for frame in set(frames):
+        right = [wanted == predicted for wanted, predicted, of in cars if of == frame]
+        accuracies.append(sum(right) / len(right))
+    return recall, sum(accuracies) / len(accuracies), above / below
+
+
+def test_metrics_are_as_defined() -> None:
+    dice = random.Random(0)
+    seen: set[int] = set()
+    for _ in range(300):
+        count, actions = dice.randint(1, 60), dice.randint(1, 4)
+        labels, predictions = ([dice.randrange(actions) for _ in range(count)] for _ in range(2))
+        frames = [dice.choice([-7, 0, 3, 10**12]) for _ in range(count)]
+        found = vap_metrics(labels, np.array(predictions, np.int8), frames)
+        recall, a_acc, w_acc = slow_metrics(labels, predictions, frames)
+        assert found.recall == pytest.approx(recall) and list(found.recall) == list(recall)
+        assert [found.a_acc, found.w_acc] == pytest.approx([a_acc, w_acc])
+        assert found.counts == {name: labels.count(ACTIONS.index(name)) for name in recall}
+        seen.add(len(recall))
+    assert seen == {1, 2, 3, 4}
+
+
+def test_metrics_of_a_case_by_hand() -> None:
+    # Two frames, of one car and of three: Slow is wanted once, Stop three times.
+    found = vap_metrics([0, 3, 3, 3], [0, 3, 1, 1], [1, 2, 2, 2])
+    assert found.recall == {"Slow": 1.0, "Stop": pytest.approx(1 / 3)}
+    assert found.a_acc == pytest.approx((1 + 1 / 3) / 2)
+    assert found.w_acc == pytest.approx((1 / 1 + (1 / 3) / 3) / (1 + 1 / 3))
+    assert json.dumps(found.to_dict())
+
+
+@pytest.mark.parametrize(
+    ("labels", "predictions", "frames", "error", "told"),
+    [
+        ([], [], [], ValueError, "no cars"),
+        ([0], [0, 1], [0], ValueError, "1 labels, 2 predictions and 1 frames"),
+        ([0], [0], [0, 0], ValueError, "2 frames"),
+        ([-1], [0], [0], ValueError, "labels are 0 to 3, not -1; leave pedestrians out"),
+        ([0, 1], [0, 4], [0, 0], ValueError, "predictions are 0 to 3, not 4"),
+        ([[0]], [0], [0], ValueError, r"labels have the shape \(M,\), not \(1, 1\)"),
+        ([0.0], [0], [0], TypeError, "labels are integers, not float64"),
+        ([0], [True], [0], TypeError, "predictions are integers, not bool"),
+        ([0], [0], ["a"], TypeError, "frames are integers"),
+    ],
+)
+def test_faulty_predictions_are_refused(
+    labels: Any, predictions: Any, frames: Any, error: type[Exception], told: str
+) -> None:
+    with pytest.raises(error, match=told):
+        vap_metrics(labels, predictions, frames)
+
+
+def test_shards_hold_every_sample(shown: Path, tmp_path: Path) -> None:
+    samples = VapDataset(shown)
+    paths = to_webdataset(shown, tmp_path / "shards", 100)
+    assert [path.name for path in paths] == [f"shard-{number:06}.tar" for number in range(3)]
+    index = 0
+    for path in paths:
+        with tarfile.open(path) as tar:
+            members = tar.getmembers()
+            assert len(members) == 3 * min(100, len(samples) - index)
+            for json_member, npz_member, png_member in zip(*[iter(members)] * 3, strict=True):
+                sample = samples.facts(index)
+                key = f"world-{sample.world:05}-frame-{sample.tick:03}"
+                names = [member.name for member in (json_member, npz_member, png_member)]
+                assert names == [f"{key}.json", f"{key}.npz", f"{key}.png"]
+                told, arrays, image = (tar.extractfile(member) for member in (json_member, npz_member, png_member))
+                assert told is not None and arrays is not None and image is not None
+                said = json.load(told)
+                assert (said["world"], said["tick"]) == (sample.world, sample.tick)
+                assert (said["names"], said["concepts"]) == (list(sample.names), list(sample.concepts))
+                assert (said["mode"], said["split"]) == ("easy", "val")
+                assert (said["unary"], said["binary"]) == (list(UNARY), list(BINARY))
+                with np.load(arrays) as held:
+                    assert sorted(held) == ["actions", "binary", "boxes", "h", "mask", "sees", "unary"]
+                    for name in held:
+                        assert np.array_equal(held[name], getattr(sample, name), equal_nan=name == "boxes")
+                assert image.read() == samples.picture_path(index).read_bytes()
+                index += 1
+    assert index == len(samples)
+    again = to_webdataset(shown, tmp_path / "again", 100)
+    assert [path.read_bytes() for path in again] == [path.read_bytes() for path in paths]
+    with pytest.raises(FileExistsError):
+        to_webdataset(shown, tmp_path / "again")
+    with pytest.raises(ValueError, match="at least one sample"):
+        to_webdataset(shown, tmp_path / "none", 0)
+    samples.picture_path(200).rename(tmp_path / "aside.png")
+    with pytest.raises(FileNotFoundError):
+        to_webdataset(shown, tmp_path / "partly")
+    (tmp_path / "aside.png").rename(samples.picture_path(200))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["again", "shards"]
+
+
+def test_webdataset_reads_the_shards(shown: Path, tmp_path: Path) -> None:
+    webdataset = pytest.importorskip("webdataset", reason="`make python-all` installs it")
+    paths = to_webdataset(shown, tmp_path / "shards", 100)
+    samples = VapDataset(shown)
+    read = webdataset.WebDataset([str(path) for path in paths], shardshuffle=False).decode("rgb8")
+    count = 0
+    for index, found in enumerate(read):
+        sample = samples[index]
+        assert found["json"]["tick"] == sample.tick and (found["png"] == sample.image).all()
+        assert (found["npz"]["binary"] == sample.binary).all()
+        count += 1
+    assert count == len(samples)
+
+
+def check_coco(path: Path, samples: VapDataset) -> dict[str, Any]:
+    """Check a file against the format of COCO and the samples."""
+    told: dict[str, Any] = json.loads(path.read_text())
+    assert [picture["id"] for picture in told["images"]] == list(range(len(samples)))
+    ids = [annotation["id"] for annotation in told["annotations"]]
+    assert ids == list(range(1, len(ids) + 1))
+    categories = {category["id"]: category for category in told["categories"]}
+    assert list(categories) == list(range(1, len(categories) + 1))
+    by_picture: dict[int, list[dict[str, Any]]] = {picture["id"]: [] for picture in told["images"]}
+    for annotation in told["annotations"]:
+        by_picture[annotation["image_id"]].append(annotation)
+    for index, sample in enumerate(samples):
+        place = told["images"][index]
+        assert samples.folder / place["file_name"] == samples.picture_path(index)
+        assert (place["width"], place["height"]) == (PICTURE_SIDE, PICTURE_SIDE)
+        inside = [at for at in range(len(sample.names)) if not math.isnan(sample.boxes[at, 0])]
+        assert [annotation["name"] for annotation in by_picture[index]] == [sample.names[at] for at in inside]
+        for at, annotation in zip(inside, by_picture[index], strict=True):
+            x, y, width, height = annotation["bbox"]
+            assert [x, y, width, height] == sample.boxes[at].tolist() and annotation["area"] == width * height
+            assert x >= 0 and y >= 0 and x + width <= 1024 and y + height <= 1024 and annotation["iscrowd"] == 0
+            category = categories[annotation["category_id"]]
+            kind = "Car" if sample.mask[at] else "Pedestrian"
+            assert (category["name"], category["supercategory"]) == (sample.concepts[at] or kind.lower(), kind)
+            assert annotation.get("action") == (ACTIONS[sample.actions[at]] if sample.mask[at] else None)
+    return told
+
+
+def test_boxes_are_told_as_coco_has_them(shown: Path, sets: Path, tmp_path: Path) -> None:
+    out = tmp_path / "boxes.json"
+    to_coco(shown, out)
+    check_coco(out, VapDataset(shown))
+    to_coco(sets / "hard", out, images=False)
+    told = check_coco(out, VapDataset(sets / "hard", images=False))
+    names = ["car", "ambulance", "bus", "police", "tiro", "reckless", "pedestrian", "old", "young"]
+    assert [category["name"] for category in told["categories"]] == names
+    assert [path.name for path in tmp_path.iterdir()] == ["boxes.json"]
+    with pytest.raises(ValueError, match="--no-pictures"):
+        to_coco(sets / "hard", tmp_path / "other.json")
+    with pytest.raises(OSError):
+        to_coco(shown, tmp_path / "no" / "such.json")
+
+
+def test_several_concepts_are_a_category_of_their_own(own: Path, tmp_path: Path) -> None:
+    # Two ways to write nine letters.
+    for path in own.glob("world-*/entities.parquet"):
+        path.write_bytes(path.read_bytes().replace(b"ambulance", b"bus+tiros"))
+    to_coco(own, tmp_path / "boxes.json", images=False)
+    told = check_coco(tmp_path / "boxes.json", VapDataset(own, images=False))
+    assert told["categories"][9:] == [{"id": 10, "name": "bus+tiros", "supercategory": "Car"}]
+
+
+def test_pycocotools_reads_the_boxes(shown: Path, tmp_path: Path) -> None:
+    coco = pytest.importorskip("pycocotools.coco", reason="`make python-all` installs it")
+    evaluation = pytest.importorskip("pycocotools.cocoeval")
+    to_coco(shown, tmp_path / "boxes.json")
+    truth = coco.COCO(tmp_path / "boxes.json")
+    wanted = truth.loadAnns(truth.getAnnIds())
+    keys = ("image_id", "category_id", "bbox")
+    found = truth.loadRes([{**{key: one[key] for key in keys}, "score": 0.9} for one in wanted])
+    measured = evaluation.COCOeval(truth, found, "bbox")
+    measured.evaluate()
+    measured.accumulate()
+    measured.summarize()
+    assert measured.stats[0] == pytest.approx(1)
+
+
+def test_the_commands_convert(shown: Path, sets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shards, boxes = tmp_path / "shards", tmp_path / "boxes.json"
+    assert main(["vap", "webdataset", str(shown), str(shards), "--shard-size", "150"]) == 0
+    assert capsys.readouterr().out == f"2 files in {shards}\n"
+    assert main(["vap", "webdataset", str(shown), str(shards)]) == 1
+    assert "is there already" in capsys.readouterr().err
+    assert main(["vap", "coco", str(sets / "hard"), str(boxes)]) == 1
+    assert "made with `--no-pictures`" in capsys.readouterr().err
+    assert main(["vap", "coco", str(sets / "hard"), str(boxes), "--no-pictures"]) == 0 and boxes.is_file()
+    assert main(["vap", "webdataset", str(sets / "hard"), str(tmp_path / "facts"), "--no-pictures"]) == 0
+    with pytest.raises(SystemExit):
+        main(["vap"])
+
+
+def needs_torch() -> Any:
+    """PyTorch, if it is there."""
+    return pytest.importorskip("torch", reason="needs the extra `vap`: `make python-all` installs it")
+
+
+def test_without_torch_it_is_told_what_to_install(hard: VapDataset) -> None:
+    try:
+        import torch  # noqa: F401
+    except ImportError:
+        for call in (
+            lambda: torch_dataset(hard.folder, images=False),
+            lambda: collate([]),
+            lambda: measure_baselines(hard.folder, hard.folder),
+        ):
+            with pytest.raises(ImportError, match="install the extra `vap`"):
+                call()
+    else:
+        assert len(torch_dataset(hard.folder, images=False)) == len(hard)
+
+
+def test_tensors_are_the_arrays(shown: Path) -> None:
+    torch = needs_torch()
+    samples, tensors = VapDataset(shown), torch_dataset(shown)
+    assert isinstance(tensors, torch.utils.data.Dataset) and len(tensors) == len(samples)
+    for index in (0, 100, -1):
+        sample, found = samples[index], tensors[index]
+        for name in ("boxes", "h", "unary", "binary", "sees", "actions", "mask"):
+            assert torch.equal(found[name].nan_to_num(-5), torch.from_numpy(getattr(sample, name)).nan_to_num(-5))
+        assert np.array_equal(found["image"].permute(1, 2, 0).numpy(), image_of(sample))
+        assert {name: found[name] for name in ("world", "tick", "names", "concepts")} == {
+            name: getattr(sample, name) for name in ("world", "tick", "names", "concepts")
+        }
+    assert "image" not in torch_dataset(shown, images=False)[0]
+
+
+def test_batches_are_padded(drawn: VapDataset) -> None:
+    torch = needs_torch()
+    tensors = torch_dataset(drawn.folder, images=False)
+    chosen = [tensors[index] for index in (0, 100, 200)]
+    batch = collate(chosen)
+    most = max(len(sample["names"]) for sample in chosen)
+    fillers = {"boxes": math.nan, "h": 0, "unary": 0, "binary": 0, "sees": 0, "actions": -1, "mask": 0}
+    for row, sample in enumerate(chosen):
+        count = len(sample["names"])
+        assert batch["there"][row].tolist() == [True] * count + [False] * (most - count)
+        for name, filler in fillers.items():
+            square = name in ("binary", "sees")
+            assert batch[name].dtype == sample[name].dtype
+            for first in range(most):
+                for second in range(most if square else 1):
+                    at = (first, second) if square else (first,)
+                    inside = max(at) < count
+                    wanted = (
+                        sample[name][at] if inside else torch.full_like(sample[name][0], filler)[0 if square else ...]
+                    )
+                    assert np.array_equal(batch[name][(row, *at)].numpy(), wanted.numpy(), equal_nan=name == "boxes")
+    assert batch["names"] == [sample["names"] for sample in chosen] and batch["tick"].tolist() == [11, 22, 33]
+    assert "image" not in batch
+    with pytest.raises(ValueError, match="no samples"):
+        collate([])
+
+
+@pytest.mark.parametrize("method", sorted({"fork", "spawn"} & set(multiprocessing.get_all_start_methods())))
+def test_workers_read_what_one_process_reads(method: str, shown: Path) -> None:
+    torch = needs_torch()
+    tensors = torch_dataset(shown)
+    chosen = torch.utils.data.Subset(tensors, [3, 150, 4, 260, 5, 10])
+
+    def read(**options: Any) -> list[dict[str, Any]]:
+        return list(torch.utils.data.DataLoader(chosen, 2, collate_fn=collate, **options))
+
+    for found, wanted in zip(read(num_workers=2, multiprocessing_context=method), read(), strict=True):
+        assert list(found) == list(wanted)
+        for name, value in wanted.items():
+            same = torch.equal(found[name].nan_to_num(-5), value.nan_to_num(-5)) if hasattr(value, "shape") else None
+            assert found[name] == value if same is None else same
+        assert wanted["image"].shape == (2, 3, PICTURE_SIDE, PICTURE_SIDE)
+
+
+def test_baselines_are_measured(sets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    needs_torch()
+    folder, figures = str(sets / "hard"), tmp_path / "figures.json"
+    command = ["vap", "baselines", "--train", folder, "--test", folder, "--epochs", "8", "--json", str(figures)]
+    assert main(command) == 0
+    printed = capsys.readouterr().out
+    results = json.loads(figures.read_text())
+    majority, network, rules = (result["metrics"] for result in results)
+    assert [result["name"] for result in results] == ["majority", "network", "rules"]
+    assert majority["recall"] == {"Slow": 0, "Normal": 0, "Fast": 0, "Stop": 0} | {
+        max(majority["counts"], key=majority["counts"].get): 1
+    }
+    assert set(rules["recall"].values()) == {1} and rules["a_acc"] == rules["w_acc"] == 1
+    assert majority["a_acc"] + 0.2 < network["a_acc"] < 1
+    assert "| hard | rules | 1.000 | 1.000 | 1.000 | 1.000 | 1.000 | 1.000 |" in printed.splitlines()
+    assert len(printed.splitlines()) == 5
+    assert main(command) == 0 and capsys.readouterr().out == printed and json.loads(figures.read_text()) == results
+    assert main([*command, "--seed", "1"]) == 0 and capsys.readouterr().out != printed
+
+
+def test_labels_that_do_not_follow_are_told(own: Path, sets: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    needs_torch()
+    manifest = own / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"mode": "hard"', '"mode": "easy"'))
+    folder = str(own)
+    assert main(["vap", "baselines", "--train", folder, "--test", folder, "--epochs", "0"]) == 1
+    assert "are not what the rules derive" in capsys.readouterr().err
+    assert main(["vap", "baselines", "--train", folder, "--test", str(sets / "hard")]) == 1
+    assert "is of easy mode" in capsys.readouterr().err
+    assert main(["vap", "baselines", "--train", folder, "--test", folder, "--epochs", "-1"]) == 1
+    assert "-1 epochs" in capsys.readouterr().err
+
+
+def test_it_is_found_from_the_front_door() -> None:
+    assert logicity.vap.VapDataset is VapDataset and set(logicity.vap.__all__) <= set(dir(logicity.vap))
