@@ -297,7 +297,7 @@ fn check_genome(genome: &Genome) {
             }
             check(&session, &model, &explanation);
             // A fresh explainer, which has settled and found nothing yet, says the same.
-            if Some(row) == rows.first() || Some(row) == rows.iter().take(30).last() {
+            if Some(row) == rows.first() || Some(row) == rows.iter().take(30).next_back() {
                 assert_eq!(
                     session.explain(RelId(rel as u32), row).unwrap().as_ref(),
                     Some(&explanation)

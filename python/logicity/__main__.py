@@ -157,6 +157,9 @@ def _object(text: str) -> dict[str, object]:
 def _evaluate(given: argparse.Namespace) -> int:
     policy, name = _named_policy(given.policy)
     results: list[Evaluation] = []
+    stems = [Path(mode).stem for mode in given.modes]
+    if given.traces is not None and len(set(stems)) < len(stems):
+        raise ValueError("modes of one name would have their traces in one folder: give one of them at a time")
     for mode in given.modes:
         folder = None if given.traces is None else given.traces / Path(mode).stem
         results.append(Benchmark(mode, given.split).evaluate(policy, name=name, traces=folder))

@@ -406,7 +406,8 @@ def _rendered(core: _logicity.Environments, at: int, mode: str) -> Any:
 class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
     """Many environments of Safe Path Following that take a step in one call.
 
-    Environment i goes as an `SPFEnv` with its seed would. With `reset(seed=s)` its seed is s + i.
+    Environment i goes as an `SPFEnv` with its seed would. With `reset(seed=s)` its seed is s + i. One thread of Python at
+    a time may use it; a second one is told so by a `RuntimeError`.
 
     Parameters are those of `SPFEnv`, and: `num_envs`; `autoreset_mode`, an `AutoresetMode` or its name; `num_threads`
     that share the work of a step; `copy=False` gives the same array of observations again and again, which is faster,

@@ -2,7 +2,7 @@
 
 use crate::episode::{PyEpisode, read_episode};
 use crate::task::{PyTask, speed, split_named, view_named};
-use crate::{Signals, slice_of};
+use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::config::Speed;
 use logicity::task::path::{Egos, Env, EpisodeSource, Info, View, describe};
 use numpy::{PyArray3, PyReadwriteArrayDyn};
@@ -48,91 +48,101 @@ impl PyCars {
     }
 
     /// The names of the cars.
-    fn names(&self) -> Vec<String> {
-        let agents = self.env.city().agents();
-        self.env
-            .riders()
-            .iter()
-            .map(|rider| agents[rider.agent()].name().to_string())
-            .collect()
+    fn names(slf: &Bound<'_, Self>) -> PyResult<Vec<String>> {
+        let this = borrowed(slf)?;
+        let agents = this.env.city().agents();
+        let riders = this.env.riders().iter();
+        Ok(riders.map(|rider| agents[rider.agent()].name().to_string()).collect())
     }
 
     /// The episodes of a seed from now on.
-    fn seed(&mut self, seed: u64) {
-        self.source = EpisodeSource::new(seed, None);
+    fn seed(slf: &Bound<'_, Self>, seed: u64) -> PyResult<()> {
+        borrowed_mut(slf)?.source = EpisodeSource::new(seed, None);
+        Ok(())
     }
 
     /// Begins the next episode, or one that is given.
-    fn reset(&mut self, py: Python<'_>, episode: Option<Bound<'_, PyDict>>) -> PyResult<()> {
-        let given = episode.map(|episode| read_episode(&episode, &self.env));
-        let episode = given.transpose().map_err(|fault| self.task.get().error(py, fault))?;
-        let (env, source) = (&mut self.env, &mut self.source);
-        let begun = self.signals.detach(py, || match &episode {
+    fn reset(slf: &Bound<'_, Self>, py: Python<'_>, episode: Option<Bound<'_, PyDict>>) -> PyResult<()> {
+        let this = &mut *borrowed_mut(slf)?;
+        let given = episode.map(|episode| read_episode(&episode, &this.env));
+        let episode = given.transpose().map_err(|fault| this.task.get().error(py, fault))?;
+        let (env, source) = (&mut this.env, &mut this.source);
+        let begun = this.signals.detach(py, || match &episode {
             Some(episode) => env.reset_to(episode),
             None => source.begin(env),
         })?;
-        begun.map_err(|fault| self.task.get().error(py, fault))
+        begun.map_err(|fault| this.task.get().error(py, fault))
     }
 
     /// A step: an action for each car, which matters only for those whose episode goes on.
-    fn step(&mut self, py: Python<'_>, actions: Vec<i64>) -> PyResult<()> {
-        let count = self.env.riders().len();
+    fn step(slf: &Bound<'_, Self>, py: Python<'_>, actions: Vec<i64>) -> PyResult<()> {
+        let this = &mut *borrowed_mut(slf)?;
+        let count = this.env.riders().len();
         if actions.len() != count {
             return Err(PyValueError::new_err(format!(
                 "{} actions for {count} cars",
                 actions.len()
             )));
         }
-        self.actions.clear();
+        this.actions.clear();
         for (rider, action) in actions.into_iter().enumerate() {
-            self.actions.push(speed(py, action, || format!(" (of car {rider})"))?);
+            this.actions.push(speed(py, action, || format!(" (of car {rider})"))?);
         }
-        let (env, actions) = (&mut self.env, &self.actions);
-        (self.signals.detach(py, || env.step(actions))?).map_err(|fault| self.task.get().error(py, fault))
+        let (env, actions) = (&mut this.env, &this.actions);
+        (this.signals.detach(py, || env.step(actions))?).map_err(|fault| this.task.get().error(py, fault))
     }
 
     /// What came of the last action of a car: reward, whether its episode ended, whether it was cut short, what else is told.
-    fn outcome<'py>(&self, py: Python<'py>, car: usize) -> PyResult<(f64, bool, bool, Bound<'py, PyDict>)> {
-        self.check(car)?;
-        let last = self.env.riders()[car].last();
+    fn outcome<'py>(
+        slf: &Bound<'py, Self>,
+        py: Python<'py>,
+        car: usize,
+    ) -> PyResult<(f64, bool, bool, Bound<'py, PyDict>)> {
+        let this = borrowed(slf)?;
+        this.check(car)?;
+        let last = this.env.riders()[car].last();
         let mut info = Info::default();
-        info.note(&self.env, car);
+        info.note(&this.env, car);
         Ok((
             last.reward,
             last.terminated,
             last.truncated,
-            self.task.get().info(py, &info)?,
+            this.task.get().info(py, &info)?,
         ))
     }
 
     /// Writes what a car observes.
-    fn observe(&self, car: usize, mut out: PyReadwriteArrayDyn<'_, f32>) -> PyResult<()> {
-        self.check(car)?;
-        let wanted = self.view.shape(&self.task.get().task).iter().product();
-        self.view.write(&self.env, car, slice_of(&mut out, wanted)?);
+    fn observe(slf: &Bound<'_, Self>, car: usize, mut out: PyReadwriteArrayDyn<'_, f32>) -> PyResult<()> {
+        let this = borrowed(slf)?;
+        this.check(car)?;
+        let wanted = this.view.shape(&this.task.get().task).iter().product();
+        this.view.write(&this.env, car, slice_of(&mut out, wanted)?);
         Ok(())
     }
 
     /// How the episode began.
-    fn episode(&self) -> PyEpisode {
-        PyEpisode::of(self.env.episode())
+    fn episode(slf: &Bound<'_, Self>) -> PyResult<PyEpisode> {
+        Ok(PyEpisode::of(borrowed(slf)?.env.episode()))
     }
 
     /// Why the rules want what they want of a car.
-    fn explain(&self, py: Python<'_>, car: usize) -> PyResult<String> {
-        self.check(car)?;
-        self.task.get().explain(py, &self.env, car, &self.signals)
+    fn explain(slf: &Bound<'_, Self>, py: Python<'_>, car: usize) -> PyResult<String> {
+        let this = borrowed(slf)?;
+        this.check(car)?;
+        this.task.get().explain(py, &this.env, car, &this.signals)
     }
 
     /// The state of a car in a few lines.
-    fn text(&self, car: usize) -> PyResult<String> {
-        self.check(car)?;
-        Ok(describe(&self.env, car))
+    fn text(slf: &Bound<'_, Self>, car: usize) -> PyResult<String> {
+        let this = borrowed(slf)?;
+        this.check(car)?;
+        Ok(describe(&this.env, car))
     }
 
     /// The city: red, green and blue.
-    fn picture<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<u8>>> {
-        self.task.get().picture(py, &self.env, &[])
+    fn picture<'py>(slf: &Bound<'py, Self>, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let this = borrowed(slf)?;
+        this.task.get().picture(py, &this.env, &[])
     }
 }
 

@@ -56,6 +56,10 @@ def test_traces_of_all_episodes(tmp_path: Path) -> None:
     assert evaluate(varied, "easy", "val") == result, "traces change nothing"
     with pytest.raises(ValueError, match="ten times"):
         evaluate("random", "easy", "val", traces=folder)
+    command = ["evaluate", "--policy", "oracle", "--split", "val", "--traces", str(tmp_path), "--modes"]
+    assert main([*command, "easy"]) == 0
+    assert len(list((tmp_path / "easy").iterdir())) == 40
+    assert main([*command, "easy,easy"]) != 0
     changed = tmp_path / "changed"
     evaluate("oracle", "easy", "val", overrides={"task": {"patience": 3}}, traces=changed)
     header = json.loads((changed / "episode-0.jsonl").read_text().splitlines()[0])

@@ -565,7 +565,7 @@ impl Making {
         if let Err(column) = search::bind_head(clause, pattern, &mut binding) {
             return Ok(Some(Obstacle::Head { column }));
         }
-        let (binding, failing) = search.nearest(id, binding)?;
+        let (binding, failing) = search.nearest(clause, binding)?;
         let mut failures = Vec::new();
         for literal in failing {
             let kind = match &clause.body[literal] {

@@ -13,9 +13,6 @@ use std::rc::Rc;
 /// What each variable of a clause stands for, as far as it is known.
 pub(super) type Binding = Vec<Option<Value>>;
 
-/// A binding, and the literals that fail under it.
-pub(super) type Nearest = (Binding, Vec<usize>);
-
 /// Numbers of rows by the values of some columns.
 type Index = HashMap<Vec<Value>, Rc<[u32]>>;
 
@@ -44,9 +41,6 @@ pub(super) struct Search<'s> {
     interrupted: Cell<bool>,
     patterns: RefCell<Patterns>,
     pub(super) heights: Heights,
-    /// What has been found, since questions about one agent come back to the same clauses. How many steps were left does not matter to
-    /// what is found, only to whether it is.
-    nearest: RefCell<HashMap<(ClauseId, Binding), Nearest>>,
 }
 
 /// Rows of a relation by their positions.
@@ -136,7 +130,6 @@ impl<'s> Search<'s> {
             ask: None,
             interrupted: Cell::new(false),
             patterns: RefCell::default(),
-            nearest: RefCell::default(),
             heights: Heights::new(rules),
         }
     }
@@ -509,17 +502,7 @@ impl<'s> Search<'s> {
 
     /// The nearest binding of a clause that does not hold, and the literals that fail under it. See
     /// [`Obstacle::Body`](super::Obstacle::Body).
-    pub(super) fn nearest(&self, id: ClauseId, binding: Binding) -> Result<Nearest, ExplainError> {
-        let asked = (id, binding);
-        if let Some(found) = self.nearest.borrow().get(&asked) {
-            return Ok(found.clone());
-        }
-        let found = self.find_nearest(&self.rules().clauses[id.index()], asked.1.clone())?;
-        self.nearest.borrow_mut().insert(asked, found.clone());
-        Ok(found)
-    }
-
-    fn find_nearest(&self, clause: &Clause, binding: Binding) -> Result<Nearest, ExplainError> {
+    pub(super) fn nearest(&self, clause: &Clause, binding: Binding) -> Result<(Binding, Vec<usize>), ExplainError> {
         let mut failing = Vec::new();
         for (literal, body) in clause.body.iter().enumerate() {
             if self.decide(body, &binding)? == Some(false) {
@@ -541,7 +524,11 @@ impl<'s> Search<'s> {
         }
     }
 
-    fn fewest_failures(&self, clause: &Clause, binding: &Binding) -> Result<Option<Nearest>, ExplainError> {
+    fn fewest_failures(
+        &self,
+        clause: &Clause,
+        binding: &Binding,
+    ) -> Result<Option<(Binding, Vec<usize>)>, ExplainError> {
         let all = vec![true; clause.body.len()];
         for failures in 1..=FAILURES_MAX.min(clause.body.len()) {
             let mut best = None;
@@ -570,7 +557,7 @@ impl<'s> Search<'s> {
 
     /// A binding that satisfies as many literals from the front as can be satisfied together, and the one after them. The order
     /// is that of the text, but a literal that binds nothing waits for its variables.
-    fn longest_prefix(&self, clause: &Clause, binding: Binding) -> Result<Nearest, ExplainError> {
+    fn longest_prefix(&self, clause: &Clause, binding: Binding) -> Result<(Binding, Vec<usize>), ExplainError> {
         let mut satisfied = binding.clone();
         let mut pending = vec![false; clause.body.len()];
         for literal in in_order(clause, &binding) {

@@ -162,7 +162,7 @@ class Page {
     look("tick", (text) => {
       const tick = text.trim() === "" ? NaN : Number(text) - first;
       return Number.isInteger(tick) && tick < run.count ? tick : -1;
-    }, (text) => `there is no tick ${text}: the page has ${first} to ${first + run.count - 1}`);
+    }, (text) => `there is no tick ${text} (the page has ${first} to ${first + run.count - 1})`);
     look("agent", (id) => run.names.get(id) ?? -1, (id) => `there is no agent ${id}`);
     look("clause", (label) => clauses.slice(0, counted).findIndex((clause) => clause.label === label), (label) => `there is no clause ${label}`);
     this.tell(missing.length ? `What the address asks for is not all here: ${missing.join("; ")}.` : "");
