@@ -200,6 +200,8 @@ fn parts_are_the_whole() {
     assert!(said.starts_with("worlds made: 3, in "), "{said}");
     let expected = contents(&whole);
     assert_eq!(expected.len(), 3 * 3 + 2);
+    let manifest: Value = serde_json::from_slice(&expected["manifest.json"]).unwrap();
+    assert_eq!(manifest["settings"]["difficulty"], 50);
 
     make(&part, &["--worlds", "1", "--first-world", "2"]);
     let parts = contents(&part);
@@ -446,6 +448,12 @@ fn killed_or_not_and_on_any_threads_pictures_are_the_same() {
     for _ in 0..2 {
         assert!(make(&killed, "3").status().unwrap().success());
         assert!(contents(&killed) == expected);
+    }
+    // Without pictures the tables are the same.
+    let tables = folder.path().join("tables");
+    assert!(make(&tables, "2").arg("--no-pictures").status().unwrap().success());
+    for (name, bytes) in contents(&tables).iter().filter(|(name, _)| name.ends_with(".parquet")) {
+        assert!(*bytes == expected[name], "{name}");
     }
     tampered_pictures_are_found_out(&whole, &expected);
 }

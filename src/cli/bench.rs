@@ -1,13 +1,13 @@
 //! `logicity bench`: how fast rules are evaluated and cities go, on this machine.
 
 use super::{Failure, load_city, one_of, threads};
-use crate::city::Cell;
+use crate::city::{Agent, Cell};
 use crate::config::{AgentSet, Building, Buildings, MapConfig, Scenario, Speed, Split};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::engine::Program;
 use crate::engine::dense::{BitFacts, Counting, Dense, Frame};
 use crate::files;
-use crate::render::{Icons, Picture, Renderer, Scale, Sprite, View, write_png};
+use crate::render::{Difficulty, Icons, Picture, Renderer, Scale, Sprite, View, read_png, write_png};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{
     CROWD_MAX, Executor, Facts, Inference, Phase, Settings, Simulation, WHOLE_MAX, Width, World, in_words,
@@ -70,7 +70,8 @@ impl What {
 pub struct Arguments {
     /// infer: the rules alone, facts ready as bits (dense) or as rows that change (relational). ground: all facts that the rules can
     /// ask for. tick: a city, placed afresh after the ticks of the configuration. env: episodes of the configuration's task
-    /// under a random policy, observations written. render: pictures of the visual data set, drawn and as PNG, and small ones. scale:
+    /// under a random policy, observations written. render: pictures of the visual data set, drawn, written as PNG and read, clean and at
+    /// difficulty 50, and small ones. scale:
     /// cities of 1000 agents up to --agents
     #[arg(value_parser = one_of(&What::ALL, What::name))]
     what: What,
@@ -112,6 +113,26 @@ pub struct Arguments {
     /// One JSON object a line
     #[arg(long)]
     json: bool,
+}
+
+/// What is done with a picture.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Done {
+    Drawn,
+    /// Drawn and written as PNG.
+    Written,
+    /// Read of a PNG.
+    Read,
+}
+
+impl Done {
+    const fn name(self) -> &'static str {
+        match self {
+            Done::Drawn => "drawn",
+            Done::Written => "written",
+            Done::Read => "read",
+        }
+    }
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {
@@ -385,7 +406,6 @@ impl<'a> Bench<'a> {
             }
             moments.push(self.simulation.agents().to_vec());
         }
-        let icons = Arc::new(Icons::default());
         let wrong = |error: crate::render::ViewError| Failure::Usage(error.to_string());
         let corner = Cell::new(0, 0);
         let published = View::published(corner).map_err(wrong)?;
@@ -393,41 +413,79 @@ impl<'a> Bench<'a> {
         let small = (View::new(corner, 128, 128, scale))
             .and_then(|view| view.with_agents(12, 8))
             .map_err(wrong)?;
-        for (view, encoded) in [(published, false), (published, true), (small, false)] {
-            let renderer = Renderer::new(self.world.map(), Arc::clone(&icons), view);
-            let (mut picture, mut bytes, mut next) = (Picture::default(), Vec::new(), 0);
-            let (mut written, mut pictures) = (0, 0);
-            let timed = Timed::run(self.arguments.seconds, |times| {
-                for _ in 0..times {
-                    let agents = moments[next].iter().zip(&names);
-                    let sprites: Vec<_> = agents.map(|(agent, name)| Sprite::of(agent, name, None)).collect();
-                    renderer.draw_into(&sprites, &mut picture);
-                    if encoded {
-                        bytes.clear();
-                        write_png(&picture, &mut bytes).expect("a vector takes all that is written");
-                        written += bytes.len();
-                    }
-                    black_box((&picture, &bytes));
-                    (next, pictures) = ((next + 1) % moments.len(), pictures + 1);
-                }
-                Ok(())
-            })?;
-            let result = json!({
-                "what": self.arguments.what.name(),
-                "config": self.world.scenario.name,
-                "map": self.world.map().name,
-                "agents": self.agents(),
-                "pixels": view.size().0,
-                "encoded": encoded,
-                "seconds": timed.wall.as_secs_f64(),
-                "pictures": timed.times,
-                "pictures_per_s": timed.per_second(),
-                "pictures_per_cpu_s": timed.per_cpu_second(),
-                "bytes_per_picture": if encoded { written / pictures.max(1) } else { picture.pixels().len() },
-            });
-            print(&result, self.arguments.json)?;
+        for (view, percent, what) in [
+            (published, 0, Done::Drawn),
+            (published, 0, Done::Written),
+            (published, 0, Done::Read),
+            (published, 50, Done::Drawn),
+            (published, 50, Done::Written),
+            (published, 50, Done::Read),
+            (small, 0, Done::Drawn),
+        ] {
+            self.pictures(&moments, &names, view, percent, what)?;
         }
         Ok(())
+    }
+
+    /// Pictures of such a view of states of the city, at a difficulty in percent.
+    fn pictures(
+        &self,
+        moments: &[Vec<Agent>],
+        names: &[String],
+        view: View,
+        percent: u8,
+        what: Done,
+    ) -> Result<(), Failure> {
+        let difficulty = Difficulty::percent(percent).expect("a percentage");
+        let icons = Arc::new(Icons::new(Seed(0), difficulty));
+        let renderer = Renderer::new(self.world.map(), icons, view);
+        let (mut picture, mut next) = (Picture::default(), 0);
+        let (mut written, mut pictures) = (0, 0);
+        let mut files = vec![Vec::new(); moments.len()];
+        let draw = |moment: usize, picture: &mut Picture| {
+            let agents = moments[moment].iter().zip(names);
+            let sprites: Vec<_> = agents.map(|(agent, name)| Sprite::of(agent, name, None)).collect();
+            renderer.draw_into(&sprites, picture);
+        };
+        let write = |picture: &Picture, file: &mut Vec<u8>| {
+            file.clear();
+            write_png(picture, file).expect("a vector takes all that is written");
+        };
+        for (moment, file) in files.iter_mut().enumerate().filter(|_| what == Done::Read) {
+            draw(moment, &mut picture);
+            write(&picture, file);
+        }
+        let timed = Timed::run(self.arguments.seconds, |times| {
+            for _ in 0..times {
+                if what == Done::Read {
+                    picture = read_png(&files[next]).expect("it was written");
+                } else {
+                    draw(next, &mut picture);
+                }
+                if what == Done::Written {
+                    write(&picture, &mut files[next]);
+                }
+                black_box((&picture, &files[next]));
+                written += files[next].len();
+                (next, pictures) = ((next + 1) % moments.len(), pictures + 1);
+            }
+            Ok(())
+        })?;
+        let result = json!({
+            "what": self.arguments.what.name(),
+            "config": self.world.scenario.name,
+            "map": self.world.map().name,
+            "agents": self.agents(),
+            "pixels": view.size().0,
+            "difficulty": percent,
+            "done": what.name(),
+            "seconds": timed.wall.as_secs_f64(),
+            "pictures": timed.times,
+            "pictures_per_s": timed.per_second(),
+            "pictures_per_cpu_s": timed.per_cpu_second(),
+            "bytes_per_picture": if what == Done::Drawn { picture.pixels().len() } else { written / pictures.max(1) },
+        });
+        print(&result, self.arguments.json)
     }
 
     fn infer(&mut self) -> Result<(), Failure> {

@@ -67,7 +67,7 @@ enum Command {
     Episodes(episodes::Arguments),
     /// Make multiple-choice questions in words about what cars do, with solved examples
     Questions(questions::Arguments),
-    /// Make or check tables of Visual Action Prediction
+    /// Make or check data sets of Visual Action Prediction: pictures, boxes, facts and labels
     Vap(vap::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),

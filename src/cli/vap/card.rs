@@ -76,7 +76,7 @@ fn pictures(manifest: &Manifest) -> String {
     };
     write!(
         text,
-        "Cars are 48 pixels wide and turn with their heading, pedestrians 32; in every frame every agent shows another instance of its class.\n\
+        "Cars are 48 pixels wide and turn with their heading, pedestrians 32; which instance of its class an agent shows is drawn for every frame.\n\
          Every world has streets, meadows and buildings of its own look, every split icons of its own. The difficulty is {} of 100: how much\n\
          colours, light, sharpness and markings vary and how much lies around.\n",
         settings.difficulty

@@ -1,7 +1,7 @@
 //! A data set on disk: a folder a world, named by its number, and when all that was asked for is there `README.md` and `manifest.json`.
 //!
-//! Whatever is written begins under another name and is renamed, so what has its name is whole. Those other names begin with a dot and end in
-//! `.partial`; what an earlier command left of them is removed by the next.
+//! Whatever is written begins under another name and is renamed, so what has its name is whole. Those other names are the same between a dot
+//! and `.partial`; what an earlier command left of them is removed by the next.
 
 use super::super::Failure;
 use crate::diag::{Code, Diagnostic};
@@ -211,8 +211,9 @@ pub(super) fn write_description(set: &Path, card: &str, manifest: &Manifest) -> 
 /// Removes what was not finished.
 pub(super) fn remove_partials(set: &Path) -> Result<(), Failure> {
     for path in entries(set)? {
-        let name = path.file_name().and_then(OsStr::to_str).unwrap_or_default();
-        if !(name.starts_with('.') && name.ends_with(PARTIAL)) {
+        let name = path.file_name().and_then(OsStr::to_str);
+        let whole = name.and_then(|name| name.strip_prefix('.')?.strip_suffix(PARTIAL));
+        if !whole.is_some_and(|whole| is_world(Path::new(whole)) || [CARD, MANIFEST].contains(&whole)) {
             continue;
         }
         let removed = match path.is_dir() {

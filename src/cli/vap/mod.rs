@@ -250,7 +250,7 @@ fn on_threads<T: Sync, R: Send>(
 
 /// `41.0 %`
 fn percent(count: u64, total: u64) -> String {
-    let tenths = count * 1000 / total.max(1);
+    let tenths = (count * 1000 + total / 2) / total.max(1);
     format!("{}.{} %", tenths / 10, tenths % 10)
 }
 
