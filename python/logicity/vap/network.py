@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,10 @@ BATCH = 64
 LEARNING_RATE = 3e-3
 
 
+#: Sample, position of who sees, position of who is seen.
+Sees: TypeAlias = tuple[Tensor, Tensor, Tensor]
+
+
 class Round(nn.Module):
     """Every entity hears from all that it sees, itself among them, and changes its mind."""
 
@@ -37,12 +43,17 @@ class Round(nn.Module):
         self.of_pair = nn.Linear(2 * len(BINARY), WIDTH, bias=False)
         self.change = nn.Linear(3 * WIDTH, WIDTH)
 
-    def forward(self, minds: Tensor, pairs: Tensor, sees: Tensor) -> Tensor:
-        """Minds after it, (batch, entities, width)."""
-        heard = self.of_hearer(minds)[:, :, None] + self.of_heard(minds)[:, None] + self.of_pair(pairs)
-        # What is heard is not negative, so that 0 is the largest of nothing.
-        heard = torch.relu(heard) * sees[..., None]
-        return torch.relu(self.change(torch.cat([minds, heard.amax(2), heard.sum(2)], -1)))
+    def forward(self, minds: Tensor, pairs: Tensor, sees: Sees) -> Tensor:
+        """Minds after it, (batch, entities, width), from pairs of those that see and those that are seen."""
+        batch, hearer, heard = sees
+        told = self.of_hearer(minds)[batch, hearer] + self.of_heard(minds)[batch, heard] + self.of_pair(pairs)
+        # What is told is not negative, so that 0 is the largest of nothing.
+        told = torch.relu(told)
+        place = batch * minds.shape[1] + hearer
+        nothing = told.new_zeros(minds.shape[0] * minds.shape[1], WIDTH)
+        largest = nothing.scatter_reduce(0, place[:, None].expand_as(told), told, "amax")
+        total = nothing.index_add(0, place, told)
+        return torch.relu(self.change(torch.cat([minds, largest.view_as(minds), total.view_as(minds)], -1)))
 
 
 class FactNetwork(nn.Module):
@@ -57,10 +68,11 @@ class FactNetwork(nn.Module):
 
     def forward(self, unary: Tensor, binary: Tensor, sees: Tensor) -> Tensor:
         """Scores of actions, (batch, entities, 4), from truth values as `collate` has them."""
-        pairs = torch.cat([binary, binary.transpose(1, 2)], -1).float()
+        seen: Sees = sees.nonzero(as_tuple=True)
+        pairs = torch.cat([binary, binary.transpose(1, 2)], -1)[seen].float()
         minds = torch.relu(self.begin(unary.float()))
         for round_ in self.rounds:
-            minds = round_(minds, pairs, sees.float())
+            minds = round_(minds, pairs, seen)
         scores: Tensor = self.end(minds)
         return scores
 
@@ -75,27 +87,38 @@ def train_network(
     facts, asked = (
         padded_batch([as_tensors(samples.facts(at)) for at in range(len(samples))]) for samples in (train, test)
     )
-    inputs = ("unary", "binary", "sees")
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        network = FactNetwork()
-        optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE)
-        steps = epochs * -(-len(train) // BATCH)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(steps, 1))
-        for epoch in range(epochs):
-            for chosen in torch.randperm(len(train)).split(BATCH):
-                scores = network(*(facts[name][chosen] for name in inputs))
-                cars = facts["mask"][chosen]
-                loss = nn.functional.cross_entropy(scores[cars], facts["actions"][chosen][cars])
-                optimizer.zero_grad()
-                loss.backward()
-                optimizer.step()
-                schedule.step()
-            progress(epoch + 1)
-    with torch.no_grad():
-        best = [
-            network(*(asked[name][chosen] for name in inputs)).argmax(-1)
-            for chosen in torch.arange(len(test)).split(BATCH)
-        ]
+    threads = torch.get_num_threads()
+    # The tensors are so small that several threads would mostly wait for each other.
+    torch.set_num_threads(1)
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            network = _trained(facts, epochs, progress)
+        with torch.no_grad():
+            best = [network(*_inputs(asked, chosen)).argmax(-1) for chosen in torch.arange(len(test)).split(BATCH)]
+    finally:
+        torch.set_num_threads(threads)
     predicted: NDArray[np.int64] = torch.cat(best)[asked["mask"]].numpy()
     return predicted
+
+
+def _trained(facts: dict[str, Tensor], epochs: int, progress: Callable[[int], None]) -> FactNetwork:
+    """A network that has seen each sample so many times, with draws of the default generator."""
+    network, count = FactNetwork(), len(facts["mask"])
+    optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE)
+    steps = epochs * math.ceil(count / BATCH)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(steps, 1))
+    for epoch in range(epochs):
+        for chosen in torch.randperm(count).split(BATCH):
+            scores, cars = network(*_inputs(facts, chosen)), facts["mask"][chosen]
+            loss = nn.functional.cross_entropy(scores[cars], facts["actions"][chosen][cars])
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+        progress(epoch + 1)
+    return network
+
+
+def _inputs(facts: dict[str, Tensor], chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    return facts["unary"][chosen], facts["binary"][chosen], facts["sees"][chosen]
