@@ -14,6 +14,7 @@ pub(super) fn card(mode: Mode, manifest: &Manifest, worlds: &Worlds) -> String {
         pictures(manifest),
         labels(mode, manifest),
         concepts(manifest),
+        atoms(manifest),
         columns(worlds),
     ];
     parts.join("\n")
@@ -116,6 +117,15 @@ fn concepts(manifest: &Manifest) -> String {
             .to_owned();
     for (concept, count) in &manifest.concepts {
         writeln!(text, "| {concept} | {count} | {} |", percent(*count, manifest.agents)).expect("memory");
+    }
+    text
+}
+
+fn atoms(manifest: &Manifest) -> String {
+    let mut text =
+        "## Facts\n\nTrue atoms of all frames, of those about two agents the ones of which the first sees the second.\n\n| predicate | true |\n|---|---|\n".to_owned();
+    for (predicate, count) in &manifest.atoms {
+        writeln!(text, "| `{predicate}` | {count} |").expect("memory");
     }
     text
 }

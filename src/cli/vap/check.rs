@@ -8,8 +8,8 @@ use crate::files;
 use crate::render::read_png;
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, SceneFacts};
-use crate::task::vap::SIDE;
 use crate::task::vap::table::{Sample, Table, boxes, count_concepts, samples};
+use crate::task::vap::{SIDE, count_atoms};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{self, Write};
@@ -102,6 +102,7 @@ impl Check {
                     actions,
                     agents: entities.rows() as u64,
                     concepts: count_concepts(&entities)?,
+                    atoms: count_atoms(inference.vocabulary(), samples.iter().map(|sample| &sample.facts)),
                     files: record.files.clone(),
                 };
                 if counted != *record {
@@ -125,6 +126,7 @@ impl Check {
             actions,
             agents,
             concepts,
+            atoms,
             worlds,
         } = manifest;
         let pictures = if settings.pictures { *frames } else { 0 };
@@ -132,7 +134,7 @@ impl Check {
         if self.json {
             let counts = serde_json::json!({
                 "worlds": worlds.len(), "frames": frames, "pictures": pictures, "actions": actions,
-                "published": mode.published(), "agents": agents, "concepts": concepts,
+                "published": mode.published(), "agents": agents, "concepts": concepts, "atoms": atoms,
             });
             writeln!(out, "{counts}")?;
             return Ok(());
@@ -146,6 +148,9 @@ impl Check {
         writeln!(out, "published test: {}", told(mode.published()))?;
         let concepts = concepts.iter().map(|(name, count)| (name.as_str(), *count));
         writeln!(out, "agents: {}", shares(concepts, *agents))?;
+        let atoms = atoms.iter().map(|(name, count)| format!("{name} {count}"));
+        let atoms: Vec<String> = atoms.collect();
+        writeln!(out, "true, of pairs if the first sees the second: {}", atoms.join(", "))?;
         Ok(())
     }
 }

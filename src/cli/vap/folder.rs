@@ -64,6 +64,8 @@ pub(super) struct Record {
     pub(super) agents: u64,
     /// Those that carry each concept; who carries none counts by type.
     pub(super) concepts: BTreeMap<String, u64>,
+    /// As [`count_atoms`](crate::task::vap::count_atoms) counts.
+    pub(super) atoms: BTreeMap<String, u64>,
     pub(super) files: BTreeMap<String, FileRecord>,
 }
 
@@ -88,21 +90,26 @@ pub(super) struct Manifest {
     pub(super) actions: [u64; 4],
     pub(super) agents: u64,
     pub(super) concepts: BTreeMap<String, u64>,
+    pub(super) atoms: BTreeMap<String, u64>,
     pub(super) worlds: Vec<Record>,
 }
 
 impl Manifest {
     /// What worlds make, in their order.
     pub(super) fn new(settings: Settings, worlds: Vec<Record>) -> Manifest {
-        let mut concepts = BTreeMap::new();
-        for (concept, count) in worlds.iter().flat_map(|record| &record.concepts) {
-            *concepts.entry(concept.clone()).or_default() += count;
-        }
+        let sum = |counts: fn(&Record) -> &BTreeMap<String, u64>| {
+            let mut sums = BTreeMap::new();
+            for (name, count) in worlds.iter().flat_map(counts) {
+                *sums.entry(name.clone()).or_default() += count;
+            }
+            sums
+        };
         Manifest {
             frames: worlds.iter().map(|record| record.frames).sum(),
             actions: worlds.iter().map(|record| record.actions).fold([0; 4], add),
             agents: worlds.iter().map(|record| record.agents).sum(),
-            concepts,
+            concepts: sum(|record| &record.concepts),
+            atoms: sum(|record| &record.atoms),
             worlds,
             settings,
         }

@@ -14,7 +14,7 @@ use crate::engine::Program;
 use crate::render::{Picture, write_png};
 use crate::sim::{hash_sources, start_threads};
 use crate::task::vap::table::{Table, count_concepts};
-use crate::task::vap::{Agents, FIRST_TICK, TICKS, Worlds, count_actions, icon_seed, published_worlds};
+use crate::task::vap::{Agents, FIRST_TICK, TICKS, Worlds, count_actions, count_atoms, icon_seed, published_worlds};
 use folder::{ENTITIES, Manifest, PAIRS, Record, Settings, WorldWriter, wrong};
 use indicatif::ProgressBar;
 use rayon::prelude::*;
@@ -231,6 +231,7 @@ impl Make {
             actions: count_actions(&frames),
             agents: frames.iter().map(|frame| frame.agents.len() as u64).sum(),
             concepts,
+            atoms: count_atoms(&worlds.world().vocabulary, frames.iter().map(|frame| &frame.facts)),
             files,
         })
     }

@@ -11,7 +11,8 @@ use crate::diag::{Code, Diagnostic};
 use crate::engine::Program;
 use crate::render::{Class, Facing, Icons, Picture, PixelBox, Placement, Renderer, Scale, Sprite, View};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
-use crate::sim::{Facts, Settings, Simulation, World};
+use crate::sim::{Facts, Settings, Simulation, Vocabulary, World};
+use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 
 /// The ticks of a world.
@@ -311,6 +312,23 @@ pub fn count_actions(frames: &[Frame]) -> [u64; 4] {
     let agents = frames.iter().flat_map(|frame| &frame.agents);
     for agent in agents.filter(|agent| agent.name.kind == AgentKind::Car) {
         counts[agent.action as usize] += 1;
+    }
+    counts
+}
+
+/// How many atoms of each predicate are true, of those over two agents only the ones of which the first sees the second.
+pub fn count_atoms<'a>(vocabulary: &Vocabulary, all: impl IntoIterator<Item = &'a Facts>) -> BTreeMap<String, u64> {
+    let predicates = &vocabulary.predicates;
+    let sees = predicates.iter().position(|predicate| predicate.name == "Sees");
+    let mut counts = BTreeMap::new();
+    for facts in all {
+        let seen: HashSet<[u32; 2]> = sees
+            .map(|sees| facts.rows[sees].iter().copied().collect())
+            .unwrap_or_default();
+        for (predicate, rows) in predicates.iter().zip(&facts.rows) {
+            let counted = rows.iter().filter(|row| predicate.arity == 1 || seen.contains(*row));
+            *counts.entry(predicate.name.clone()).or_default() += counted.count() as u64;
+        }
     }
     counts
 }
