@@ -44,11 +44,11 @@ def main() -> None:
     samples, tensors = VapDataset(folder), torch_dataset(folder)
     order = np.random.default_rng(0).permutation(len(samples)).tolist()
     pixels = np.empty((PICTURE_SIDE, PICTURE_SIDE, 3), np.uint8)
-    planes = np.empty((3, PICTURE_SIDE, PICTURE_SIDE), np.uint8)
     batch = tensors.__getitems__(order[:BATCH])
 
-    def loader(workers: int) -> int:
-        batches = torch.utils.data.DataLoader(tensors, BATCH, shuffle=True, num_workers=workers, collate_fn=collate)
+    def loader(workers: int, threads: int = 1) -> int:
+        read = torch_dataset(folder, threads=threads)
+        batches = torch.utils.data.DataLoader(read, BATCH, shuffle=True, num_workers=workers, collate_fn=collate)
         return sum(len(batch["tick"]) for batch in batches)
 
     def each(read: Callable[[int], object]) -> int:
@@ -60,9 +60,9 @@ def main() -> None:
         ("`DataLoader`, 2 workers", lambda: loader(2)),
         ("`DataLoader`, 1 worker", lambda: loader(1)),
         ("`DataLoader`, no worker", lambda: loader(0)),
+        ("`DataLoader`, no worker, 2 threads", lambda: loader(0, 2)),
         ("the file of a picture", lambda: each(lambda at: samples.picture_path(at).read_bytes())),
         ("a picture decoded", lambda: each(lambda at: samples.read_picture(at, pixels))),
-        ("the same in planes", lambda: each(lambda at: samples.read_picture(at, planes))),
         ("all but the picture", lambda: each(samples.facts)),
         ("samples made a batch", lambda: BATCH * each(lambda at: collate(batch))),
     ]

@@ -182,21 +182,12 @@ fn read_world(
     ))
 }
 
-/// How the colours of a picture lie in memory.
-#[derive(Clone, Copy)]
-enum Layout {
-    /// (rows, columns, 3)
-    Pixels,
-    /// (3, rows, columns)
-    Planes,
-}
-
 fn undecoded(error: DecodingError) -> Unread {
     faulty(format!("not a picture: {error}"))
 }
 
 /// Decodes a PNG of that many rows and columns, 8 bits a colour.
-fn decode(path: &Path, (rows, columns): (usize, usize), layout: Layout, out: &mut [u8]) -> Result<(), Unread> {
+fn decode(path: &Path, (rows, columns): (usize, usize), out: &mut [u8]) -> Result<(), Unread> {
     let bytes = read_bytes(path.to_owned())?;
     let mut reader = Decoder::new(Cursor::new(bytes)).read_info().map_err(undecoded)?;
     let info = reader.info();
@@ -212,42 +203,18 @@ fn decode(path: &Path, (rows, columns): (usize, usize), layout: Layout, out: &mu
             "not a picture of {rows} rows and {columns} columns in red, green and blue of 8 bits, row by row"
         )));
     }
-    let size = rows * columns;
-    for number in 0..rows {
-        let row = reader.next_row().map_err(undecoded)?;
-        let row = row.ok_or_else(|| faulty("not a picture: rows are missing"))?;
-        let start = number * columns;
-        match layout {
-            Layout::Pixels => out[3 * start..][..3 * columns].copy_from_slice(row.data()),
-            Layout::Planes => {
-                let (red, rest) = out.split_at_mut(size);
-                let (green, blue) = rest.split_at_mut(size);
-                let planes = (red[start..][..columns].iter_mut())
-                    .zip(&mut green[start..][..columns])
-                    .zip(&mut blue[start..][..columns]);
-                for (((red, green), blue), pixel) in planes.zip(row.data().chunks_exact(3)) {
-                    (*red, *green, *blue) = (pixel[0], pixel[1], pixel[2]);
-                }
-            }
-        }
-    }
+    reader.next_frame(out).map_err(undecoded)?;
     // Reads what is behind the last row, so that damage there is found, too.
     reader.finish().map_err(undecoded)
 }
 
-/// Decodes a picture into an array of shape (rows, columns, 3) or, in planes, (3, rows, columns). Other threads of Python run meanwhile.
+/// Decodes a picture into an array of shape (rows, columns, 3). Other threads of Python run meanwhile.
 #[pyfunction]
 fn read_picture(py: Python<'_>, path: PathBuf, mut out: PyReadwriteArray3<'_, u8>) -> PyResult<()> {
-    let (layout, size) = match *out.shape() {
-        [rows, columns, 3] => (Layout::Pixels, (rows, columns)),
-        [3, rows, columns] => (Layout::Planes, (rows, columns)),
-        _ => {
-            return Err(PyValueError::new_err(
-                "a picture has the shape (rows, columns, 3) or (3, rows, columns)",
-            ));
-        }
+    let [rows, columns, 3] = *out.shape() else {
+        return Err(PyValueError::new_err("a picture has the shape (rows, columns, 3)"));
     };
-    let pixels = slice_of(&mut out, 3 * size.0 * size.1)?;
-    let decoded = py.detach(|| decode(&path, size, layout, pixels));
+    let pixels = slice_of(&mut out, 3 * rows * columns)?;
+    let decoded = py.detach(|| decode(&path, (rows, columns), pixels));
     decoded.map_err(|unread| unread.raise(py, &path))
 }

@@ -194,13 +194,10 @@ def image_of(sample: VapSample) -> NDArray[np.uint8]:
 
 def test_pictures_are_those_of_their_samples(shown: Path) -> None:
     samples = VapDataset(shown)
-    planes = np.empty((3, PICTURE_SIDE, PICTURE_SIDE), np.uint8)
     for index in (0, 1, 90, -1):
         sample = samples[index]
         wanted = picture(sample.world, sample.tick)
         assert np.array_equal(image_of(sample), wanted)
-        samples.read_picture(index, planes)
-        assert (planes == wanted.transpose(2, 0, 1)).all()
     noise = np.random.default_rng(0).integers(0, 256, (PICTURE_SIDE, PICTURE_SIDE, 3), np.uint8)
     path = samples.picture_path(3)
     before = path.read_bytes()
@@ -211,7 +208,7 @@ def test_pictures_are_those_of_their_samples(shown: Path) -> None:
 
 def test_pictures_go_only_where_they_fit(shown: Path) -> None:
     samples = VapDataset(shown)
-    for shape in [(PICTURE_SIDE, PICTURE_SIDE), (PICTURE_SIDE, PICTURE_SIDE, 4), (3, 3, 3), (3, PICTURE_SIDE, 3)]:
+    for shape in [(PICTURE_SIDE, PICTURE_SIDE), (3, PICTURE_SIDE, PICTURE_SIDE), (3, 3, 3), (3, PICTURE_SIDE, 3)]:
         with pytest.raises(ValueError, match="shape"):
             samples.read_picture(0, np.empty(shape, np.uint8))
     with pytest.raises(ValueError, match="contiguous"):
@@ -595,6 +592,24 @@ def test_workers_read_what_one_process_reads(method: str, shown: Path) -> None:
             same = torch.equal(found[name].nan_to_num(-5), value.nan_to_num(-5)) if hasattr(value, "shape") else None
             assert found[name] == value if same is None else same
         assert wanted["image"].shape == (2, 3, PICTURE_SIDE, PICTURE_SIDE)
+
+
+def test_threads_decode_what_one_decodes(shown: Path) -> None:
+    needs_torch()
+    alone, together = torch_dataset(shown), torch_dataset(shown, threads=3)
+    chosen = [3, 150, 4, 260, 5, 10]
+    batches = [collate(tensors.__getitems__(chosen))["image"] for tensors in (alone, together)]
+    assert (batches[0] == batches[1]).all() and batches[0].shape == (6, 3, PICTURE_SIDE, PICTURE_SIDE)
+    for image, index in zip(batches[1], chosen, strict=True):
+        assert np.array_equal(image.permute(1, 2, 0).numpy(), image_of(VapDataset(shown)[index]))
+    path = VapDataset(shown).picture_path(260)
+    before = path.read_bytes()
+    path.write_bytes(before[:1000])
+    with pytest.raises(InputError, match="not a picture"):
+        together.__getitems__(chosen)
+    path.write_bytes(before)
+    with pytest.raises(ValueError, match="0 threads"):
+        torch_dataset(shown, threads=0)
 
 
 def test_baselines_are_measured(sets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -41,11 +41,14 @@ __all__ = [
 ]
 
 
-def torch_dataset(folder: str | os.PathLike[str], images: bool = True, *, cached_worlds: int = 128) -> TorchVapDataset:
-    """Make a `torch.utils.data.Dataset` of a data set; its arguments are those of `VapDataset`.
+def torch_dataset(
+    folder: str | os.PathLike[str], images: bool = True, *, cached_worlds: int = 128, threads: int = 1
+) -> TorchVapDataset:
+    """Make a `torch.utils.data.Dataset` of a data set; its arguments are those of `VapDataset`, and `threads`.
 
     A sample is a dictionary with the fields of `VapSample`, arrays as tensors; `image` has the shape (3, 1024, 1024),
-    and is left out with `images=False`. Worker processes can be forked or spawned.
+    in the memory format `channels_last`, and is left out with `images=False`. Worker processes can be forked or
+    spawned; `threads`, from 1 on, is how many threads of each process decode the pictures of a batch.
 
     Raises:
         ImportError: PyTorch is not installed; the extra `vap` has it: `pip install './python[vap]'`.
@@ -53,7 +56,7 @@ def torch_dataset(folder: str | os.PathLike[str], images: bool = True, *, cached
     """
     from .loader import TorchVapDataset
 
-    return TorchVapDataset(VapDataset(folder, images, cached_worlds=cached_worlds))
+    return TorchVapDataset(VapDataset(folder, images, cached_worlds=cached_worlds), threads)
 
 
 def collate(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

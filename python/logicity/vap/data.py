@@ -211,12 +211,12 @@ class VapDataset(Sequence[VapSample]):
         return self._world_folder(world) / f"frame-{tables.ticks[place]:03}.png"
 
     def read_picture(self, index: SupportsIndex, out: NDArray[np.uint8]) -> None:
-        """Read the picture of a sample into an array of shape (1024, 1024, 3), or (3, 1024, 1024) for a plane a colour.
+        """Read the picture of a sample into an array of shape (1024, 1024, 3).
 
         Raises `ValueError` for an array of another shape, or one whose numbers do not lie side by side.
         """
-        if out.shape not in ((PICTURE_SIDE, PICTURE_SIDE, 3), (3, PICTURE_SIDE, PICTURE_SIDE)):
-            raise ValueError(f"a picture has the shape (1024, 1024, 3) or (3, 1024, 1024), not {out.shape}")
+        if out.shape != (PICTURE_SIDE, PICTURE_SIDE, 3):
+            raise ValueError(f"a picture has the shape (1024, 1024, 3), not {out.shape}")
         _logicity.read_picture(self.picture_path(index), out)
 
     def iterate(self, seed: int = 0, *, shuffle: bool = True, shard: tuple[int, int] = (0, 1)) -> Iterator[VapSample]:

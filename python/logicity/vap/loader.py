@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 from typing import Any
 
@@ -33,9 +34,11 @@ PADDED: dict[str, tuple[int, float]] = {
 class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
     """A data set as `torch_dataset` tells."""
 
-    def __init__(self, samples: VapDataset) -> None:
-        """Take the samples of a data set."""
-        self.samples = samples
+    def __init__(self, samples: VapDataset, threads: int = 1) -> None:
+        """Take the samples of a data set, and how many threads decode the pictures of a batch."""
+        if threads < 1:
+            raise ValueError(f"{threads} threads: 1 or more decode pictures")
+        self.samples, self.threads = samples, threads
 
     def __len__(self) -> int:
         """How many samples there are."""
@@ -49,11 +52,21 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
         """Read samples. Their pictures lie side by side, so that a batch of them is made without a copy."""
         samples = [as_tensors(self.samples.facts(index)) for index in indices]
         if self.samples.images:
-            images = _room((len(indices), 3, PICTURE_SIDE, PICTURE_SIDE))
-            for index, image, sample in zip(indices, images, samples, strict=True):
-                self.samples.read_picture(index, image.numpy())
-                sample["image"] = image
+            images = _room((len(indices), PICTURE_SIDE, PICTURE_SIDE, 3))
+            self._read_pictures(indices, images)
+            for image, sample in zip(images, samples, strict=True):
+                sample["image"] = image.permute(2, 0, 1)
         return samples
+
+    def _read_pictures(self, indices: Sequence[int], images: torch.Tensor) -> None:
+        arrays = [image.numpy() for image in images]
+        if self.threads == 1 or len(arrays) == 1:
+            for index, array in zip(indices, arrays, strict=True):
+                self.samples.read_picture(index, array)
+            return
+        with ThreadPoolExecutor(self.threads) as pool:
+            # A list, since a fault is raised where its result is asked for.
+            list(pool.map(self.samples.read_picture, indices, arrays))
 
 
 def _room(shape: tuple[int, ...]) -> torch.Tensor:
@@ -97,5 +110,5 @@ def _stacked(images: list[torch.Tensor]) -> torch.Tensor:
     whole = images[0]._base
     places = [image.data_ptr() for image in images]
     if whole is not None and places == [row.data_ptr() for row in whole]:
-        return whole
+        return whole.permute(0, 3, 1, 2)
     return torch.stack(images)
