@@ -13,7 +13,8 @@ import gymnasium
 
 from . import InputError, __version__
 from .describe import describe
-from .evaluation import Benchmark, Evaluation, Policy, table, write_json
+from .evaluation import Benchmark, Evaluation, Policy, check_no_traces, table
+from .files import write_json
 from .modes import ENVIRONMENTS, checked_mode
 from .questions import Endpoint, ask_with_progress, grade, load_answers, load_questions
 from .vap import baseline_table, measure_baselines, to_coco, to_webdataset
@@ -55,7 +56,10 @@ def _parser() -> argparse.ArgumentParser:
     measure.add_argument("--split", choices=("train", "val", "test"), default="test", help="default: test")
     measure.add_argument("--json", type=Path, metavar="FILE", help="write the results, episode by episode")
     measure.add_argument(
-        "--traces", type=Path, metavar="FOLDER", help="write the trace of every episode into a folder for each mode"
+        "--traces",
+        type=Path,
+        metavar="FOLDER",
+        help="write the trace of every episode into a folder for each mode, which must have none",
     )
 
     learn = _add(commands, "train", "train a model, or go on with a run that was killed")
@@ -102,10 +106,11 @@ def _add_vap(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     boxes = _add(kinds, "coco", "write boxes as COCO has them")
     boxes.add_argument("folder", type=Path, help="the data set")
     boxes.add_argument("out", type=Path, help="the JSON file to write")
-    for kind in (shards, boxes):
-        kind.add_argument(
-            "--no-pictures", action="store_true", help="the data set has none, or they are to be left out"
-        )
+    for kind, told in [
+        (shards, "leave pictures out, as has to be if the data set has none"),
+        (boxes, "the data set may have none: `file_name`s are written all the same, and `info` tells it"),
+    ]:
+        kind.add_argument("--no-pictures", action="store_true", help=told)
 
     simple = _add(kinds, "baselines", "measure the most frequent action, a small network on the facts, and the rules")
     simple.add_argument("--train", type=Path, required=True, metavar="FOLDER", help="the data set to learn on")
@@ -160,8 +165,12 @@ def _evaluate(given: argparse.Namespace) -> int:
     stems = [Path(mode).stem for mode in given.modes]
     if given.traces is not None and len(set(stems)) < len(stems):
         raise ValueError("modes of one name would have their traces in one folder: give one of them at a time")
-    for mode in given.modes:
-        folder = None if given.traces is None else given.traces / Path(mode).stem
+    folders = [None if given.traces is None else given.traces / stem for stem in stems]
+    for folder in folders:
+        # Of the last mode, too, it is told at once.
+        if folder is not None:
+            check_no_traces(folder)
+    for mode, folder in zip(given.modes, folders, strict=True):
         results.append(Benchmark(mode, given.split).evaluate(policy, name=name, traces=folder))
     print(table(results))
     if given.json is not None:

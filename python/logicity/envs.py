@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _logicity
 from .city import ACTIONS
 from .errors import did_you_mean
+from .files import write_new
 from .rules import rule_file
 from .types import Split
 
@@ -119,11 +120,14 @@ class World:
         return json.dumps({"base": base.as_posix(), **over}, default=_plain)
 
     def written_config(self, path: Path, **more: Any) -> str:
-        """Return the file that traces name as their configuration: `path`, where it is written, if it was changed."""
+        """Return the file that traces name as their configuration: `path`, where it is written, if it was changed.
+
+        Raises `FileExistsError` if something else is there.
+        """
         text = self._changed(more, anywhere=True)
         if text is None:
             return self.config
-        path.write_text(text + "\n", encoding="utf-8")
+        write_new(path, text + "\n")
         return str(path)
 
     def space(self, task: _logicity.Task) -> Box:
@@ -283,21 +287,20 @@ class SPFEnv(gymnasium.Env[Observations, np.int64]):
 
         It tells of every step what the car observed, what the rules wanted of it and which clauses its action broke. If
         the configuration was changed, by overrides or by `map` or `agents` of a reset, what it became is written beside
-        the trace, to a file of the same name with the ending `.yaml`, which the trace names.
+        the trace, to `episode.jsonl.yaml` for `episode.jsonl`, which the trace names. A trace that is there is
+        replaced, another configuration is not.
 
-        Raises `ResetNeeded` if no episode has begun, `ValueError` before its first step, `OSError` if a file cannot be
-        written.
+        Raises `ResetNeeded` if no episode has begun, `ValueError` before its first step, `FileExistsError` if another
+        configuration is there, `OSError` if a file cannot be written.
         """
         self._check_begun()
         if not self._taken:
             raise ValueError("the episode has no steps yet: a trace tells what was done")
         path = Path(path)
         if path.suffix == ".yaml":
-            raise ValueError(
-                f"`{path}` is where the configuration would be: give the trace another ending, such as .jsonl"
-            )
+            raise ValueError(f"`{path}` is named as configurations are: give the trace another ending, such as .jsonl")
         world = self._world
-        config = world.written_config(path.with_suffix(".yaml"), **self._elsewhere)
+        config = world.written_config(path.with_name(f"{path.name}.yaml"), **self._elsewhere)
         task = world.task(**self._elsewhere) if self._elsewhere else self._task
         task.write_trace(world.split, self._core.episode(0), self._taken, path, config)
 
@@ -406,8 +409,8 @@ def _rendered(core: _logicity.Environments, at: int, mode: str) -> Any:
 class SPFVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
     """Many environments of Safe Path Following that take a step in one call.
 
-    Environment i goes as an `SPFEnv` with its seed would. With `reset(seed=s)` its seed is s + i. One thread of Python at
-    a time may use it; a second one is told so by a `RuntimeError`.
+    Environment i goes as an `SPFEnv` with its seed would. With `reset(seed=s)` its seed is s + i. One thread of Python
+    at a time may use it; a second one is told so by a `RuntimeError`.
 
     Parameters are those of `SPFEnv`, and: `num_envs`; `autoreset_mode`, an `AutoresetMode` or its name; `num_threads`
     that share the work of a step; `copy=False` gives the same array of observations again and again, which is faster,

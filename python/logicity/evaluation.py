@@ -6,12 +6,13 @@ which every score is compared with, only once.
 
 from __future__ import annotations
 
-import json
 import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, cast
 
@@ -240,12 +241,14 @@ class Benchmark:
             name: what to call the policy in the result.
             traces: a folder, made if it does not exist, for the trace of every episode: `episode-7.jsonl` is that of
                 number 7, which `logicity view` makes a page of; see `SPFEnv.write_trace`. If overrides have changed the
-                configuration, what it became stands there as `config.yaml`. Not of the random policy, which drives
-                every episode ten times.
+                configuration, what it became stands there as `config.yaml`. Nothing is replaced: the folder must have
+                no traces of episodes and no other `config.yaml`, which is told before the policy drives. Not of the
+                random policy, which drives every episode ten times.
 
         Raises:
             TypeError: the policy is nothing that can act, or its actions are not integers.
             ValueError: an unknown name, not one action for each observation, or traces of the random policy.
+            FileExistsError: the folder has traces already, or another configuration.
             OSError: a trace cannot be written.
             gymnasium.error.InvalidAction: an action that is not 0, 1, 2 or 3.
             InputError: the episodes do not fit the agents, as overrides can bring about.
@@ -263,24 +266,29 @@ class Benchmark:
         observations = np.zeros((len(exam), *self._task.shape(self._observation)), np.float32)
         running = np.ones(len(exam), np.bool_)
         act = _actor(policy, batched, exam)
+        write_traces = None if traces is None else self._traces_into(traces)
         taken: list[list[int]] = [[] for _ in range(len(exam))]
         with Progress(f"{self.mode} {self.split}, {named}", len(exam)) as progress:
             while running.any():
                 exam.observe(observations)
                 actions = _checked(act(observations, running), len(exam))
                 exam.step(actions)
-                if traces is not None:
+                if write_traces is not None:
                     for at in np.flatnonzero(running):
                         taken[at].append(int(actions[at]))
                 exam.running(running)
                 progress.tell(len(exam) - int(running.sum()))
-        if traces is not None:
-            self._write_traces(traces, exam, taken)
+        if write_traces is not None:
+            write_traces(exam, taken)
         return self._result(named, exam.report(self._baseline()))
 
-    def _write_traces(self, folder: Path, exam: _logicity.Exam, taken: list[list[int]]) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        config = self._world.written_config(folder / "config.yaml")
+    def _traces_into(self, folder: Path) -> Callable[[_logicity.Exam, list[list[int]]], None]:
+        """Prepare a folder, and return what writes the traces of the episodes into it, given the actions taken."""
+        check_no_traces(folder)
+        _make_writable(folder)
+        return partial(self._write_traces, folder, self._world.written_config(folder / "config.yaml"))
+
+    def _write_traces(self, folder: Path, config: str, exam: _logicity.Exam, taken: list[list[int]]) -> None:
         with Progress(f"{self.mode} {self.split}, traces", len(exam)) as progress:
             for at, actions in enumerate(taken):
                 path = folder / f"episode-{at}.jsonl"
@@ -308,6 +316,23 @@ class Benchmark:
                 EpisodeRecord(**{**record, "violations": tuple(record["violations"])}) for record in told["episodes"]
             ),
         )
+
+
+def check_no_traces(folder: Path) -> None:
+    """See that a folder has no traces: those of more episodes would stand among new ones as if they were of them."""
+    earlier = min((path.name for path in folder.glob("episode-*.jsonl")), default=None)
+    if earlier is not None:
+        raise FileExistsError(f"`{folder}` has traces already, such as {earlier}: remove them, or give another folder")
+
+
+def _make_writable(folder: Path) -> None:
+    """Make a folder, or see that it can be written to."""
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from error
 
 
 def _actor(policy: Policy, batched: bool, exam: _logicity.Exam) -> Callable[[Observations, NDArray[np.bool_]], Any]:
@@ -396,17 +421,3 @@ def table(results: list[Evaluation]) -> str:
     widths = [max(len(row[column]) for row in [head, *rows]) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in [head, *rows]]
     return "\n".join(line.rstrip() for line in lines)
-
-
-def write_json(path: str | os.PathLike[str], value: Any) -> None:
-    """Write JSON under a temporary name, then rename it: a reader finds the old file or the whole new one."""
-    temporary = f"{os.fspath(path)}.{os.getpid()}.tmp"
-    try:
-        with open(temporary, "w", encoding="utf-8") as out:
-            json.dump(value, out, indent=1, allow_nan=False)
-            out.write("\n")
-        os.replace(temporary, path)
-    except BaseException:
-        if os.path.exists(temporary):
-            os.unlink(temporary)
-        raise

@@ -24,6 +24,7 @@ from .city import ACTIONS
 from .describe import Atom, atoms_of
 from .errors import missing_extra
 from .evaluation import episodes_that_fit, load_task
+from .files import replacing
 from .modes import ENVIRONMENTS, checked_mode
 
 if TYPE_CHECKING:
@@ -256,13 +257,8 @@ class Demonstrations(Sequence[Trajectory]):
             "atoms": ";".join(f"{name}({','.join(map(str, entities))})" for name, entities in self.atoms),
         }
         table = pyarrow.table(columns).replace_schema_metadata(metadata)
-        temporary = f"{os.fspath(path)}.{os.getpid()}.tmp"
-        try:
+        with replacing(path) as temporary:
             pyarrow.parquet.write_table(table, temporary)
-            os.replace(temporary, path)
-        finally:
-            if os.path.exists(temporary):
-                os.unlink(temporary)
 
 
 def _snake(name: str) -> str:

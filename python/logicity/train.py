@@ -41,7 +41,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from . import _logicity
 from ._logicity import __version__
 from .errors import did_you_mean
-from .evaluation import Benchmark, Evaluation, write_json
+from .evaluation import Benchmark, Evaluation
+from .files import write_json
 from .modes import ENVIRONMENTS
 from .sb3 import make_vec_env
 

@@ -222,13 +222,37 @@ def test_a_trace_under_overrides_names_what_became_of_the_configuration(tmp_path
         env.write_trace(tmp_path / "trace.yaml")
     env.write_trace(tmp_path / "trace.jsonl")
     header = json.loads((tmp_path / "trace.jsonl").read_text().splitlines()[0])
-    assert header["config_file"] == str(tmp_path / "trace.yaml") and header["map"] == "random-8x8"
-    city = logicity.Simulation(tmp_path / "trace.yaml", count_firings=True)
+    config = tmp_path / "trace.jsonl.yaml"
+    assert header["config_file"] == str(config) and header["map"] == "random-8x8"
+    city = logicity.Simulation(config, count_firings=True)
     city.run(1, trace=tmp_path / "run.jsonl")
     assert json.loads((tmp_path / "run.jsonl").read_text().splitlines()[0])["config_hash"] == header["config_hash"]
     plain = logicity.Simulation("easy", count_firings=True)
     plain.run(1, trace=tmp_path / "plain.jsonl")
     assert json.loads((tmp_path / "plain.jsonl").read_text().splitlines()[0])["config_hash"] != header["config_hash"]
+
+
+def test_a_trace_leaves_configurations_as_they_are(tmp_path: Path) -> None:
+    own = tmp_path / "easy.yaml"
+    own.write_text("base: configs/easy.yaml\n")
+    env = SPFEnv(own, overrides={"view": 30})
+    env.reset(seed=1)
+    env.step(1)
+    for _ in range(2):
+        env.write_trace(tmp_path / "easy.jsonl")
+    assert own.read_text() == "base: configs/easy.yaml\n"
+    assert {path.name for path in tmp_path.iterdir()} == {"easy.yaml", "easy.jsonl", "easy.jsonl.yaml"}
+    header = json.loads((tmp_path / "easy.jsonl").read_text().splitlines()[0])
+    assert header["config_file"] == str(tmp_path / "easy.jsonl.yaml")
+    logicity.Simulation(header["config_file"])
+
+    trace, config = (tmp_path / name for name in ("easy.jsonl", "easy.jsonl.yaml"))
+    before = trace.read_bytes(), config.read_bytes()
+    env.reset(seed=1, options={"map": "configs/maps/random-8x8.yaml"})
+    env.step(1)
+    with pytest.raises(FileExistsError, match=r"easy\.jsonl\.yaml"):
+        env.write_trace(trace)
+    assert (trace.read_bytes(), config.read_bytes()) == before
 
 
 def test_two_threads_on_one_environment_are_told_what_to_do() -> None:

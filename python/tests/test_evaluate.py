@@ -17,7 +17,8 @@ import logicity
 from logicity import ENVIRONMENTS, Benchmark, Evaluation, _logicity, demonstrations, evaluate, observation_names
 from logicity.__main__ import main
 from logicity.describe import describe
-from logicity.evaluation import load_task, write_json
+from logicity.evaluation import load_task
+from logicity.files import write_json
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -65,6 +66,44 @@ def test_traces_of_all_episodes(tmp_path: Path) -> None:
     header = json.loads((changed / "episode-0.jsonl").read_text().splitlines()[0])
     assert header["config_file"] == str(changed / "config.yaml")
     assert logicity.Benchmark(changed / "config.yaml", "val").evaluate("oracle").tsr.value == 1.0
+
+
+def undriven(observation: NDArray[np.float32]) -> int:
+    """Is not to be asked."""
+    raise AssertionError("the policy drives")
+
+
+def test_traces_replace_nothing(own_city: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = own_city.rename(own_city.with_name("config.yaml"))
+    text, folder = own.read_text(), own.parent
+    with pytest.raises(FileExistsError, match=r"config\.yaml"):
+        evaluate(undriven, own, "val", overrides={"view": 30}, traces=folder)
+    assert own.read_text() == text
+    assert {path.name for path in folder.iterdir()} == {"config.yaml", "five.jsonl"}
+
+    (folder / "traces").mkdir()
+    (folder / "traces" / "episode-77.jsonl").write_text("earlier")
+    with pytest.raises(FileExistsError, match=r"has traces already, such as episode-77\.jsonl"):
+        evaluate(undriven, own, "val", traces=folder / "traces")
+    assert [path.name for path in (folder / "traces").iterdir()] == ["episode-77.jsonl"]
+
+    (folder / "hard").mkdir()
+    (folder / "hard" / "episode-0.jsonl").write_text("earlier")
+    command = ["evaluate", "--policy", "oracle", "--split", "val", "--traces", str(folder), "--modes", "easy,hard"]
+    assert main(command) == 1 and "hard` has traces already" in capsys.readouterr().err
+    assert not (folder / "easy").exists(), "of the second mode it is told before the first is driven"
+
+
+def test_folders_that_take_no_traces_are_told_at_once(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(OSError, match="file"):
+            evaluate(undriven, "easy", "val", traces=folder)
+    # Nobody can write there, while modes of folders do not bind whoever may do all.
+    closed = Path("/proc/self")
+    if closed.exists():
+        with pytest.raises(OSError, match="/proc/self'$"):
+            evaluate(undriven, "easy", "val", traces=closed)
 
 
 class Model:

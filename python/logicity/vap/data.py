@@ -130,6 +130,8 @@ class VapDataset(Sequence[VapSample]):
         Whose rules, `"easy"` or `"hard"`; `"train"`, `"val"` or `"test"`; `"fixed"` or `"random"` agents.
     images
         Whether pictures are read.
+    has_pictures
+        Whether there are any, as the manifest tells.
     predicates
         `UNARY` and `BINARY`.
 
@@ -149,7 +151,8 @@ class VapDataset(Sequence[VapSample]):
         """Read the manifest."""
         self.folder, self.images = Path(folder), images
         settings, counts = _read_manifest(self.folder)
-        if images and not settings["pictures"]:
+        self.has_pictures: bool = settings["pictures"]
+        if images and not self.has_pictures:
             raise ValueError(f"`{self.folder}` was made with `--no-pictures`: images=False reads it")
         self.mode: str = settings["mode"]
         self.agents: str = settings["agents"]

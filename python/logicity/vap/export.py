@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from ..city import ACTIONS
-from ..evaluation import Progress, write_json
+from ..evaluation import Progress
+from ..files import write_json
 from .data import BINARY, PICTURE_SIDE, UNARY, VapDataset, VapSample
 
 __all__ = ["to_coco", "to_webdataset"]
@@ -106,16 +107,17 @@ def _new_folder(path: Path) -> Iterator[Path]:
 def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, images: bool = True) -> None:
     """Write the boxes of a data set as JSON in the format of COCO, under a temporary name that becomes `out`.
 
-    `images` have a `file_name` below the folder of the data set, `world` and `tick`. `annotations` are of entities in
-    the picture: `bbox` (left and upper edge, width and height in pixels), `area` of the box, `category_id`, and beside
-    what COCO has, `name`, `concepts`, and `action` for cars. `categories` are `car`, `ambulance`, `bus`, `police`,
-    `tiro`, `reckless`, `pedestrian`, `old` and `young`, from 1 on, and behind them those with several concepts, such as
+    `images` have a `file_name` below the folder of the data set, `world` and `tick`; `info` has `pictures`, false if
+    the data set was made without them, so that no such files are there. `annotations` are of entities in the picture:
+    `bbox` (left and upper edge, width and height in pixels), `area` of the box, `category_id`, and beside what COCO
+    has, `name`, `concepts`, and `action` for cars. `categories` are `car`, `ambulance`, `bus`, `police`, `tiro`,
+    `reckless`, `pedestrian`, `old` and `young`, from 1 on, and behind them those with several concepts, such as
     `bus+tiro`, that occur; the `supercategory` is `Car` or `Pedestrian`.
 
     Args:
         folder: that `logicity vap make` has made.
         out: the file.
-        images: whether the pictures have to be there.
+        images: whether the data set has to have pictures, which themselves are not read.
 
     Raises:
         OSError: a file cannot be read or written.
@@ -147,8 +149,11 @@ def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, imag
     numbers = {category["name"]: category["id"] for category in categories}
     for annotation in annotations:
         annotation["category_id"] = numbers[annotation.pop("category")]
-    told = {"description": f"LogiCity, Visual Action Prediction, {samples.mode}, {samples.split}"}
-    write_json(out, {"info": told, "images": pictures, "annotations": annotations, "categories": categories})
+    info = {
+        "description": f"LogiCity, Visual Action Prediction, {samples.mode}, {samples.split}",
+        "pictures": samples.has_pictures,
+    }
+    write_json(out, {"info": info, "images": pictures, "annotations": annotations, "categories": categories})
 
 
 def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:
