@@ -10,8 +10,9 @@ import shutil
 import tarfile
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 import pytest
@@ -470,6 +471,9 @@ def test_boxes_are_told_as_coco_has_them(shown: Path, sets: Path, tmp_path: Path
     told = check_coco(out, VapDataset(sets / "hard", images=False))
     names = ["car", "ambulance", "bus", "police", "tiro", "reckless", "pedestrian", "old", "young"]
     assert [category["name"] for category in told["categories"]] == names
+    assert told["info"] == {"description": "LogiCity, Visual Action Prediction, hard, test", "pictures": False}
+    to_coco(shown, out, images=False)
+    assert json.loads(out.read_text())["info"]["pictures"] is True, "they are there, asked for or not"
     assert [path.name for path in tmp_path.iterdir()] == ["boxes.json"]
     with pytest.raises(ValueError, match="--no-pictures"):
         to_coco(sets / "hard", tmp_path / "other.json")
@@ -513,6 +517,14 @@ def test_the_commands_convert(shown: Path, sets: Path, tmp_path: Path, capsys: p
     assert main(["vap", "webdataset", str(sets / "hard"), str(tmp_path / "facts"), "--no-pictures"]) == 0
     with pytest.raises(SystemExit):
         main(["vap"])
+    told = {}
+    for command in ("webdataset", "coco"):
+        capsys.readouterr()
+        with pytest.raises(SystemExit):
+            main(["vap", command, "--help"])
+        told[command] = " ".join(capsys.readouterr().out.split())
+    assert "leave pictures out" in told["webdataset"] and "leave" not in told["coco"]
+    assert "`file_name`s are written all the same" in told["coco"]
 
 
 def needs_torch() -> Any:
@@ -559,7 +571,7 @@ def test_batches_are_padded(drawn: VapDataset) -> None:
     fillers = {"boxes": math.nan, "h": 0, "unary": 0, "binary": 0, "sees": 0, "actions": -1, "mask": 0}
     for row, sample in enumerate(chosen):
         count = len(sample["names"])
-        assert batch["there"][row].tolist() == [True] * count + [False] * (most - count)
+        assert batch["valid"][row].tolist() == [True] * count + [False] * (most - count)
         for name, filler in fillers.items():
             square = name in ("binary", "sees")
             assert batch[name].dtype == sample[name].dtype
@@ -573,8 +585,40 @@ def test_batches_are_padded(drawn: VapDataset) -> None:
                     assert np.array_equal(batch[name][(row, *at)].numpy(), wanted.numpy(), equal_nan=name == "boxes")
     assert batch["names"] == [sample["names"] for sample in chosen] and batch["tick"].tolist() == [11, 22, 33]
     assert "image" not in batch
+    assert sum(value.nbytes for value in batch.values() if torch.is_tensor(value)) == 3 * (7 * most**2 + 73 * most + 16)
     with pytest.raises(ValueError, match="no samples"):
         collate([])
+
+
+def test_pictures_are_stacked_as_they_have_become(shown: Path) -> None:
+    torch = needs_torch()
+    tensors = torch_dataset(shown)
+    whole = tensors.__getitems__([3, 150, 4])
+    alone = tensors.__getitems__([7])
+    changes: list[Callable[[Any], Any]] = [
+        lambda image: image,
+        lambda image: image[:, :512],
+        lambda image: image[:, :, :100],
+        lambda image: image[:2],
+        lambda image: image[:, ::2, ::3],
+        lambda image: image[:, 9:, 5:],
+        lambda image: image.transpose(1, 2),
+        lambda image: image.permute(1, 2, 0),
+        lambda image: image.flip(2),
+        lambda image: image.view(torch.int8),
+        lambda image: image.float(),
+        lambda image: image.contiguous(),
+    ]
+    for change in changes:
+        for samples in (whole, alone, whole[:2], whole[1:], whole[::-1], [*whole, *alone], alone * 3):
+            images = [change(sample["image"]) for sample in samples]
+            found = collate([{**sample, "image": image} for sample, image in zip(samples, images, strict=True)])
+            wanted = torch.stack(images)
+            assert found["image"].dtype == wanted.dtype and torch.equal(found["image"], wanted)
+    mixed = [{**whole[0]}, {**whole[1], "image": whole[1]["image"].transpose(1, 2)}, {**whole[2]}]
+    assert torch.equal(collate(mixed)["image"], torch.stack([sample["image"] for sample in mixed]))
+    for samples in (whole, alone):
+        assert collate(samples)["image"].data_ptr() == samples[0]["image"].data_ptr(), "made without a copy"
 
 
 @pytest.mark.parametrize("method", sorted({"fork", "spawn"} & set(multiprocessing.get_all_start_methods())))
@@ -643,6 +687,41 @@ def test_labels_that_do_not_follow_are_told(own: Path, sets: Path, capsys: pytes
     assert "is of easy mode" in capsys.readouterr().err
     assert main(["vap", "baselines", "--train", folder, "--test", folder, "--epochs", "-1"]) == 1
     assert "-1 epochs" in capsys.readouterr().err
+
+
+class Walkers(VapDataset):
+    """A data set of whose samples only some have cars: those of the others are told to be pedestrians."""
+
+    def __init__(self, folder: Path, with_cars: range) -> None:
+        super().__init__(folder, images=False)
+        self._with_cars = with_cars
+
+    def facts(self, index: SupportsIndex) -> VapSample:
+        sample = super().facts(index)
+        if int(index) in self._with_cars:
+            return sample
+        return replace(sample, actions=np.full_like(sample.actions, -1), mask=np.zeros_like(sample.mask))
+
+
+def test_samples_without_cars_teach_nothing(hard: VapDataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    needs_torch()
+    from logicity.vap.network import train_network
+
+    def predictions(with_cars: range, epochs: int) -> list[int]:
+        learned: list[int] = train_network(Walkers(hard.folder, with_cars), hard, 0, epochs, lambda done: None).tolist()
+        return learned
+
+    # So few that, of three batches of 64, some would have none.
+    assert len(set(predictions(range(2), 20))) > 1
+    assert predictions(range(2), 20) != predictions(range(2), 0)
+
+    for train, test in [(0, 2), (2, 0)]:
+        with_cars = iter([range(train), range(test)])
+        monkeypatch.setattr(
+            "logicity.vap.baselines.VapDataset", lambda folder, images, given=with_cars: Walkers(folder, next(given))
+        )
+        with pytest.raises(ValueError, match="hard` has no cars"):
+            measure_baselines(hard.folder, hard.folder)
 
 
 def test_it_is_found_from_the_front_door() -> None:

@@ -64,8 +64,8 @@ def collate(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
     With B samples, the largest of N entities: `image` uint8 (B, 3, 1024, 1024), `boxes` (B, N, 4), `h` (B, N, 9),
     `unary` (B, N, 11), `binary` (B, N, N, 6), `sees` (B, N, N), `actions` and `mask` (B, N), `world` and `tick` int64
-    (B,); `names` and `concepts` are lists of B tuples. `there` is bool (B, N) and true for entities; behind the last
-    entity of a sample boxes are NaN, actions -1 and all else 0 or false.
+    (B,); `names` and `concepts` are lists of B tuples. `valid`, bool (B, N), is the padding mask: true for entities;
+    behind the last entity of a sample boxes are NaN, actions -1 and all else 0 or false.
 
     Raises:
         ImportError: PyTorch is not installed; the extra `vap` has it.

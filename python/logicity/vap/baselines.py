@@ -41,6 +41,9 @@ def measure_baselines(
     - `network` learns on `train`, from what is true, two rounds of messages between entities that see each other;
     - `rules` is what the rules derive from what is true, and right always.
 
+    The tensors of both data sets are in memory at once, and while a set is read, its samples beside them: padded to
+    the N entities of its largest sample, one takes 7 N² + 73 N + 16 bytes.
+
     Args:
         train: the folder of the data set to learn on.
         test: that of the data set to measure on, of the same mode.
@@ -50,7 +53,8 @@ def measure_baselines(
     Raises:
         ImportError: PyTorch is not installed; the extra `vap` has it: `pip install './python[vap]'`.
         OSError: a file cannot be read.
-        ValueError: as `VapDataset`, no samples, data sets of different modes, or a negative number of epochs.
+        ValueError: as `VapDataset`, no cars in a data set, data sets of different modes, or a negative number of
+            epochs.
     """
     # Told at once if it is missing.
     from .network import train_network
@@ -60,12 +64,9 @@ def measure_baselines(
         raise ValueError(f"`{known.folder}` is of {known.mode} mode, `{asked.folder}` of {asked.mode} mode")
     if epochs < 0:
         raise ValueError(f"{epochs} epochs")
-    for samples in (known, asked):
-        if len(samples) == 0:
-            raise ValueError(f"`{samples.folder}` has no samples")
-    labels = _labels(asked)
+    train_labels, labels = _labels(known), _labels(asked)
     frames = np.repeat(np.arange(len(asked)), [int(sample.mask.sum()) for sample in asked])
-    majority = np.bincount(_labels(known), minlength=len(ACTIONS)).argmax()
+    majority = np.bincount(train_labels, minlength=len(ACTIONS)).argmax()
     with Progress("epoch", epochs) as progress:
         learned = train_network(known, asked, seed, epochs, progress.tell)
     predictions = {"majority": np.full_like(labels, majority), "network": learned, "rules": rule_actions(asked)}
@@ -76,8 +77,11 @@ def measure_baselines(
 
 
 def _labels(samples: VapDataset) -> NDArray[np.int64]:
-    """What the rules want of the cars of all samples, one after the other."""
-    return np.concatenate([sample.actions[sample.mask] for sample in samples])
+    """What the rules want of the cars of all samples, one after the other; there is a car."""
+    labels = [sample.actions[sample.mask] for sample in samples]
+    if not any(map(len, labels)):
+        raise ValueError(f"`{samples.folder}` has no cars")
+    return np.concatenate(labels)
 
 
 def rule_actions(samples: VapDataset) -> NDArray[np.int64]:

@@ -90,7 +90,7 @@ def padded_batch(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     counts = torch.tensor([len(sample["mask"]) for sample in samples])
     batch: dict[str, Any] = {name: [sample[name] for sample in samples] for name in ("names", "concepts")}
     batch |= {name: torch.tensor([sample[name] for sample in samples]) for name in ("world", "tick")}
-    batch["there"] = torch.arange(int(counts.max())) < counts[:, None]
+    batch["valid"] = torch.arange(int(counts.max())) < counts[:, None]
     for name, (axes, filler) in PADDED.items():
         batch[name] = _padded([sample[name] for sample in samples], axes, int(counts.max()), filler)
     if "image" in samples[0]:
@@ -106,9 +106,16 @@ def _padded(tensors: list[torch.Tensor], axes: int, most: int, filler: float) ->
 
 
 def _stacked(images: list[torch.Tensor]) -> torch.Tensor:
-    """Pictures as a batch: that of `__getitems__`, if it is theirs."""
+    """Pictures as a batch: that of `__getitems__`, if they are its rows as they were."""
     whole = images[0]._base
-    places = [image.data_ptr() for image in images]
-    if whole is not None and places == [row.data_ptr() for row in whole]:
-        return whole.permute(0, 3, 1, 2)
+    if whole is not None and whole.dim() == 4 and len(whole) == len(images):
+        batch = whole.permute(0, 3, 1, 2)
+        if all(_same_view(image, row) for image, row in zip(images, batch, strict=True)):
+            return batch
     return torch.stack(images)
+
+
+def _same_view(one: torch.Tensor, other: torch.Tensor) -> bool:
+    """Whether two tensors are the same bytes, read alike."""
+    first, second = ((tensor.data_ptr(), tensor.shape, tensor.stride(), tensor.dtype) for tensor in (one, other))
+    return bool(first == second)

@@ -29,31 +29,31 @@ BATCH = 64
 LEARNING_RATE = 3e-3
 
 
-#: Sample, position of who sees, position of who is seen.
-Sees: TypeAlias = tuple[Tensor, Tensor, Tensor]
+#: Sample, position of the receiver, position of the sender.
+Edges: TypeAlias = tuple[Tensor, Tensor, Tensor]
 
 
-class Round(nn.Module):
-    """Every entity hears from all that it sees, itself among them, and changes its mind."""
+class MessagePassing(nn.Module):
+    """Every entity receives messages of all that it sees, itself among them, and updates its embedding."""
 
     def __init__(self) -> None:
         """Draw the weights."""
         super().__init__()
-        self.of_hearer, self.of_heard = nn.Linear(WIDTH, WIDTH), nn.Linear(WIDTH, WIDTH, bias=False)
-        self.of_pair = nn.Linear(2 * len(BINARY), WIDTH, bias=False)
-        self.change = nn.Linear(3 * WIDTH, WIDTH)
+        self.receiver, self.sender = nn.Linear(WIDTH, WIDTH), nn.Linear(WIDTH, WIDTH, bias=False)
+        self.edge = nn.Linear(2 * len(BINARY), WIDTH, bias=False)
+        self.update = nn.Linear(3 * WIDTH, WIDTH)
 
-    def forward(self, minds: Tensor, pairs: Tensor, sees: Sees) -> Tensor:
-        """Minds after it, (batch, entities, width), from pairs of those that see and those that are seen."""
-        batch, hearer, heard = sees
-        told = self.of_hearer(minds)[batch, hearer] + self.of_heard(minds)[batch, heard] + self.of_pair(pairs)
-        # What is told is not negative, so that 0 is the largest of nothing.
-        told = torch.relu(told)
-        place = batch * minds.shape[1] + hearer
-        nothing = told.new_zeros(minds.shape[0] * minds.shape[1], WIDTH)
-        largest = nothing.scatter_reduce(0, place[:, None].expand_as(told), told, "amax")
-        total = nothing.index_add(0, place, told)
-        return torch.relu(self.change(torch.cat([minds, largest.view_as(minds), total.view_as(minds)], -1)))
+    def forward(self, nodes: Tensor, edge_features: Tensor, edges: Edges) -> Tensor:
+        """Node embeddings after a round, (batch, entities, width)."""
+        batch, receiver, sender = edges
+        messages = self.receiver(nodes)[batch, receiver] + self.sender(nodes)[batch, sender] + self.edge(edge_features)
+        # They are not negative, so that 0 is the largest of none.
+        messages = torch.relu(messages)
+        place = batch * nodes.shape[1] + receiver
+        none = messages.new_zeros(nodes.shape[0] * nodes.shape[1], WIDTH)
+        largest = none.scatter_reduce(0, place[:, None].expand_as(messages), messages, "amax")
+        total = none.index_add(0, place, messages)
+        return torch.relu(self.update(torch.cat([nodes, largest.view_as(nodes), total.view_as(nodes)], -1)))
 
 
 class FactNetwork(nn.Module):
@@ -62,18 +62,18 @@ class FactNetwork(nn.Module):
     def __init__(self) -> None:
         """Draw the weights."""
         super().__init__()
-        self.begin = nn.Linear(len(UNARY), WIDTH)
-        self.rounds = nn.ModuleList(Round() for _ in range(ROUNDS))
-        self.end = nn.Linear(WIDTH, len(ACTIONS))
+        self.encoder = nn.Linear(len(UNARY), WIDTH)
+        self.rounds = nn.ModuleList(MessagePassing() for _ in range(ROUNDS))
+        self.readout = nn.Linear(WIDTH, len(ACTIONS))
 
     def forward(self, unary: Tensor, binary: Tensor, sees: Tensor) -> Tensor:
         """Scores of actions, (batch, entities, 4), from truth values as `collate` has them."""
-        seen: Sees = sees.nonzero(as_tuple=True)
-        pairs = torch.cat([binary, binary.transpose(1, 2)], -1)[seen].float()
-        minds = torch.relu(self.begin(unary.float()))
-        for round_ in self.rounds:
-            minds = round_(minds, pairs, seen)
-        scores: Tensor = self.end(minds)
+        edges: Edges = sees.nonzero(as_tuple=True)
+        edge_features = torch.cat([binary, binary.transpose(1, 2)], -1)[edges].float()
+        nodes = torch.relu(self.encoder(unary.float()))
+        for message_passing in self.rounds:
+            nodes = message_passing(nodes, edge_features, edges)
+        scores: Tensor = self.readout(nodes)
         return scores
 
 
@@ -82,7 +82,8 @@ def train_network(
 ) -> NDArray[np.int64]:
     """Train on the samples of one data set, and predict the actions of the cars of another, one after the other.
 
-    The same seed learns the same on the same machine. `progress` is told after each epoch how many are done.
+    There is a car in `train`. The same seed learns the same on the same machine. `progress` is told after each epoch
+    how many are done.
     """
     facts, asked = (
         padded_batch([as_tensors(samples.facts(at)) for at in range(len(samples))]) for samples in (train, test)
@@ -103,13 +104,14 @@ def train_network(
 
 
 def _trained(facts: dict[str, Tensor], epochs: int, progress: Callable[[int], None]) -> FactNetwork:
-    """A network that has seen each sample so many times, with draws of the default generator."""
-    network, count = FactNetwork(), len(facts["mask"])
+    """A network that has seen each sample with cars so many times, with draws of the default generator."""
+    network, with_cars = FactNetwork(), facts["mask"].any(1).nonzero()[:, 0]
+    count = len(with_cars)
     optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE)
     steps = epochs * math.ceil(count / BATCH)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(steps, 1))
     for epoch in range(epochs):
-        for chosen in torch.randperm(count).split(BATCH):
+        for chosen in with_cars[torch.randperm(count)].split(BATCH):
             scores, cars = network(*_inputs(facts, chosen)), facts["mask"][chosen]
             loss = nn.functional.cross_entropy(scores[cars], facts["actions"][chosen][cars])
             optimizer.zero_grad()
