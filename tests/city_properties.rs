@@ -546,9 +546,9 @@ proptest! {
 
     #[test]
     fn pedestrians_take_a_shortest_way(map in maps(), picks in proptest::collection::vec(any::<[Index; 2]>(), 12)) {
-        let router = Router::new(map.clone(), Routing::Weighted);
+        let routers = [Routing::Weighted, Routing::Hops].map(|routing| Router::new(map.clone(), routing));
         let places: Vec<Cell> = cells(&map).filter(|&cell| map.is_walkable(cell)).collect();
-        for pick in picks {
+        for (pick, router) in picks.into_iter().flat_map(|pick| routers.iter().map(move |router| (pick, router))) {
             let [start, goal] = pick.map(|index| *index.get(&places));
             let route = router.plan(AgentKind::Pedestrian, start, goal);
             prop_assert_eq!(route.as_ref().ok().map(|route| route.cells().count()), walk(&map, start, goal));

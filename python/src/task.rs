@@ -6,7 +6,7 @@ use crate::{Signals, held, input_error};
 use logicity::config::{Speed, Split};
 use logicity::diag::{Diagnostic, SourceId, Sources};
 use logicity::files::{Output, read_or_builtin};
-use logicity::render::{Driven, Icons, Overview, Sprite};
+use logicity::render::{Icons, Marked, Overview, Sprite};
 use logicity::sim::World;
 use logicity::task::path::{
     Egos, Env, Episode, EpisodeSet, Info, Origin, PathTask, RecordError, Rider, View, explain, record,
@@ -239,12 +239,12 @@ impl PyTask {
             .collect();
         let driven = marked.iter().map(|rider| {
             let agent = &city.agents()[rider.agent()];
-            Driven {
+            Marked {
                 agent: rider.agent(),
                 way: agent.route().cells().skip(agent.position()).collect(),
             }
         });
-        let picture = overview.draw_driven(city.now(), &sprites, &driven.collect::<Vec<_>>());
+        let picture = overview.draw_marked(city.now(), &sprites, &driven.collect::<Vec<_>>());
         let shape = [picture.height() as usize, picture.width() as usize, 3];
         picture.into_pixels().into_pyarray(py).reshape(shape)
     }

@@ -2,20 +2,19 @@
 
 use crate::{input_error, slice_of};
 use logicity::city::Heading;
-use logicity::config::{AgentKind, Speed};
+use logicity::config::Speed;
 use logicity::diag::{Code, Diagnostic, Sources};
-use logicity::render::PixelBox;
+use logicity::render::{PixelBox, read_png_into};
 use logicity::task::vap::SIDE;
 use logicity::task::vap::table::{Table, boxes, sample_rows};
 use numpy::ndarray::{Array2, ArrayView1, array};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadwriteArray3, PyUntypedArrayMethods};
-use png::{BitDepth, ColorType, Decoder, DecodingError};
 use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 use std::collections::HashMap;
 use std::fs;
-use std::io::{self, Cursor};
+use std::io;
 use std::path::{Path, PathBuf};
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -103,13 +102,7 @@ impl World {
         let priorities =
             priorities.map(|priority| priority.map(i64::from).ok_or_else(|| faulty("a priority is missing")));
         let labels = codes(&entities, "label", Speed::ALL.len())?;
-        let kinds = entities.texts("type")?;
         let names = entities.texts("name")?;
-        for ((kind, label), name) in kinds.iter().zip(&labels).zip(names) {
-            if (kind == AgentKind::Car.name()) != (*label >= 0) {
-                return Err(faulty(format!("cars have labels, and they alone: {name} is a {kind}")));
-            }
-        }
         let mut sides = Array2::from_elem((entities.rows(), 4), f32::NAN);
         for (pixels, mut place) in boxes(&entities)?.into_iter().zip(sides.rows_mut()) {
             #[expect(clippy::cast_precision_loss, reason = "the pixels of a picture are few")]
@@ -182,39 +175,22 @@ fn read_world(
     ))
 }
 
-fn undecoded(error: DecodingError) -> Unread {
-    faulty(format!("not a picture: {error}"))
-}
-
-/// Decodes a PNG of that many rows and columns, 8 bits a colour.
-fn decode(path: &Path, (rows, columns): (usize, usize), out: &mut [u8]) -> Result<(), Unread> {
+/// Decodes a PNG of that many rows and columns.
+fn decode(path: &Path, (rows, columns): (u32, u32), pixels: &mut [u8]) -> Result<(), Unread> {
     let bytes = read_bytes(path.to_owned())?;
-    let mut reader = Decoder::new(Cursor::new(bytes)).read_info().map_err(undecoded)?;
-    let info = reader.info();
-    let found = (
-        info.height as usize,
-        info.width as usize,
-        info.color_type,
-        info.bit_depth,
-        info.interlaced,
-    );
-    if found != (rows, columns, ColorType::Rgb, BitDepth::Eight, false) {
-        return Err(faulty(format!(
-            "not a picture of {rows} rows and {columns} columns in red, green and blue of 8 bits, row by row"
-        )));
-    }
-    reader.next_frame(out).map_err(undecoded)?;
-    // Reads what is behind the last row, so that damage there is found, too.
-    reader.finish().map_err(undecoded)
+    read_png_into(&bytes, (columns, rows), pixels).map_err(faulty)
 }
 
 /// Decodes a picture into an array of shape (rows, columns, 3). Other threads of Python run meanwhile.
 #[pyfunction]
 fn read_picture(py: Python<'_>, path: PathBuf, mut out: PyReadwriteArray3<'_, u8>) -> PyResult<()> {
+    let wrong = || PyValueError::new_err("a picture has the shape (rows, columns, 3)");
     let [rows, columns, 3] = *out.shape() else {
-        return Err(PyValueError::new_err("a picture has the shape (rows, columns, 3)"));
+        return Err(wrong());
     };
+    let side = |length: usize| u32::try_from(length).map_err(|_| wrong());
+    let size = (side(rows)?, side(columns)?);
     let pixels = slice_of(&mut out, 3 * rows * columns)?;
-    let decoded = py.detach(|| decode(&path, (rows, columns), pixels));
+    let decoded = py.detach(|| decode(&path, size, pixels));
     decoded.map_err(|unread| unread.raise(py, &path))
 }

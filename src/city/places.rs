@@ -471,7 +471,7 @@ impl Places {
             let goal = goals.nth(stream.random_range(0..goals.count)).ok_or(NoRoute::Goal)?;
             match router.plan(kind, start, goal) {
                 Ok(route) => return Ok(route),
-                Err(NoRoute::Start) => return Err(NoRoute::Start),
+                Err(fault @ (NoRoute::Start | NoRoute::TooFar)) => return Err(fault),
                 Err(other) => failure = other,
             }
         }

@@ -36,6 +36,8 @@ pub enum NoRoute {
     Goal,
     /// Start and goal are not connected.
     Unconnected,
+    /// A pedestrian's way of [`Routing::Hops`] is searched for, and this search would look at more than 2^22 cells.
+    TooFar,
 }
 
 /// A side of a street between two intersections.
@@ -452,7 +454,7 @@ impl Router {
                 }
                 match self.routing {
                     Routing::Weighted => walk(&self.map.layout, goal, &mut way),
-                    Routing::Hops => search(&self.map, goal, &mut way),
+                    Routing::Hops => search(&self.map, goal, &mut way)?,
                 }
             }
         }

@@ -7,6 +7,7 @@
 //! there are few candidates, and the shortest of them is a shortest way.
 
 use super::map::Zone;
+use super::roads::NoRoute;
 use super::route::{Way, steps};
 use super::{Cell, CityMap, Heading, Layout};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
@@ -333,18 +334,25 @@ fn nearest_inner(layout: &Layout, block: i32, at: i32) -> i32 {
 /// What the published program thinks a step onto a cell costs that one cannot walk on.
 const WALL: u32 = 1000;
 
-/// The way of the published program: the one of the shortest that A* finds, whose bound is the number of steps if nothing were in the way.
+/// The most cells that a search looks at; a hundred million bytes.
+const CELLS_MAX: usize = 1 << 22;
+
+/// The way of the published program: the one of the shortest that A* finds, whose heuristic is the number of steps if nothing were in the way.
 ///
-/// Among ways of equal length the order of the waiting cells decides: they are in a binary heap, and a cell's neighbours come to it upper,
-/// left, right, lower. Cells that one cannot walk on take part in that order, though nothing goes through them.
-pub(super) fn search(map: &CityMap, goal: Cell, way: &mut Way<'_>) {
+/// Among ways of equal length the order of the open list decides: it is a binary heap, and a cell's neighbours come to it upper, left, right,
+/// lower. Cells that one cannot walk on take part in that order, though nothing goes through them.
+pub(super) fn search(map: &CityMap, goal: Cell, way: &mut Way<'_>) -> Result<(), NoRoute> {
     const NEIGHBOURS: [Heading; 4] = [Heading::Up, Heading::Left, Heading::Right, Heading::Down];
     let start = way.at();
     // The steps to a cell, and the one before it.
     let mut reached = HashMap::from([(start, (0, start))]);
-    let mut waiting = Waiting::default();
-    waiting.push(0, start);
-    while let Some(cell) = waiting.pop().filter(|&cell| cell != goal) {
+    let mut open = OpenList::default();
+    open.push(0, start);
+    loop {
+        let cell = open.pop().ok_or(NoRoute::Unconnected)?;
+        if cell == goal {
+            break;
+        }
         if !map.is_walkable(cell) {
             continue;
         }
@@ -356,32 +364,34 @@ pub(super) fn search(map: &CityMap, goal: Cell, way: &mut Way<'_>) {
             }
             let cost = cost + if map.is_walkable(next) { 1 } else { WALL };
             if reached.get(&next).is_none_or(|&(known, _)| cost < known) {
-                waiting.push(cost + steps(next, goal), next);
+                open.push(cost + steps(next, goal), next);
                 reached.insert(next, (cost, cell));
             }
         }
+        if reached.len() > CELLS_MAX {
+            return Err(NoRoute::TooFar);
+        }
     }
     let mut cells = vec![goal];
-    while let Some(&(_, before)) = cells
-        .last()
-        .filter(|&&cell| cell != start)
-        .and_then(|cell| reached.get(cell))
-    {
-        cells.push(before);
+    while let Some(&last) = cells.last().filter(|&&cell| cell != start) {
+        cells.push(reached[&last].1);
     }
     cells.iter().rev().for_each(|&cell| way.straight(cell));
+    Ok(())
 }
 
-/// A binary heap of cells, the least bound first. Of equal bounds the one comes first that the heaps of C++ and Python would give, whose way
-/// of closing the gap at the top differs from that of Rust: down to a leaf first, and then the last one rises from there.
+/// The open list of A*: a binary heap of cells, the least estimate first. Of equal estimates the one comes first that the heaps of C++ and
+/// Python would give, whose way of closing the gap at the top differs from that of Rust: down to a leaf first, and then the last one rises
+/// from there.
 #[derive(Default)]
-struct Waiting {
+struct OpenList {
+    /// Estimates of whole ways, each with the cell that the way goes through.
     heap: Vec<(u32, Cell)>,
 }
 
-impl Waiting {
-    fn push(&mut self, bound: u32, cell: Cell) {
-        self.heap.push((bound, cell));
+impl OpenList {
+    fn push(&mut self, estimate: u32, cell: Cell) {
+        self.heap.push((estimate, cell));
         self.rise(self.heap.len() - 1);
     }
 

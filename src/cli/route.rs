@@ -64,6 +64,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             NoRoute::Start => (format!("a {what} cannot start at {}", place(from)), Some(from)),
             NoRoute::Goal => (format!("a {what} cannot arrive at {}", place(to)), Some(to)),
             NoRoute::Unconnected => (format!("no {what} can go from {} to {}", place(from), place(to)), None),
+            NoRoute::TooFar => {
+                let message =
+                    "the published way on foot is too long to be searched for; `--routing weighted` needs no search";
+                (message.to_owned(), None)
+            }
         };
         let fault = Diagnostic::new(Code::NoRoute, format!("{message} on `{}`", map.name));
         match cell {

@@ -19,23 +19,57 @@ pub fn write_png(picture: &Picture, out: impl Write) -> io::Result<()> {
 /// # Errors
 /// Why it is none, or that a side has more than 16,384 pixels.
 pub fn read_png(bytes: &[u8]) -> Result<Picture, String> {
-    let fault = |error: png::DecodingError| format!("not a PNG picture that can be read: {error}");
-    let mut reader = png::Decoder::new(Cursor::new(bytes)).read_info().map_err(fault)?;
-    let info = reader.info();
-    let (width, height) = info.size();
+    let (reader, (width, height)) = begin(bytes)?;
     if width.max(height) > DECODED_SIDE_MAX {
         return Err(format!(
             "{width} x {height} pixels; no side may have more than {DECODED_SIDE_MAX}"
         ));
     }
+    let mut pixels = vec![0; 3 * width as usize * height as usize];
+    decode(reader, &mut pixels)?;
+    Ok(Picture::from_pixels(width, height, pixels))
+}
+
+/// Reads the pixels of such a PNG of known width and height, row by row.
+///
+/// # Errors
+/// Why it is none, or that it has another size.
+///
+/// # Panics
+/// If there are not three bytes for each pixel.
+pub fn read_png_into(bytes: &[u8], size: (u32, u32), pixels: &mut [u8]) -> Result<(), String> {
+    let (reader, found) = begin(bytes)?;
+    if found != size {
+        return Err(format!(
+            "{} x {} pixels instead of {} x {}",
+            found.0, found.1, size.0, size.1
+        ));
+    }
+    assert_eq!(pixels.len(), 3 * size.0 as usize * size.1 as usize);
+    decode(reader, pixels)
+}
+
+type PngReader<'a> = png::Reader<Cursor<&'a [u8]>>;
+
+/// Reads the header; with it the width and the height.
+fn begin(bytes: &[u8]) -> Result<(PngReader<'_>, (u32, u32)), String> {
+    let reader = png::Decoder::new(Cursor::new(bytes)).read_info().map_err(unreadable)?;
+    let info = reader.info();
     if (info.color_type, info.bit_depth) != (png::ColorType::Rgb, png::BitDepth::Eight) {
         return Err("its pixels are not red, green and blue of eight bits each".to_owned());
     }
-    let mut pixels = vec![0; 3 * width as usize * height as usize];
-    reader.next_frame(&mut pixels).map_err(fault)?;
+    let size = info.size();
+    Ok((reader, size))
+}
+
+fn decode(mut reader: PngReader<'_>, pixels: &mut [u8]) -> Result<(), String> {
+    reader.next_frame(pixels).map_err(unreadable)?;
     // Bytes that are missing are told here.
-    reader.finish().map_err(fault)?;
-    Ok(Picture::from_pixels(width, height, pixels))
+    reader.finish().map_err(unreadable)
+}
+
+fn unreadable(error: png::DecodingError) -> String {
+    format!("not a PNG picture that can be read: {error}")
 }
 
 /// What is not decoded cannot be too much.

@@ -62,9 +62,9 @@ mod sprite;
 mod view;
 
 pub use class::{Class, Facing};
-pub use encode::{Animation, read_png, write_png};
+pub use encode::{Animation, read_png, read_png_into, write_png};
 pub use icon::{Difficulty, ICON_MAX, Icons, PixelBox, Stamp};
-pub use overview::{Driven, Overview};
+pub use overview::{Marked, Overview};
 pub use pack::{Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault};
 pub use picture::Picture;
 pub use renderer::{Placement, Renderer};

@@ -34,7 +34,7 @@ const DRIVEN: Rgb = [0xc8, 0x1e, 0xb4];
 
 /// An agent that is driven from outside, to be marked.
 #[derive(Clone, Debug)]
-pub struct Driven {
+pub struct Marked {
     /// Its position among the agents of the picture.
     pub agent: usize,
     /// The cells that it has still to go, its goal the last.
@@ -105,17 +105,17 @@ impl Overview {
     /// Cars lie under pedestrians, and otherwise agents that come later lie on those before. The first 300 agents get a
     /// label, except where it would cover another one.
     pub fn draw(&self, tick: u64, agents: &[Sprite<'_>]) -> Picture {
-        self.draw_driven(tick, agents, &[])
+        self.draw_marked(tick, agents, &[])
     }
 
     /// The same, and who is driven stands in a frame, with a line along its way and a square around its goal.
     ///
     /// # Panics
     /// If one who is driven is not among the agents.
-    pub fn draw_driven(&self, tick: u64, agents: &[Sprite<'_>], driven: &[Driven]) -> Picture {
+    pub fn draw_marked(&self, tick: u64, agents: &[Sprite<'_>], driven: &[Marked]) -> Picture {
         let mut picture = self.frame.clone();
         picture.lay(&self.map.draw(agents), self.area.x, self.area.y);
-        for Driven { agent, way } in driven {
+        for Marked { agent, way } in driven {
             self.mark(&agents[*agent], way, &mut picture);
         }
         let shown = self.figures(agents);

@@ -41,14 +41,19 @@ fn beginning(manifest: &Manifest) -> String {
         manifest.frames,
         manifest.actions.iter().sum::<u64>(),
         command(
-            &manifest.settings,
+            manifest,
             &format!("--mode {mode} --agents {agents} --split {split} --seed {seed}")
         ),
     )
 }
 
-fn command(settings: &Settings, which: &str) -> String {
-    let mut command = format!("logicity vap make {which} --difficulty {}", settings.difficulty);
+fn command(manifest: &Manifest, which: &str) -> String {
+    let settings = &manifest.settings;
+    let mut command = format!("logicity vap make {which} --worlds {}", manifest.worlds.len());
+    if let Some(first) = manifest.worlds.first().filter(|first| first.world > 0) {
+        write!(command, " --first-world {}", first.world).expect("memory");
+    }
+    write!(command, " --difficulty {}", settings.difficulty).expect("memory");
     if let Some(mode) = &settings.pack_mode {
         write!(command, " --pack FOLDER --pack-mode {mode}").expect("memory");
     }

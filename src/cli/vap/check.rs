@@ -90,18 +90,19 @@ impl Check {
             for sample in &samples {
                 actions = add(actions, check_sample(&inference, sample)?);
             }
-            Ok((entities, samples, actions))
+            let concepts = count_concepts(&entities)?;
+            Ok((entities, samples, actions, concepts))
         });
         match told {
             Err(fault) => faults.push(fault.note(format!("in `{}`", path.display()))),
-            Ok((entities, samples, actions)) => {
+            Ok((entities, samples, actions, concepts)) => {
                 let counted = Record {
                     world: record.world,
                     seed: record.seed,
                     frames: samples.len(),
                     actions,
                     agents: entities.rows() as u64,
-                    concepts: count_concepts(&entities)?,
+                    concepts,
                     atoms: count_atoms(inference.vocabulary(), samples.iter().map(|sample| &sample.facts)),
                     files: record.files.clone(),
                 };
@@ -177,15 +178,22 @@ fn read_files<'a>(folder: &Path, record: &'a Record, faults: &mut Vec<Diagnostic
             faults.push(wrong(&path, "is not in the folder of the world"));
             continue;
         }
-        match fs::read(&path) {
+        let other = || wrong(&path, "is not the file that was made");
+        // What has another size is not read.
+        let read = || match fs::metadata(&path)?.len() == expected.bytes as u64 {
+            true => fs::read(&path).map(Some),
+            false => Ok(None),
+        };
+        match read() {
             Err(error) => faults.push(wrong(&path, error)),
-            Ok(bytes) if file_record(&bytes) != *expected => faults.push(wrong(&path, "is not the file that was made")),
-            Ok(bytes) if name.ends_with(".png") => {
+            Ok(None) => faults.push(other()),
+            Ok(Some(bytes)) if file_record(&bytes) != *expected => faults.push(other()),
+            Ok(Some(bytes)) if name.ends_with(".png") => {
                 if let Err(fault) = check_picture(&bytes) {
                     faults.push(wrong(&path, fault));
                 }
             }
-            Ok(bytes) => {
+            Ok(Some(bytes)) => {
                 others.insert(name.as_str(), bytes);
             }
         }

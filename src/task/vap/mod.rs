@@ -163,8 +163,8 @@ impl Worlds {
         Renderer::with_ground(self.world.map(), self.placement.clone(), Seed(self.seed(number)))
     }
 
-    /// A small picture with something of everything: a corner of the ground of world 0, and an agent of every known class in every facing.
-    /// Where it is the same, so are all other pictures and boxes.
+    /// A small picture with something of everything: a corner of the ground of world 0, and agents of every known class in every facing, one over
+    /// the other. A change of how any of it is drawn nearly always shows in it.
     pub fn specimen(&self) -> Picture {
         let scale = Scale::pixels(8).expect("within bounds");
         let view = View::new(Cell::new(0, 0), 20, 40, scale).and_then(|view| view.with_agents(48, 32));
@@ -175,18 +175,26 @@ impl Worlds {
         );
         let renderer = Renderer::with_ground(self.world.map(), placement, Seed(self.seed(0)));
         let classes = Class::known();
-        let agents = classes.iter().enumerate().filter_map(|(place, class)| {
-            let (kind, concepts) = class.of_agent()?;
-            Some(Sprite {
-                name: "",
-                kind,
-                concepts,
-                at: Cell::new(5 + 8 * (place as i32 % 2), 4 + 4 * place as i32),
-                facing: Facing::ALL[place % 8],
-                instance: place as u32,
-                action: None,
-            })
-        });
+        let facings = |place| {
+            Facing::ALL
+                .into_iter()
+                .enumerate()
+                .map(move |(turn, facing)| (place, turn, facing))
+        };
+        let agents = (0..classes.len())
+            .flat_map(facings)
+            .filter_map(|(place, turn, facing)| {
+                let (kind, concepts) = classes[place].of_agent()?;
+                Some(Sprite {
+                    name: "",
+                    kind,
+                    concepts,
+                    at: Cell::new(1 + 2 * turn as i32, 2 + 4 * place as i32),
+                    facing,
+                    instance: place as u32,
+                    action: None,
+                })
+            });
         renderer.draw(&agents.collect::<Vec<_>>())
     }
 
@@ -318,14 +326,10 @@ pub fn count_actions(frames: &[Frame]) -> [u64; 4] {
 
 /// How many atoms of each predicate are true, of those over two agents only the ones of which the first sees the second.
 pub fn count_atoms<'a>(vocabulary: &Vocabulary, all: impl IntoIterator<Item = &'a Facts>) -> BTreeMap<String, u64> {
-    let predicates = &vocabulary.predicates;
-    let sees = predicates.iter().position(|predicate| predicate.name == "Sees");
     let mut counts = BTreeMap::new();
     for facts in all {
-        let seen: HashSet<[u32; 2]> = sees
-            .map(|sees| facts.rows[sees].iter().copied().collect())
-            .unwrap_or_default();
-        for (predicate, rows) in predicates.iter().zip(&facts.rows) {
+        let seen: HashSet<[u32; 2]> = facts.rows[vocabulary.sees].iter().copied().collect();
+        for (predicate, rows) in vocabulary.predicates.iter().zip(&facts.rows) {
             let counted = rows.iter().filter(|row| predicate.arity == 1 || seen.contains(*row));
             *counts.entry(predicate.name.clone()).or_default() += counted.count() as u64;
         }

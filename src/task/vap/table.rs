@@ -431,11 +431,17 @@ pub struct SampleRows {
 /// Where the samples of a world stand in its two tables.
 ///
 /// # Errors
-/// `invalid-data-set` if a column is missing, or the rows of a sample are not all there in order.
+/// `invalid-data-set` if a column is missing, the rows of a sample are not all there in order, or others than the cars have labels.
 pub fn sample_rows(world: u32, entities: &Table, pairs: &Table) -> Result<Vec<SampleRows>, Diagnostic> {
     let (worlds, ticks, places) = (entities.ints("world")?, entities.ints("tick")?, entities.ints("agent")?);
     let [of_worlds, of_ticks] = [pairs.ints("world")?, pairs.ints("tick")?];
     let [firsts, seconds] = [pairs.ints("first")?, pairs.ints("second")?];
+    let (kinds, labels) = (entities.texts("type")?, entities.maybe_ints("label")?);
+    for ((kind, label), name) in kinds.iter().zip(labels).zip(entities.texts("name")?) {
+        if (kind == AgentKind::Car.name()) != label.is_some() {
+            return Err(faulty(format!("cars have labels, and they alone: {name} is a {kind}")));
+        }
+    }
     let world = int(world);
     let mut samples = Vec::new();
     let (mut row, mut pair) = (0, 0);
