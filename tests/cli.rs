@@ -354,6 +354,20 @@ fn hostile_traces_are_refused() {
 }
 
 #[test]
+fn a_page_is_not_written_over_its_trace() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let run = ["run", "easy", "--no-pictures", "--ticks", "3", "--out", target];
+    assert_eq!(code(&logicity(run)), 0);
+    let trace = folder.path().join("trace.jsonl");
+    let before = fs::read(&trace).unwrap();
+    let output = logicity(["view", trace.to_str().unwrap(), "-o", trace.to_str().unwrap()]);
+    assert_eq!(code(&output), 2);
+    assert!(err(&output).contains("over its trace"), "{}", err(&output));
+    assert_eq!(fs::read(&trace).unwrap(), before);
+}
+
+#[test]
 fn the_summary_tells_deadlocks() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().to_str().unwrap();

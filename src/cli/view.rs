@@ -59,6 +59,15 @@ pub fn write(
     icons: &IconOptions,
     sources: &mut Sources,
 ) -> Result<(), Failure> {
+    if let (Ok(from), Ok(to)) = (trace.canonicalize(), output.canonicalize())
+        && from == to
+    {
+        let message = format!(
+            "the page would be written over its trace `{}`; name another file",
+            trace.display()
+        );
+        return Err(Failure::Usage(message));
+    }
     let mut reader = TraceReader::open(trace)?;
     let mut replay = reader.replay(sources, config, rules, true)?;
     let icons = icons.load(Seed(reader.header.seed))?;

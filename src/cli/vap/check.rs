@@ -178,14 +178,15 @@ fn read_files<'a>(folder: &Path, record: &'a Record, faults: &mut Vec<Diagnostic
             faults.push(wrong(&path, "is not in the folder of the world"));
             continue;
         }
-        let other = || wrong(&path, "is not the file that was made");
+        let again = "remove the folder of the world and run `logicity vap make` again";
+        let other = || wrong(&path, "is not the file that was made").help(again);
         // What has another size is not read.
         let read = || match fs::metadata(&path)?.len() == expected.bytes as u64 {
             true => fs::read(&path).map(Some),
             false => Ok(None),
         };
         match read() {
-            Err(error) => faults.push(wrong(&path, error)),
+            Err(error) => faults.push(wrong(&path, error).help(again)),
             Ok(None) => faults.push(other()),
             Ok(Some(bytes)) if file_record(&bytes) != *expected => faults.push(other()),
             Ok(Some(bytes)) if name.ends_with(".png") => {

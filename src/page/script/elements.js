@@ -1,6 +1,6 @@
 // What all parts of the page draw with.
 
-const COLOURS = { Slow: "#b87a00", Normal: "#3f7fb5", Fast: "#0a8a63", Stop: "#c8401a" };
+const COLOURS = { Slow: "#b87a00", Normal: "#0a8a63", Fast: "#3f7fb5", Stop: "#c8401a" };
 const $ = (id) => document.getElementById(id);
 
 /** An element with attributes and children; texts are never read as markup. */
