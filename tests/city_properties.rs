@@ -644,6 +644,21 @@ fn too_many_agents_for_a_region_are_told() {
     assert_eq!(place(&agent_set(0, 0, Some(5))).map(|agents| agents.len()), Ok(0));
 }
 
+/// The published way is searched for, and a search has an end; other ways are found on any map.
+#[test]
+fn published_ways_on_foot_can_be_too_far() {
+    let config = load_map(&mut Sources::new(), Path::new("metropolis"), &read_text).expect("built in");
+    let map = Arc::new(CityMap::generate(&config).expect("a valid map"));
+    let [published, ours] = [Routing::Hops, Routing::Weighted].map(|routing| Router::new(map.clone(), routing));
+    let mut walkable = (0..map.rows())
+        .map(|at| Cell::new(at, at))
+        .filter(|&cell| map.is_walkable(cell));
+    let (start, goal) = (walkable.next().unwrap(), walkable.next_back().unwrap());
+    assert_eq!(published.plan(AgentKind::Pedestrian, start, goal), Err(NoRoute::TooFar));
+    let steps = start.row.abs_diff(goal.row) + start.col.abs_diff(goal.col);
+    assert!(ours.plan(AgentKind::Pedestrian, start, goal).unwrap().steps() >= steps as usize);
+}
+
 #[test]
 fn agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
     let mut sources = Sources::new();

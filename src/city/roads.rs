@@ -36,7 +36,7 @@ pub enum NoRoute {
     Goal,
     /// Start and goal are not connected.
     Unconnected,
-    /// A pedestrian's way of [`Routing::Hops`] is searched for, and this search would look at more than 2^22 cells.
+    /// A pedestrian's way of [`Routing::Hops`] is searched for, and this search would look at more than 2^20 cells.
     TooFar,
 }
 

@@ -85,8 +85,8 @@ impl Line {
     /// the sidewalks beside it are wide are done early, on the leg before the corner, and late, on the leg behind it, a step here and a step
     /// there. The length stays the same.
     ///
-    /// Going straight, all would cross streets on the very line where an intersection begins: at it, but never in it. So they are as often
-    /// at and in intersections as those who go the published way. Where steps aside are taken is drawn for each start and goal.
+    /// Going straight, all would cross streets on the very line where an intersection begins: at it, but never in it. Like this they are at
+    /// and in intersections as often as those who go the published way. Where steps aside are taken is drawn for each start and goal.
     fn stroll(&self, layout: &Layout, way: &mut Way<'_>) {
         let points = &self.points[..self.count];
         let number = |cell: Cell| u64::from(cell.row.cast_unsigned()) << 32 | u64::from(cell.col.cast_unsigned());
@@ -95,16 +95,13 @@ impl Line {
         let (mut early, mut left) = (0, None);
         for (place, leg) in points.windows(2).enumerate() {
             let (from, to) = (leg[0], leg[1]);
-            let Some(heading) = Heading::between(from, to) else {
-                continue;
-            };
+            let heading = heading_of(from, to);
             let mut ahead = steps(from, to) - early;
             let mut aside = Aside::default();
             aside.add(left.take());
             early = 0;
-            if let Some(&next) = points.get(place + 2)
-                && let Some(turn) = Heading::between(to, next)
-            {
+            if let Some(&next) = points.get(place + 2) {
+                let turn = heading_of(to, next);
                 let late = room(layout, to, next, heading.opposite()).min(ahead);
                 early = room(layout, from, to, turn).min(steps(to, next));
                 ahead -= late;
@@ -114,6 +111,11 @@ impl Line {
             aside.go(heading, ahead, &mut stream, way);
         }
     }
+}
+
+/// Of a leg of a [`Line`].
+fn heading_of(from: Cell, to: Cell) -> Heading {
+    Heading::between(from, to).expect("two points of a line that follow each other differ in one coordinate")
 }
 
 /// The most steps aside for one side of a corner.
@@ -334,8 +336,8 @@ fn nearest_inner(layout: &Layout, block: i32, at: i32) -> i32 {
 /// What the published program thinks a step onto a cell costs that one cannot walk on.
 const WALL: u32 = 1000;
 
-/// The most cells that a search looks at; a hundred million bytes.
-const CELLS_MAX: usize = 1 << 22;
+/// The most cells that a search looks at. They take some 70 MB.
+const CELLS_MAX: usize = 1 << 20;
 
 /// The way of the published program: the one of the shortest that A* finds, whose heuristic is the number of steps if nothing were in the way.
 ///

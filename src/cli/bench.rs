@@ -70,9 +70,8 @@ impl What {
 pub struct Arguments {
     /// infer: the rules alone, facts ready as bits (dense) or as rows that change (relational). ground: all facts that the rules can
     /// ask for. tick: a city, placed afresh after the ticks of the configuration. env: episodes of the configuration's task
-    /// under a random policy, observations written. render: pictures of the visual data set, drawn, written as PNG and read, clean and at
-    /// difficulty 50, and small ones. scale:
-    /// cities of 1000 agents up to --agents
+    /// under a random policy, observations written. render: pictures as those of the visual data set, drawn, written as PNG and read, clean
+    /// and at difficulty 50, and small ones. scale: cities of 1000 agents up to --agents
     #[arg(value_parser = one_of(&What::ALL, What::name))]
     what: What,
     /// Configuration of the city
@@ -451,9 +450,12 @@ impl<'a> Bench<'a> {
             file.clear();
             write_png(picture, file).expect("a vector takes all that is written");
         };
-        for (moment, file) in files.iter_mut().enumerate().filter(|_| what == Done::Read) {
+        // Each icon is drawn when it is first shown, which is not measured.
+        for (moment, file) in files.iter_mut().enumerate() {
             draw(moment, &mut picture);
-            write(&picture, file);
+            if what == Done::Read {
+                write(&picture, file);
+            }
         }
         let timed = Timed::run(self.arguments.seconds, |times| {
             for _ in 0..times {

@@ -109,6 +109,9 @@ impl<W: Write> TraceWriter<W> {
     ///
     /// # Errors
     /// Whatever the output reports.
+    ///
+    /// # Panics
+    /// If there is no agent at such a position.
     pub fn tick_driven(&mut self, simulation: &Simulation, driven: &[(usize, Driven)]) -> io::Result<()> {
         let report = simulation.report();
         let mut agents: Vec<Value> = (report.agents.iter().zip(simulation.agents()).enumerate())

@@ -40,10 +40,11 @@ impl Check {
             let message = format!("made with another configuration `{}`, or other rules", mode.config());
             return Err(wrong(&path, message).into());
         }
+        let inference = city.inference(settings.seed)?;
         let mut faults = self.unlisted(&manifest)?;
         let bar = progress("world", manifest.worlds.len() as u64);
         let found = on_threads(self.threads, &manifest.worlds, |record| {
-            let found = self.check_world(&city, settings, record)?;
+            let found = self.check_world(&inference, settings, record)?;
             bar.inc(1);
             Ok(found)
         })?;
@@ -74,7 +75,12 @@ impl Check {
     }
 
     /// What is wrong with a world.
-    fn check_world(&self, city: &City, settings: &Settings, record: &Record) -> Result<Vec<Diagnostic>, Failure> {
+    fn check_world(
+        &self,
+        inference: &Inference,
+        settings: &Settings,
+        record: &Record,
+    ) -> Result<Vec<Diagnostic>, Failure> {
         let path = self.folder.join(folder::world_name(record.world));
         let mut faults = Vec::new();
         let tables = read_files(&path, record, &mut faults);
@@ -84,11 +90,10 @@ impl Check {
         for path in folder::strangers_in_world(&path, record)? {
             faults.push(wrong(&path, "is not of the world"));
         }
-        let inference = city.inference(settings.seed)?;
-        let told = read_tables(&inference, record, tables).and_then(|(entities, samples)| {
+        let told = read_tables(inference, record, tables).and_then(|(entities, samples)| {
             let mut actions = [0; 4];
             for sample in &samples {
-                actions = add(actions, check_sample(&inference, sample)?);
+                actions = add(actions, check_sample(inference, sample)?);
             }
             let concepts = count_concepts(&entities)?;
             Ok((entities, samples, actions, concepts))
