@@ -4,10 +4,11 @@
 mod shipped_world;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use logicity::builtin::BuiltinFiles;
 use logicity::city::{CityMap, Places, Router, Surroundings, advance, place_agents};
 use logicity::config::{AgentKind, Located, Speed, Split, load_scenario};
+use logicity::datalog::dense::{BitFacts, Counting, Frame, has};
 use logicity::diag::Sources;
-use logicity::engine::dense::{BitFacts, Counting, Frame, has};
 use logicity::files::read_text;
 use logicity::rng::{Purpose, Seed};
 use logicity::sim::{Executor, Inference, Settings, Simulation, World};
@@ -111,7 +112,8 @@ fn rules(criterion: &mut Criterion) {
 
 /// A map with its places, ready to plan on.
 fn planner(config: &str) -> (Router, Places) {
-    let scenario = load_scenario(&mut Sources::new(), Path::new(config), &read_text).expect("a built-in configuration");
+    let scenario =
+        load_scenario(&mut Sources::new(), Path::new(config), &BuiltinFiles).expect("a built-in configuration");
     let map = CityMap::generate(&scenario.map).expect("a built-in map");
     let router = Router::new(Arc::new(map), scenario.routing);
     let set = scenario.agent_set(Split::Test).expect("a test set");
@@ -160,7 +162,7 @@ fn route(criterion: &mut Criterion) {
 fn moves(criterion: &mut Criterion) {
     let (router, places) = planner("expert");
     let scenario =
-        load_scenario(&mut Sources::new(), Path::new("expert"), &read_text).expect("a built-in configuration");
+        load_scenario(&mut Sources::new(), Path::new("expert"), &BuiltinFiles).expect("a built-in configuration");
     let set = scenario.agent_set(Split::Test).expect("a test set");
     let mut agents = place_agents(set, &router, &places, Seed(1)).expect("agents placed");
     let mut group = criterion.benchmark_group("advance");

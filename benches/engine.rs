@@ -8,8 +8,8 @@ mod written_program;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use datafrog::{Iteration, Relation};
-use logicity::engine::{Program, Session, naive};
-use logicity::lang::{RelId, Value};
+use logicity::datalog::{Program, Session, naive};
+use logicity::datalog::{RelId, Value};
 use std::hint::black_box;
 use std::time::Duration;
 use written_program::program;

@@ -6,102 +6,8 @@
 use std::io::{self, Read, Write};
 use std::path::{Component, Path, PathBuf};
 
-/// Declares the built-in files by their path in the repository. A list and not a search at compile time, so that the program
-/// is built from what the text of the source says; a test compares the list with the folders.
-macro_rules! builtin_files {
-    ($($path:literal)*) => {
-        /// The files of `rules/` and `configs/` that are part of the program, so that it works without the repository.
-        pub const BUILTIN: &[(&str, &str)] = &[$(($path, include_str!(concat!("../", $path))),)*];
-    };
-}
-
-builtin_files! {
-    "configs/agents/easy.yaml"
-    "configs/agents/expert.yaml"
-    "configs/agents/hard.yaml"
-    "configs/agents/medium.yaml"
-    "configs/agents/metropolis.yaml"
-    "configs/agents/vap.yaml"
-    "configs/baselines/a2c-easy.yaml"
-    "configs/baselines/a2c-expert.yaml"
-    "configs/baselines/a2c-hard.yaml"
-    "configs/baselines/a2c-medium.yaml"
-    "configs/baselines/dqn-easy-tuned.yaml"
-    "configs/baselines/dqn-easy.yaml"
-    "configs/baselines/dqn-expert-tuned.yaml"
-    "configs/baselines/dqn-expert.yaml"
-    "configs/baselines/dqn-hard-tuned.yaml"
-    "configs/baselines/dqn-hard.yaml"
-    "configs/baselines/dqn-medium-tuned.yaml"
-    "configs/baselines/dqn-medium.yaml"
-    "configs/baselines/ppo-easy.yaml"
-    "configs/baselines/ppo-expert.yaml"
-    "configs/baselines/ppo-hard.yaml"
-    "configs/baselines/ppo-medium.yaml"
-    "configs/common.yaml"
-    "configs/easy.yaml"
-    "configs/episodes/easy-test.jsonl"
-    "configs/episodes/easy-train.jsonl"
-    "configs/episodes/easy-val.jsonl"
-    "configs/episodes/expert-test.jsonl"
-    "configs/episodes/expert-train.jsonl"
-    "configs/episodes/expert-val.jsonl"
-    "configs/episodes/hard-test.jsonl"
-    "configs/episodes/hard-train.jsonl"
-    "configs/episodes/hard-val.jsonl"
-    "configs/episodes/medium-test.jsonl"
-    "configs/episodes/medium-train.jsonl"
-    "configs/episodes/medium-val.jsonl"
-    "configs/episodes/transfer-easy-test.jsonl"
-    "configs/episodes/transfer-easy-train.jsonl"
-    "configs/episodes/transfer-easy-val.jsonl"
-    "configs/episodes/transfer-hard-test.jsonl"
-    "configs/episodes/transfer-hard-train.jsonl"
-    "configs/episodes/transfer-hard-val.jsonl"
-    "configs/episodes/transfer-medium-test.jsonl"
-    "configs/episodes/transfer-medium-train.jsonl"
-    "configs/episodes/transfer-medium-val.jsonl"
-    "configs/expert.yaml"
-    "configs/hard.yaml"
-    "configs/maps/metropolis.yaml"
-    "configs/maps/random-8x8.yaml"
-    "configs/maps/square-5x5.yaml"
-    "configs/medium.yaml"
-    "configs/metropolis.yaml"
-    "configs/predicates/standard.yaml"
-    "configs/predicates/vap.yaml"
-    "configs/tasks/common.yaml"
-    "configs/tasks/easy.yaml"
-    "configs/tasks/expert.yaml"
-    "configs/tasks/hard.yaml"
-    "configs/tasks/medium.yaml"
-    "configs/tasks/transfer-easy.yaml"
-    "configs/tasks/transfer-hard.yaml"
-    "configs/tasks/transfer-medium.yaml"
-    "configs/transfer-easy.yaml"
-    "configs/transfer-hard.yaml"
-    "configs/transfer-medium.yaml"
-    "configs/vap-easy.yaml"
-    "configs/vap-hard.yaml"
-    "rules/easy.dl"
-    "rules/expert.dl"
-    "rules/hard.dl"
-    "rules/medium.dl"
-    "rules/transfer-easy.dl"
-    "rules/transfer-hard.dl"
-    "rules/transfer-medium.dl"
-    "rules/vap-easy.dl"
-    "rules/vap-hard.dl"
-    "rules/vocabulary.dl"
-}
-
 /// The folder, as paths name it, that holds the built-in files and nothing else.
 pub const BUILTIN_FOLDER: &str = "<builtin>";
-
-/// A built-in file by its path in the repository, for example `rules/vocabulary.dl` or `configs/maps/square-5x5.yaml`.
-pub fn builtin(path: &str) -> Option<&'static str> {
-    BUILTIN.iter().find(|(known, _)| *known == path).map(|(_, text)| *text)
-}
 
 /// The largest text file that is read: 1 GiB.
 pub const MAX_BYTES: u64 = 1 << 30;
@@ -138,6 +44,28 @@ impl std::fmt::Display for ReadError {
 }
 
 impl std::error::Error for ReadError {}
+
+/// How a program or a configuration reads the files that it names: the rooms that parse them do no I/O.
+///
+/// Every function `Fn(&Path) -> Result<String, ReadError>` is one, for example [`read_text`].
+pub trait ReadFile {
+    /// The text of a file.
+    ///
+    /// # Errors
+    /// Why the file cannot be read.
+    fn read(&self, path: &Path) -> Result<String, ReadError>;
+
+    /// The paths of the files below [`BUILTIN_FOLDER`], for suggestions in messages.
+    fn builtin_paths(&self) -> Vec<String> {
+        Vec::new()
+    }
+}
+
+impl<F: Fn(&Path) -> Result<String, ReadError>> ReadFile for F {
+    fn read(&self, path: &Path) -> Result<String, ReadError> {
+        self(path)
+    }
+}
 
 /// Reads a text file.
 ///
@@ -264,24 +192,6 @@ pub fn normalise(path: &Path) -> PathBuf {
         }
     }
     out
-}
-
-/// Reads a text file, or, if there is none, the built-in file of that path. Under [`BUILTIN_FOLDER`] nothing is on disk, and the
-/// folder `rules/` may be left out: a rule file anywhere can include `vocabulary.dl`.
-///
-/// # Errors
-/// Why the file cannot be read.
-pub fn read_or_builtin(path: &Path) -> Result<String, ReadError> {
-    let text = |path: &Path| path.to_str().and_then(builtin).map(str::to_owned);
-    match path.strip_prefix(BUILTIN_FOLDER) {
-        Ok(inside) => text(inside)
-            .or_else(|| text(&Path::new("rules").join(inside)))
-            .ok_or(ReadError::NotFound),
-        Err(_) => match read_text(path) {
-            Err(ReadError::NotFound) => text(path).ok_or(ReadError::NotFound),
-            read => read,
-        },
-    }
 }
 
 /// A file being written under a temporary name; [`Output::finish`] gives it its own. Dropped unfinished, it leaves nothing.

@@ -1,21 +1,23 @@
-//! A city of cars and pedestrians that is governed by Datalog rules.
+//! A city of cars and pedestrians that is governed by Datalog rules, and the Datalog engine that evaluates them.
 //!
 //! What to reach for:
 //!
+//! - **Datalog without a city**: [`datalog`]. With `default-features = false` it is all that is compiled.
 //! - **One scene, one decision**: [`sim::Inference`].
-//! - **A city that runs**: [`config::load_scenario`], [`sim::World`], [`sim::Simulation`].
-//! - **Datalog without a city**: [`lang::load`], [`engine::Program`], [`engine::Session`].
+//! - **A city that runs**: [`sim::World`], [`sim::Simulation`].
+//! - **Safe Path Following**: [`task::spf`].
 //!
 //! ```text
-//! rules/*.dl --lang--> Rules --engine--> Program
-//!                                           |
+//! rules/*.dl --datalog--> Program
+//!                            |
 //! configs/*.yaml --config--> Scenario --> World --> Simulation --ground--> facts --> Session --> actions --> moves
 //! ```
 //!
-//! A session keeps facts between commits and says what each commit changed:
+//! A session keeps facts between commits and returns what each commit changed:
 //!
 //! ```
-//! use logicity::{diag::Sources, engine::Program, files, lang};
+//! use logicity::datalog::Program;
+//! use logicity::diag::Sources;
 //!
 //! let mut sources = Sources::new();
 //! let entry = sources.add(
@@ -26,9 +28,8 @@
 //!      path(x, y) :- edge(x, y).
 //!      path(x, z) :- path(x, y), edge(y, z).",
 //! );
-//! let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
-//! let rules = loaded.rules.expect("no errors");
-//! let program = Program::new(rules).expect("within limits");
+//! let (program, faults) = Program::load(&mut sources, entry, &logicity::files::read_text);
+//! let program = program.unwrap_or_else(|| panic!("{faults:?}"));
 //! let (edge, path) = (program.relation("edge").unwrap(), program.relation("path").unwrap());
 //!
 //! let mut session = program.session();
@@ -42,16 +43,17 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod datalog;
+pub mod diag;
+pub mod files;
+pub mod rng;
+pub mod symbol;
+
+pub mod builtin;
 pub mod city;
 pub mod cli;
 pub mod config;
-pub mod diag;
-pub mod engine;
-pub mod files;
-pub mod lang;
 pub mod page;
 pub mod render;
-pub mod rng;
 pub mod sim;
-pub mod symbol;
 pub mod task;

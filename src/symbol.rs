@@ -30,7 +30,7 @@ pub struct Symbols {
 
 type Block = Box<[OnceLock<Arc<str>>]>;
 
-/// Texts in the first block; a power of two.
+/// Workspace in the first block; a power of two.
 const FIRST_BLOCK: usize = 64;
 
 /// What a text takes besides its characters: its places in both directions and its counts.

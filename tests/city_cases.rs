@@ -3,13 +3,13 @@
 mod recorded_cases;
 
 use flate2::read::GzDecoder;
+use logicity::builtin::BuiltinFiles;
 use logicity::city::{
     Agent, Cell, CityMap, Ground, Heading, Lane, Places, Reason, Rest, Route, Router, Surroundings, advance,
     field_of_view, possible_cells, speed_cells,
 };
 use logicity::config::{AgentConfig, AgentKind, AgentName, Building, Routing, Speed, load_map};
 use logicity::diag::Sources;
-use logicity::files::read_text;
 use logicity::rng::Seed;
 use ndarray::{Array2, Array3, Axis};
 use ndarray_npy::NpzReader;
@@ -22,7 +22,7 @@ use std::sync::Arc;
 
 /// The map of the paper.
 fn square_5x5() -> CityMap {
-    let config = load_map(&mut Sources::new(), Path::new("square-5x5"), &read_text).expect("a built-in map");
+    let config = load_map(&mut Sources::new(), Path::new("square-5x5"), &BuiltinFiles).expect("a built-in map");
     CityMap::generate(&config).expect("the map of the paper can be generated")
 }
 

@@ -1,6 +1,7 @@
 //! What holds on every map: the generator, routes compared with the slow and obvious way to find them, and agents under random
 //! decisions.
 
+use logicity::builtin::BuiltinFiles;
 use logicity::city::{
     Agent, Cell, CityMap, Ground, Heading, Junction, Lane, Layout, NoRoute, Places, Reason, Route, Router,
     Surroundings, advance, place_agents, possible_cells,
@@ -10,7 +11,6 @@ use logicity::config::{
     load_scenario,
 };
 use logicity::diag::{Code, Sources, Span};
-use logicity::files::read_text;
 use logicity::rng::Seed;
 use ndarray::Array2;
 use proptest::prelude::*;
@@ -647,7 +647,7 @@ fn too_many_agents_for_a_region_are_told() {
 /// The published way is searched for, and a search has an end; other ways are found on any map.
 #[test]
 fn published_ways_on_foot_can_be_too_far() {
-    let config = load_map(&mut Sources::new(), Path::new("metropolis"), &read_text).expect("built in");
+    let config = load_map(&mut Sources::new(), Path::new("metropolis"), &BuiltinFiles).expect("built in");
     let map = Arc::new(CityMap::generate(&config).expect("a valid map"));
     let [published, ours] = [Routing::Hops, Routing::Weighted].map(|routing| Router::new(map.clone(), routing));
     let mut walkable = (0..map.rows())
@@ -662,7 +662,7 @@ fn published_ways_on_foot_can_be_too_far() {
 #[test]
 fn agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
     let mut sources = Sources::new();
-    let scenario = load_scenario(&mut sources, Path::new("metropolis"), &read_text).expect("built in");
+    let scenario = load_scenario(&mut sources, Path::new("metropolis"), &BuiltinFiles).expect("built in");
     let mut set = scenario.agent_set(Split::Test).expect("a test set").clone();
     set.repeat = 500;
     let map = CityMap::generate(&scenario.map).expect("a valid map");
@@ -720,7 +720,7 @@ fn at_and_in(router: &Router, trips: &[[Cell; 2]]) -> [usize; 2] {
 
 #[test]
 fn pedestrians_meet_intersections_as_often_as_by_the_published_ways() {
-    let config = load_map(&mut Sources::new(), Path::new("square-5x5"), &read_text).expect("built in");
+    let config = load_map(&mut Sources::new(), Path::new("square-5x5"), &BuiltinFiles).expect("built in");
     let map = Arc::new(CityMap::generate(&config).expect("a valid map"));
     let [published, ours] = [Routing::Hops, Routing::Weighted].map(|routing| Router::new(map.clone(), routing));
     let places = Places::new(&ours, Some(120), None);

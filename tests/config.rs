@@ -1,10 +1,11 @@
 //! Configurations: the files we ship, every message, the blocks of the reference, and hostile input.
 
+use logicity::builtin::{self, BuiltinFiles, read_or_builtin};
 use logicity::config::{
     AgentConfig, AgentKind, Buildings, Definition, Scenario, Speed, Split, load_map, load_scenario,
 };
 use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
-use logicity::files::{BUILTIN, ReadError, builtin, read_or_builtin, read_text};
+use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
 use proptest::prelude::*;
 use std::path::Path;
 use std::sync::Arc;
@@ -30,7 +31,7 @@ fn told(sources: &Sources, faults: &[Diagnostic]) -> String {
 
 fn load(path: &Path) -> Scenario {
     let mut sources = Sources::new();
-    load_scenario(&mut sources, path, &read_text).unwrap_or_else(|faults| panic!("{}", told(&sources, &faults)))
+    load_scenario(&mut sources, path, &BuiltinFiles).unwrap_or_else(|faults| panic!("{}", told(&sources, &faults)))
 }
 
 /// Loads `main.yaml` of a few files that exist in memory only; beside them the built-in files.
@@ -139,7 +140,9 @@ fn fixtures_give_the_faults_they_say() {
             folder.join(code).join("main.yaml")
         };
         let mut sources = Sources::new();
-        let faults = load_scenario(&mut sources, &path, &read_text).err().unwrap_or_default();
+        let faults = load_scenario(&mut sources, &path, &BuiltinFiles)
+            .err()
+            .unwrap_or_default();
         let text = read_text(&path).expect("fixture");
         let wanted = expected(&text);
         assert!(wanted.iter().all(|(_, wanted)| wanted == code) && !wanted.is_empty());
@@ -383,15 +386,23 @@ fn a_million_agents_are_a_few_lines() {
     assert_eq!((last.name.to_string().as_str(), last.priority), ("Car_555560", 10));
 }
 
+/// Reads the built-in files; there are no others.
+fn builtin_only(path: &Path) -> Result<String, ReadError> {
+    match path.starts_with(BUILTIN_FOLDER) {
+        true => BuiltinFiles.read(path),
+        false => Err(ReadError::NotFound),
+    }
+}
+
 #[test]
 fn maps_are_found_by_path_and_by_name() {
     for name in ["square-5x5", "configs/maps/square-5x5.yaml"] {
         let mut sources = Sources::new();
-        let map = load_map(&mut sources, Path::new(name), &|_| Err(ReadError::NotFound)).expect("built in");
+        let map = load_map(&mut sources, Path::new(name), &builtin_only).expect("built in");
         assert_eq!((map.name.as_str(), map.blocks.value), ("square-5x5", [5, 5]));
     }
     let mut sources = Sources::new();
-    let faults = load_map(&mut sources, Path::new("sqare-5x5"), &read_text).expect_err("no such map");
+    let faults = load_map(&mut sources, Path::new("sqare-5x5"), &BuiltinFiles).expect_err("no such map");
     let told = told(&sources, &faults);
     assert!(
         told.contains("missing-file") && told.contains("did you mean `square-5x5`?"),
@@ -467,10 +478,9 @@ fn built_in_files_are_the_files_of_the_folders() {
         walk(&Path::new(ROOT).join(folder), &mut files);
     }
     files.sort();
-    let listed: Vec<_> = BUILTIN.iter().map(|(path, _)| path.to_string()).collect();
-    assert_eq!(listed, files, "the list in src/files.rs");
+    assert_eq!(builtin::paths(), files);
     assert_eq!(
-        builtin("configs/expert.yaml"),
+        builtin::text("configs/expert.yaml"),
         read_text(&Path::new(ROOT).join("configs/expert.yaml")).ok().as_deref()
     );
 }
@@ -480,7 +490,7 @@ fn built_in_files_are_read_where_there_is_no_repository() {
     let same = |path: &str, builtin_path: &str| {
         assert_eq!(
             read_or_builtin(Path::new(path)).ok().as_deref(),
-            builtin(builtin_path),
+            builtin::text(builtin_path),
             "{path}"
         );
     };
@@ -493,8 +503,7 @@ fn built_in_files_are_read_where_there_is_no_repository() {
     );
     assert_eq!(read_or_builtin(Path::new("vocabulary.dl")), Err(ReadError::NotFound));
     // What a built-in configuration names is built in, too.
-    let expert =
-        load_scenario(&mut Sources::new(), Path::new("expert"), &|_| Err(ReadError::NotFound)).expect("built in");
+    let expert = load_scenario(&mut Sources::new(), Path::new("expert"), &builtin_only).expect("built in");
     same(expert.rules.value.to_str().expect("UTF-8"), "rules/expert.dl");
 }
 
@@ -634,10 +643,12 @@ proptest! {
 
     #[test]
     fn no_mutation_of_our_files_makes_it_panic(
-        file in 0..BUILTIN.len(),
+        file in any::<prop::sample::Index>(),
         edits in proptest::collection::vec((any::<prop::sample::Index>(), 0..4usize, "[ -~\n\téß]{0,6}"), 1..6),
     ) {
-        let (path, text) = BUILTIN[file];
+        let paths = builtin::paths();
+        let path = file.get(&paths);
+        let text = builtin::text(path).expect("it is listed");
         let mut text: Vec<char> = text.chars().collect();
         for (at, removed, added) in edits {
             let at = at.index(text.len() + 1);

@@ -4,8 +4,8 @@ mod shipped_world;
 mod written_program;
 
 use logicity::config::Speed;
-use logicity::engine::Program;
-use logicity::lang::{RelId, Value};
+use logicity::datalog::Program;
+use logicity::datalog::{RelId, Value};
 use logicity::sim::{Cut, ENTITIES_MAX, Example, Finding, conflicts};
 use shipped_world::MODES;
 use std::path::Path;
@@ -229,7 +229,7 @@ fn a_brute_force_agrees() {
             let exists = (0..256_u32).any(|bits| {
                 let mut session = program.session();
                 let names = ["e0", "e1"].map(|name| session.intern(name));
-                let insert = |session: &mut logicity::engine::Session, rel: RelId, row: &[Value]| {
+                let insert = |session: &mut logicity::datalog::Session, rel: RelId, row: &[Value]| {
                     session.insert(rel, row).unwrap();
                 };
                 for (at, &x) in names.iter().enumerate() {

@@ -1,8 +1,10 @@
 //! Programs with their answers beside them, run in every mode. `tests/corpus/README.md` says how such a file is written.
 
+use logicity::builtin::BuiltinFiles;
+use logicity::datalog;
+use logicity::datalog::{BaseType, Inputs, RelId, Rules, Value};
+use logicity::datalog::{Options, Program, Strategy, constraints, facts, naive};
 use logicity::diag::{Diagnostic, Severity, Sources, render};
-use logicity::engine::{Options, Program, Strategy, facts, naive, promise};
-use logicity::lang::{self, BaseType, Inputs, RelId, Rules, Value};
 use logicity::symbol::{Symbol, Symbols};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -121,7 +123,7 @@ fn parse_row(rules: &Rules, symbols: &Symbols, relation: RelId, row: &str) -> Ve
     (columns.iter().zip(values))
         .map(|(column, text)| match column.base {
             BaseType::Symbol => Value(symbols.intern(text).0),
-            base => lang::parse_value(base, text).expect("a value of the column"),
+            base => datalog::parse_value(base, text).expect("a value of the column"),
         })
         .collect()
 }
@@ -172,7 +174,7 @@ fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
                     BaseType::Symbol => symbols.text(Symbol(value.0)).expect("a symbol").to_owned(),
                     BaseType::Number => value.as_number().to_string(),
                     BaseType::Unsigned => value.0.to_string(),
-                    BaseType::Float => facts::print_float(value.as_float()),
+                    BaseType::Float => logicity::datalog::print_float(value.as_float()),
                 });
                 shown.collect::<Vec<_>>().join(", ")
             })
@@ -183,7 +185,7 @@ fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
     answers
 }
 
-fn ask(session: &logicity::engine::Session, relation: &str) -> Answer {
+fn ask(session: &logicity::datalog::Session, relation: &str) -> Answer {
     let text = facts::print(session, find(session.program().rules(), relation));
     let rows = text.lines().map(|row| {
         if row == "()" {
@@ -244,7 +246,7 @@ fn in_one_session(program: &Program, strategy: Strategy, steps: &[Step]) -> Vec<
             Step::Expect { relation, .. } => {
                 session.commit().expect("few rows");
                 // What the modes that rely on promises are allowed to rely on.
-                assert!(promise::broken(&session).is_empty(), "facts break a promise");
+                assert!(constraints::broken(&session).is_empty(), "facts break a promise");
                 answers.push(ask(&session, relation));
             }
         }
@@ -258,7 +260,7 @@ fn check(path: &Path) -> Result<(), String> {
     let script = read_script(&text);
     let mut sources = Sources::new();
     let entry = sources.add(path.display().to_string(), text);
-    let loaded = lang::load_with(&mut sources, entry, &logicity::files::read_or_builtin, Inputs::Extended);
+    let loaded = datalog::load_with(&mut sources, entry, &BuiltinFiles, Inputs::Extended);
     let found: BTreeSet<(usize, String)> = loaded.diagnostics.iter().map(|fault| place(fault, &sources)).collect();
     if found != script.diagnostics {
         let drawn = render(&loaded.diagnostics, &sources, false);
@@ -341,11 +343,11 @@ fn the_corpus_survives_printing() {
     for path in corpus() {
         let mut sources = Sources::new();
         let id = sources.add("corpus.dl", fs::read_to_string(&path).expect("a corpus file is text"));
-        let parsed = lang::parse(&sources, id);
+        let parsed = datalog::parse(&sources, id);
         if parsed.diagnostics.is_empty() {
-            let printed = lang::print(&parsed.file);
+            let printed = datalog::print(&parsed.file);
             let again = sources.add("printed.dl", printed.clone());
-            let again = lang::parse(&sources, again);
+            let again = datalog::parse(&sources, again);
             assert!(
                 again.diagnostics.is_empty(),
                 "{}",

@@ -2,9 +2,9 @@
 
 mod written_program;
 
-use logicity::engine::dense::{BitFacts, Counting, Dense, Frame, Set, choose, has};
-use logicity::engine::{Program, naive};
-use logicity::lang::{ClauseId, RelId, Rules, Value};
+use logicity::datalog::dense::{BitFacts, Counting, Dense, Frame, Set, choose, has};
+use logicity::datalog::{ClauseId, RelId, Rules, Value};
+use logicity::datalog::{Program, naive};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use std::fmt::Write;

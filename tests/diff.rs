@@ -1,10 +1,11 @@
 //! `diff`: whether two rule sets are equal, and the smallest scene in which they are not.
 
+use logicity::builtin::BuiltinFiles;
+use logicity::datalog;
+use logicity::datalog::diff::{Cut, Difference, Options, Verdict, diff};
+use logicity::datalog::naive;
+use logicity::datalog::{Constraint, RelId, Rules, Value};
 use logicity::diag::Sources;
-use logicity::engine::diff::{Cut, Difference, Options, Verdict, diff};
-use logicity::engine::naive;
-use logicity::files;
-use logicity::lang::{self, Constraint, RelId, Rules, Value};
 use proptest::prelude::*;
 use std::path::PathBuf;
 use std::process::{Command, Output};
@@ -16,7 +17,7 @@ fn root() -> PathBuf {
 fn rules(text: &str) -> Rules {
     let mut sources = Sources::new();
     let entry = sources.add("test.dl", text);
-    let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
+    let loaded = datalog::load(&mut sources, entry, &BuiltinFiles);
     let told = logicity::diag::render(&loaded.diagnostics, &sources, false);
     loaded.rules.unwrap_or_else(|| panic!("{told}\n{text}"))
 }

@@ -3,11 +3,12 @@
 mod random_program;
 mod written_program;
 
-use logicity::diag::{Code, MAX_FAULTS, Sources};
-use logicity::engine::{
+use logicity::datalog;
+use logicity::datalog::{ClauseId, Inputs, RelId, Value};
+use logicity::datalog::{
     EvalError, Limits, Program, RowError, RuleWork, Session, Strategy, StratumWork, Threads, Work, facts, naive,
 };
-use logicity::lang::{self, ClauseId, Inputs, RelId, Value};
+use logicity::diag::{Code, MAX_FAULTS, Sources};
 use proptest::prelude::*;
 use proptest::strategy::Strategy as _;
 use random_program::agree::{agrees, database};
@@ -1218,7 +1219,7 @@ proptest! {
                 .to_owned(),
         );
         let read = |_: &std::path::Path| unreachable!("nothing is included");
-        let loaded = lang::load_with(&mut sources, entry, &read, Inputs::Extended);
+        let loaded = datalog::load_with(&mut sources, entry, &read, Inputs::Extended);
         prop_assert!(loaded.diagnostics.iter().all(|fault| fault.code == Code::ExtendedInput));
         let rules = loaded.rules.unwrap();
         let program = Program::new(rules.clone()).unwrap();
@@ -1265,7 +1266,7 @@ fn the_clause_that_derives_without_end_is_named() {
         let rules = session.program().rules();
         assert!(matches!(error, EvalError::TooManyRows { limit, .. } if limit == rows));
         let head = &rules.clauses[error.clause().index()].head;
-        assert!(matches!(head.terms[..], [lang::Term::Variable(_)]));
+        assert!(matches!(head.terms[..], [datalog::Term::Variable(_)]));
         assert_eq!(error.clause(), ClauseId(2));
     }
 }

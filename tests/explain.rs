@@ -5,13 +5,14 @@ mod random_program;
 mod shipped_world;
 mod written_program;
 
+use logicity::builtin::BuiltinFiles;
 use logicity::config::{Speed, Split};
-use logicity::diag::Sources;
-use logicity::engine::provenance::{
+use logicity::datalog::explain::{
     ExplainError, Explainer, Explanation, FailureKind, Node, Obstacle, Origin, Premise, Reason, Teller,
 };
-use logicity::engine::{Program, Session, naive};
-use logicity::lang::{Atom, ClauseId, Literal, RelId, Rules, Term, Value};
+use logicity::datalog::{Atom, ClauseId, Literal, RelId, Rules, Term, Value};
+use logicity::datalog::{Program, Session, naive};
+use logicity::diag::Sources;
 use logicity::rng::Seed;
 use logicity::sim::{Settings, Simulation};
 use proptest::prelude::*;
@@ -252,10 +253,10 @@ fn domain(rules: &Rules, rel: usize) -> Vec<Vec<Value>> {
     let mut rows: Vec<Vec<Value>> = vec![Vec::new()];
     for column in &rules.relations[rel].columns {
         let values: Vec<Value> = match column.base {
-            logicity::lang::BaseType::Symbol => (0..TEXTS.len() as u32).map(Value).collect(),
-            logicity::lang::BaseType::Unsigned => NUMBERS[..3].iter().map(|n| Value(n.unsigned_abs())).collect(),
-            logicity::lang::BaseType::Float => NUMBERS[..3].iter().map(|n| Value::float(*n as f32)).collect(),
-            logicity::lang::BaseType::Number => NUMBERS[..3].iter().copied().map(Value::number).collect(),
+            logicity::datalog::BaseType::Symbol => (0..TEXTS.len() as u32).map(Value).collect(),
+            logicity::datalog::BaseType::Unsigned => NUMBERS[..3].iter().map(|n| Value(n.unsigned_abs())).collect(),
+            logicity::datalog::BaseType::Float => NUMBERS[..3].iter().map(|n| Value::float(*n as f32)).collect(),
+            logicity::datalog::BaseType::Number => NUMBERS[..3].iter().copied().map(Value::number).collect(),
         };
         rows = rows
             .iter()
@@ -530,7 +531,7 @@ fn questions_that_make_no_sense_have_no_answer() {
 fn told(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -> String {
     let mut sources = Sources::new();
     let entry = sources.add("rules.dl", text);
-    let rules = logicity::lang::load(&mut sources, entry, &logicity::files::read_or_builtin)
+    let rules = logicity::datalog::load(&mut sources, entry, &BuiltinFiles)
         .rules
         .unwrap();
     let program = Program::new(rules).unwrap();

@@ -1,7 +1,7 @@
 //! `fmt`: one layout; tokens, comments and meaning stay.
 
+use logicity::datalog::{ast, format, parse};
 use logicity::diag::{Sources, render};
-use logicity::lang::{ast, format, parse};
 use proptest::prelude::*;
 use std::path::PathBuf;
 use std::process::Command;

@@ -1,6 +1,6 @@
 //! The TextMate grammar: every expression compiles, every directive is known, and every word of a rule file gets a colour.
 
-use logicity::lang::DIRECTIVES;
+use logicity::datalog::DIRECTIVES;
 use regex::Regex;
 use serde_json::Value;
 use std::fs;

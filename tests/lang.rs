@@ -3,12 +3,12 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
-use logicity::files::{BUILTIN_FOLDER, ReadError, read_text};
-use logicity::lang::{
+use logicity::datalog::{
     AggregateOp, Atom, Clause, Comparison, Functor, Inputs, Literal, Loaded, Rules, Term, ast, load, load_with, parse,
     print,
 };
+use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
+use logicity::files::{BUILTIN_FOLDER, ReadError, read_text};
 use proptest::prelude::*;
 
 fn root() -> &'static Path {
@@ -1412,10 +1412,13 @@ fn signs_in_a_row_are_printed_as_deep_as_they_were_read() {
     );
     let mut sources = Sources::new();
     let id = sources.add("signs.dl", text);
-    let parsed = logicity::lang::parse(&sources, id);
+    let parsed = logicity::datalog::parse(&sources, id);
     assert!(parsed.diagnostics.is_empty());
-    let id = sources.add("again.dl", logicity::lang::print(&parsed.file));
-    let again = logicity::lang::parse(&sources, id);
+    let id = sources.add("again.dl", logicity::datalog::print(&parsed.file));
+    let again = logicity::datalog::parse(&sources, id);
     assert!(again.diagnostics.is_empty());
-    assert_eq!(logicity::lang::print(&again.file), logicity::lang::print(&parsed.file));
+    assert_eq!(
+        logicity::datalog::print(&again.file),
+        logicity::datalog::print(&parsed.file)
+    );
 }

@@ -2,10 +2,11 @@
 
 mod random_program;
 
+use logicity::builtin::BuiltinFiles;
+use logicity::datalog;
+use logicity::datalog::{ClauseId, Constraint, Promise, RelId, Rules, Value};
+use logicity::datalog::{Options, Program, Session, constraints, naive, optimize};
 use logicity::diag::{Code, Diagnostic, Sources, render};
-use logicity::engine::{Options, Program, Session, naive, optimize, promise};
-use logicity::files;
-use logicity::lang::{self, ClauseId, Constraint, Promise, RelId, Rules, Value};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use random_program::{genomes, recursive_genomes, sharing_genomes};
@@ -14,7 +15,7 @@ use std::collections::BTreeSet;
 fn rules(text: &str) -> (Sources, Rules) {
     let mut sources = Sources::new();
     let entry = sources.add("test.dl", text);
-    let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
+    let loaded = datalog::load(&mut sources, entry, &BuiltinFiles);
     let told = render(&loaded.diagnostics, &sources, false);
     let rules = loaded.rules.unwrap_or_else(|| panic!("{told}\n{text}"));
     (sources, rules)
@@ -99,7 +100,7 @@ fn check(rules: &Rules, facts: &BTreeSet<(RelId, Vec<Value>)>, promises: bool) -
             );
         }
         if promises {
-            prop_assert!(promise::broken(&session).is_empty());
+            prop_assert!(constraints::broken(&session).is_empty());
         }
     }
     Ok(())
@@ -288,7 +289,7 @@ fn what_clauses_share_is_computed_once() {
     assert_eq!((&shared.2, &shared.3), (&alone.2, &alone.3));
     assert!(shared.4 * 3 < alone.4 * 2, "{} of {}", shared.4, alone.4);
     assert_eq!(shared.5.strata.len(), rules.strata.len());
-    let work = |work: &logicity::engine::StratumWork| work.work().map_or(0, |work| work.shared);
+    let work = |work: &logicity::datalog::StratumWork| work.work().map_or(0, |work| work.shared);
     assert!(shared.5.strata.iter().map(work).sum::<u64>() > 0);
     assert_eq!(alone.5.strata.iter().map(work).sum::<u64>(), 0);
     let clauses = rules.clauses.len();

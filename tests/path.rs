@@ -4,11 +4,11 @@ mod recorded_cases;
 mod shipped_world;
 
 use flate2::read::GzDecoder;
+use logicity::builtin::BuiltinFiles;
 use logicity::city::{Agent, Cell, Heading, field_of_view};
 use logicity::config::{AgentConfig, AgentKind, Speed, Split};
+use logicity::datalog::{ClauseId, Literal, Rules, Term};
 use logicity::diag::{Code, Diagnostic, Sources};
-use logicity::files::read_or_builtin;
-use logicity::lang::{ClauseId, Literal, Rules, Term};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Chance, Entity, Facts, Observer, Settings, Simulation, World, ground};
 use logicity::task::path::{
@@ -601,8 +601,8 @@ fn recorded_episodes() {
         let task = task(mode, None);
         for split in Split::ALL {
             let mut sources = Sources::new();
-            let set = EpisodeSet::load(&task, split, &mut sources, &read_or_builtin)
-                .unwrap_or_else(|fault| panic!("{fault:?}"));
+            let set =
+                EpisodeSet::load(&task, split, &mut sources, &BuiltinFiles).unwrap_or_else(|fault| panic!("{fault:?}"));
             assert_eq!(set.config, mode);
             assert_eq!(set.episodes.len(), if split == Split::Val { 40 } else { 100 });
             let mut env = Env::new(Arc::clone(&task), split, Egos::First).unwrap();
@@ -641,7 +641,7 @@ fn recorded_episodes() {
 
 /// The first recorded episodes of a split.
 fn some_recorded(task: &PathTask, split: Split, count: usize) -> EpisodeSet {
-    let mut set = EpisodeSet::load(task, split, &mut Sources::new(), &read_or_builtin).unwrap();
+    let mut set = EpisodeSet::load(task, split, &mut Sources::new(), &BuiltinFiles).unwrap();
     set.episodes.truncate(count);
     set
 }

@@ -1,13 +1,14 @@
 //! Visual Action Prediction: worlds, tables, pictures, and data sets that are ended early, made in parts, or tampered with.
 
+use logicity::builtin::BuiltinFiles;
 use logicity::config::{AgentKind, Split, load_scenario};
+use logicity::datalog;
+use logicity::datalog::Program;
 use logicity::diag::Sources;
-use logicity::engine::Program;
 use logicity::render::{Difficulty, Icons, Picture, PixelBox, read_png, write_png};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::task::vap::table::{Sample, Table, Values, samples};
 use logicity::task::vap::{Agents, FIRST_TICK, Frame, SIDE, TICKS, Worlds, count_actions, icon_seed};
-use logicity::{files, lang};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,10 +23,13 @@ fn worlds(agents: Agents, split: Split) -> Worlds {
     static ICONS: OnceLock<Arc<Icons>> = OnceLock::new();
     let icons = ICONS.get_or_init(|| Arc::new(Icons::new(Seed(0), Difficulty::CLEAN)));
     let mut sources = Sources::new();
-    let scenario = load_scenario(&mut sources, Path::new("vap-hard"), &files::read_or_builtin).unwrap();
+    let scenario = load_scenario(&mut sources, Path::new("vap-hard"), &BuiltinFiles).unwrap();
     let rules = &scenario.rules.value;
-    let entry = sources.add(rules.display().to_string(), files::read_or_builtin(rules).unwrap());
-    let program = Program::new(lang::load(&mut sources, entry, &files::read_or_builtin).rules.unwrap()).unwrap();
+    let entry = sources.add(
+        rules.display().to_string(),
+        logicity::builtin::read_or_builtin(rules).unwrap(),
+    );
+    let program = Program::new(datalog::load(&mut sources, entry, &BuiltinFiles).rules.unwrap()).unwrap();
     Worlds::new(scenario, program, Arc::clone(icons), agents, split, 0).unwrap()
 }
 

@@ -1,12 +1,13 @@
 //! Scenes and simulations.
 
 use crate::{Shared, Signals, input_error, read_error, to_python};
+use logicity::builtin::read_or_builtin;
 use logicity::city::{Agent, Cell, Heading, Reason};
 use logicity::config::{Located, Scenario, Speed, Split, load_scenario};
+use logicity::datalog::Program;
+use logicity::datalog::explain::Teller;
 use logicity::diag::{Code, Diagnostic, SourceId, Sources, Span};
-use logicity::engine::Program;
-use logicity::engine::provenance::Teller;
-use logicity::files::{Output, ReadError, read_or_builtin, read_text};
+use logicity::files::{Output, ReadError, read_text};
 use logicity::rng::Seed;
 use logicity::sim::{Executor, Inference, MAX_ENTITIES, Settings, Simulation, TraceWriter, World, hash_sources};
 use numpy::ndarray::{Array1, Array2};

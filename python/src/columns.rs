@@ -1,6 +1,6 @@
 //! Rows as Python values: tuples, or a numpy array for each column.
 
-use logicity::lang::{BaseType, Column, Relation, Value};
+use logicity::datalog::{BaseType, Column, Relation, Value};
 use logicity::symbol::{Symbol, Symbols};
 use numpy::{Element, PyArray1, PyArrayDescrMethods, PyReadonlyArray1, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -320,13 +320,13 @@ fn convert<'a, T: Element + Copy + std::fmt::Display>(
 }
 
 /// The texts of symbols as Python has them, each made once.
-struct Texts<'a, 'py> {
+struct Workspace<'a, 'py> {
     py: Python<'py>,
     symbols: &'a Symbols,
     made: HashMap<u32, Bound<'py, PyAny>>,
 }
 
-impl<'py> Texts<'_, 'py> {
+impl<'py> Workspace<'_, 'py> {
     fn value(&mut self, value: Value, base: BaseType) -> PyResult<Bound<'py, PyAny>> {
         Ok(match base {
             BaseType::Number => value.as_number().into_pyobject(self.py)?.into_any(),
@@ -347,7 +347,7 @@ pub fn tuples<'py, 'r>(
     rows: impl Iterator<Item = &'r [Value]>,
     symbols: &Symbols,
 ) -> PyResult<Bound<'py, PyList>> {
-    let mut texts = Texts {
+    let mut texts = Workspace {
         py,
         symbols,
         made: HashMap::new(),
@@ -381,7 +381,7 @@ pub fn arrays<'py, 'r, R: Iterator<Item = &'r [Value]>>(
             BaseType::Unsigned => PyArray1::from_vec(py, words.map(|word| word.0).collect()).into_any(),
             BaseType::Float => PyArray1::from_vec(py, words.map(Value::as_float).collect()).into_any(),
             BaseType::Symbol => {
-                let mut texts = Texts {
+                let mut texts = Workspace {
                     py,
                     symbols,
                     made: HashMap::new(),

@@ -2,11 +2,14 @@
 
 use crate::columns;
 use crate::{Shared, Signals, input_error, to_python};
+use logicity::builtin::BuiltinFiles;
+use logicity::builtin::read_or_builtin;
+use logicity::datalog;
+use logicity::datalog::explain::{Explainer, Teller};
+use logicity::datalog::{ClauseId, Inputs, RelId, Relation, Value, Workspace};
+use logicity::datalog::{Limits, Program, RowError, StratumWork, Threads};
 use logicity::diag::{Diagnostic, Sources, did_you_mean, to_json};
-use logicity::engine::provenance::{Explainer, Teller};
-use logicity::engine::{self, Limits, Program, RowError, StratumWork, Threads};
-use logicity::files::{ReadError, read_or_builtin};
-use logicity::lang::{ClauseId, Inputs, RelId, Relation, Texts, Value};
+use logicity::files::ReadError;
 use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -29,7 +32,7 @@ fn check<'py>(py: Python<'py>, text: &str, name: &str) -> PyResult<Bound<'py, Py
     let mut sources = Sources::new();
     let entry = sources.add(name, text);
     let (diagnostics, sources) = Signals::new().aside(py, move || {
-        let (_, diagnostics) = Program::load(&mut sources, entry, &read_or_builtin);
+        let (_, diagnostics) = Program::load(&mut sources, entry, &BuiltinFiles);
         (diagnostics, sources)
     })?;
     to_python(py, &to_json(&diagnostics, &sources))
@@ -37,14 +40,14 @@ fn check<'py>(py: Python<'py>, text: &str, name: &str) -> PyResult<Bound<'py, Py
 
 /// A checked and planned program, with its texts.
 struct Loaded {
-    texts: Texts,
+    texts: Workspace,
     sources: Sources,
     program: Program,
     warnings: Vec<Diagnostic>,
 }
 
 impl Loaded {
-    fn teller<'a>(&'a self, session: &'a engine::Session) -> Teller<'a> {
+    fn teller<'a>(&'a self, session: &'a datalog::Session) -> Teller<'a> {
         Teller::new(self.program.rules(), session.symbols(), &self.sources).quoting()
     }
 
@@ -90,7 +93,7 @@ impl PyProgram {
             (None, _) => Err(ReadError::NotFound),
         };
         let (loaded, sources) = Signals::new().aside(py, move || {
-            let mut texts = Texts::new(Inputs::Extended);
+            let mut texts = Workspace::new(Inputs::Extended);
             texts.add(&mut sources, entry, &read);
             let checked = texts.check();
             let program = checked.rules.map(Program::new).transpose();
@@ -173,7 +176,7 @@ impl PyProgram {
 #[pyclass(name = "Session", module = "logicity._logicity", frozen)]
 pub struct PySession {
     loaded: Arc<Loaded>,
-    session: Shared<engine::Session>,
+    session: Shared<datalog::Session>,
 }
 
 fn row_error(error: &RowError) -> PyErr {
@@ -233,7 +236,7 @@ impl PySession {
         for change in delta.changes() {
             let relation = &program.rules().relations[change.relation.index()];
             if !relation.hidden {
-                let rows = |rows: &engine::Rows| PyRows {
+                let rows = |rows: &datalog::Rows| PyRows {
                     session: slf.clone().unbind(),
                     relation: change.relation,
                     rows: rows.clone(),
@@ -246,14 +249,15 @@ impl PySession {
 
     fn tuples<'py>(&self, py: Python<'py>, relation: &str) -> PyResult<Bound<'py, PyList>> {
         let (id, relation) = self.loaded.relation(relation)?;
-        let tuples =
-            |session: &mut engine::Session| columns::tuples(py, &relation.columns, session.rows(id), session.symbols());
+        let tuples = |session: &mut datalog::Session| {
+            columns::tuples(py, &relation.columns, session.rows(id), session.symbols())
+        };
         self.session.with(tuples)
     }
 
     fn columns<'py>(&self, py: Python<'py>, relation: &str) -> PyResult<Bound<'py, PyDict>> {
         let (id, relation) = self.loaded.relation(relation)?;
-        let arrays = |session: &mut engine::Session| {
+        let arrays = |session: &mut datalog::Session| {
             columns::arrays(py, &relation.columns, || session.rows(id), session.symbols())
         };
         self.session.with(arrays)
@@ -319,7 +323,7 @@ impl PySession {
             Ok((fact, holds, text, teller.json(&explanation)["nodes"].take()))
         })?;
         let (fact, holds, text, nodes) =
-            told.map_err(|error: engine::provenance::ExplainError| input_error(py, &[error.into()], &loaded.sources))?;
+            told.map_err(|error: datalog::explain::ExplainError| input_error(py, &[error.into()], &loaded.sources))?;
         Ok((fact, holds, text, to_python(py, &nodes)?))
     }
 
@@ -402,7 +406,7 @@ impl PySession {
 pub struct PyRows {
     session: Py<PySession>,
     relation: RelId,
-    rows: engine::Rows,
+    rows: datalog::Rows,
 }
 
 #[pymethods]

@@ -16,8 +16,9 @@ mod evaluate;
 mod task;
 mod vap;
 
+use logicity::builtin::read_or_builtin;
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
-use logicity::files::{ReadError, read_or_builtin};
+use logicity::files::ReadError;
 use logicity::sim::Stop;
 use numpy::ndarray::Dimension;
 use numpy::{Element, PyReadwriteArray};

@@ -3,9 +3,10 @@
 use crate::city::{Loaded, one_of};
 use crate::episode::read_episode;
 use crate::{Signals, held, input_error};
+use logicity::builtin::BuiltinFiles;
 use logicity::config::{Speed, Split};
 use logicity::diag::{Diagnostic, SourceId, Sources};
-use logicity::files::{Output, read_or_builtin};
+use logicity::files::Output;
 use logicity::render::{Icons, Marked, Overview, Sprite};
 use logicity::sim::World;
 use logicity::task::path::{
@@ -161,7 +162,7 @@ impl PyTask {
     pub fn episode_set(&self, py: Python<'_>, split: Split) -> PyResult<EpisodeSet> {
         let set = {
             let mut sources = held(&self.sources);
-            EpisodeSet::load(&self.task, split, &mut sources, &read_or_builtin)
+            EpisodeSet::load(&self.task, split, &mut sources, &BuiltinFiles)
         };
         set.map_err(|fault| self.error(py, fault))
     }

@@ -144,7 +144,7 @@ type WorldArrays<'py> = (
     Bound<'py, PyArray1<bool>>,
 );
 
-/// Texts, each of which is made once.
+/// Workspace, each of which is made once.
 fn shared_texts<'py>(py: Python<'py>, texts: &[String]) -> Vec<Bound<'py, PyString>> {
     let mut made: HashMap<&str, Bound<'_, PyString>> = HashMap::new();
     let once = |text| made.entry(text).or_insert_with(|| PyString::new(py, text)).clone();

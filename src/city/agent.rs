@@ -1,6 +1,6 @@
 //! Agents, and where they start and want to go.
 
-use super::{Cell, Heading, Places, Route, Router};
+use crate::city::{Cell, Heading, Places, Route, Router};
 use crate::config::{AgentConfig, AgentKind, AgentName, AgentSet};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};

@@ -3,7 +3,7 @@
 //! A city of n x m blocks has n + 1 streets across and m + 1 streets down, so that streets also run along all four edges of
 //! the world. Where two streets meet is an intersection, except at the four corners of the world.
 
-use super::{CityMap, Layout};
+use crate::city::{CityMap, Layout};
 use crate::config::{Building, Buildings, Located, MapConfig, Widths};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};

@@ -1,6 +1,6 @@
 //! The static map.
 
-use super::Cell;
+use crate::city::Cell;
 use crate::config::{AgentKind, Building, Widths};
 use crate::diag::{Code, Diagnostic};
 use ndarray::Array3;

@@ -1,6 +1,6 @@
 //! From a decision to a move.
 
-use super::{Agent, Cell, Places, Rest, Router};
+use crate::city::{Agent, Cell, Places, Rest, Router};
 use crate::config::{AgentKind, Speed};
 use crate::rng::{Purpose, RngExt, Seed};
 

@@ -9,10 +9,10 @@
 //! a best way never leaves their bounding box by more than a block. Parts of [`PART`] x [`PART`] blocks are all alike, and what
 //! was found for two lanes of one is remembered for all.
 
-use super::map::Zone;
-use super::route::{Way, steps};
-use super::walk::{search, walk};
-use super::{Cell, CityMap, Heading, Layout, Route};
+use crate::city::map::Zone;
+use crate::city::route::{Way, steps};
+use crate::city::walk::{search, walk};
+use crate::city::{Cell, CityMap, Heading, Layout, Route};
 use crate::config::{AgentKind, Routing};
 use pathfinding::directed::astar::astar;
 use pathfinding::directed::bfs::bfs_bidirectional;

@@ -1,6 +1,6 @@
 //! Routes: ways over the map, held as straight pieces.
 
-use super::{Cell, CityMap, Heading};
+use crate::city::{Cell, CityMap, Heading};
 use crate::config::AgentKind;
 
 /// A way from a start to a goal.

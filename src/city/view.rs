@@ -1,6 +1,6 @@
 //! What an agent sees.
 
-use super::{Cell, CityMap, Heading};
+use crate::city::{Cell, CityMap, Heading};
 
 /// The rectangle of cells in a field of view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,10 +6,10 @@
 //! way leaves the buildings by one of the four ends of the inner sidewalks, and changes from band to band where these cross:
 //! there are few candidates, and the shortest of them is a shortest way.
 
-use super::map::Zone;
-use super::roads::NoRoute;
-use super::route::{Way, steps};
-use super::{Cell, CityMap, Heading, Layout};
+use crate::city::map::Zone;
+use crate::city::roads::NoRoute;
+use crate::city::route::{Way, steps};
+use crate::city::{Cell, CityMap, Heading, Layout};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use std::collections::HashMap;
 

@@ -1,11 +1,11 @@
 //! `logicity bench`: how fast rules are evaluated and cities go, on this machine.
 
-use super::{Failure, load_city, one_of, threads};
 use crate::city::{Agent, Cell};
+use crate::cli::{Failure, load_city, one_of, threads};
 use crate::config::{AgentSet, Building, Buildings, MapConfig, Scenario, Speed, Split};
+use crate::datalog::Program;
+use crate::datalog::dense::{BitFacts, Counting, Dense, Frame};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::engine::Program;
-use crate::engine::dense::{BitFacts, Counting, Dense, Frame};
 use crate::files;
 use crate::render::{Difficulty, Icons, Picture, Renderer, Scale, Sprite, View, read_png, write_png};
 use crate::rng::{Purpose, RngExt, Seed};

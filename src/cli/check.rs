@@ -1,11 +1,11 @@
 //! `logicity check`
 
-use super::trace::TraceReader;
-use super::{Failure, load_texts, report};
+use crate::cli::trace::TraceReader;
+use crate::cli::{Failure, load_texts, report};
+use crate::datalog::explain::Teller;
+use crate::datalog::{ClauseId, Inputs, RelId, Rules};
+use crate::datalog::{Program, dense, optimize};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
-use crate::engine::provenance::Teller;
-use crate::engine::{Program, dense, optimize};
-use crate::lang::{ClauseId, Inputs, RelId, Rules};
 use crate::sim::{Coverage, ENTITIES_MAX, Finding, Overlap, conflicts};
 use serde_json::json;
 use std::collections::HashSet;

@@ -1,8 +1,8 @@
 //! `logicity diff`
 
-use super::{Failure, load_program, report};
+use crate::cli::{Failure, load_program, report};
+use crate::datalog::diff::{Cut, Difference, Options, Verdict, diff};
 use crate::diag::Sources;
-use crate::engine::diff::{Cut, Difference, Options, Verdict, diff};
 use serde_json::{Map, Value, json};
 use std::io::Write;
 use std::path::PathBuf;

@@ -1,9 +1,11 @@
 //! `logicity episodes`
 
-use super::{Failure, load_city, one_of, progress};
+use crate::builtin::BuiltinFiles;
+use crate::cli::{Failure, load_city, one_of, progress};
 use crate::config::Split;
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::files::{self, Output};
+use crate::files;
+use crate::files::Output;
 use crate::sim::World;
 use crate::task::path::{
     Baseline, Egos, Env, Episode, EpisodeSet, PathTask, Policy, RANDOM_RUNS, Rollout, constrained_by_name,
@@ -113,7 +115,7 @@ impl Which {
     /// The task, its recorded episodes, and a city for them.
     fn load(&self, sources: &mut Sources) -> Result<(Env, EpisodeSet), Failure> {
         let task = self.task(sources)?;
-        let set = EpisodeSet::load(&task, self.split, sources, &files::read_or_builtin)?;
+        let set = EpisodeSet::load(&task, self.split, sources, &BuiltinFiles)?;
         Ok((Env::new(task, self.split, Egos::First)?, set))
     }
 

@@ -1,11 +1,11 @@
 //! `logicity explain`
 
-use super::Failure;
-use super::trace::TraceReader;
 use crate::city::Cell;
+use crate::cli::Failure;
+use crate::cli::trace::TraceReader;
 use crate::config::Speed;
+use crate::datalog::explain::Teller;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
-use crate::engine::provenance::Teller;
 use crate::sim::{Decision, Driven, Replay, TraceTick, World};
 use serde_json::json;
 use std::io::Write;

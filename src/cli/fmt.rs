@@ -1,9 +1,9 @@
 //! `logicity fmt`
 
-use super::{Failure, read};
+use crate::cli::{Failure, read};
+use crate::datalog;
 use crate::diag::{Diagnostic, Sources};
 use crate::files::Output;
-use crate::lang;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -32,7 +32,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             read(path)?
         };
         let source = sources.add(path.display().to_string(), text);
-        let formatted = match lang::format(sources, source) {
+        let formatted = match datalog::format(sources, source) {
             Ok(formatted) => formatted,
             Err(found) => {
                 faults.extend(found);

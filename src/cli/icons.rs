@@ -1,7 +1,8 @@
 //! `logicity icons`, and the icons of other commands.
 
-use super::{Failure, one_of};
-use crate::files::{self, Output};
+use crate::cli::{Failure, one_of};
+use crate::files;
+use crate::files::Output;
 use crate::render::{Class, Difficulty, Icons, Mode, PACK_FILE_MAX, PACK_FILES_MAX, Pack, PackFault, sheet, write_png};
 use crate::rng::Seed;
 use sha2::{Digest, Sha256};

@@ -1,8 +1,9 @@
 //! `logicity infer`
 
-use super::{Failure, load_city, one_of, report};
+use crate::cli::{Failure, load_city, one_of, report};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
-use crate::files::{self, Output, ReadError};
+use crate::files;
+use crate::files::{Output, ReadError};
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference};
 use serde_json::json;

@@ -22,11 +22,12 @@ mod vap;
 mod view;
 mod why;
 
+use crate::builtin::{BuiltinFiles, read_or_builtin};
 use crate::config::{Located, MapConfig, Scenario, load_map, load_scenario};
+use crate::datalog::{EvalError, Limits, Program};
+use crate::datalog::{Inputs, Rules, Workspace};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, render};
-use crate::engine::{EvalError, Limits, Program};
-use crate::files::{self, ReadError};
-use crate::lang::{Inputs, Rules, Texts};
+use crate::files::ReadError;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -224,7 +225,7 @@ fn one_of<T: Copy + Send + Sync + 'static>(
 
 /// Reads a file that the user named on the command line.
 fn read(path: &Path) -> Result<String, Failure> {
-    files::read_or_builtin(path).map_err(|error| match error {
+    read_or_builtin(path).map_err(|error| match error {
         ReadError::NotText { .. } => Diagnostic::new(Code::NotText, format!("`{}` is {error}", path.display()))
             .help("save the file as UTF-8")
             .into(),
@@ -314,7 +315,7 @@ fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diag
 }
 
 /// Checks and plans rules. Warnings are returned beside the program.
-fn compile(texts: &Texts) -> Result<(Program, Vec<Diagnostic>), Failure> {
+fn compile(texts: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure> {
     let loaded = texts.check();
     match loaded.rules {
         Some(rules) => Ok((Program::new(rules)?, loaded.diagnostics)),
@@ -323,11 +324,11 @@ fn compile(texts: &Texts) -> Result<(Program, Vec<Diagnostic>), Failure> {
 }
 
 /// Reads a rule file and all it includes.
-fn load_texts(sources: &mut Sources, path: &Path, inputs: Inputs) -> Result<Texts, Failure> {
+fn load_texts(sources: &mut Sources, path: &Path, inputs: Inputs) -> Result<Workspace, Failure> {
     let text = read(path)?;
     let entry = sources.add(path.display().to_string(), text);
-    let mut texts = Texts::new(inputs);
-    texts.add(sources, entry, &files::read_or_builtin);
+    let mut texts = Workspace::new(inputs);
+    texts.add(sources, entry, &BuiltinFiles);
     Ok(texts)
 }
 
@@ -366,12 +367,12 @@ fn threads(text: &str) -> Result<NonZeroUsize, String> {
 
 /// Reads a run configuration and all its parts.
 fn load_config(sources: &mut Sources, path: &Path) -> Result<Scenario, Failure> {
-    load_scenario(sources, path, &files::read_text).map_err(missing_is_usage)
+    load_scenario(sources, path, &BuiltinFiles).map_err(missing_is_usage)
 }
 
 /// Reads a map: a path to a YAML file, or the name of a built-in map.
 fn find_map(sources: &mut Sources, name: &str) -> Result<MapConfig, Failure> {
-    load_map(sources, Path::new(name), &files::read_text).map_err(missing_is_usage)
+    load_map(sources, Path::new(name), &BuiltinFiles).map_err(missing_is_usage)
 }
 
 /// A file that the user named on the command line and that cannot be read has no place in any text: that is wrong usage.

@@ -1,11 +1,15 @@
 //! `logicity query`
 
-use super::why::{self, Question};
-use super::{Failure, LimitOptions, compile, load_texts, make_folder, report, too_much};
+use crate::cli::why;
+use crate::cli::why::Question;
+use crate::cli::{Failure, LimitOptions, compile, load_texts, make_folder, report, too_much};
+use crate::datalog::{ClauseId, Inputs, MarkKind, RelId, RowPlace};
+use crate::datalog::{
+    Delta, Limits, Moment, Options, Program, RuleWork, Session, StratumWork, Threads, constraints, facts,
+};
 use crate::diag::{Code, Diagnostic, Sources, Span};
-use crate::engine::{Delta, Limits, Moment, Options, Program, RuleWork, Session, StratumWork, Threads, facts, promise};
-use crate::files::{self, Output};
-use crate::lang::{ClauseId, Inputs, MarkKind, RelId, RowPlace};
+use crate::files;
+use crate::files::Output;
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -98,7 +102,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Ok(());
     }
 
-    let broken = promise::broken(&session);
+    let broken = constraints::broken(&session);
     if !broken.is_empty() {
         return Err(broken.into());
     }
@@ -244,7 +248,7 @@ fn print_relation(
 }
 
 /// The declared relations in the order of the text.
-pub(super) fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::lang::Relation)> {
+pub(super) fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::datalog::Relation)> {
     let relations = program.rules().relations.iter().enumerate();
     relations.map(|(index, relation)| {
         let id = RelId(u32::try_from(index).expect("fewer than 2^32 relations"));

@@ -1,6 +1,6 @@
 //! `logicity questions`
 
-use super::{Failure, load_city, one_of, progress};
+use crate::cli::{Failure, load_city, one_of, progress};
 use crate::config::Split;
 use crate::diag::Sources;
 use crate::files::Output;

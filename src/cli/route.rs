@@ -1,7 +1,7 @@
 //! `logicity route`
 
-use super::{Failure, find_map, one_of};
 use crate::city::{Cell, CityMap, NoRoute, Router};
+use crate::cli::{Failure, find_map, one_of};
 use crate::config::{AgentKind, Routing};
 use crate::diag::{Code, Diagnostic, Sources};
 use std::io::{self, BufWriter, Write};

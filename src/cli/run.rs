@@ -1,13 +1,13 @@
 //! `logicity run`
 
-use super::icons::IconOptions;
-use super::{Failure, load_city, make_folder, one_of};
+use crate::cli::icons::IconOptions;
+use crate::cli::{Failure, load_city, make_folder, one_of};
 use crate::config::{AgentKind, Speed, Split};
+use crate::datalog::constraints;
+use crate::datalog::explain::Teller;
+use crate::datalog::{Clause, ClauseId};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
-use crate::engine::promise;
-use crate::engine::provenance::Teller;
 use crate::files::Output;
-use crate::lang::{Clause, ClauseId};
 use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;
@@ -141,7 +141,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         tally.deciding += begin.elapsed();
         tally.add(&mut simulation);
         if arguments.check_promises {
-            tally.add_broken(promise::broken(simulation.moment()?.session()), tick);
+            tally.add_broken(constraints::broken(simulation.moment()?.session()), tick);
         }
         if let Some(record) = &mut record {
             record.tick(&simulation)?;

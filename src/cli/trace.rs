@@ -1,6 +1,6 @@
 //! Traces as input: found with the configuration and rules they were made with.
 
-use super::{Failure, load_config, load_program};
+use crate::cli::{Failure, load_config, load_program};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::MAX_BYTES;
 use crate::sim::{Replay, TraceHeader, TraceTick, World, hash_sources};

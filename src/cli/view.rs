@@ -1,8 +1,8 @@
 //! `logicity view`
 
-use super::Failure;
-use super::icons::IconOptions;
-use super::trace::TraceReader;
+use crate::cli::Failure;
+use crate::cli::icons::IconOptions;
+use crate::cli::trace::TraceReader;
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::Output;
 use crate::page::Page;

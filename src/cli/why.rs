@@ -1,10 +1,10 @@
 //! Why a fact holds and why another does not, for every command that is asked.
 
-use super::Failure;
+use crate::cli::Failure;
+use crate::datalog::Session;
+use crate::datalog::Workspace;
+use crate::datalog::explain::{Explainer, Teller};
 use crate::diag::{Diagnostic, SourceId, Sources};
-use crate::engine::Session;
-use crate::engine::provenance::{Explainer, Teller};
-use crate::lang::Texts;
 use serde_json::json;
 use std::io::Write;
 
@@ -26,7 +26,7 @@ pub enum Question {
 pub fn tell(
     out: &mut impl Write,
     asked: (Question, SourceId),
-    texts: &Texts,
+    texts: &Workspace,
     session: &Session,
     sources: &Sources,
     as_json: bool,

@@ -8,9 +8,10 @@
 //! merge key by key, any other value replaces what the base has, and nothing (`~`) removes it. A path is relative to the file
 //! that holds it; what is not on disk is looked for among the built-in files. What the keys mean is not known here.
 
-use super::yaml::{self, Node, Value};
+use crate::config::yaml;
+use crate::config::yaml::{Node, Value};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, did_you_mean};
-use crate::files::{self, BUILTIN, BUILTIN_FOLDER, ReadError, normalise};
+use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalise};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -18,7 +19,7 @@ use std::path::{Path, PathBuf};
 const MAX_CHAIN: usize = 16;
 
 /// How a file is read: its text, or why not.
-pub type Read<'a> = &'a dyn Fn(&Path) -> Result<String, ReadError>;
+pub type Read<'a> = &'a dyn ReadFile;
 
 pub(super) struct Composer<'a> {
     pub faults: Vec<Diagnostic>,
@@ -50,9 +51,10 @@ impl<'a> Composer<'a> {
         match found {
             Ok((path, text)) => self.file(path, text, parts, &mut Vec::new()),
             Err(error) => {
-                let names = BUILTIN
+                let known = self.read.builtin_paths();
+                let names = known
                     .iter()
-                    .filter_map(|(known, _)| known.strip_prefix(folder)?.strip_prefix('/')?.strip_suffix(".yaml"));
+                    .filter_map(|known| known.strip_prefix(folder)?.strip_prefix('/')?.strip_suffix(".yaml"));
                 let near = path.to_str().and_then(|name| did_you_mean(name, names));
                 let mut fault = unreadable(path, &error);
                 fault.help.extend(near.map(|near| format!("did you mean `{near}`?")));
@@ -106,15 +108,19 @@ impl<'a> Composer<'a> {
     /// current folder.
     fn find(&self, path: &Path, written: &Path) -> Result<(PathBuf, String), ReadError> {
         if !path.starts_with(BUILTIN_FOLDER) {
-            match (self.read)(path) {
+            match self.read.read(path) {
                 Err(ReadError::NotFound) => {}
                 read => return read.map(|text| (path.to_owned(), text)),
             }
         }
         for path in [normalise(path), normalise(written)] {
             let inside = path.strip_prefix(BUILTIN_FOLDER).unwrap_or(&path);
-            if let Some(text) = inside.to_str().and_then(files::builtin) {
-                return Ok((Path::new(BUILTIN_FOLDER).join(inside), text.to_owned()));
+            let builtin = Path::new(BUILTIN_FOLDER).join(inside);
+            // Joining an absolute path would leave the folder.
+            if inside.is_relative()
+                && let Ok(text) = self.read.read(&builtin)
+            {
+                return Ok((builtin, text));
             }
         }
         Err(ReadError::NotFound)

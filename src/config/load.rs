@@ -3,11 +3,11 @@
 //! `configs/README.md` tells the same to users, key by key. Whether a city can be built from the values, for example whether a
 //! street has room for its lanes, is asked of the city.
 
-use super::compose::{Composer, Read};
-use super::model::*;
-use super::read::{Fields, choice, entries, integer, invalid, is_name, list, name, number, text};
-use super::task;
-use super::yaml::{Node, Value};
+use crate::config::compose::{Composer, Read};
+use crate::config::model::*;
+use crate::config::read::{Fields, choice, entries, integer, invalid, is_name, list, name, number, text};
+use crate::config::task;
+use crate::config::yaml::{Node, Value};
 use crate::diag::{Code, Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;

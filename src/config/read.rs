@@ -3,7 +3,7 @@
 //! A function here returns `None` after it has pushed a fault. The caller goes on with the other keys, so that one run tells
 //! all that is wrong. What a configuration consists of is not known here.
 
-use super::yaml::{Key, Node, Value};
+use crate::config::yaml::{Key, Node, Value};
 use crate::diag::{Code, Diagnostic, Span, did_you_mean};
 use std::fmt::Display;
 use std::ops::RangeInclusive;

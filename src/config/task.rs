@@ -1,10 +1,10 @@
 //! The task of a run configuration: Safe Path Following.
 
-use super::compose::Composer;
-use super::load::{Concepts, Predicates, carried};
-use super::model::*;
-use super::read::{Fields, choice, entries, integer, invalid, list, number};
-use super::yaml::{Node, Value};
+use crate::config::compose::Composer;
+use crate::config::load::{Concepts, Predicates, carried};
+use crate::config::model::*;
+use crate::config::read::{Fields, choice, entries, integer, invalid, list, number};
+use crate::config::yaml::{Node, Value};
 use crate::diag::Diagnostic;
 use std::sync::Arc;
 

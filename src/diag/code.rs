@@ -1,6 +1,6 @@
 //! The stable names of all messages.
 
-use super::Severity;
+use crate::diag::Severity;
 
 /// Declares the codes: variant, name, severity. The name is part of the public interface and never changes its meaning. Each
 /// has a fixture in `tests/fixtures/diagnostics/` and a section in `rules/README.md` (rules, facts) or `configs/README.md`

@@ -1,6 +1,6 @@
 //! Collects what is found.
 
-use super::{Code, Diagnostic, Severity};
+use crate::diag::{Code, Diagnostic, Severity};
 
 /// More errors, and more warnings, of one input than this are not kept: a file of noise must not fill the memory or the screen.
 pub const MAX_FAULTS: usize = 100;

@@ -1,6 +1,6 @@
 //! Draws diagnostics: for a terminal, and as JSON.
 
-use super::{Diagnostic, Label, Severity, SourceId, Sources, Span};
+use crate::diag::{Diagnostic, Label, Severity, SourceId, Sources, Span};
 use annotate_snippets::{Annotation, AnnotationKind, Group, Level, Origin, Renderer, Snippet};
 use serde_json::{Value, json};
 use std::ops::RangeInclusive;

@@ -12,9 +12,9 @@ mod proofs;
 
 use crate::city::{Cell, Heading, Route, field_of_view};
 use crate::config::{AgentKind, Speed};
+use crate::datalog::explain::{Explainer, Teller};
+use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::engine::provenance::{Explainer, Teller};
-use crate::lang::{ClauseId, Value};
 use crate::render::{Class, Facing, Icons};
 use crate::sim::{LOOK_TICKS, Replay, STUCK_TICKS, TraceAgent, TraceHeader, TraceTick, Wait, standstill, waits};
 use base64::Engine as _;

@@ -1,9 +1,10 @@
 //! The explanations of a run, in which equal parts are stored once.
 
-use crate::engine::provenance::{
+use crate::datalog;
+use crate::datalog::ClauseId;
+use crate::datalog::explain::{
     Absence, Explanation, Fact, Failure, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise, Reason, Teller,
 };
-use crate::lang::{self, ClauseId};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -206,7 +207,7 @@ fn failures(obstacle: &Obstacle) -> &[Failure] {
 fn write_key(node: &Node, numbers: &[Option<u32>], key: &mut Vec<u32>) {
     let number = |node: Option<NodeId>| node.and_then(|node| numbers[node.index()]).unwrap_or(u32::MAX);
     let count = |count: usize| u32::try_from(count).expect("a list of a clause");
-    let write_pattern = |pattern: &[Option<lang::Value>], key: &mut Vec<u32>| {
+    let write_pattern = |pattern: &[Option<datalog::Value>], key: &mut Vec<u32>| {
         for value in pattern {
             key.extend([u32::from(value.is_some()), value.map_or(0, |value| value.0)]);
         }

@@ -1,7 +1,7 @@
 //! Buildings on their lots, drawn by parameters: a front with what is around it, in a square of side 1 around the origin.
 
-use super::sketch::{Dice, Edges, Ink, Sketch};
 use crate::config::Building;
+use crate::render::sketch::{Dice, Edges, Ink, Sketch};
 use crate::rng::Rng;
 
 const GLASS: [u32; 4] = [0x7fb2d6, 0x9cc7e0, 0x5f8fb5, 0xf4e3a1];

@@ -1,6 +1,6 @@
 //! Cars from above, drawn by parameters. A car is one unit wide and heads up; its middle is the origin.
 
-use super::sketch::{Dice, Ink, Sketch};
+use crate::render::sketch::{Dice, Ink, Sketch};
 use crate::rng::Rng;
 
 /// What a car's concepts are; it can have several, and all show.

@@ -1,9 +1,9 @@
 //! What an icon shows, and where it faces.
 
-use super::car;
-use super::pedestrian;
 use crate::city::Heading;
 use crate::config::{AgentKind, Building};
+use crate::render::car;
+use crate::render::pedestrian;
 use std::fmt;
 
 /// The concepts with looks of their own, in the order in which the name of a class lists them.

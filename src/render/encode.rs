@@ -1,6 +1,6 @@
 //! Pictures to PNG and GIF, and back from PNG.
 
-use super::picture::{Picture, Rgb};
+use crate::render::picture::{Picture, Rgb};
 use std::borrow::Cow;
 use std::io::{self, Cursor, Write};
 use std::time::Duration;

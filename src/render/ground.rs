@@ -2,12 +2,12 @@
 //!
 //! What a pixel of the ground is depends on its place on the map only, never on the part of the map that is shown.
 
-use super::class::{Class, Facing};
-use super::icon::Icons;
-use super::picture::{Picture, Rgb};
-use super::view::{Scale, View};
 use crate::city::{Cell, CityMap, Ground, Heading};
 use crate::config::Building;
+use crate::render::class::{Class, Facing};
+use crate::render::icon::Icons;
+use crate::render::picture::{Picture, Rgb};
+use crate::render::view::{Scale, View};
 use crate::rng::{Purpose, RngExt, Seed};
 
 /// The mid line, in every picture.

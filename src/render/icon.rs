@@ -1,10 +1,10 @@
 //! Icons: from a class, an instance, a facing and a size to pixels.
 
-use super::class::{Class, Facing, Subject};
-use super::pack::{Mode, Pack, shrunk};
-use super::sketch::{Dice, Ink, Sketch, byte};
-use super::{building, car, pedestrian};
 use crate::config::AgentKind;
+use crate::render::class::{Class, Facing, Subject};
+use crate::render::pack::{Mode, Pack, shrunk};
+use crate::render::sketch::{Dice, Ink, Sketch, byte};
+use crate::render::{building, car, pedestrian};
 use crate::rng::{Purpose, Rng, Seed};
 use resvg::tiny_skia::{FilterQuality, Pixmap, PixmapPaint, Transform};
 use std::collections::BTreeMap;

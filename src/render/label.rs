@@ -1,9 +1,9 @@
 //! Labels: short names next to agents, never one over another.
 
-use super::class::Facing;
-use super::icon::PixelBox;
-use super::picture::{Picture, Rgb};
-use super::sprite::Sprite;
+use crate::render::class::Facing;
+use crate::render::icon::PixelBox;
+use crate::render::picture::{Picture, Rgb};
+use crate::render::sprite::Sprite;
 use embedded_graphics::mono_font::iso_8859_1::FONT_6X10;
 use embedded_graphics::text::Alignment;
 

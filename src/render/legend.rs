@@ -1,13 +1,13 @@
 //! What stands beside and above the map: the legend and the line that says what happens.
 
-use super::class::{Class, Facing};
-use super::ground::{MID_LINE, PAINT, Texture, roof};
-use super::icon::{Icons, PixelBox};
-use super::label::{TEXT, one_line};
-use super::picture::{Picture, Rgb};
-use super::sprite::Sprite;
 use crate::city::CityMap;
 use crate::config::{AgentKind, Building, Speed};
+use crate::render::class::{Class, Facing};
+use crate::render::ground::{MID_LINE, PAINT, Texture, roof};
+use crate::render::icon::{Icons, PixelBox};
+use crate::render::label::{TEXT, one_line};
+use crate::render::picture::{Picture, Rgb};
+use crate::render::sprite::Sprite;
 use embedded_graphics::mono_font::iso_8859_1::{FONT_6X13, FONT_7X13_BOLD, FONT_9X15_BOLD};
 use embedded_graphics::text::Alignment;
 use std::collections::BTreeMap;

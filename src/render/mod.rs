@@ -12,17 +12,17 @@
 //! use logicity::city::Cell;
 //! use logicity::config::{Split, load_scenario};
 //! use logicity::diag::Sources;
-//! use logicity::engine::Program;
-//! use logicity::files::{builtin, read_or_builtin};
+//! use logicity::datalog::Program;
+//! use logicity::builtin::{self, BuiltinFiles};
 //! use logicity::render::{Difficulty, Facing, Icons, Renderer, Sprite, View, write_png};
 //! use logicity::rng::Seed;
 //! use logicity::sim::{Settings, Simulation, World};
 //! use std::{path::Path, sync::Arc};
 //!
 //! let mut sources = Sources::new();
-//! let scenario = load_scenario(&mut sources, Path::new("vap-easy"), &read_or_builtin).expect("it is built in");
-//! let rules = sources.add("vap-easy.dl", builtin("rules/vap-easy.dl").expect("it is built in"));
-//! let (program, _) = Program::load(&mut sources, rules, &read_or_builtin);
+//! let scenario = load_scenario(&mut sources, Path::new("vap-easy"), &BuiltinFiles).expect("it is built in");
+//! let rules = sources.add("vap-easy.dl", builtin::text("rules/vap-easy.dl").expect("it is built in"));
+//! let (program, _) = Program::load(&mut sources, rules, &BuiltinFiles);
 //! let world = World::new(scenario, program.expect("without errors")).expect("they fit");
 //! let city = Simulation::new(Arc::new(world), Split::Test, Seed(1), Settings::default()).expect("there is room for all");
 //!

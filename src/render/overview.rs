@@ -1,14 +1,16 @@
 //! The whole city on one picture, with rulers, a legend and labels.
 
-use super::icon::{Icons, PixelBox};
-use super::label::{self, PAPER};
-use super::legend::{self, MUTED};
-use super::picture::{Picture, Rgb};
-use super::renderer::Renderer;
-use super::sprite::Sprite;
-use super::view::{Scale, View, ViewError};
 use crate::city::{Cell, CityMap, Heading};
 use crate::config::AgentKind;
+use crate::render::icon::{Icons, PixelBox};
+use crate::render::label;
+use crate::render::label::PAPER;
+use crate::render::legend;
+use crate::render::legend::MUTED;
+use crate::render::picture::{Picture, Rgb};
+use crate::render::renderer::Renderer;
+use crate::render::sprite::Sprite;
+use crate::render::view::{Scale, View, ViewError};
 use embedded_graphics::mono_font::iso_8859_1::FONT_5X8;
 use embedded_graphics::text::Alignment;
 use std::sync::Arc;

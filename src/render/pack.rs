@@ -1,6 +1,6 @@
 //! Icon packs: pictures and drawings of others, a folder a class.
 
-use super::class::Class;
+use crate::render::class::Class;
 use resvg::tiny_skia::{IntSize, Pixmap, Transform};
 use resvg::usvg::{self, ImageHrefResolver, Options, Tree, roxmltree};
 use std::collections::BTreeMap;

@@ -1,6 +1,6 @@
 //! Pedestrians as figures, drawn by parameters. A figure stands in a square of side 1 around the origin.
 
-use super::sketch::{Dice, Ink, Sketch};
+use crate::render::sketch::{Dice, Ink, Sketch};
 use crate::rng::Rng;
 
 /// What a pedestrian's concepts are.

@@ -1,6 +1,6 @@
 //! Pixels, and how to put icons, rectangles and text on them.
 
-use super::icon::{PixelBox, Stamp};
+use crate::render::icon::{PixelBox, Stamp};
 use embedded_graphics::Pixel;
 use embedded_graphics::draw_target::DrawTarget;
 use embedded_graphics::geometry::{OriginDimensions, Point, Size};

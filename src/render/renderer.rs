@@ -1,12 +1,13 @@
 //! Pictures of one view of a map: the ground once, the agents every time.
 
-use super::ground::{self, Look};
-use super::icon::{Icons, PixelBox, Stamp};
-use super::picture::Picture;
-use super::sprite::Sprite;
-use super::view::View;
 use crate::city::CityMap;
 use crate::config::AgentKind;
+use crate::render::ground;
+use crate::render::ground::Look;
+use crate::render::icon::{Icons, PixelBox, Stamp};
+use crate::render::picture::Picture;
+use crate::render::sprite::Sprite;
+use crate::render::view::View;
 use crate::rng::Seed;
 use std::sync::Arc;
 
@@ -159,11 +160,11 @@ impl Renderer {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Class, Difficulty, Facing, Scale};
     use super::*;
     use crate::city::Cell;
     use crate::config::{Building, Buildings, Located, MapConfig, Widths};
     use crate::diag::{Sources, Span};
+    use crate::render::{Class, Difficulty, Facing, Scale};
     use crate::rng::{Purpose, RngExt, Seed};
 
     fn map() -> CityMap {

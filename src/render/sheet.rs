@@ -1,9 +1,9 @@
 //! A contact sheet: some instances of every class, with names.
 
-use super::class::{Class, Facing, Subject};
-use super::icon::{Icons, PixelBox, Stamp};
-use super::picture::Picture;
 use crate::config::AgentKind;
+use crate::render::class::{Class, Facing, Subject};
+use crate::render::icon::{Icons, PixelBox, Stamp};
+use crate::render::picture::Picture;
 use embedded_graphics::mono_font::iso_8859_1::{FONT_6X10, FONT_9X15_BOLD};
 use embedded_graphics::text::Alignment;
 

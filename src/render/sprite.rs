@@ -1,8 +1,8 @@
 //! What a picture is told of an agent.
 
-use super::class::{Class, Facing};
 use crate::city::{Agent, Cell};
 use crate::config::{AgentKind, Speed};
+use crate::render::class::{Class, Facing};
 
 /// What a picture shows of an agent.
 #[derive(Clone, Copy, Debug)]

@@ -1,7 +1,7 @@
 //! Which cells a picture shows, and how large.
 
-use super::icon::ICON_MAX;
 use crate::city::{Cell, CityMap};
+use crate::render::icon::ICON_MAX;
 use std::fmt;
 
 /// How cells become pixels: a cell is a square of pixels, or a pixel stands for a square of cells.

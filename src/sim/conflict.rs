@@ -8,8 +8,8 @@
 //! all the same.
 
 use crate::config::Speed;
-use crate::engine::{Limits, Program, Session};
-use crate::lang::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Relation, Rules, Term, Value};
+use crate::datalog::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Relation, Rules, Term, Value};
+use crate::datalog::{Limits, Program, Session};
 use crate::symbol::Symbol;
 use serde_json::{Map, json};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};

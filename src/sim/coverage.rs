@@ -1,8 +1,8 @@
 //! Which clauses fired over many states, and which literals never mattered.
 
-use crate::engine::Session;
-use crate::engine::provenance::{ExplainError, Explainer};
-use crate::lang::{ClauseId, Literal, Rules};
+use crate::datalog::Session;
+use crate::datalog::explain::{ExplainError, Explainer};
+use crate::datalog::{ClauseId, Literal, Rules};
 
 /// What is known of the clauses of a program after a number of states.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -4,10 +4,10 @@
 //! counts, not one proof: an agent moves again only when all of them are gone. So if agents that do not move wait for each other in a
 //! circle, none of them will move before somebody else does something for them: a deadlock.
 
-use super::simulation::Moment;
 use crate::config::Speed;
-use crate::engine::provenance::{ExplainError, Explainer};
-use crate::lang::{BaseType, Clause, ClauseId, Literal, Rules, Term};
+use crate::datalog::explain::{ExplainError, Explainer};
+use crate::datalog::{BaseType, Clause, ClauseId, Literal, Rules, Term};
+use crate::sim::simulation::Moment;
 use std::collections::{BTreeSet, VecDeque};
 
 /// An agent that has not moved in this many ticks is called stuck; a circle of stuck agents that wait for each other is a deadlock.

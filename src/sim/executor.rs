@@ -1,16 +1,16 @@
 //! Deciding for all agents at once: densely, in one window or in many.
 
-use super::ground::Facts;
-use super::infer::Draws;
-use super::vocabulary::{Actions, Vocabulary};
-use super::width::{Width, in_words};
-use super::window::{Body, Grounder, Position, Window};
-use super::world::World;
 use crate::city::{Agent, Cell, CityMap};
 use crate::config::Speed;
+use crate::datalog::dense::{BitFacts, Counting, Dense, Set, choose, has, members};
+use crate::datalog::{ClauseId, RelId, Rules};
 use crate::diag::{Code, Diagnostic};
-use crate::engine::dense::{BitFacts, Counting, Dense, Set, choose, has, members};
-use crate::lang::{ClauseId, RelId, Rules};
+use crate::sim::ground::Facts;
+use crate::sim::infer::Draws;
+use crate::sim::vocabulary::{Actions, Vocabulary};
+use crate::sim::width::{Width, in_words};
+use crate::sim::window::{Body, Grounder, Position, Window};
+use crate::sim::world::World;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Mutex;
@@ -336,7 +336,7 @@ impl<const W: usize> One<W> {
     fn new(grounder: &Grounder, map: &CityMap, bodies: Vec<Body>) -> Self {
         let mut one = One {
             window: Window::new(grounder),
-            all: crate::engine::dense::first(bodies.len()),
+            all: crate::datalog::dense::first(bodies.len()),
         };
         one.window.bodies = bodies;
         one.fill(grounder, map);
@@ -645,7 +645,7 @@ impl Evaluate<'_> {
         std::mem::swap(&mut window.bodies, found);
         let Area { first, rows, cols } = self.window;
         window.fill(&self.reading.grounder, first, [rows, cols]);
-        let egos = crate::engine::dense::first(self.egos);
+        let egos = crate::datalog::dense::first(self.egos);
         window.frame.set_egos(egos);
         window.run(&self.reading.grounder, self.draws);
         self.reading.read(window, &egos, self.out, firings);

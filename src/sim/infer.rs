@@ -1,18 +1,18 @@
 //! Inference: what the rules decide in one scene.
 
-use super::executor::{Choice, Executor, compile};
-use super::ground::{Chance, Entity, Facts, ground_until};
-use super::scene::{GeometricScene, GivenPredicate, MAX_ENTITIES, Scene, SymbolicScene, Terms, parse_scene};
-use super::vocabulary::{Actions, Vocabulary};
-use super::width::{Width, in_words};
 use crate::city::CityMap;
 use crate::config::{Definition, Scenario, Speed, load_map};
+use crate::datalog::dense::{BitFacts, Counting, Dense, Frame, Pairs, Set, has};
+use crate::datalog::{EvalError, Program, Session, constraints};
+use crate::datalog::{RelId, Value};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
-use crate::engine::dense::{BitFacts, Counting, Dense, Frame, Pairs, Set, has};
-use crate::engine::{EvalError, Program, Session, promise};
-use crate::files::ReadError;
-use crate::lang::{RelId, Value};
+use crate::files::ReadFile;
 use crate::rng::{Purpose, RngExt, Seed};
+use crate::sim::executor::{Choice, Executor, compile};
+use crate::sim::ground::{Chance, Entity, Facts, ground_until};
+use crate::sim::scene::{GeometricScene, GivenPredicate, MAX_ENTITIES, Scene, SymbolicScene, Terms, parse_scene};
+use crate::sim::vocabulary::{Actions, Vocabulary};
+use crate::sim::width::{Width, in_words};
 use serde_json::{Map, json};
 use std::cell::Cell;
 use std::collections::HashMap;
@@ -20,14 +20,14 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// How a map file that a scene asks for is read.
-type ReadFile = dyn Fn(&Path) -> Result<String, ReadError> + Send + Sync;
+type Reader = dyn ReadFile + Send + Sync;
 
 /// Answers scenes under one scenario and one program. Maps are kept by name once they have been loaded.
 pub struct Inference {
     scenario: Scenario,
     program: Program,
     vocabulary: Vocabulary,
-    read: Box<ReadFile>,
+    read: Box<Reader>,
     maps: HashMap<String, Arc<CityMap>>,
     seed: Seed,
     check_promises: bool,
@@ -112,7 +112,7 @@ impl Inference {
         program: Program,
         seed: Seed,
         executor: Executor,
-        read: impl Fn(&Path) -> Result<String, ReadError> + Send + Sync + 'static,
+        read: impl ReadFile + Send + Sync + 'static,
     ) -> Result<Self, Vec<Diagnostic>> {
         let vocabulary = Vocabulary::bind(&scenario, &program)?;
         let chosen = executor.choose(|| compile(program.rules(), &vocabulary, Counting::Off));
@@ -253,7 +253,7 @@ impl Inference {
             return Ok(Arc::clone(map));
         }
         let mut sources = Sources::new();
-        let made = load_map(&mut sources, Path::new(&scene.map), &self.read)
+        let made = load_map(&mut sources, Path::new(&scene.map), self.read.as_ref())
             .and_then(|config| CityMap::generate(&config).map_err(|fault| vec![fault]));
         match made {
             Ok(map) => {
@@ -336,7 +336,7 @@ impl Inference {
         state.set_until(&scene.facts, stop)?;
         if self.check_promises {
             // The rules are another text than the scene, so where it was promised is not pointed at.
-            let mut broken = promise::broken(state.session()).into_iter();
+            let mut broken = constraints::broken(state.session()).into_iter();
             if let Some(first) = broken.next() {
                 let fault = Diagnostic::new(Code::BrokenPromise, first.message);
                 return Err(broken.fold(fault, |fault, other| fault.note(other.message)));
@@ -582,8 +582,10 @@ impl GroundState {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::builtin::BuiltinFiles;
     use crate::config::load_scenario;
-    use crate::engine::Limits;
+    use crate::datalog::Limits;
+    use crate::files::ReadError;
 
     #[test]
     fn facts_that_derive_too_much_leave_no_trace() {
@@ -591,7 +593,7 @@ mod tests {
         let mut sources = Sources::new();
         let scenario = load_scenario(&mut sources, Path::new("expert"), &missing).expect("built in");
         let rules = sources.add("test.dl", ".include \"vocabulary.dl\"\nStop(X) :- IsBus(X).");
-        let loaded = crate::lang::load(&mut sources, rules, &crate::files::read_or_builtin);
+        let loaded = crate::datalog::load(&mut sources, rules, &BuiltinFiles);
         let program = Program::new(loaded.rules.expect("no errors")).expect("within limits");
         let vocabulary = Vocabulary::bind(&scenario, &program).expect("they fit");
         let bus = vocabulary

@@ -4,17 +4,18 @@
 //! depend on what it does ([`Conditions`]). Other rules are evaluated as they stand for what is wanted, and once more for each action that
 //! is judged, with the actions in all bodies replaced by inputs.
 
-use super::executor::compile;
-use super::ground::Facts;
-use super::infer::GroundState;
-use super::vocabulary::{Actions, Vocabulary};
-use super::window::Body;
 use crate::city::Agent;
 use crate::config::Speed;
+use crate::datalog;
+use crate::datalog::Program;
+use crate::datalog::dense::{Axis, Counting, Dense, Frame, Input, List, Pairs, Set, first, has, members};
+use crate::datalog::{ClauseId, Literal, RelId, Rules};
 use crate::diag::Diagnostic;
-use crate::engine::Program;
-use crate::engine::dense::{Axis, Counting, Dense, Frame, Input, List, Pairs, Set, first, has, members};
-use crate::lang::{self, ClauseId, Literal, RelId, Rules};
+use crate::sim::executor::compile;
+use crate::sim::ground::Facts;
+use crate::sim::infer::GroundState;
+use crate::sim::vocabulary::{Actions, Vocabulary};
+use crate::sim::window::Body;
 
 /// A clause that asks an action of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -101,7 +102,7 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
     let given = Speed::ALL.map(|speed| {
         let action = vocabulary.action(speed)?;
         let place = RelId(u32::try_from(rules.relations.len()).expect("fewer than 2^32 predicates"));
-        let relation = lang::Relation {
+        let relation = datalog::Relation {
             name: format!("+given {}", speed.name()),
             doc: format!("the action `{}` that is given", speed.name()),
             input: true,
@@ -134,7 +135,7 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
 /// The clauses that ask an action. The default is none: a clause for it that looks only at the other actions and the ego itself.
 fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<Demand> {
     let sees = vocabulary.predicates[vocabulary.sees].relation;
-    let is_default = |clause: &lang::Clause| {
+    let is_default = |clause: &datalog::Clause| {
         clause.body.iter().all(|literal| match literal {
             Literal::Negative(atom) => {
                 action_of(vocabulary, atom.relation).is_some() && atom.terms == clause.head.terms
@@ -145,7 +146,7 @@ fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<Demand> {
             _ => false,
         })
     };
-    let demand = |(position, clause): (u32, &lang::Clause)| {
+    let demand = |(position, clause): (u32, &datalog::Clause)| {
         let action = action_of(vocabulary, clause.head.relation)?;
         let default = action == vocabulary.default_action() && is_default(clause);
         (!clause.body.is_empty() && !default).then_some(Demand {

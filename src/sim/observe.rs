@@ -7,19 +7,19 @@
 //! when an action is judged: of the four action predicates just this one holds, of the ego, in the bodies of all clauses. What the
 //! others do next nobody can observe, so no action holds of them there.
 
-use super::ground::Chance;
-use super::infer::{Draws, GroundState};
-use super::judge::{Atoms, Demand, Judge, Observed, Verdict};
-use super::simulation::Simulation;
-use super::vocabulary::Actions;
-use super::window::{Body, Reach, Relation, holds_of, views};
-use super::world::World;
 use crate::city::{Cell, View};
 use crate::config::{AgentKind, Definition, Speed};
+use crate::datalog::Session;
+use crate::datalog::Value;
+use crate::datalog::dense::members;
 use crate::diag::Diagnostic;
-use crate::engine::Session;
-use crate::engine::dense::members;
-use crate::lang::Value;
+use crate::sim::ground::Chance;
+use crate::sim::infer::{Draws, GroundState};
+use crate::sim::judge::{Atoms, Demand, Judge, Observed, Verdict};
+use crate::sim::simulation::Simulation;
+use crate::sim::vocabulary::Actions;
+use crate::sim::window::{Body, Reach, Relation, holds_of, views};
+use crate::sim::world::World;
 use std::sync::Arc;
 
 /// The most entities that are observed.

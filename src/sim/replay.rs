@@ -1,16 +1,16 @@
 //! A trace read again: the state of every tick, as facts of a session.
 
-use super::ground::{Chance, Entity, Facts, ground};
-use super::infer::GroundState;
-use super::simulation::Moment;
-use super::trace::{Driven, TRACE_VERSION};
-use super::vocabulary::Actions;
-use super::world::World;
 use crate::city::{Cell, Heading};
 use crate::config::{AgentKind, Speed};
+use crate::datalog::Session;
+use crate::datalog::Value;
 use crate::diag::{Code, Diagnostic};
-use crate::engine::Session;
-use crate::lang::Value;
+use crate::sim::ground::{Chance, Entity, Facts, ground};
+use crate::sim::infer::GroundState;
+use crate::sim::simulation::Moment;
+use crate::sim::trace::{Driven, TRACE_VERSION};
+use crate::sim::vocabulary::Actions;
+use crate::sim::world::World;
 use serde::Deserialize;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;

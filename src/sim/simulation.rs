@@ -1,18 +1,18 @@
 //! The tick: all agents decide on the same state, then all move.
 
-use super::executor::{Choice, Crowd, Decisions, Executor, WHOLE_MAX};
-use super::ground::{Entity, Facts, ground_until};
-use super::infer::{Draws, GroundState};
-use super::scene::MAX_ENTITIES;
-use super::vocabulary::Actions;
-use super::window::Position;
-use super::world::World;
 use crate::city::{Agent, Cell, Heading, Moved, Places, Reason, Surroundings, advance, place_agents_until};
 use crate::config::{Speed, Split};
+use crate::datalog::Session;
+use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic};
-use crate::engine::Session;
-use crate::lang::{ClauseId, Value};
 use crate::rng::Seed;
+use crate::sim::executor::{Choice, Crowd, Decisions, Executor, WHOLE_MAX};
+use crate::sim::ground::{Entity, Facts, ground_until};
+use crate::sim::infer::{Draws, GroundState};
+use crate::sim::scene::MAX_ENTITIES;
+use crate::sim::vocabulary::Actions;
+use crate::sim::window::Position;
+use crate::sim::world::World;
 use ndarray::Array3;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};

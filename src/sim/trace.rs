@@ -1,9 +1,9 @@
 //! The trace of a run: JSON lines, the first a header, then one a tick. README documents the format.
 
-use super::simulation::Simulation;
 use crate::city::{Heading, Moved};
 use crate::config::{Definition, Speed};
 use crate::diag::{SourceId, Sources};
+use crate::sim::simulation::Simulation;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};

@@ -1,9 +1,9 @@
 //! What the rules can read and what they can decide: the base predicates and actions of a scenario, bound to a program.
 
 use crate::config::{ActionsConfig, Definition, PredicateConfig, Scenario, Speed};
+use crate::datalog::Program;
+use crate::datalog::{BaseType, Literal, RelId, Relation};
 use crate::diag::{Code, Diagnostic, did_you_mean};
-use crate::engine::Program;
-use crate::lang::{BaseType, Literal, RelId, Relation};
 
 /// A set of actions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

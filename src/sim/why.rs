@@ -1,14 +1,14 @@
 //! Why an agent did what it did in a tick.
 
-use super::simulation::Simulation;
-use super::vocabulary::Actions;
-use super::world::World;
 use crate::city::{Cell, Heading};
 use crate::config::Speed;
+use crate::datalog::Session;
+use crate::datalog::Value;
+use crate::datalog::explain::{ExplainError, Explainer, Explanation, Teller};
 use crate::diag::{Diagnostic, Sources};
-use crate::engine::Session;
-use crate::engine::provenance::{ExplainError, Explainer, Explanation, Teller};
-use crate::lang::Value;
+use crate::sim::simulation::Simulation;
+use crate::sim::vocabulary::Actions;
+use crate::sim::world::World;
 use serde_json::json;
 use std::fmt::Write;
 

@@ -1,12 +1,12 @@
 //! Some entities of a city and what relates them, as bits for the dense executor. Facts about pairs are computed where a rule asks
 //! for them, from whole numbers; [`super::ground`] has the definitions, and tests compare the two.
 
-use super::ground::{Chance, Entity, binary, is_far_enough, is_near_enough, side, side_of};
-use super::infer::Draws;
-use super::vocabulary::Vocabulary;
 use crate::city::{Agent, Cell, CityMap, Heading, Junction, View, view_reach};
 use crate::config::{AgentKind, Definition};
-use crate::engine::dense::{Axis, Dense, Frame, Input, List, Pairs, Set, and, first, is_empty, members, without};
+use crate::datalog::dense::{Axis, Dense, Frame, Input, List, Pairs, Set, and, first, is_empty, members, without};
+use crate::sim::ground::{Chance, Entity, binary, is_far_enough, is_near_enough, side, side_of};
+use crate::sim::infer::Draws;
+use crate::sim::vocabulary::Vocabulary;
 use std::collections::BTreeMap;
 use std::ops::Deref;
 use std::sync::Arc;

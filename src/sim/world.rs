@@ -1,14 +1,14 @@
 //! What does not change during a run: the scenario, its map, roads and rules.
 
-use super::executor::compile;
-use super::vocabulary::Vocabulary;
-use super::window::Plan;
 use crate::city::{CityMap, Places, Router};
 use crate::config::{AgentSet, Scenario, Split};
+use crate::datalog::ClauseId;
+use crate::datalog::Program;
+use crate::datalog::dense::{Counting, Dense};
 use crate::diag::Diagnostic;
-use crate::engine::Program;
-use crate::engine::dense::{Counting, Dense};
-use crate::lang::ClauseId;
+use crate::sim::executor::compile;
+use crate::sim::vocabulary::Vocabulary;
+use crate::sim::window::Plan;
 use std::sync::{Arc, OnceLock};
 
 /// A scenario made ready: immutable, shared by every simulation over it.

@@ -6,12 +6,15 @@
 #[path = "../random_program/mod.rs"]
 mod random_program;
 
+use logicity::builtin::BuiltinFiles;
+use logicity::builtin::read_or_builtin;
 use logicity::config::{load_map, load_scenario};
+use logicity::datalog;
+use logicity::datalog::explain::{Explainer, Teller};
+use logicity::datalog::{Atom, BaseType, Clause, Column, Literal, RelId, RowFormat, Rules, Value};
+use logicity::datalog::{Limits, Options, Program, Session, diff, facts, optimize};
 use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
-use logicity::engine::provenance::{Explainer, Teller};
-use logicity::engine::{Limits, Options, Program, Session, diff, facts, optimize};
-use logicity::files::{BUILTIN_FOLDER, ReadError, normalise, read_or_builtin, read_text};
-use logicity::lang::{self, Atom, BaseType, Clause, Column, Literal, RelId, RowFormat, Rules, Value};
+use logicity::files::{BUILTIN_FOLDER, ReadError, normalise, read_text};
 use logicity::rng::Seed;
 use logicity::sim::{Executor, Finding, Inference, conflicts};
 use random_program::agree::agrees;
@@ -25,29 +28,29 @@ pub fn parse(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     let mut sources = Sources::new();
     let entry = sources.add("any.dl", text);
-    let parsed = lang::parse(&sources, entry);
-    let formatted = lang::format(&sources, entry);
+    let parsed = datalog::parse(&sources, entry);
+    let formatted = datalog::format(&sources, entry);
     let failed = parsed.diagnostics.iter().any(Diagnostic::is_error);
     assert_eq!(formatted.as_ref().err(), failed.then_some(&parsed.diagnostics));
     let Ok(formatted) = formatted else { return };
 
     let mut read = |text: &str| {
         let id = sources.add("again.dl", text);
-        let again = lang::parse(&sources, id);
+        let again = datalog::parse(&sources, id);
         assert!(
             !again.diagnostics.iter().any(Diagnostic::is_error),
             "{}",
             render(&again.diagnostics, &sources, false)
         );
-        (again.file, lang::format(&sources, id).expect("it was just parsed"))
+        (again.file, datalog::format(&sources, id).expect("it was just parsed"))
     };
     let (again, twice) = read(&formatted);
     assert_eq!(again, parsed.file, "formatted:\n{formatted}");
     assert_eq!(twice, formatted);
-    let printed = lang::print(&parsed.file);
+    let printed = datalog::print(&parsed.file);
     let (again, _) = read(&printed);
     assert_eq!(again, parsed.file, "printed:\n{printed}");
-    assert_eq!(lang::print(&again), printed);
+    assert_eq!(datalog::print(&again), printed);
 }
 
 /// Rule files are checked, with all that `check` and `query --plan` tell of them, or refused. A line `// file: NAME` begins another
@@ -199,9 +202,9 @@ thread_local! {
 
 fn inference() -> Inference {
     let mut sources = Sources::new();
-    let scenario = load_scenario(&mut sources, Path::new("expert"), &read_text).expect("it is built in");
+    let scenario = load_scenario(&mut sources, Path::new("expert"), &BuiltinFiles).expect("it is built in");
     let entry = sources.add("any.dl", ".include \"expert.dl\"");
-    let (program, _) = Program::load(&mut sources, entry, &read_or_builtin);
+    let (program, _) = Program::load(&mut sources, entry, &BuiltinFiles);
     Inference::new(
         scenario,
         program.expect("it is built in"),
@@ -228,7 +231,7 @@ pub fn rows(bytes: &[u8]) {
         "rows.dl",
         ".decl p(x: symbol, n: number, u: unsigned, f: float, y: symbol)\n.input p\n",
     );
-    let (program, _) = Program::load(&mut sources, entry, &read_or_builtin);
+    let (program, _) = Program::load(&mut sources, entry, &BuiltinFiles);
     let program = program.expect("the rules are good");
     let p = program.relation("p").expect("it is declared");
     let source = sources.add("p.facts", String::from_utf8_lossy(bytes));
@@ -317,7 +320,7 @@ fn row_of(rules: &Rules, name: &str, row: &str) -> Option<(RelId, Vec<Value>)> {
     let texts: Vec<&str> = row.split(", ").filter(|_| row != "()").collect();
     let value = |(column, text): (&Column, &str)| match column.base {
         BaseType::Symbol => Some(Value(rules.symbols.intern(text).0)),
-        base => lang::parse_value(base, text),
+        base => datalog::parse_value(base, text),
     };
     let row: Option<Vec<Value>> = relation.columns.iter().zip(texts.iter().copied()).map(value).collect();
     row.filter(|row| row.len() == texts.len() && row.len() == relation.arity())

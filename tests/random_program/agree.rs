@@ -1,8 +1,8 @@
 //! A session against the specification: any program, any script of changes.
 
 use super::Batch;
-use logicity::engine::{Options, Program, Session, Strategy, StratumWork, naive};
-use logicity::lang::{ClauseId, Literal, RelId, Rules, Value};
+use logicity::datalog::{ClauseId, Literal, RelId, Rules, Value};
+use logicity::datalog::{Options, Program, Session, Strategy, StratumWork, naive};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
@@ -17,7 +17,7 @@ pub fn database(session: &Session) -> naive::Database {
 /// Runs the script in every strategy, with and without the optimiser; after every batch each session is what `naive` derives from
 /// scratch, and its delta is exactly the difference.
 pub fn agrees(rules: &Rules, script: &[Batch]) -> Result<(), TestCaseError> {
-    // Texts that the rules make are interned here, so that they have one word in all sessions.
+    // Workspace that the rules make are interned here, so that they have one word in all sessions.
     let states = states(rules, script);
     for optimize in [false, true] {
         let options = Options {

@@ -7,11 +7,11 @@
 
 pub mod agree;
 
-use logicity::diag::{Sources, Span};
-use logicity::lang::{
+use logicity::datalog::{
     AggregateOp, Atom, BaseType, Clause, ClauseId, Column, Comparison, Functor, Literal, RelId, Relation, Rules,
     Stratum, Term, Type, TypeId, Value, VarId,
 };
+use logicity::diag::{Sources, Span};
 use logicity::symbol::Symbols;
 use proptest::collection::vec;
 use proptest::prelude::*;

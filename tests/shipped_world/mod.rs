@@ -1,10 +1,12 @@
 //! Worlds of the shipped configurations, for tests and benches.
 #![allow(dead_code, reason = "each target uses its own part")]
 
+use logicity::builtin::BuiltinFiles;
+use logicity::builtin::read_or_builtin;
 use logicity::config::{Scenario, load_scenario};
+use logicity::datalog::Program;
 use logicity::diag::{Diagnostic, Sources};
-use logicity::engine::Program;
-use logicity::files::{ReadError, read_or_builtin};
+use logicity::files::{ReadError, ReadFile};
 use logicity::sim::World;
 use logicity::task::path::PathTask;
 use std::path::Path;
@@ -28,17 +30,17 @@ pub const PATH_MODES: &[&str] = MODES.split_at(7).0;
 
 /// A world of a built-in configuration, changed by `edit`; with its rules, or those of `text`.
 pub fn world(config: &str, text: Option<&str>, edit: impl FnOnce(&mut Scenario)) -> Arc<World> {
-    load(config, &read_or_builtin, text, edit).expect("it is built in").0
+    load(config, &BuiltinFiles, text, edit).expect("it is built in").0
 }
 
 /// A world of a built-in configuration with its rules, or those of `text`, and the texts it was made of.
 pub fn with_sources(config: &str, text: Option<&str>) -> (Arc<World>, Sources) {
-    load(config, &read_or_builtin, text, |_| ()).expect("it is built in")
+    load(config, &BuiltinFiles, text, |_| ()).expect("it is built in")
 }
 
 /// Safe Path Following in a built-in configuration; with its rules, or those of `text`.
 pub fn task(config: &str, text: Option<&str>) -> Arc<PathTask> {
-    let (world, sources) = load(config, &read_or_builtin, text, |_| ()).expect("it is built in");
+    let (world, sources) = load(config, &BuiltinFiles, text, |_| ()).expect("it is built in");
     Arc::new(PathTask::new(world, &sources).unwrap_or_else(|faults| panic!("{faults:?}")))
 }
 
@@ -54,7 +56,7 @@ pub fn task_of(config: &str) -> Result<PathTask, Vec<Diagnostic>> {
 
 fn load(
     config: &str,
-    read: &dyn Fn(&Path) -> Result<String, ReadError>,
+    read: &dyn ReadFile,
     text: Option<&str>,
     edit: impl FnOnce(&mut Scenario),
 ) -> Result<(Arc<World>, Sources), Vec<Diagnostic>> {
@@ -67,7 +69,7 @@ fn load(
         str::to_owned,
     );
     let entry = sources.add(name, rules);
-    let (program, faults) = Program::load(&mut sources, entry, &read_or_builtin);
+    let (program, faults) = Program::load(&mut sources, entry, &BuiltinFiles);
     let world = World::new(scenario, program.ok_or(faults)?)?;
     Ok((Arc::new(world), sources))
 }

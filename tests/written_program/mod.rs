@@ -1,14 +1,15 @@
 //! Programs from text, for fixed examples and benches.
 
+use logicity::builtin::BuiltinFiles;
+use logicity::datalog;
+use logicity::datalog::Program;
 use logicity::diag::{Sources, render};
-use logicity::engine::Program;
-use logicity::{files, lang};
 
 /// The program of a text in the rule language, which may include the files of `rules/`.
 pub fn program(text: &str) -> Program {
     let mut sources = Sources::new();
     let entry = sources.add(concat!(env!("CARGO_MANIFEST_DIR"), "/rules/example.dl"), text);
-    let loaded = lang::load(&mut sources, entry, &files::read_text);
+    let loaded = datalog::load(&mut sources, entry, &BuiltinFiles);
     let rules = loaded
         .rules
         .unwrap_or_else(|| panic!("{}", render(&loaded.diagnostics, &sources, false)));

@@ -2,11 +2,13 @@
 
 #![allow(dead_code, reason = "each binary uses its own part")]
 
+use logicity::builtin::BuiltinFiles;
 use crate::case::Facts;
-use logicity::diag::{Sources, render};
-use logicity::engine::{Program, Session};
+use logicity::diag::{render, Sources};
+use logicity::datalog::{Program, Session};
 use logicity::files;
-use logicity::lang::{self, BaseType, Value};
+use logicity::datalog;
+use logicity::datalog::{BaseType, Value};
 
 /// How many rows of each of the relations follow.
 pub fn counts(text: &str, facts: &Facts, derived: &[&str]) -> Vec<usize> {
@@ -25,7 +27,7 @@ pub fn lengths(session: &Session, relations: &[&str]) -> Vec<usize> {
 pub fn load(text: &str, facts: &Facts) -> Session {
     let mut sources = Sources::new();
     let entry = sources.add("program.dl", text);
-    let loaded = lang::load(&mut sources, entry, &files::read_or_builtin);
+    let loaded = datalog::load(&mut sources, entry, &BuiltinFiles);
     let rules = loaded
         .rules
         .unwrap_or_else(|| panic!("{}", render(&loaded.diagnostics, &sources, false)));

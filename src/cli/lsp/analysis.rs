@@ -1,10 +1,12 @@
 //! One rule file with all it includes: its faults, and which name stands where.
 
+use crate::datalog;
+use crate::datalog::ast;
+use crate::datalog::ast::{Item, Literal, Name, Term, TermKind, TypeDefinition};
+use crate::datalog::print;
+use crate::datalog::{Program, optimize};
 use crate::diag::{Diagnostic, SourceId, Sources, Span};
-use crate::engine::{Program, optimize};
-use crate::files::{BUILTIN_FOLDER, ReadError, normalise};
-use crate::lang::ast::{self, Item, Literal, Name, Term, TermKind, TypeDefinition};
-use crate::lang::{self, print};
+use crate::files::{BUILTIN_FOLDER, ReadFile, normalise};
 use std::path::{Path, PathBuf};
 
 /// What a name means.
@@ -38,10 +40,10 @@ pub struct Analysis {
 
 impl Analysis {
     /// Reads, checks and lints a text that has this path.
-    pub fn new(path: &Path, text: &str, read: &dyn Fn(&Path) -> Result<String, ReadError>) -> Analysis {
+    pub fn new(path: &Path, text: &str, read: &dyn ReadFile) -> Analysis {
         let mut sources = Sources::new();
         let entry = sources.add(path.display().to_string(), text);
-        let loaded = lang::load(&mut sources, entry, read);
+        let loaded = datalog::load(&mut sources, entry, read);
         let mut diagnostics = loaded.diagnostics;
         let mut hints = Vec::new();
         if let Some(rules) = loaded.rules {
@@ -53,8 +55,9 @@ impl Analysis {
             }
             diagnostics.extend(Program::new(rules).err());
         }
-        let files: Vec<(SourceId, ast::File)> =
-            (sources.ids()).map(|id| (id, lang::parse(&sources, id).file)).collect();
+        let files: Vec<(SourceId, ast::File)> = (sources.ids())
+            .map(|id| (id, datalog::parse(&sources, id).file))
+            .collect();
         let mut analysis = Analysis {
             sources,
             entry,
@@ -214,7 +217,7 @@ impl Analysis {
         }
     }
 
-    /// The text that an include leads to, as `lang::load` finds it.
+    /// The text that an include leads to, as `datalog::load` finds it.
     fn target(&self, from: SourceId, path: &str) -> Option<SourceId> {
         let beside = Path::new(self.sources.name(from)).parent()?.join(path);
         let builtin = Path::new(BUILTIN_FOLDER).join(path);

@@ -6,10 +6,12 @@
 mod analysis;
 mod place;
 
-use super::Failure;
+use crate::builtin::BuiltinFiles;
+use crate::cli::Failure;
+use crate::datalog;
+use crate::datalog::{DIRECTIVES, ast};
 use crate::diag::{Diagnostic, Label, Severity, SourceId, Sources, Span};
-use crate::files::{self, normalise};
-use crate::lang::{self, DIRECTIVES, ast};
+use crate::files::{ReadError, ReadFile, normalise};
 use analysis::{Analysis, Meaning};
 use lsp_server::{Connection, ErrorCode, Message, Notification, ProtocolError, Request, Response};
 use lsp_types::{
@@ -88,6 +90,22 @@ struct Document {
     analysis: Analysis,
 }
 
+/// Reads the open documents as they are in the editor, other files from disk.
+struct OpenDocuments<'a>(&'a BTreeMap<PathBuf, Document>);
+
+impl ReadFile for OpenDocuments<'_> {
+    fn read(&self, path: &Path) -> Result<String, ReadError> {
+        match self.0.get(&normalise(path)) {
+            Some(document) => Ok(document.text.clone()),
+            None => BuiltinFiles.read(path),
+        }
+    }
+
+    fn builtin_paths(&self) -> Vec<String> {
+        BuiltinFiles.builtin_paths()
+    }
+}
+
 #[derive(Default)]
 struct Server {
     /// By normal path.
@@ -106,7 +124,7 @@ impl Server {
             "textDocument/didOpen" => serde_json::from_value(params)
                 .map(|DidOpenTextDocumentParams { text_document: it }| self.set(it.uri.as_str(), it.text, it.version)),
             "textDocument/didChange" => serde_json::from_value(params).map(|it: DidChangeTextDocumentParams| {
-                // Texts come whole; the last one counts.
+                // Workspace come whole; the last one counts.
                 match it.content_changes.into_iter().next_back() {
                     Some(change) => self.set(it.text_document.uri.as_str(), change.text, it.text_document.version),
                     None => Vec::new(),
@@ -136,7 +154,7 @@ impl Server {
     fn set(&mut self, uri: &str, text: String, version: i32) -> Vec<Message> {
         let document = Document {
             uri: uri.to_owned(),
-            analysis: Analysis::new(&key(uri), "", &files::read_or_builtin),
+            analysis: Analysis::new(&key(uri), "", &BuiltinFiles),
             text,
             version,
         };
@@ -146,12 +164,9 @@ impl Server {
 
     /// Checks all open texts, which may include each other; the messages with what was found.
     fn check(&mut self) -> Vec<Message> {
-        let read = |path: &Path| match self.documents.get(&normalise(path)) {
-            Some(document) => Ok(document.text.clone()),
-            None => files::read_or_builtin(path),
-        };
+        let read: &dyn ReadFile = &OpenDocuments(&self.documents);
         let analyses: Vec<Analysis> = (self.documents.iter())
-            .map(|(path, document)| Analysis::new(path, &document.text, &read))
+            .map(|(path, document)| Analysis::new(path, &document.text, read))
             .collect();
         for (document, analysis) in self.documents.values_mut().zip(analyses) {
             document.analysis = analysis;
@@ -379,13 +394,13 @@ impl Server {
         let Some((_, meaning @ (Meaning::Predicate(_) | Meaning::Type(_)))) = found else {
             return refuse("only predicates and types can be renamed".to_owned());
         };
-        if !lang::is_name(&params.new_name) {
+        if !datalog::is_name(&params.new_name) {
             return refuse(format!("`{}` is not a name", params.new_name));
         }
         // Predicates and types share their names.
         let new = [Meaning::Predicate, Meaning::Type].map(|kind| kind(params.new_name.clone()));
         let is_taken = |one: &Document| new.iter().any(|new| one.analysis.declaration(new).is_some());
-        let is_base = lang::BaseType::ALL.iter().any(|base| base.name() == params.new_name);
+        let is_base = datalog::BaseType::ALL.iter().any(|base| base.name() == params.new_name);
         if is_base || self.sharing(document, meaning).any(is_taken) {
             return refuse(format!("`{}` is declared already", params.new_name));
         }
@@ -455,7 +470,7 @@ impl Server {
     fn format(&self, uri: &str) -> Result<Value, Refusal> {
         let document = self.document(uri)?;
         let Analysis { sources, entry, .. } = &document.analysis;
-        Ok(match lang::format(sources, *entry) {
+        Ok(match datalog::format(sources, *entry) {
             Ok(formatted) if formatted != document.text => {
                 json!([{ "range": Lines::new(&document.text).whole(), "newText": formatted }])
             }
@@ -500,7 +515,7 @@ impl Server {
             || (before.starts_with(".type") && before.ends_with([':', '=', '|']));
         let mut items = Vec::new();
         if of_types {
-            items.extend(lang::BaseType::ALL.map(|base| item(base.name(), CompletionItemKind::CLASS)));
+            items.extend(datalog::BaseType::ALL.map(|base| item(base.name(), CompletionItemKind::CLASS)));
         }
         let mut seen = BTreeSet::new();
         for meaning in document.analysis.declared() {

@@ -1,8 +1,8 @@
 //! What can be typed besides the language.
 
 use crate::cli::Failure;
+use crate::datalog::DIRECTIVES;
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
-use crate::lang::DIRECTIVES;
 use std::path::PathBuf;
 
 pub const HELP: &str = "\

@@ -8,11 +8,13 @@ mod prompt;
 mod table;
 mod workbench;
 
-use super::why::{self, Question};
-use super::{Failure, LimitOptions, exit, query, report};
+use crate::cli::why;
+use crate::cli::why::Question;
+use crate::cli::{Failure, LimitOptions, exit, query, report};
+use crate::datalog;
+use crate::datalog::{BaseType, ClauseId, MarkKind, RelId, Value, is_complete};
+use crate::datalog::{Limits, Session, facts};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
-use crate::engine::{Limits, Session, facts};
-use crate::lang::{self, BaseType, ClauseId, MarkKind, RelId, Value, is_complete};
 use command::Command;
 use prompt::{Line, Lines};
 use std::io::{self, IsTerminal, Write};
@@ -266,7 +268,7 @@ impl<W: Write> Repl<W> {
             })
             .collect();
         let sorted = facts::sorted(session, id);
-        let cell = |(column, value): (&lang::Column, &Value)| facts::print_value(session, *value, column.base);
+        let cell = |(column, value): (&datalog::Column, &Value)| facts::print_value(session, *value, column.base);
         let rows: Vec<Vec<String>> = (sorted.iter().take(self.rows_max))
             .map(|row| relation.columns.iter().zip(*row).map(cell).collect())
             .collect();

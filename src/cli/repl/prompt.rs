@@ -1,9 +1,9 @@
 //! Where inputs come from: a terminal with a line editor, or anything else, line by line.
 
-use super::command;
-use super::workbench::Workbench;
+use crate::cli::repl::command;
+use crate::cli::repl::workbench::Workbench;
 use crate::cli::{Failure, query};
-use crate::lang::DIRECTIVES;
+use crate::datalog::DIRECTIVES;
 use rustyline::completion::{Completer, FilenameCompleter, Pair};
 use rustyline::config::{BellStyle, Config};
 use rustyline::error::ReadlineError;

@@ -1,25 +1,27 @@
 //! What is being worked on: texts, the program they make, and a session with its facts.
 //!
 //! ```text
-//! files, typed texts --Texts--> Rules --> Program --> Session <-- facts: typed, or read from a folder
+//! files, typed texts --Workspace--> Rules --> Program --> Session <-- facts: typed, or read from a folder
 //! ```
 //!
 //! A change either succeeds as a whole or leaves everything as it was. Facts of predicates without rules go into the session by a
 //! commit; anything else makes a new program, and the facts move to its session.
 
-use crate::cli::query::{self, Times};
+use crate::builtin::BuiltinFiles;
+use crate::cli::query;
+use crate::cli::query::Times;
 use crate::cli::{Failure, read};
+use crate::datalog;
+use crate::datalog::{BaseType, Functor, Inputs, Literal, RelId, Relation, Rules, Value, Workspace, ast};
+use crate::datalog::{Delta, Limits, Program, RowError, Session, facts};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
-use crate::engine::{Delta, Limits, Program, RowError, Session, facts};
-use crate::files;
-use crate::lang::{self, BaseType, Functor, Inputs, Literal, RelId, Relation, Rules, Texts, Value, ast};
 use crate::symbol::Symbol;
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
 pub struct Workbench<'s> {
     pub sources: &'s mut Sources,
-    pub texts: Texts,
+    pub texts: Workspace,
     pub session: Session,
     /// How long the last change took.
     pub times: Times,
@@ -31,7 +33,7 @@ pub struct Workbench<'s> {
 /// What was done to the texts besides loading files.
 #[derive(Clone, Default)]
 struct Made {
-    /// Texts that were typed.
+    /// Workspace that were typed.
     typed: Vec<SourceId>,
     /// Heads that were retracted.
     retracted: HashSet<Span>,
@@ -64,7 +66,7 @@ pub struct Answer {
 impl<'s> Workbench<'s> {
     /// With nothing on it.
     pub fn new(sources: &'s mut Sources, limits: Limits) -> Result<Self, Failure> {
-        let texts = Texts::new(Inputs::Extended);
+        let texts = Workspace::new(Inputs::Extended);
         let loaded = texts.check();
         let rules = loaded.rules.ok_or(loaded.diagnostics)?;
         Ok(Workbench {
@@ -90,7 +92,7 @@ impl<'s> Workbench<'s> {
         for path in &new {
             let text = read(path)?;
             let entry = self.sources.add(path.display().to_string(), text);
-            texts.add(self.sources, entry, &files::read_or_builtin);
+            texts.add(self.sources, entry, &BuiltinFiles);
         }
         self.files.extend(new);
         self.adopt(texts, self.made.clone(), first_new)
@@ -99,14 +101,14 @@ impl<'s> Workbench<'s> {
     /// Reads all files anew. What was typed stays, what was retracted from files is back.
     pub fn reload(&mut self) -> Result<Outcome, Failure> {
         let first_new = self.sources.ids().count();
-        let mut texts = Texts::new(Inputs::Extended);
+        let mut texts = Workspace::new(Inputs::Extended);
         for path in &self.files {
             let text = read(path)?;
             let entry = self.sources.add(path.display().to_string(), text);
-            texts.add(self.sources, entry, &files::read_or_builtin);
+            texts.add(self.sources, entry, &BuiltinFiles);
         }
         for &typed in &self.made.typed {
-            texts.add(self.sources, typed, &files::read_or_builtin);
+            texts.add(self.sources, typed, &BuiltinFiles);
         }
         texts.remove_heads(&self.made.retracted);
         self.adopt(texts, self.made.clone(), first_new)
@@ -137,7 +139,7 @@ impl<'s> Workbench<'s> {
         }
         let first_new = self.sources.ids().count() - 1;
         let (mut texts, mut made) = (self.texts.clone(), self.made.clone());
-        texts.add(self.sources, id, &files::read_or_builtin);
+        texts.add(self.sources, id, &BuiltinFiles);
         made.typed.push(id);
         self.adopt(texts, made, first_new)
     }
@@ -147,7 +149,7 @@ impl<'s> Workbench<'s> {
         if let Some(rows) = self.texts.facts(self.sources, id, self.session.symbols())? {
             return self.retract_facts(id, &rows);
         }
-        let parsed = lang::parse(self.sources, id);
+        let parsed = datalog::parse(self.sources, id);
         if !parsed.diagnostics.is_empty() {
             return Err(parsed.diagnostics.into());
         }
@@ -258,7 +260,7 @@ impl<'s> Workbench<'s> {
     }
 
     /// Makes `texts` the program and moves the facts to it. Told are the warnings about texts from number `first_new` on.
-    fn adopt(&mut self, mut texts: Texts, mut made: Made, first_new: usize) -> Result<Outcome, Failure> {
+    fn adopt(&mut self, mut texts: Workspace, mut made: Made, first_new: usize) -> Result<Outcome, Failure> {
         let mut loaded = texts.check();
         let mut rules = loaded
             .rules
@@ -268,7 +270,7 @@ impl<'s> Workbench<'s> {
         if !stated.is_empty() {
             for (name, text) in stated {
                 let id = self.sources.add(format!("<facts of {name}>"), text);
-                texts.add(self.sources, id, &files::read_or_builtin);
+                texts.add(self.sources, id, &BuiltinFiles);
                 made.typed.push(id);
             }
             loaded = texts.check();
@@ -312,7 +314,7 @@ impl<'s> Workbench<'s> {
             }
             let items = self.given(id).into_iter().map(|row| {
                 let place = ast::Place(relation.span);
-                let term = |(column, value): (&lang::Column, &Value)| ast::Term {
+                let term = |(column, value): (&datalog::Column, &Value)| ast::Term {
                     kind: self.written(*value, column.base, place),
                     place,
                 };
@@ -333,7 +335,7 @@ impl<'s> Workbench<'s> {
             });
             let file = ast::File { items: items.collect() };
             if !file.items.is_empty() {
-                stated.push((relation.name.clone(), lang::print(&file)));
+                stated.push((relation.name.clone(), datalog::print(&file)));
             }
         }
         stated
@@ -345,11 +347,11 @@ impl<'s> Workbench<'s> {
             BaseType::Number => ast::TermKind::Number(i64::from(value.as_number())),
             BaseType::Unsigned => ast::TermKind::Unsigned(value.0),
             BaseType::Float if value.as_float().is_finite() => {
-                ast::TermKind::Float(facts::print_float(value.as_float()))
+                ast::TermKind::Float(datalog::print_float(value.as_float()))
             }
             BaseType::Float => {
                 let text = ast::Term {
-                    kind: ast::TermKind::Text(facts::print_float(value.as_float())),
+                    kind: ast::TermKind::Text(datalog::print_float(value.as_float())),
                     place,
                 };
                 ast::TermKind::Functor(Functor::ToFloat, vec![text])
@@ -384,7 +386,7 @@ impl<'s> Workbench<'s> {
                 continue;
             }
             let rules = to.program().rules();
-            let bases = |columns: &[lang::Column]| columns.iter().map(|column| column.base).collect::<Vec<_>>();
+            let bases = |columns: &[datalog::Column]| columns.iter().map(|column| column.base).collect::<Vec<_>>();
             let place = rules.relation(&relation.name).filter(|id| {
                 let new = &rules.relations[id.index()];
                 bases(&new.columns) == bases(&relation.columns)
@@ -428,7 +430,9 @@ impl<'s> Workbench<'s> {
             }
         }
         let (_, times) = query::timed_commit(&mut session)?;
-        let relation = program.relation(Texts::ANSWER).expect("every question has an answer");
+        let relation = program
+            .relation(Workspace::ANSWER)
+            .expect("every question has an answer");
         Ok(Answer {
             session,
             times,
@@ -452,12 +456,12 @@ fn not_taken(error: RowError) -> Failure {
 }
 
 /// The row of a fact in the text.
-fn constants(clause: &lang::Clause) -> Option<Vec<Value>> {
+fn constants(clause: &datalog::Clause) -> Option<Vec<Value>> {
     if !clause.body.is_empty() {
         return None;
     }
-    let constant = |term: &lang::Term| match term {
-        lang::Term::Constant(value) => Some(*value),
+    let constant = |term: &datalog::Term| match term {
+        datalog::Term::Constant(value) => Some(*value),
         _ => None,
     };
     clause.head.terms.iter().map(constant).collect()

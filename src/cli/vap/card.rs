@@ -1,7 +1,7 @@
 //! What README of a data set says.
 
-use super::folder::{Manifest, Settings};
-use super::{Mode, percent};
+use crate::cli::vap::folder::{Manifest, Settings};
+use crate::cli::vap::{Mode, percent};
 use crate::config::Speed;
 use crate::task::vap::table::{ENTITY_NAMES, ENTITY_NUMBERS, PAIR_NAMES};
 use crate::task::vap::{FIRST_TICK, SIDE, TICKS, Worlds};

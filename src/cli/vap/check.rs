@@ -1,8 +1,9 @@
 //! `logicity vap check`
 
-use super::super::{Failure, progress, threads};
-use super::folder::{self, ENTITIES, Manifest, PAIRS, Record, Settings, add, file_record, wrong};
-use super::{City, Mode, on_threads, shares, told};
+use crate::cli::vap::folder;
+use crate::cli::vap::folder::{ENTITIES, Manifest, PAIRS, Record, Settings, add, file_record, wrong};
+use crate::cli::vap::{City, Mode, on_threads, shares, told};
+use crate::cli::{Failure, progress, threads};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files;
 use crate::render::read_png;

@@ -3,7 +3,7 @@
 //! Whatever is written begins under another name and is renamed, so what has its name is whole. Those other names are the same between a dot
 //! and `.partial`; what an earlier command left of them is removed by the next.
 
-use super::super::Failure;
+use crate::cli::Failure;
 use crate::diag::{Code, Diagnostic};
 use crate::files;
 use serde::{Deserialize, Serialize};

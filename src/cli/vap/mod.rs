@@ -6,11 +6,11 @@ mod card;
 mod check;
 mod folder;
 
-use super::icons::IconOptions;
-use super::{Failure, load_city, make_folder, one_of, progress};
+use crate::cli::icons::IconOptions;
+use crate::cli::{Failure, load_city, make_folder, one_of, progress};
 use crate::config::{Scenario, Speed, Split};
+use crate::datalog::Program;
 use crate::diag::Sources;
-use crate::engine::Program;
 use crate::render::{Picture, write_png};
 use crate::sim::{hash_sources, start_threads};
 use crate::task::vap::table::{Table, count_concepts};

@@ -1,11 +1,11 @@
 //! One city in which cars are driven from outside.
 
-use super::{Episode, PathTask};
 use crate::city::Agent;
 use crate::config::{AgentKind, Speed, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Actions, Observer, Settings, Simulation, Stop};
+use crate::task::path::{Episode, PathTask};
 use std::sync::Arc;
 
 /// Who is driven from outside.

@@ -5,17 +5,16 @@
 //! `seed`, `trips` (for each agent row and column of its start and of its goal), `changes` (agents that are otherwise than the header
 //! has them, by name) and `oracle` (`steps`, `return`, and `constrained`: how many steps rules asked an action, by action).
 
-use super::{PathTask, constrained_by_name};
 use crate::city::{Agent, Cell};
 use crate::config::{AgentConfig, AgentKind, AgentName, Definition, PredicateConfig, Speed, Split};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
-use crate::files::ReadError;
+use crate::files::ReadFile;
 use crate::sim::World;
+use crate::task::path::{PathTask, constrained_by_name};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
-use std::path::Path;
 use std::sync::Arc;
 
 /// Version of the format of files; it grows when a reader of the old one would misread the new one.
@@ -258,7 +257,7 @@ impl EpisodeSet {
         task: &PathTask,
         split: Split,
         sources: &mut Sources,
-        read: &dyn Fn(&Path) -> Result<String, ReadError>,
+        read: &dyn ReadFile,
     ) -> Result<EpisodeSet, Diagnostic> {
         let config = task.config();
         let Some(file) = &config.episodes[split as usize] else {
@@ -270,7 +269,7 @@ impl EpisodeSet {
             )));
         };
         let (path, name) = (&file.value, file.value.display());
-        let text = read(path).map_err(|error| {
+        let text = read.read(path).map_err(|error| {
             let fault = Diagnostic::new(Code::MissingFile, format!("cannot read the episodes `{name}`: {error}"));
             fault
                 .at(file.span, "named here")

@@ -1,11 +1,11 @@
 //! Policies measured on recorded episodes.
 
-use super::metrics::{mean_return, summarise_runs};
-use super::{Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, Summary, rollout};
 use crate::config::Speed;
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::Stop;
+use crate::task::path::metrics::{mean_return, summarise_runs};
+use crate::task::path::{Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, Summary, rollout};
 use std::sync::Arc;
 
 /// So often the random policy drives every episode.

@@ -1,9 +1,9 @@
 //! In words: where a rider is, and why the rules want what they want of it.
 
-use super::Env;
 use crate::city::Agent;
 use crate::diag::{Diagnostic, Sources};
 use crate::sim::Decision;
+use crate::task::path::Env;
 
 /// The present state of a rider in a few lines, also of one whose episode has ended: how far it has come, whom it observes, what is true of
 /// them, what the rules want of it.

@@ -1,7 +1,7 @@
 //! How well a policy did over many episodes: the measures of the paper, with 95 % confidence intervals.
 
-use super::{PathTask, Rollout};
 use crate::config::Speed;
+use crate::task::path::{PathTask, Rollout};
 use serde::Serialize;
 
 /// The 97.5th percentile of the standard normal distribution.

@@ -35,8 +35,8 @@ pub use rollout::{Policy, Rollout, constrained_by_name, make_episodes, rollout};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, Member, Outcome, VectorEnv, View};
 
 use crate::config::{PathTaskConfig, Speed, Split, ViolationsPer};
+use crate::datalog::explain::Teller;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
-use crate::engine::provenance::Teller;
 use crate::sim::{Observer, Oracle, World};
 use std::sync::Arc;
 

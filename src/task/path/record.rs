@@ -1,9 +1,9 @@
 //! The trace of an episode that was driven.
 
-use super::{Egos, Env, Episode, PathTask};
 use crate::config::{Speed, Split};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::sim::{Driven, MAX_ENTITIES, Settings, Stop, TraceWriter, hash_sources};
+use crate::task::path::{Egos, Env, Episode, PathTask};
 use std::io::{self, Write};
 use std::sync::Arc;
 

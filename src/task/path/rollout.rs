@@ -1,9 +1,9 @@
 //! Whole episodes under simple policies, and episode sets made from them.
 
-use super::{Egos, Env, Episode, EpisodeSet, OracleRun, PathTask};
 use crate::config::{Speed, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
+use crate::task::path::{Egos, Env, Episode, EpisodeSet, OracleRun, PathTask};
 use std::sync::Arc;
 
 /// An episode in which the oracle is not at the goal after so many steps is not kept; it stands in a deadlock.

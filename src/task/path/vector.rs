@@ -1,10 +1,10 @@
 //! Episodes one after another, and many environments that take a step together.
 
-use super::{Egos, Env, Episode, PathTask};
 use crate::config::{Speed, Split};
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Stop, start_threads};
+use crate::task::path::{Egos, Env, Episode, PathTask};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};

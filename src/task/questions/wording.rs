@@ -1,8 +1,8 @@
 //! Questions as text, as JSON lines and as a table.
 
-use super::{Question, QuestionSet};
 use crate::config::{Speed, Split};
 use crate::sim::World;
+use crate::task::questions::{Question, QuestionSet};
 use serde_json::{Map, Value, json};
 use std::io::{self, Write};
 

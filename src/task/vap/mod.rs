@@ -7,8 +7,8 @@ pub mod table;
 
 use crate::city::{Cell, Heading};
 use crate::config::{AgentGroup, AgentKind, AgentName, AgentSet, Scenario, Speed, Split};
+use crate::datalog::Program;
 use crate::diag::{Code, Diagnostic};
-use crate::engine::Program;
 use crate::render::{Class, Facing, Icons, Picture, PixelBox, Placement, Renderer, Scale, Sprite, View};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, Settings, Simulation, Vocabulary, World};

@@ -1,11 +1,11 @@
 //! Frames as columns, written as Parquet: a table of entities, with what is true of each, and a table of ordered pairs of them.
 
-use super::{Frame, FrameAgent, SIDE, Worlds, faulty};
 use crate::city::Heading;
 use crate::config::{AgentKind, Speed};
 use crate::diag::Diagnostic;
 use crate::render::PixelBox;
 use crate::sim::{Facts, Vocabulary};
+use crate::task::vap::{Frame, FrameAgent, SIDE, Worlds, faulty};
 use bytes::Bytes;
 use parquet::basic::{Compression, Repetition};
 use parquet::column::reader::ColumnReader;
@@ -35,7 +35,7 @@ pub enum Values {
     Int(Vec<i32>),
     /// Numbers, or nothing.
     MaybeInt(Vec<Option<i32>>),
-    /// Texts.
+    /// Workspace.
     Text(Vec<String>),
     /// Truth values.
     Bool(Vec<bool>),

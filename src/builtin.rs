@@ -1,0 +1,79 @@
+//! The rules and configurations that are part of the program.
+
+use std::path::Path;
+
+use include_dir::{Dir, include_dir};
+
+use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
+
+static RULES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/rules");
+static CONFIGS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/configs");
+
+/// The endings of the files that a program or configuration can name. The folders also hold documentation.
+const ENDINGS: [&str; 3] = ["dl", "yaml", "jsonl"];
+
+/// The paths in the repository of all built-in files, sorted, for example `rules/vocabulary.dl`.
+pub fn paths() -> Vec<String> {
+    fn walk(folder: &Dir<'_>, root: &str, found: &mut Vec<String>) {
+        let files = folder.files().map(|file| file.path());
+        let named = files.filter(|path| {
+            path.extension()
+                .is_some_and(|ending| ENDINGS.iter().any(|known| ending == *known))
+        });
+        found.extend(named.map(|path| format!("{root}/{}", path.display()).replace('\\', "/")));
+        folder.dirs().for_each(|inner| walk(inner, root, found));
+    }
+    let mut found = Vec::new();
+    walk(&RULES, "rules", &mut found);
+    walk(&CONFIGS, "configs", &mut found);
+    found.sort();
+    found
+}
+
+/// The text of a built-in file by its path in the repository, for example `configs/maps/square-5x5.yaml`.
+pub fn text(path: &str) -> Option<&'static str> {
+    let (root, inside) = path.split_once('/')?;
+    let folder = match root {
+        "rules" => &RULES,
+        "configs" => &CONFIGS,
+        _ => return None,
+    };
+    folder.get_file(inside)?.contents_utf8()
+}
+
+/// Reads files from disk, and built-in files under [`BUILTIN_FOLDER`].
+///
+/// The folder `rules/` may be left out there: a rule file anywhere can include `vocabulary.dl`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct BuiltinFiles;
+
+impl ReadFile for BuiltinFiles {
+    fn read(&self, path: &Path) -> Result<String, ReadError> {
+        let Ok(inside) = path.strip_prefix(BUILTIN_FOLDER) else {
+            return read_text(path);
+        };
+        let found = inside
+            .to_str()
+            .and_then(|inside| text(inside).or_else(|| text(&format!("rules/{inside}"))));
+        found.map(str::to_owned).ok_or(ReadError::NotFound)
+    }
+
+    fn builtin_paths(&self) -> Vec<String> {
+        paths()
+    }
+}
+
+/// Reads a text file, or, if there is none, the built-in file of that path.
+///
+/// # Errors
+/// Why the file cannot be read.
+pub fn read_or_builtin(path: &Path) -> Result<String, ReadError> {
+    match BuiltinFiles.read(path) {
+        Err(ReadError::NotFound) => path
+            .to_str()
+            .and_then(text)
+            .map(str::to_owned)
+            .ok_or(ReadError::NotFound),
+        read => read,
+    }
+}

@@ -1,0 +1,63 @@
+//! Whether facts are as the rules promise.
+
+use crate::datalog::check::{Constraint, RelId};
+use crate::datalog::session::Session;
+use crate::datalog::syntax::ast::BaseType;
+use crate::datalog::value::{Value, print_float};
+use crate::diag::{Code, Diagnostic};
+use crate::symbol::Symbol;
+
+/// At most this many broken promises are told, one row for each.
+pub const BROKEN_MAX: usize = 20;
+
+/// The promises that the facts of the last commit break, each with a row that shows it.
+pub fn broken(session: &Session) -> Vec<Diagnostic> {
+    let mut faults = Vec::new();
+    for promise in &session.program().rules().promises {
+        let reversed = |row: &[Value]| -> Vec<Value> { row.iter().rev().copied().collect() };
+        let found = match promise.constraint {
+            Constraint::Disjoint(a, b) => session
+                .rows(a)
+                .find(|row| session.contains(b, row))
+                .map(|row| format!("both {} and {} hold", shown(session, a, row), shown(session, b, row))),
+            Constraint::Implies(a, b) => session
+                .rows(a)
+                .find(|row| !session.contains(b, row))
+                .map(|row| format!("{} holds, {} does not", shown(session, a, row), shown(session, b, row))),
+            Constraint::Irreflexive(a) => session
+                .rows(a)
+                .find(|row| row[0] == row[1])
+                .map(|row| format!("{} holds", shown(session, a, row))),
+            Constraint::Symmetric(a) => session
+                .rows(a)
+                .find(|row| !session.contains(a, &reversed(row)))
+                .map(|row| {
+                    let other = shown(session, a, &reversed(row));
+                    format!("{} holds, {other} does not", shown(session, a, row))
+                }),
+        };
+        if let Some(message) = found
+            && faults.len() < BROKEN_MAX
+        {
+            let fault = Diagnostic::new(Code::BrokenPromise, message).at(promise.span, "promised here");
+            faults.push(fault.help("correct the facts, or take the promise back"));
+        }
+    }
+    faults
+}
+
+/// A fact as it is written in rules.
+fn shown(session: &Session, relation: RelId, row: &[Value]) -> String {
+    let relation = &session.program().rules().relations[relation.index()];
+    let values = relation
+        .columns
+        .iter()
+        .zip(row)
+        .map(|(column, value)| match column.base {
+            BaseType::Number => value.as_number().to_string(),
+            BaseType::Unsigned => value.0.to_string(),
+            BaseType::Float => print_float(value.as_float()),
+            BaseType::Symbol => format!("{:?}", session.symbols().text(Symbol(value.0)).unwrap_or_default()),
+        });
+    format!("`{}({})`", relation.name, values.collect::<Vec<_>>().join(", "))
+}

@@ -1,0 +1,475 @@
+//! Two programs over a handful of individuals, as one propositional circuit.
+//!
+//! Every base fact is a variable that both programs share; every derived fact that the question needs is a gate. Equal gates are one, so
+//! two clauses that differ in names and order cost nothing, and rules that are written alike are seen to be equal at once.
+
+use crate::datalog::analysis::diff::sat::{Lit, Solver};
+use crate::datalog::analysis::diff::{Individual, Side};
+use crate::datalog::check::{Atom, Clause, Constraint, Literal, RelId, Term};
+use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::datalog::value::Value;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+/// The circuit would be larger than allowed.
+pub(super) struct TooLarge;
+
+/// The rows of a scope: given like those of any predicate, or everybody sees everybody.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum View {
+    Full,
+    Free,
+}
+
+/// A base predicate by its position in [`super::Question::base`], and the individuals of a row.
+pub(super) type BaseFact = (usize, Vec<usize>);
+
+pub(super) struct Circuit<'a> {
+    sides: [&'a Side<'a>; 2],
+    individuals: &'a [Individual],
+    view: View,
+    pub(super) solver: Solver,
+    yes: Lit,
+    /// Conjunctions by their sorted inputs; only asked, never walked.
+    gates: HashMap<Vec<Lit>, Lit>,
+    pub(super) atoms: BTreeMap<BaseFact, Lit>,
+    /// The same in the order in which they were asked for.
+    asked: Vec<BaseFact>,
+    /// Derived facts by side, predicate, row and, in a recursive stratum, round; only asked, never walked.
+    derived: HashMap<(usize, RelId, Vec<usize>, usize), Lit>,
+    /// Recursive strata by side whose rounds are taken apart.
+    unrolled: BTreeSet<(usize, usize)>,
+    /// By side: where constants stand among the individuals.
+    places: [HashMap<(BaseType, Value), Option<usize>>; 2],
+    /// How many more literals, and rows of literals with `_`, may be looked at.
+    pub(super) room: usize,
+    /// How many derived facts are being taken apart, each for the one before.
+    depth: usize,
+}
+
+/// Longer chains of derived facts, and clauses with more variables, are not looked at: both are walked by recursion.
+const DEPTH_MAX: usize = 64;
+
+impl<'a> Circuit<'a> {
+    pub(super) fn new(sides: [&'a Side<'a>; 2], individuals: &'a [Individual], view: View, room: usize) -> Self {
+        let mut solver = Solver::new();
+        let yes = solver.fresh();
+        solver.add(&[yes]);
+        Circuit {
+            sides,
+            individuals,
+            view,
+            solver,
+            yes,
+            gates: HashMap::new(),
+            atoms: BTreeMap::new(),
+            asked: Vec::new(),
+            derived: HashMap::new(),
+            unrolled: BTreeSet::new(),
+            places: [HashMap::new(), HashMap::new()],
+            room,
+            depth: 0,
+        }
+    }
+
+    // --- gates
+
+    fn all(&mut self, mut inputs: Vec<Lit>) -> Lit {
+        inputs.sort_unstable();
+        inputs.dedup();
+        inputs.retain(|&input| input != self.yes);
+        if inputs.contains(&!self.yes) || inputs.windows(2).any(|pair| pair[0] == !pair[1]) {
+            return !self.yes;
+        }
+        match inputs.as_slice() {
+            [] => return self.yes,
+            &[only] => return only,
+            _ => {}
+        }
+        if let Some(&known) = self.gates.get(&inputs) {
+            return known;
+        }
+        let gate = self.solver.fresh();
+        let mut back: Vec<Lit> = inputs.iter().map(|&input| !input).collect();
+        for &input in &inputs {
+            self.solver.add(&[!gate, input]);
+        }
+        back.push(gate);
+        self.solver.add(&back);
+        self.gates.insert(inputs, gate);
+        gate
+    }
+
+    pub(super) fn any(&mut self, inputs: Vec<Lit>) -> Lit {
+        let negated = inputs.into_iter().map(|input| !input).collect();
+        !self.all(negated)
+    }
+
+    pub(super) fn differ(&mut self, a: Lit, b: Lit) -> Lit {
+        let (left, right) = (self.all(vec![a, !b]), self.all(vec![!a, b]));
+        self.any(vec![left, right])
+    }
+
+    /// Whether the gate is known to be false.
+    pub(super) fn is_no(&self, lit: Lit) -> bool {
+        lit == !self.yes
+    }
+
+    // --- facts
+
+    /// Whether the row of a predicate holds on one side.
+    pub(super) fn fact(&mut self, side: usize, relation: RelId, row: &[usize]) -> Result<Lit, TooLarge> {
+        self.holds(side, relation, row, None)
+    }
+
+    /// `round`: of the recursive stratum that is being unrolled, which round is asked for.
+    fn holds(
+        &mut self,
+        side: usize,
+        relation: RelId,
+        row: &[usize],
+        round: Option<(usize, usize)>,
+    ) -> Result<Lit, TooLarge> {
+        let sides = self.sides;
+        let program = sides[side];
+        if !program.rules.relations[relation.index()].derived {
+            return self.base(side, relation, row);
+        }
+        let stratum = program.stratum[relation.index()];
+        let recursive = stratum.is_some_and(|stratum| program.rules.strata[stratum].recursive);
+        let round_given = matches!((stratum, round), (Some(own), Some((other, _))) if own == other);
+        let round = match (stratum, round) {
+            (Some(own), Some((stratum, round))) if own == stratum => round,
+            (Some(stratum), _) if recursive => self.rounds(side, stratum)?,
+            _ => 1,
+        };
+        if round == 0 {
+            return Ok(!self.yes);
+        }
+        let key = (side, relation, row.to_vec(), round);
+        if let Some(&known) = self.derived.get(&key) {
+            return Ok(known);
+        }
+        let inner = stratum.filter(|_| recursive).map(|stratum| (stratum, round - 1));
+        if let (Some((stratum, before)), false) = (inner, round_given)
+            && self.unrolled.insert((side, stratum))
+        {
+            self.unroll(side, stratum, before)?;
+        }
+        self.depth += 1;
+        if self.depth > DEPTH_MAX {
+            return Err(TooLarge);
+        }
+        let mut ways = Vec::new();
+        for &clause in &program.clauses[relation.index()] {
+            self.ways(side, clause, row, inner, &mut ways)?;
+        }
+        self.depth -= 1;
+        let gate = self.any(ways);
+        self.derived.insert(key, gate);
+        Ok(gate)
+    }
+
+    /// The facts of the first rounds of a recursive stratum, round by round, so that none waits for more than the one before.
+    fn unroll(&mut self, side: usize, stratum: usize, rounds: usize) -> Result<(), TooLarge> {
+        let sides = self.sides;
+        let rules = sides[side].rules;
+        for round in 1..=rounds {
+            for &relation in &rules.strata[stratum].relations {
+                let mut rows: Vec<Vec<usize>> = vec![Vec::new()];
+                for column in &rules.relations[relation.index()].columns {
+                    rows = (rows.iter())
+                        .flat_map(|row| {
+                            self.of(column.base)
+                                .map(move |value| row.iter().copied().chain([value]).collect())
+                        })
+                        .collect();
+                }
+                for row in rows {
+                    self.holds(side, relation, &row, Some((stratum, round)))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// As many rounds as the stratum has possible facts: each but the last adds one.
+    fn rounds(&self, side: usize, stratum: usize) -> Result<usize, TooLarge> {
+        let rules = self.sides[side].rules;
+        let mut count = 0_usize;
+        for relation in &rules.strata[stratum].relations {
+            let columns = &rules.relations[relation.index()].columns;
+            let rows = columns.iter().fold(1_usize, |rows, column| {
+                rows.saturating_mul(self.of(column.base).count())
+            });
+            count = count.saturating_add(rows);
+        }
+        if count <= 256 { Ok(count) } else { Err(TooLarge) }
+    }
+
+    fn of(&self, base: BaseType) -> impl Iterator<Item = usize> + use<'a> {
+        let individuals = self.individuals;
+        (0..individuals.len()).filter(move |&index| individuals[index].base() == base)
+    }
+
+    fn base(&mut self, side: usize, relation: RelId, row: &[usize]) -> Result<Lit, TooLarge> {
+        let program = self.sides[side];
+        if program.facts.contains(&(relation, row.to_vec())) {
+            return Ok(self.yes);
+        }
+        let Some(base) = program.base[relation.index()] else {
+            return Ok(!self.yes);
+        };
+        if self.view == View::Full && program.scopes.contains(&relation) {
+            return Ok(self.yes);
+        }
+        let key = (base, row.to_vec());
+        if let Some(&known) = self.atoms.get(&key) {
+            return Ok(known);
+        }
+        self.room = self.room.checked_sub(1).ok_or(TooLarge)?;
+        let fresh = self.solver.fresh();
+        self.asked.push(key.clone());
+        self.atoms.insert(key, fresh);
+        Ok(fresh)
+    }
+
+    // --- clauses
+
+    /// The conjunctions by which a clause derives the row, one for each value of its other variables.
+    fn ways(
+        &mut self,
+        side: usize,
+        clause: &'a Clause,
+        row: &[usize],
+        round: Option<(usize, usize)>,
+        ways: &mut Vec<Lit>,
+    ) -> Result<(), TooLarge> {
+        if clause.variables.len() > DEPTH_MAX {
+            return Err(TooLarge);
+        }
+        let mut bound: Vec<Option<usize>> = vec![None; clause.variables.len()];
+        let columns = &self.sides[side].rules.relations[clause.head.relation.index()].columns;
+        for ((term, column), &value) in clause.head.terms.iter().zip(columns).zip(row) {
+            match *term {
+                Term::Variable(variable) => {
+                    if *bound[variable.index()].get_or_insert(value) != value {
+                        return Ok(());
+                    }
+                }
+                constant => {
+                    if self.value(side, constant, column.base, &bound) != Some(value) {
+                        return Ok(());
+                    }
+                }
+            }
+        }
+        // Variables in the order in which literals of the body need them, with the literals that are then ready.
+        let mut order: Vec<usize> = Vec::new();
+        let mut ready: Vec<Vec<&'a Literal>> = vec![Vec::new()];
+        for literal in &clause.body {
+            for variable in variables(literal) {
+                if bound[variable].is_none() && !order.contains(&variable) {
+                    order.push(variable);
+                    ready.push(Vec::new());
+                }
+            }
+            let last = variables(literal).filter_map(|variable| order.iter().position(|&other| other == variable));
+            let at = last.max().map_or(0, |position| position + 1);
+            ready[at].push(literal);
+        }
+        let bases: Vec<BaseType> = order
+            .iter()
+            .map(|&variable| self.base_of(side, clause, variable))
+            .collect();
+        let mut search = Search {
+            side,
+            round,
+            order,
+            bases,
+            ready,
+            bound,
+            inputs: Vec::new(),
+        };
+        self.choose(&mut search, 0, ways)
+    }
+
+    /// Adds the literals that are ready at this depth and goes through the values of the next variable.
+    fn choose(&mut self, search: &mut Search<'a>, depth: usize, ways: &mut Vec<Lit>) -> Result<(), TooLarge> {
+        let mark = search.inputs.len();
+        for index in 0..search.ready[depth].len() {
+            let literal = search.ready[depth][index];
+            self.room = self.room.checked_sub(1).ok_or(TooLarge)?;
+            let lit = self.literal(search, literal)?;
+            if self.is_no(lit) {
+                search.inputs.truncate(mark);
+                return Ok(());
+            }
+            search.inputs.push(lit);
+        }
+        if let Some(&variable) = search.order.get(depth) {
+            for value in self.of(search.bases[depth]) {
+                search.bound[variable] = Some(value);
+                self.choose(search, depth + 1, ways)?;
+            }
+            search.bound[variable] = None;
+        } else {
+            ways.push(self.all(search.inputs.clone()));
+        }
+        search.inputs.truncate(mark);
+        Ok(())
+    }
+
+    fn literal(&mut self, search: &Search<'a>, literal: &'a Literal) -> Result<Lit, TooLarge> {
+        match literal {
+            Literal::Positive(atom) | Literal::Guard(atom) => self.some(search, atom),
+            Literal::Negative(atom) => Ok(!self.some(search, atom)?),
+            Literal::Compare {
+                op, left, right, base, ..
+            } => {
+                let mut value = |term| self.value(search.side, term, *base, &search.bound);
+                let holds = match (value(*left), value(*right)) {
+                    (Some(left), Some(right)) => self.compare(*op, left, right),
+                    _ => false,
+                };
+                Ok(if holds { self.yes } else { !self.yes })
+            }
+            // Rules that have them are compared by trial.
+            Literal::Compute { .. } | Literal::Aggregate { .. } => Ok(!self.yes),
+        }
+    }
+
+    /// Some row matches the atom; its `_` may be anything.
+    fn some(&mut self, search: &Search<'a>, atom: &'a Atom) -> Result<Lit, TooLarge> {
+        let columns = &self.sides[search.side].rules.relations[atom.relation.index()].columns;
+        let mut rows: Vec<Vec<usize>> = vec![Vec::new()];
+        for (column, &term) in columns.iter().zip(&atom.terms) {
+            let values: Vec<usize> = match term {
+                Term::Wildcard => self.of(column.base).collect(),
+                _ => self
+                    .value(search.side, term, column.base, &search.bound)
+                    .into_iter()
+                    .collect(),
+            };
+            if values.len() > 1 {
+                let many = rows.len().saturating_mul(values.len());
+                self.room = self.room.checked_sub(many).ok_or(TooLarge)?;
+            }
+            rows = (rows.iter())
+                .flat_map(|row| {
+                    values
+                        .iter()
+                        .map(move |&value| row.iter().copied().chain([value]).collect())
+                })
+                .collect();
+        }
+        let mut lits = Vec::new();
+        for row in rows {
+            lits.push(self.holds(search.side, atom.relation, &row, search.round)?);
+        }
+        Ok(self.any(lits))
+    }
+
+    fn compare(&self, op: Comparison, left: usize, right: usize) -> bool {
+        let order = self.individuals[left].cmp(&self.individuals[right]);
+        match op {
+            Comparison::Equal => order.is_eq(),
+            Comparison::NotEqual => order.is_ne(),
+            Comparison::Less => order.is_lt(),
+            Comparison::LessEqual => order.is_le(),
+            Comparison::Greater => order.is_gt(),
+            Comparison::GreaterEqual => order.is_ge(),
+            // Rules that have them are compared by trial.
+            Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => false,
+        }
+    }
+
+    fn value(&mut self, side: usize, term: Term, base: BaseType, bound: &[Option<usize>]) -> Option<usize> {
+        match term {
+            Term::Variable(variable) => bound[variable.index()],
+            Term::Constant(value) => *self.places[side].entry((base, value)).or_insert_with(|| {
+                let wanted = self.sides[side].individual(value, base);
+                self.individuals.iter().position(|individual| *individual == wanted)
+            }),
+            Term::Wildcard => None,
+        }
+    }
+
+    /// What a variable is made of, by the first place that tells.
+    fn base_of(&self, side: usize, clause: &Clause, variable: usize) -> BaseType {
+        let is = |term: &Term| matches!(term, Term::Variable(other) if other.index() == variable);
+        for literal in &clause.body {
+            match literal {
+                Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
+                    if let Some(column) = atom.terms.iter().position(is) {
+                        return self.sides[side].rules.relations[atom.relation.index()].columns[column].base;
+                    }
+                }
+                Literal::Compare { left, right, base, .. } => {
+                    if is(left) || is(right) {
+                        return *base;
+                    }
+                }
+                Literal::Compute { .. } | Literal::Aggregate { .. } => {}
+            }
+        }
+        BaseType::Symbol
+    }
+
+    // --- promises
+
+    /// Keeps to what both sides promise, as far as the facts in question go.
+    pub(super) fn promises(&mut self) -> Result<(), TooLarge> {
+        let mut done = 0;
+        let mut queue: Vec<BaseFact> = self.atoms.keys().cloned().collect();
+        while let Some((base, row)) = queue.get(done).cloned() {
+            done += 1;
+            for side in 0..2 {
+                for promise in &self.sides[side].rules.promises {
+                    let relation = |relation: RelId| self.sides[side].base[relation.index()] == Some(base);
+                    let reversed: Vec<usize> = row.iter().rev().copied().collect();
+                    let clause = match promise.constraint {
+                        Constraint::Irreflexive(a) if relation(a) && row[0] == row[1] => {
+                            vec![!self.base(side, a, &row)?]
+                        }
+                        Constraint::Symmetric(a) if relation(a) => {
+                            vec![!self.base(side, a, &row)?, self.base(side, a, &reversed)?]
+                        }
+                        Constraint::Implies(a, b) if relation(a) => {
+                            vec![!self.base(side, a, &row)?, self.base(side, b, &row)?]
+                        }
+                        Constraint::Disjoint(a, b) if relation(a) || relation(b) => {
+                            vec![!self.base(side, a, &row)?, !self.base(side, b, &row)?]
+                        }
+                        _ => continue,
+                    };
+                    self.solver.add(&clause);
+                }
+            }
+            // What was asked for just now: all before is in the queue.
+            let mut more = self.asked.split_off(queue.len());
+            more.sort_unstable();
+            queue.extend(more.iter().cloned());
+            self.asked.extend(more);
+        }
+        Ok(())
+    }
+}
+
+/// A clause being taken apart.
+struct Search<'a> {
+    side: usize,
+    round: Option<(usize, usize)>,
+    order: Vec<usize>,
+    bases: Vec<BaseType>,
+    ready: Vec<Vec<&'a Literal>>,
+    bound: Vec<Option<usize>>,
+    inputs: Vec<Lit>,
+}
+
+/// The variables of a literal.
+pub(super) fn variables(literal: &Literal) -> impl Iterator<Item = usize> + '_ {
+    literal.terms().filter_map(|term| match term {
+        Term::Variable(variable) => Some(variable.index()),
+        _ => None,
+    })
+}

@@ -1,0 +1,698 @@
+//! Do two sets of rules mean the same?
+//!
+//! [`diff`] looks for the smallest scene, entities first and then facts, in which an output is derived on one side only. For scenes of
+//! one size that is a question of propositional logic: `ground` writes both programs as one circuit over the possible base facts, `sat`
+//! searches it completely. `bound` says how large a scene a difference may need; if none is found up to that size, the two are *proved*
+//! equal. A scene that is found is evaluated by [`crate::datalog::naive`] on both sides before anybody is told.
+//!
+//! Rules with expressions, aggregates, floats or unsigned numbers have no such circuit. For them `trial` evaluates scene after scene within
+//! a bound; it finds differences and proves nothing.
+//!
+//! A *scope* (a predicate that guards, see `.scope`) is first taken as complete: everybody sees everybody. Only if that shows no
+//! difference may its rows be chosen like those of any predicate.
+
+mod bound;
+mod ground;
+mod sat;
+mod trial;
+
+use crate::datalog::check::{Clause, Literal, RelId, Rules, Term};
+use crate::datalog::naive;
+use crate::datalog::plan::optimize::speaks_of;
+use crate::datalog::syntax::ast::BaseType;
+use crate::datalog::value::Value;
+use crate::diag::{Code, Diagnostic};
+use crate::symbol::{Symbol, Symbols};
+use ground::{BaseFact, Circuit, TooLarge, View};
+use sat::{Lit, Outcome};
+use std::collections::{BTreeSet, HashMap, HashSet};
+
+/// What to compare and how far to look.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The predicates to compare; all outputs if empty.
+    pub predicates: Vec<String>,
+    /// Scenes with more entities are not looked at.
+    pub entities_max: usize,
+    /// How many dead ends the search may meet; it bounds the time without a clock.
+    pub conflicts_max: u64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Options {
+            predicates: Vec::new(),
+            entities_max: 12,
+            conflicts_max: 500_000,
+        }
+    }
+}
+
+/// The answer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// They derive the same in every scene, of whatever size. A difference would show with at most `entities` entities, and does not.
+    Equivalent {
+        /// The size that was enough to look at.
+        entities: usize,
+    },
+    /// No difference was found in scenes of at most `entities` entities, and larger ones may have one.
+    NoneFound {
+        /// The size up to which every scene was looked at; `None` if not even the smallest could be.
+        entities: Option<usize>,
+        /// The size up to which looking would be a proof, if one is known.
+        proof: Option<usize>,
+        /// What was given up. Nothing if only [`Options::entities_max`] ended the search.
+        cut: Vec<Cut>,
+    },
+    /// No difference was found by evaluating scenes one by one; others may show one. The values were those that the rules name, their
+    /// neighbours and a few small ones.
+    NoneTried {
+        /// All scenes of at most so many facts were tried, if any were.
+        facts: Option<usize>,
+        /// And of at most so many entities.
+        entities: usize,
+        /// How many scenes were tried, with larger ones that were drawn at random.
+        scenes: u64,
+    },
+    /// They differ in this scene.
+    Different(Difference),
+}
+
+/// Why a search ended early.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Cut {
+    /// It met as many dead ends as [`Options::conflicts_max`] allows.
+    Effort,
+    /// The next larger scenes have too many possible facts, or facts have too many ways to be derived.
+    Size,
+    /// Finding out how many entities a proof needs would have taken too long.
+    Proof,
+}
+
+/// A scene and what each side derives in it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Difference {
+    /// The names of entities and constants that occur, the one in question first.
+    pub entities: Vec<String>,
+    /// What holds, by predicate; rows of a complete scope are left out.
+    pub facts: Vec<(String, Vec<Vec<String>>)>,
+    /// The scopes in which every entity sees every other and itself.
+    pub everybody_sees: Vec<String>,
+    /// The output rows derived on each side.
+    pub derived: [Vec<(String, Vec<String>)>; 2],
+    /// Whether fewer facts about as many entities are known not to suffice.
+    pub smallest: bool,
+}
+
+/// One of the two programs, made ready.
+pub(crate) struct Side<'a> {
+    rules: &'a Rules,
+    /// By [`RelId`]: its clauses, facts included.
+    clauses: Vec<Vec<&'a Clause>>,
+    /// By [`RelId`].
+    stratum: Vec<Option<usize>>,
+    /// By [`RelId`]: the position among the shared base predicates.
+    base: Vec<Option<usize>>,
+    /// The facts in the text, of predicates without rules; rows of positions in the individuals.
+    facts: HashSet<(RelId, Vec<usize>)>,
+    /// Base predicates that guard.
+    scopes: BTreeSet<RelId>,
+}
+
+/// A value. Workspace are ordered as texts, numbers as numbers.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) enum Individual {
+    Text(String),
+    Number(i32),
+}
+
+impl Individual {
+    fn base(&self) -> BaseType {
+        match self {
+            Individual::Text(_) => BaseType::Symbol,
+            Individual::Number(_) => BaseType::Number,
+        }
+    }
+
+    fn shown(&self) -> String {
+        match self {
+            Individual::Text(text) => text.clone(),
+            Individual::Number(number) => number.to_string(),
+        }
+    }
+}
+
+impl Side<'_> {
+    fn individual(&self, value: Value, base: BaseType) -> Individual {
+        match base {
+            BaseType::Number | BaseType::Unsigned | BaseType::Float => Individual::Number(value.as_number()),
+            BaseType::Symbol => {
+                Individual::Text(self.rules.symbols.text(Symbol(value.0)).unwrap_or_default().to_owned())
+            }
+        }
+    }
+}
+
+/// A predicate to compare.
+struct Output {
+    name: String,
+    columns: Vec<BaseType>,
+    ids: [RelId; 2],
+}
+
+/// More literals than this are not looked at for scenes of one size.
+const ROOM: usize = 3_000_000;
+
+/// Nor more than this for scenes of all sizes together.
+const ROOM_IN_ALL: usize = 12_000_000;
+
+/// Compares two sets of rules.
+///
+/// # Errors
+/// If a rule set is too large to be planned; if a predicate does not fit: it has other columns on the other side, is given on one side and
+/// derived on the other, or is to be compared and is not declared on both.
+pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, Vec<Diagnostic>> {
+    let base = shared_base(left, right)?;
+    let outputs = outputs(left, right, options)?;
+    if !(speaks(left) && speaks(right)) {
+        return trial::search([left, right], &base, &outputs, options);
+    }
+    let sides = [left, right].map(|rules| side(rules, &base));
+    let sides = [&sides[0], &sides[1]];
+
+    // In the order of evaluation, so that an output's bound can use that earlier ones are equal.
+    let mut order: Vec<&Output> = outputs.iter().collect();
+    order.sort_by_key(|output| sides[0].stratum[output.ids[0].index()]);
+    let mut equal = BTreeSet::new();
+    let mut proof = Some(0);
+    let mut room = bound::FACTS_MAX;
+    for output in order {
+        let needed = bound::entities(sides, output, &equal, &mut room);
+        if needed.is_some() {
+            equal.insert(output.name.clone());
+        }
+        proof = proof.zip(needed).map(|(most, needed)| most.max(needed));
+    }
+
+    let last = proof.map_or(options.entities_max, |proof| proof.min(options.entities_max));
+    let mut left = Left {
+        conflicts: options.conflicts_max,
+        room: ROOM_IN_ALL,
+    };
+    let scoped = sides.iter().any(|side| !side.scopes.is_empty());
+    let views: &[View] = if scoped {
+        &[View::Full, View::Free]
+    } else {
+        &[View::Free]
+    };
+    let mut seen_all = Some(last);
+    let mut cut = BTreeSet::new();
+    if proof.is_none() && room == 0 {
+        cut.insert(Cut::Proof);
+    }
+    for &view in views {
+        for entities in 0..=last {
+            match search(sides, &base, &outputs, entities, view, &mut left) {
+                Ok(Some(difference)) => return Ok(Verdict::Different(difference)),
+                Ok(None) => {}
+                Err(why) => {
+                    cut.insert(why);
+                    seen_all = seen_all.min(entities.checked_sub(1));
+                    break;
+                }
+            }
+        }
+    }
+    Ok(match (proof, seen_all) {
+        (Some(entities), Some(seen_all)) if entities <= seen_all => Verdict::Equivalent { entities },
+        _ => Verdict::NoneFound {
+            entities: seen_all,
+            proof,
+            cut: cut.into_iter().collect(),
+        },
+    })
+}
+
+/// Whether the rules have neither expressions nor aggregates, and no columns of floats or unsigned numbers.
+fn speaks(rules: &Rules) -> bool {
+    let mut columns = rules.relations.iter().flat_map(|relation| &relation.columns);
+    let wide = |base: BaseType| matches!(base, BaseType::Float | BaseType::Unsigned);
+    rules.clauses.iter().all(speaks_of) && !columns.any(|column| wide(column.base))
+}
+
+// --- what the two have in common
+
+/// A base predicate.
+struct Base {
+    name: String,
+}
+
+fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>> {
+    let mut base: Vec<Base> = Vec::new();
+    let mut known: HashSet<&str> = HashSet::new();
+    let mut faults = Vec::new();
+    let by_name = [left, right].map(Rules::relations_by_name);
+    for (rules, other, twins) in [(left, right, &by_name[1]), (right, left, &by_name[0])] {
+        for relation in rules.relations.iter().filter(|relation| relation.input) {
+            let columns: Vec<BaseType> = relation.columns.iter().map(|column| column.base).collect();
+            let twin = twins.get(relation.name.as_str()).map(|id| &other.relations[id.index()]);
+            if let Some(twin) = twin {
+                let fits = twin
+                    .columns
+                    .iter()
+                    .map(|column| column.base)
+                    .eq(columns.iter().copied());
+                let message = match (fits, twin.derived) {
+                    (true, false) => None,
+                    (_, true) => Some(format!(
+                        "`{}` is input on one side and derived on the other",
+                        relation.name
+                    )),
+                    (false, _) => Some(format!("`{}` has other columns on the other side", relation.name)),
+                };
+                if let Some(message) = message {
+                    faults.push(
+                        Diagnostic::new(Code::RuleMismatch, message)
+                            .at(relation.span, "")
+                            .also(twin.span, "the other one"),
+                    );
+                    continue;
+                }
+            }
+            if known.insert(&relation.name) {
+                base.push(Base {
+                    name: relation.name.clone(),
+                });
+            }
+        }
+    }
+    if faults.is_empty() { Ok(base) } else { Err(faults) }
+}
+
+fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>, Vec<Diagnostic>> {
+    let mut names: Vec<&str> = options.predicates.iter().map(String::as_str).collect();
+    if names.is_empty() {
+        let mut known: HashSet<&str> = HashSet::new();
+        for relation in left
+            .relations
+            .iter()
+            .chain(&right.relations)
+            .filter(|relation| relation.output)
+        {
+            if known.insert(&relation.name) {
+                names.push(&relation.name);
+            }
+        }
+    }
+    let mut outputs = Vec::new();
+    let mut faults = Vec::new();
+    let [in_left, in_right] = [left, right].map(Rules::relations_by_name);
+    for name in names {
+        let (Some(&a), Some(&b)) = (in_left.get(name), in_right.get(name)) else {
+            let message = format!("`{name}` is not declared on both sides");
+            faults.push(Diagnostic::new(Code::RuleMismatch, message).help("name what to compare with --predicates"));
+            continue;
+        };
+        let [x, y] = [(left, a), (right, b)].map(|(rules, id)| &rules.relations[id.index()]);
+        let columns: Vec<BaseType> = x.columns.iter().map(|column| column.base).collect();
+        if !y.columns.iter().map(|column| column.base).eq(columns.iter().copied()) {
+            let message = format!("`{name}` has other columns on the other side");
+            faults.push(
+                Diagnostic::new(Code::RuleMismatch, message)
+                    .at(x.span, "")
+                    .also(y.span, "the other one"),
+            );
+            continue;
+        }
+        outputs.push(Output {
+            name: name.to_owned(),
+            columns,
+            ids: [a, b],
+        });
+    }
+    if faults.is_empty() { Ok(outputs) } else { Err(faults) }
+}
+
+fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
+    let mut clauses = vec![Vec::new(); rules.relations.len()];
+    for clause in &rules.clauses {
+        clauses[clause.head.relation.index()].push(clause);
+    }
+    let mut stratum = vec![None; rules.relations.len()];
+    for (position, one) in rules.strata.iter().enumerate() {
+        for relation in &one.relations {
+            stratum[relation.index()] = Some(position);
+        }
+    }
+    let positions: HashMap<&str, usize> = base.iter().map(|base| base.name.as_str()).zip(0..).collect();
+    let guards = rules
+        .clauses
+        .iter()
+        .flat_map(|clause| &clause.body)
+        .filter_map(|literal| match literal {
+            Literal::Guard(atom) => Some(atom.relation),
+            _ => None,
+        });
+    Side {
+        rules,
+        clauses,
+        stratum,
+        base: (rules.relations.iter())
+            .map(|relation| {
+                if relation.derived {
+                    None
+                } else {
+                    positions.get(relation.name.as_str()).copied()
+                }
+            })
+            .collect(),
+        facts: HashSet::new(),
+        scopes: guards
+            .filter(|relation| !rules.relations[relation.index()].derived)
+            .collect(),
+    }
+}
+
+// --- scenes of one size
+
+/// What the search may still do: it is bounded by numbers, not by time.
+struct Left {
+    /// Dead ends.
+    conflicts: u64,
+    /// Literals to look at.
+    room: usize,
+}
+
+/// A scene of that size that shows a difference, if there is one.
+///
+/// # Errors
+/// Why that could not be settled.
+fn search(
+    sides: [&Side<'_>; 2],
+    base: &[Base],
+    outputs: &[Output],
+    entities: usize,
+    view: View,
+    effort: &mut Left,
+) -> Result<Option<Difference>, Cut> {
+    let individuals = individuals(sides, entities);
+    let [left, right] = sides.map(|side| Side {
+        rules: side.rules,
+        clauses: side.clauses.clone(),
+        stratum: side.stratum.clone(),
+        base: side.base.clone(),
+        facts: text_facts(side, &individuals),
+        scopes: side.scopes.clone(),
+    });
+    let mut circuit = Circuit::new([&left, &right], &individuals, view, ROOM.min(effort.room));
+    let before = circuit.room;
+    let asked = questions(&mut circuit, outputs, entities, &individuals);
+    let kept = circuit.promises();
+    effort.room -= before - circuit.room;
+    let (Ok(questions), Ok(())) = (asked, kept) else {
+        return Err(Cut::Size);
+    };
+    let any = circuit.any(questions.iter().map(|question| question.differs).collect());
+    if circuit.is_no(any) {
+        return Ok(None);
+    }
+    circuit.solver.add(&[any]);
+    match circuit.solver.solve(&[], &mut effort.conflicts) {
+        Outcome::Unsatisfiable => return Ok(None),
+        Outcome::Unknown => return Err(Cut::Effort),
+        Outcome::Satisfiable => {}
+    }
+    let smallest = shrink(&mut circuit, &mut effort.conflicts);
+    let asked = questions
+        .iter()
+        .find(|question| circuit.solver.is_true(question.differs))
+        .ok_or(Cut::Effort)?;
+    let facts: Vec<BaseFact> = (circuit.atoms.iter())
+        .filter(|(_, lit)| circuit.solver.is_true(**lit))
+        .map(|(fact, _)| fact.clone())
+        .collect();
+    Ok(Some(tell(
+        sides,
+        base,
+        outputs,
+        &individuals,
+        view,
+        &asked.row,
+        &facts,
+        smallest,
+    )))
+}
+
+/// The entities, which nothing tells apart, then the constants of both sides; numbers only where there are any.
+fn individuals(sides: [&Side<'_>; 2], entities: usize) -> Vec<Individual> {
+    let mut constants: BTreeSet<Individual> = BTreeSet::new();
+    let mut numbers = false;
+    for side in sides {
+        for relation in &side.rules.relations {
+            numbers |= relation.columns.iter().any(|column| column.base == BaseType::Number);
+        }
+        for clause in &side.rules.clauses {
+            let mut add = |term: &Term, base| {
+                if let Term::Constant(value) = term {
+                    constants.insert(side.individual(*value, base));
+                }
+            };
+            let mut atom = |atom: &crate::datalog::check::Atom| {
+                let columns = &side.rules.relations[atom.relation.index()].columns;
+                atom.terms
+                    .iter()
+                    .zip(columns)
+                    .for_each(|(term, column)| add(term, column.base));
+            };
+            atom(&clause.head);
+            for literal in &clause.body {
+                match literal {
+                    Literal::Positive(one) | Literal::Negative(one) | Literal::Guard(one) => atom(one),
+                    Literal::Compare { .. } | Literal::Compute { .. } | Literal::Aggregate { .. } => {}
+                }
+            }
+            for literal in &clause.body {
+                if let Literal::Compare { left, right, base, .. } = literal {
+                    add(left, *base);
+                    add(right, *base);
+                }
+            }
+        }
+    }
+    if numbers {
+        let near: Vec<i32> = (constants.iter())
+            .filter_map(|constant| match constant {
+                Individual::Number(number) => Some([number.saturating_sub(1), number.saturating_add(1)]),
+                Individual::Text(_) => None,
+            })
+            .flatten()
+            .collect();
+        constants.extend(near.into_iter().map(Individual::Number));
+        constants.extend((0..entities as i32).map(Individual::Number));
+    }
+    let mut prefix = "e".to_owned();
+    while constants
+        .iter()
+        .any(|constant| matches!(constant, Individual::Text(text) if text.starts_with(&prefix)))
+    {
+        prefix.push('_');
+    }
+    let entities = (0..entities).map(|number| Individual::Text(format!("{prefix}{number}")));
+    entities.chain(constants).collect()
+}
+
+fn text_facts(side: &Side<'_>, individuals: &[Individual]) -> HashSet<(RelId, Vec<usize>)> {
+    let mut facts = HashSet::new();
+    let positions: HashMap<&Individual, usize> = individuals.iter().zip(0..).collect();
+    for clause in side.rules.clauses.iter().filter(|clause| clause.body.is_empty()) {
+        let relation = clause.head.relation;
+        let columns = &side.rules.relations[relation.index()].columns;
+        let row: Option<Vec<usize>> = (clause.head.terms.iter().zip(columns))
+            .map(|(term, column)| match term {
+                Term::Constant(value) => positions.get(&side.individual(*value, column.base)).copied(),
+                _ => None,
+            })
+            .collect();
+        if let (false, Some(row)) = (side.rules.relations[relation.index()].derived, row) {
+            facts.insert((relation, row));
+        }
+    }
+    facts
+}
+
+/// Whether an output row differs.
+struct Question {
+    row: Vec<usize>,
+    differs: Lit,
+}
+
+/// One question for each output row, rows that differ only in which entity is called what counted once.
+fn questions(
+    circuit: &mut Circuit<'_>,
+    outputs: &[Output],
+    entities: usize,
+    individuals: &[Individual],
+) -> Result<Vec<Question>, TooLarge> {
+    let mut questions = Vec::new();
+    for output in outputs {
+        let mut rows: Vec<Vec<usize>> = vec![Vec::new()];
+        for &base in &output.columns {
+            let mut longer = Vec::new();
+            for row in &rows {
+                let named = row
+                    .iter()
+                    .filter(|&&value| value < entities)
+                    .max()
+                    .map_or(0, |&last| last + 1);
+                let first = (0..entities.min(named + 1)).chain(entities..individuals.len());
+                for value in first.filter(|&value| individuals[value].base() == base) {
+                    let mut row = row.clone();
+                    row.push(value);
+                    longer.push(row);
+                }
+            }
+            if longer.len() > 100_000 {
+                return Err(TooLarge);
+            }
+            rows = longer;
+        }
+        for row in rows {
+            let left = circuit.fact(0, output.ids[0], &row)?;
+            let right = circuit.fact(1, output.ids[1], &row)?;
+            let differs = circuit.differ(left, right);
+            questions.push(Question { row, differs });
+        }
+    }
+    Ok(questions)
+}
+
+/// Looks for models with fewer facts. Whether the last one found is known to have the fewest.
+fn shrink(circuit: &mut Circuit<'_>, conflicts: &mut u64) -> bool {
+    let atoms: Vec<Lit> = circuit.atoms.values().copied().collect();
+    let count = |circuit: &Circuit<'_>| atoms.iter().filter(|&&lit| circuit.solver.is_true(lit)).count();
+    let most = count(circuit);
+    if most == 0 {
+        return true;
+    }
+    if atoms.len().saturating_mul(most) > 200_000 {
+        return false;
+    }
+    // `least[k]`: more than k of the atoms so far hold.
+    let mut least: Vec<Lit> = Vec::new();
+    for &atom in &atoms {
+        let mut next = Vec::with_capacity(most);
+        for k in 0..most.min(least.len() + 1) {
+            let more = circuit.solver.fresh();
+            if let Some(&before) = least.get(k) {
+                circuit.solver.add(&[!before, more]);
+            }
+            match k.checked_sub(1) {
+                None => circuit.solver.add(&[!atom, more]),
+                Some(fewer) => circuit.solver.add(&[!atom, !least[fewer], more]),
+            }
+            next.push(more);
+        }
+        least = next;
+    }
+    let mut held = most;
+    loop {
+        match circuit.solver.solve(&[!least[held - 1]], conflicts) {
+            Outcome::Satisfiable => held = count(circuit),
+            Outcome::Unsatisfiable => return true,
+            Outcome::Unknown => return false,
+        }
+        if held == 0 {
+            return true;
+        }
+    }
+}
+
+/// The scene in words, and what each side derives in it by the specification.
+#[allow(clippy::too_many_arguments)]
+fn tell(
+    sides: [&Side<'_>; 2],
+    base: &[Base],
+    outputs: &[Output],
+    individuals: &[Individual],
+    view: View,
+    asked: &[usize],
+    facts: &[BaseFact],
+    smallest: bool,
+) -> Difference {
+    let mut everybody_sees: Vec<String> = Vec::new();
+    if view == View::Full {
+        for side in sides {
+            for scope in &side.scopes {
+                let name = &side.rules.relations[scope.index()].name;
+                if !everybody_sees.contains(name) {
+                    everybody_sees.push(name.clone());
+                }
+            }
+        }
+    }
+    // Entities are all named, since the view may range over them; constants where they occur.
+    let mut order: Vec<usize> = asked.to_vec();
+    order.extend((0..individuals.len()).filter(|&index| {
+        let occurs = facts.iter().any(|(_, row)| row.contains(&index));
+        occurs || !everybody_sees.is_empty()
+    }));
+    let mut told: Vec<usize> = Vec::new();
+    for index in order {
+        if !told.contains(&index) && individuals[index].base() == BaseType::Symbol {
+            told.push(index);
+        }
+    }
+    let mut by_predicate: Vec<(String, Vec<Vec<String>>)> = Vec::new();
+    for (predicate, row) in facts {
+        let name = &base[*predicate].name;
+        let row = row.iter().map(|&index| individuals[index].shown()).collect();
+        match by_predicate.last_mut() {
+            Some((last, rows)) if last == name => rows.push(row),
+            _ => by_predicate.push((name.clone(), vec![row])),
+        }
+    }
+    let derived = [0, 1].map(|number| {
+        let side = sides[number];
+        let symbols: Symbols = side.rules.symbols.clone();
+        let word = |index: usize| match &individuals[index] {
+            Individual::Text(text) => Value(symbols.intern(text).0),
+            Individual::Number(number) => Value::number(*number),
+        };
+        let mut rows: Vec<(RelId, Vec<Value>)> = Vec::new();
+        for (predicate, row) in facts {
+            if let Some(relation) = side.rules.relation(&base[*predicate].name) {
+                rows.push((relation, row.iter().map(|&index| word(index)).collect()));
+            }
+        }
+        for name in &everybody_sees {
+            if let Some(relation) = side.rules.relation(name) {
+                for &x in &told {
+                    for &y in &told {
+                        rows.push((relation, vec![word(x), word(y)]));
+                    }
+                }
+            }
+        }
+        let database = naive::evaluate(side.rules, &symbols, rows);
+        let mut derived = Vec::new();
+        for output in outputs {
+            for row in &database[output.ids[number].index()] {
+                let shown = (output.columns.iter().zip(row)).map(|(base, value)| match base {
+                    BaseType::Number | BaseType::Unsigned | BaseType::Float => value.as_number().to_string(),
+                    BaseType::Symbol => symbols.text(Symbol(value.0)).unwrap_or_default().to_owned(),
+                });
+                derived.push((output.name.clone(), shown.collect()));
+            }
+        }
+        derived.sort();
+        derived
+    });
+    Difference {
+        entities: told.iter().map(|&index| individuals[index].shown()).collect(),
+        facts: by_predicate,
+        everybody_sees,
+        derived,
+        smallest,
+    }
+}

@@ -1,0 +1,507 @@
+//! A bounded search for a difference: scene after scene is evaluated by both programs.
+//!
+//! For rules that `ground` cannot write as a circuit: with expressions, aggregates, floats or unsigned numbers. Of those nothing can be
+//! proved by looking at finitely many values, so the values are those that the rules name, their neighbours, and a few small ones. First
+//! every scene of no fact, of one fact, of two facts and so on is tried; then larger ones are drawn at random, and a difference that one
+//! of them shows is made smaller. Everything is counted, so the answer is the same in every run.
+
+use crate::datalog::analysis::constraints;
+use crate::datalog::analysis::diff::{Base, Difference, Options, Output, Verdict};
+use crate::datalog::check::{Literal, RelId, Rules, Term};
+use crate::datalog::eval::limits::Limits;
+use crate::datalog::program::Program;
+use crate::datalog::session::Session;
+use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::datalog::syntax::functor::Functor;
+use crate::datalog::value::{Value, parse as parse_value, print_float};
+use crate::datalog::{facts, naive};
+use crate::diag::Diagnostic;
+use crate::rng::{Purpose, Rng, RngExt, Seed};
+use crate::symbol::Symbol;
+use std::collections::BTreeSet;
+
+/// A scene costs as much as this many dead ends of the other search.
+const SCENE_COST: u64 = 10;
+
+/// Of all scenes, one in this many is drawn at random.
+const RANDOM_SHARE: u64 = 5;
+
+/// Choosing facts takes at most so many steps for each scene that may be tried.
+const STEPS: u64 = 20;
+
+/// Where more facts than this are possible, not every scene is tried.
+const FACTS_MAX: usize = 20_000;
+
+/// Scenes drawn at random have at most so many entities and facts.
+const RANDOM_MAX: (usize, usize) = (4, 12);
+
+/// A scene in which a side takes more than this is not compared.
+const LIMITS: Limits = Limits {
+    rows: 20_000,
+    steps: 10_000_000,
+    bytes: 1 << 28,
+};
+
+/// A base fact: the position of the predicate, and the values as texts.
+type Fact = (usize, Vec<String>);
+
+/// Both programs, and what scenes are made of.
+struct Trial<'a> {
+    sessions: [Session; 2],
+    base: &'a [Base],
+    outputs: &'a [Output],
+    /// By base predicate: its columns.
+    columns: Vec<Vec<BaseType>>,
+    /// Base predicates in which everybody stands with everybody.
+    scopes: Vec<usize>,
+    constants: BTreeSet<(BaseType, String)>,
+    /// Whether entities could exchange their names: no rule looks at the letters of a text.
+    nameless: bool,
+    held: BTreeSet<Fact>,
+    tried: u64,
+    steps: u64,
+}
+
+/// How the scenes of one size came out.
+enum Level {
+    Found(Vec<Fact>),
+    Nothing,
+    TooMany,
+}
+
+/// Looks for a difference within the effort that the options allow.
+pub(super) fn search(
+    rules: [&Rules; 2],
+    base: &[Base],
+    outputs: &[Output],
+    options: &Options,
+) -> Result<Verdict, Vec<Diagnostic>> {
+    let mut trial = Trial::new(rules, base, outputs)?;
+    let scenes = options.conflicts_max / SCENE_COST;
+    let every = scenes - scenes / RANDOM_SHARE;
+    // Of scenes with fewer facts than this, all were tried.
+    let (mut size, mut seen_entities) = (0, 0);
+    'sizes: loop {
+        let entities_max = options.entities_max.min(trial.entities(size));
+        for entities in 0..=entities_max {
+            match trial.level(size, entities, every) {
+                Level::Found(facts) => return Ok(Verdict::Different(trial.tell(rules, entities, &facts))),
+                Level::Nothing => {}
+                Level::TooMany => break 'sizes,
+            }
+        }
+        seen_entities = entities_max;
+        size += 1;
+    }
+    for number in 0..scenes.saturating_sub(trial.tried) {
+        let mut random = Seed(0).stream(Purpose::Scene, number, 0);
+        let entities = random.random_range(0..=RANDOM_MAX.0.min(options.entities_max));
+        let facts = trial.draw(entities, &mut random);
+        if trial.differs(&facts, entities) {
+            let facts = trial.shrink(facts, entities);
+            return Ok(Verdict::Different(trial.tell(rules, entities, &facts)));
+        }
+    }
+    Ok(Verdict::NoneTried {
+        facts: size.checked_sub(1),
+        entities: seen_entities,
+        scenes: trial.tried,
+    })
+}
+
+impl<'a> Trial<'a> {
+    fn new(rules: [&Rules; 2], base: &'a [Base], outputs: &'a [Output]) -> Result<Self, Vec<Diagnostic>> {
+        let session = |rules: &Rules| -> Result<Session, Vec<Diagnostic>> {
+            let program = Program::new(rules.clone()).map_err(|fault| vec![fault])?;
+            let mut session = program.session();
+            session.set_limits(LIMITS);
+            Ok(session)
+        };
+        let sessions = [session(rules[0])?, session(rules[1])?];
+        let declared = |name: &str| {
+            let sides = rules.iter();
+            sides
+                .filter_map(|rules| rules.relation(name).map(|id| &rules.relations[id.index()]))
+                .next()
+        };
+        let columns = base.iter().map(|base| match declared(&base.name) {
+            Some(relation) => relation.columns.iter().map(|column| column.base).collect(),
+            None => Vec::new(),
+        });
+        let guards = |base: &Base| {
+            rules.iter().any(|rules| {
+                let mut literals = rules.clauses.iter().flat_map(|clause| &clause.body);
+                let scope = rules.relation(&base.name);
+                literals.any(|literal| matches!(literal, Literal::Guard(atom) if Some(atom.relation) == scope))
+            })
+        };
+        let mut constants = BTreeSet::new();
+        rules.iter().for_each(|rules| named(rules, &mut constants));
+        Ok(Trial {
+            sessions,
+            base,
+            outputs,
+            columns: columns.collect(),
+            scopes: (0..base.len()).filter(|&one| guards(&base[one])).collect(),
+            constants,
+            nameless: rules.iter().all(|rules| is_nameless(rules)),
+            held: BTreeSet::new(),
+            tried: 0,
+            steps: 0,
+        })
+    }
+
+    /// No more entities than this occur in so many facts; where there is a scope, one that occurs in no fact may matter too.
+    fn entities(&self, facts: usize) -> usize {
+        let symbols = |columns: &Vec<BaseType>| columns.iter().filter(|&&base| base == BaseType::Symbol).count();
+        let most = self.columns.iter().map(symbols).max().unwrap_or(0);
+        facts * most + usize::from(!self.scopes.is_empty())
+    }
+
+    /// The names of the entities; no constant begins like them.
+    fn names(&self, entities: usize) -> Vec<String> {
+        let mut prefix = "e".to_owned();
+        while self.constants.iter().any(|(_, text)| text.starts_with(&prefix)) {
+            prefix.push('_');
+        }
+        (0..entities).map(|number| format!("{prefix}{number}")).collect()
+    }
+
+    /// The values of a column.
+    fn values(&self, base: BaseType, names: &[String]) -> Vec<String> {
+        let constants = self.constants.iter().filter(|(of, _)| *of == base);
+        let constants = constants.map(|(_, text)| text.clone());
+        match base {
+            BaseType::Symbol => names.iter().cloned().chain(constants).collect(),
+            _ => constants.collect(),
+        }
+    }
+
+    /// All possible facts about these entities; `None` if there are too many.
+    fn possible(&self, names: &[String]) -> Option<Vec<Fact>> {
+        let mut possible = Vec::new();
+        for predicate in (0..self.base.len()).filter(|predicate| !self.scopes.contains(predicate)) {
+            let mut rows: Vec<Vec<String>> = vec![Vec::new()];
+            for &base in &self.columns[predicate] {
+                let values = self.values(base, names);
+                if rows.len().saturating_mul(values.len()) > FACTS_MAX {
+                    return None;
+                }
+                let longer = |row: &Vec<String>| {
+                    let row = row.clone();
+                    values
+                        .iter()
+                        .map(move |value| [&row[..], std::slice::from_ref(value)].concat())
+                        .collect()
+                };
+                rows = rows
+                    .iter()
+                    .flat_map(|row| -> Vec<Vec<String>> { longer(row) })
+                    .collect();
+            }
+            possible.extend(rows.into_iter().map(|row| (predicate, row)));
+        }
+        (possible.len() <= FACTS_MAX).then_some(possible)
+    }
+
+    /// All scenes of so many facts about so many entities, unless that takes the number of scenes tried past `most`.
+    fn level(&mut self, size: usize, entities: usize, most: u64) -> Level {
+        let names = self.names(entities);
+        let Some(possible) = self.possible(&names) else {
+            return Level::TooMany;
+        };
+        // Positions of the facts chosen, ascending; which facts come next in the order of all choices.
+        let mut chosen: Vec<usize> = Vec::new();
+        let mut next = 0;
+        loop {
+            self.steps += 1;
+            if self.steps > STEPS * most {
+                return Level::TooMany;
+            }
+            if chosen.len() == size {
+                let facts: Vec<Fact> = chosen.iter().map(|&position| possible[position].clone()).collect();
+                if self.is_new(&facts, &names) {
+                    if self.tried >= most {
+                        return Level::TooMany;
+                    }
+                    if self.differs(&facts, entities) {
+                        return Level::Found(facts);
+                    }
+                }
+            } else if next < possible.len() {
+                chosen.push(next);
+                if !self.nameless || in_order(chosen.iter().map(|&position| &possible[position]), &names) {
+                    next += 1;
+                    continue;
+                }
+            }
+            match chosen.pop() {
+                Some(last) => next = last + 1,
+                None => return Level::Nothing,
+            }
+        }
+    }
+
+    /// Whether the scene was not tried with fewer entities.
+    fn is_new(&self, facts: &[Fact], names: &[String]) -> bool {
+        let used = |name: &String| facts.iter().any(|(_, row)| row.contains(name));
+        !self.scopes.is_empty() || names.iter().all(used)
+    }
+
+    /// A scene drawn at random: mostly of values that the rules name, some others of moderate size.
+    fn draw(&self, entities: usize, random: &mut impl Rng) -> Vec<Fact> {
+        let names = self.names(entities);
+        let open: Vec<usize> = (0..self.base.len())
+            .filter(|predicate| !self.scopes.contains(predicate))
+            .collect();
+        let mut facts = BTreeSet::new();
+        for _ in 0..random.random_range(0..=RANDOM_MAX.1) {
+            let Some(&predicate) = open.get(random.random_range(0..open.len().max(1))) else {
+                break;
+            };
+            let row: Option<Vec<String>> = (self.columns[predicate].iter())
+                .map(|&base| {
+                    let values = self.values(base, &names);
+                    let number: i32 = random.random_range(-100..=100);
+                    match base {
+                        BaseType::Number if random.random_ratio(1, 4) => Some(number.to_string()),
+                        BaseType::Unsigned if random.random_ratio(1, 4) => Some(number.unsigned_abs().to_string()),
+                        BaseType::Float if random.random_ratio(1, 4) => Some(print_float(number as f32 / 4.0)),
+                        _ => values.get(random.random_range(0..values.len().max(1))).cloned(),
+                    }
+                })
+                .collect();
+            facts.extend(row.map(|row| (predicate, row)));
+        }
+        facts.into_iter().collect()
+    }
+
+    /// Leaves facts out one by one as long as a difference remains.
+    fn shrink(&mut self, mut facts: Vec<Fact>, entities: usize) -> Vec<Fact> {
+        let mut at = 0;
+        while at < facts.len() {
+            let mut fewer = facts.clone();
+            fewer.remove(at);
+            if self.differs(&fewer, entities) {
+                facts = fewer;
+                at = 0;
+            } else {
+                at += 1;
+            }
+        }
+        facts
+    }
+
+    /// With the rows of the scopes.
+    fn complete(&self, facts: &[Fact], entities: usize) -> BTreeSet<Fact> {
+        let names = self.names(entities);
+        let mut all: BTreeSet<Fact> = facts.iter().cloned().collect();
+        for &scope in &self.scopes {
+            let pairs = names
+                .iter()
+                .flat_map(|x| names.iter().map(move |y| vec![x.clone(), y.clone()]));
+            all.extend(pairs.map(|row| (scope, row)));
+        }
+        all
+    }
+
+    /// Whether the scene keeps the promises of both sides and they derive different outputs. A side that derives too much shows
+    /// nothing.
+    fn differs(&mut self, facts: &[Fact], entities: usize) -> bool {
+        self.tried += 1;
+        let wanted = self.complete(facts, entities);
+        let changes: Vec<(Fact, bool)> = (self.held.difference(&wanted).map(|fact| (fact.clone(), false)))
+            .chain(wanted.difference(&self.held).map(|fact| (fact.clone(), true)))
+            .collect();
+        self.held = wanted;
+        let mut answers = Vec::new();
+        for session in &mut self.sessions {
+            for ((predicate, row), present) in &changes {
+                let Some(relation) = session.program().relation(&self.base[*predicate].name) else {
+                    continue;
+                };
+                let row = words(session, &self.columns[*predicate], row);
+                let noted = match present {
+                    true => session.insert(relation, &row),
+                    false => session.retract(relation, &row),
+                };
+                debug_assert!(noted.is_ok(), "a row of a base predicate");
+            }
+            let kept = session.commit().is_ok() && constraints::broken(session).is_empty();
+            answers.push(kept.then(|| answer(session, self.outputs)));
+        }
+        matches!(answers.as_slice(), [Some(left), Some(right)] if left != right)
+    }
+
+    /// The scene in words, and what each side derives in it by the specification.
+    fn tell(&self, rules: [&Rules; 2], entities: usize, facts: &[Fact]) -> Difference {
+        let all = self.complete(facts, entities);
+        let derived = rules.map(|rules| {
+            let symbols = rules.symbols.clone();
+            let rows: Vec<(RelId, Vec<Value>)> = (all.iter())
+                .filter_map(|(predicate, row)| {
+                    let relation = rules.relation(&self.base[*predicate].name)?;
+                    let columns = self.columns[*predicate].iter().zip(row);
+                    let word = |(base, text): (&BaseType, &String)| match base {
+                        BaseType::Symbol => Value(symbols.intern(text).0),
+                        base => parse_value(*base, text).unwrap_or_default(),
+                    };
+                    Some((relation, columns.map(word).collect()))
+                })
+                .collect();
+            let database = naive::evaluate(rules, &symbols, rows);
+            let mut derived = Vec::new();
+            for output in self.outputs {
+                let Some(relation) = rules.relation(&output.name) else {
+                    continue;
+                };
+                for row in &database[relation.index()] {
+                    let shown = output.columns.iter().zip(row).map(|(base, value)| match base {
+                        BaseType::Symbol => symbols.text(Symbol(value.0)).unwrap_or_default().to_owned(),
+                        base => print(*base, *value),
+                    });
+                    derived.push((output.name.clone(), shown.collect()));
+                }
+            }
+            derived.sort();
+            derived
+        });
+        let mut by_predicate: Vec<(String, Vec<Vec<String>>)> = Vec::new();
+        let mut told = facts.to_vec();
+        told.sort();
+        let mut names = self.names(entities);
+        for (predicate, row) in told {
+            let symbols = self.columns[predicate].iter().zip(&row);
+            for (_, text) in symbols.filter(|(base, _)| **base == BaseType::Symbol) {
+                if !names.contains(text) {
+                    names.push(text.clone());
+                }
+            }
+            let name = &self.base[predicate].name;
+            match by_predicate.last_mut() {
+                Some((last, rows)) if last == name => rows.push(row),
+                _ => by_predicate.push((name.clone(), vec![row])),
+            }
+        }
+        Difference {
+            entities: names,
+            facts: by_predicate,
+            everybody_sees: self.scopes.iter().map(|&scope| self.base[scope].name.clone()).collect(),
+            derived,
+            smallest: false,
+        }
+    }
+}
+
+/// Whether entities occur for the first time in the order of their names. Of scenes that differ in names only, one has them so.
+fn in_order<'a>(facts: impl Iterator<Item = &'a Fact>, names: &[String]) -> bool {
+    let mut used = 0;
+    for text in facts.flat_map(|(_, row)| row) {
+        match names.iter().position(|name| name == text) {
+            Some(position) if position > used => return false,
+            Some(position) if position == used => used += 1,
+            _ => {}
+        }
+    }
+    true
+}
+
+fn words(session: &mut Session, columns: &[BaseType], row: &[String]) -> Vec<Value> {
+    let columns = columns.iter().zip(row);
+    columns
+        .map(|(base, text)| match base {
+            BaseType::Symbol => session.intern(text),
+            base => parse_value(*base, text).unwrap_or_default(),
+        })
+        .collect()
+}
+
+fn print(base: BaseType, value: Value) -> String {
+    match base {
+        BaseType::Unsigned => value.0.to_string(),
+        BaseType::Float => print_float(value.as_float()),
+        BaseType::Number | BaseType::Symbol => value.as_number().to_string(),
+    }
+}
+
+/// The rows of the outputs, by texts: the two sides number their symbols differently.
+fn answer(session: &Session, outputs: &[Output]) -> Vec<BTreeSet<String>> {
+    let rows = |output: &Output| {
+        let relation = session.program().relation(&output.name)?;
+        Some(facts::print(session, relation).lines().map(str::to_owned).collect())
+    };
+    outputs.iter().map(|output| rows(output).unwrap_or_default()).collect()
+}
+
+/// The constants of the rules, with the neighbours of numbers, and a few small numbers.
+fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>) {
+    let mut add = |base: BaseType, term: &Term| {
+        let Term::Constant(value) = *term else { return };
+        match base {
+            BaseType::Symbol => {
+                let text = rules.symbols.text(Symbol(value.0)).unwrap_or_default();
+                constants.insert((base, text.to_owned()));
+            }
+            BaseType::Number => {
+                let number = value.as_number();
+                let near = [number.wrapping_sub(1), number, number.wrapping_add(1)];
+                constants.extend(near.map(|number| (base, number.to_string())));
+            }
+            BaseType::Unsigned => {
+                let near = [value.0.wrapping_sub(1), value.0, value.0.wrapping_add(1)];
+                constants.extend(near.map(|number| (base, number.to_string())));
+            }
+            BaseType::Float => {
+                let near = [value.as_float() - 1.0, value.as_float(), value.as_float() + 1.0];
+                constants.extend(near.map(|number| (base, print_float(number))));
+            }
+        }
+    };
+    let one = Term::Constant(Value::number(1));
+    add(BaseType::Number, &one);
+    add(BaseType::Unsigned, &one);
+    add(BaseType::Float, &Term::Constant(Value::float(0.0)));
+    for clause in &rules.clauses {
+        let atoms = clause.body.iter().filter_map(Literal::atom).chain([&clause.head]);
+        for atom in atoms {
+            let columns = &rules.relations[atom.relation.index()].columns;
+            columns
+                .iter()
+                .zip(&atom.terms)
+                .for_each(|(column, term)| add(column.base, term));
+        }
+        for literal in &clause.body {
+            match literal {
+                Literal::Compare { left, right, base, .. } => {
+                    add(*base, left);
+                    add(*base, right);
+                }
+                Literal::Compute {
+                    functor,
+                    base,
+                    arguments,
+                    ..
+                } => {
+                    for (argument, position) in arguments.iter().zip(0..) {
+                        // Of `substr` only the first argument is a text.
+                        let number = *functor == Functor::Substring && position > 0;
+                        add(if number { BaseType::Number } else { *base }, argument);
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+}
+
+/// Whether no rule looks at the letters of a text or at its place among others.
+fn is_nameless(rules: &Rules) -> bool {
+    let looks = |literal: &Literal| match literal {
+        Literal::Compare { op, base, .. } => {
+            *base == BaseType::Symbol && !matches!(op, Comparison::Equal | Comparison::NotEqual)
+        }
+        Literal::Compute { base, .. } | Literal::Aggregate { base, .. } => *base == BaseType::Symbol,
+        _ => false,
+    };
+    !rules.clauses.iter().flat_map(|clause| &clause.body).any(looks)
+}

@@ -1,0 +1,882 @@
+//! One head and one list of literals: looks their names up, takes expressions apart, finds the type of each variable, and makes
+//! sure that the body binds it.
+//!
+//! ```text
+//! A(x + 1) :- B(x, y), y * 2 < 7.     becomes    A(a) :- B(x, y), a = x + 1, b = y * 2, b < 7.
+//! ```
+//!
+//! What base type a number without a sign of its own (`1`) or an operator is of follows from where it stands, so constants of
+//! comparisons and expressions stay open until the types of all variables are known.
+
+use std::collections::{HashMap, HashSet};
+
+use crate::diag::{Code, Diagnostic, Faults, Span};
+use crate::symbol::Symbols;
+
+use crate::datalog::check::Inputs;
+use crate::datalog::check::aggregate::Finish;
+use crate::datalog::check::clause::{Clauses, Edge, EdgeKind, names_in, names_of};
+use crate::datalog::check::names::Names;
+use crate::datalog::check::rules::{Atom, Literal, RelId, Term, TypeId, VarId};
+use crate::datalog::check::scope::Guard;
+use crate::datalog::syntax::ast;
+use crate::datalog::syntax::ast::TermKind;
+use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::datalog::syntax::functor::{AggregateOp, Functor, Shape};
+use crate::datalog::value::Value;
+
+mod safety;
+mod types;
+
+/// More operators and functions in a clause are refused.
+const MAX_EXPRESSIONS: usize = 1024;
+
+/// What is known of a clause after all checks.
+pub(crate) struct Body {
+    pub head: Atom,
+    pub body: Vec<Literal>,
+    pub variables: Vec<Known>,
+    /// Whether no error was found.
+    pub sound: bool,
+}
+
+/// A variable of a checked clause.
+#[derive(Clone)]
+pub(crate) struct Known {
+    pub name: String,
+    pub ty: VariableType,
+    pub first: Span,
+    /// How often it occurs.
+    pub count: usize,
+    /// It is the value of an expression.
+    pub hidden: bool,
+}
+
+/// Checks one head and one alternative of a clause. `None` if a predicate is not known or has not as many columns.
+pub(crate) fn check(
+    clause: &ast::Clause,
+    head: &ast::Atom,
+    body: &[&ast::Literal],
+    guard: Option<Guard>,
+    names: &mut Names,
+    out: &mut Clauses,
+    faults: &mut Faults,
+) -> Option<Body> {
+    let mut check = Check {
+        names,
+        faults,
+        symbols: &out.symbols,
+        levels: vec![Level::default()],
+        pending: vec![Vec::new()],
+        variables: Vec::new(),
+        bound: Vec::new(),
+        edges: Vec::new(),
+        sound: true,
+        lost: false,
+    };
+    check.mark_direct(head, body);
+    let lowered = check.head(head, clause.body.is_empty());
+    if clause.body.is_empty() && (lowered.is_none() || check.variables.is_empty()) {
+        // There may be very many facts, and of this one nothing is left to ask.
+        let sound = check.sound;
+        return lowered.map(|head| Body {
+            head,
+            body: Vec::new(),
+            variables: Vec::new(),
+            sound,
+        });
+    }
+    for literal in body {
+        check.literal(literal);
+    }
+    let pending = check.pending.pop().unwrap_or_default();
+    if check.has_too_many_expressions(head) {
+        return None;
+    }
+    if let Some(lowered) = &lowered {
+        check.derivable(lowered.relation, clause, head);
+    }
+    check.join_compared(&pending);
+    check.infer(lowered.as_ref(), &pending);
+    check.types(head, lowered.as_ref(), &pending);
+    check.bindings(head, clause.body.is_empty(), &pending);
+
+    let mut variables: Vec<Known> = (0..check.variables.len()).map(|index| check.known(index)).collect();
+    let mut hidden = Vec::new();
+    let mut literals = Vec::with_capacity(pending.len());
+    if check.sound && !check.lost {
+        let ego = lowered.as_ref().and_then(|head| head.terms.first().copied());
+        let mut finish = Finish {
+            scope: guard.map(|guard| (guard, ego)),
+            variables: &mut variables,
+            hidden: &mut hidden,
+        };
+        literals = check.finish(&pending, &[], &mut finish);
+    } else {
+        // Nobody will evaluate it; warnings are told of what is certain.
+        literals.extend(pending.iter().filter_map(|pending| check.written(pending)));
+    }
+    let (edges, lost, sound) = (check.edges, check.lost, check.sound);
+    let mut lowered = lowered?;
+    let from = lowered.relation;
+    out.edges
+        .extend(edges.into_iter().map(|(to, kind, span)| Edge { from, to, kind, span }));
+    out.hidden.append(&mut hidden);
+    if lost {
+        return None;
+    }
+    if clause.body.is_empty() {
+        fold(&mut lowered, &mut literals, &out.symbols);
+    }
+    let variables = renumber(variables, std::iter::once(&mut lowered.terms), &mut literals);
+    Some(Body {
+        head: lowered,
+        body: literals,
+        variables,
+        sound,
+    })
+}
+
+/// Computes the expressions of a fact, if all have a value.
+fn fold(head: &mut Atom, literals: &mut Vec<Literal>, symbols: &Symbols) {
+    let mut values: HashMap<VarId, Value> = HashMap::new();
+    for literal in literals.iter() {
+        let Literal::Compute {
+            to: Term::Variable(to),
+            functor,
+            base,
+            arguments,
+            ..
+        } = literal
+        else {
+            return;
+        };
+        let arguments: Option<Vec<Value>> = (arguments.iter())
+            .map(|argument| match argument {
+                Term::Constant(value) => Some(*value),
+                Term::Variable(id) => values.get(id).copied(),
+                Term::Wildcard => None,
+            })
+            .collect();
+        let Some(value) = arguments.and_then(|arguments| functor.apply(*base, &arguments, symbols)) else {
+            return;
+        };
+        values.insert(*to, value);
+    }
+    literals.clear();
+    for term in &mut head.terms {
+        if let Term::Variable(id) = term
+            && let Some(value) = values.get(id)
+        {
+            *term = Term::Constant(*value);
+        }
+    }
+}
+
+/// Numbers anew the variables that occur, in their old order, and gives them.
+pub(crate) fn renumber<'t>(
+    variables: Vec<Known>,
+    heads: impl Iterator<Item = &'t mut Vec<Term>>,
+    literals: &'t mut [Literal],
+) -> Vec<Known> {
+    let mut terms: Vec<&mut Term> = heads
+        .flatten()
+        .chain(literals.iter_mut().flat_map(Literal::terms_mut))
+        .collect();
+    let mut used = vec![false; variables.len()];
+    for term in &terms {
+        if let Term::Variable(id) = **term {
+            used[id.index()] = true;
+        }
+    }
+    let mut next = 0;
+    let numbers: Vec<u32> = (used.iter())
+        .map(|&used| {
+            let number = next;
+            next += u32::from(used);
+            number
+        })
+        .collect();
+    for term in &mut terms {
+        if let Term::Variable(id) = &mut **term {
+            *id = VarId(numbers[id.index()]);
+        }
+    }
+    variables
+        .into_iter()
+        .zip(used)
+        .filter(|(_, used)| *used)
+        .map(|(known, _)| known)
+        .collect()
+}
+
+/// A column that a variable stands in.
+#[derive(Clone, Copy)]
+struct Use {
+    ty: TypeId,
+    span: Span,
+}
+
+/// What is known of a variable. Variables that are compared form a group and have one type; the group is
+/// named by the variable at the end of the chain of `typed_as`.
+struct Variable<'c> {
+    name: Name<'c>,
+    first: Span,
+    count: usize,
+    /// The aggregates it is within; 0 for the clause itself.
+    level: usize,
+    /// `None`: it stands for the group itself.
+    typed_as: Option<usize>,
+    /// It occurs in something that was reported, so nothing follows from what is not known of it.
+    excused: bool,
+    /// The narrowest column it stands in.
+    narrowest: Option<Use>,
+    /// The base type that follows from constants and expressions it is equal to, and where.
+    base: Option<(BaseType, Span)>,
+    /// A negated atom it stands in and the column there, to suggest what could bind it.
+    negated: Option<(TypeId, Span)>,
+    /// The type of what it is compared with, to the same end.
+    compared: Option<TypeId>,
+    /// An occurrence in an aggregate further in.
+    further_in: Option<Span>,
+}
+
+#[derive(Clone)]
+enum Name<'c> {
+    Written(&'c str),
+    /// The expression whose value it is.
+    Expression(&'c ast::Term),
+}
+
+/// The type of a variable as far as it is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum VariableType {
+    Unknown,
+    /// It only equals constants and expressions of this base and so fits every subtype of it.
+    Base(BaseType),
+    Type(TypeId),
+}
+
+/// Something with a value, and where it stands.
+#[derive(Clone, Copy)]
+pub(crate) struct Operand {
+    pub kind: OperandKind,
+    pub span: Span,
+}
+
+impl Operand {
+    fn variable(id: VarId, span: Span) -> Self {
+        let kind = OperandKind::Variable(id);
+        Operand { kind, span }
+    }
+}
+
+#[derive(Clone, Copy)]
+pub(crate) enum OperandKind {
+    Variable(VarId),
+    /// `1`: of any of the numeric base types.
+    Whole(i64),
+    Constant(Value, BaseType),
+    /// It was reported.
+    Nothing,
+}
+
+/// A literal whose constants have no type yet.
+pub(crate) enum Pending<'c> {
+    Atom {
+        negated: bool,
+        atom: Atom,
+        syntax: &'c ast::Atom,
+    },
+    Compare {
+        op: Comparison,
+        left: Operand,
+        right: Operand,
+        span: Span,
+    },
+    Compute {
+        to: VarId,
+        functor: Functor,
+        arguments: Vec<Operand>,
+        /// The type of a cast.
+        ty: Option<TypeId>,
+        span: Span,
+    },
+    Aggregate {
+        to: VarId,
+        op: AggregateOp,
+        target: Option<Operand>,
+        body: Vec<Pending<'c>>,
+        /// Of its body.
+        level: usize,
+        span: Span,
+    },
+}
+
+/// The variables of a clause or of an aggregate's body.
+#[derive(Default)]
+struct Level<'c> {
+    /// Only asked, never walked.
+    numbers: HashMap<&'c str, VarId>,
+    /// The names that belong here, met or not.
+    direct: HashSet<&'c str>,
+}
+
+pub(crate) struct Check<'a, 'c> {
+    pub names: &'a mut Names,
+    faults: &'a mut Faults,
+    pub symbols: &'a Symbols,
+    levels: Vec<Level<'c>>,
+    /// For each level what was read so far.
+    pending: Vec<Vec<Pending<'c>>>,
+    variables: Vec<Variable<'c>>,
+    /// By variable, once [`Check::bindings`] is done.
+    bound: Vec<bool>,
+    edges: Vec<(RelId, EdgeKind, Span)>,
+    sound: bool,
+    /// Whether an atom could not be understood.
+    lost: bool,
+}
+
+impl<'c> Check<'_, 'c> {
+    fn fault(&mut self, fault: Diagnostic) {
+        self.sound = false;
+        self.faults.push(fault);
+    }
+
+    // --- names
+
+    fn new_variable(&mut self, name: Name<'c>, level: usize, span: Span) -> VarId {
+        let id = VarId(u32::try_from(self.variables.len()).expect("fewer than 2^32 variables"));
+        self.variables.push(Variable {
+            name,
+            first: span,
+            count: 0,
+            level,
+            typed_as: None,
+            excused: false,
+            narrowest: None,
+            base: None,
+            negated: None,
+            compared: None,
+            further_in: None,
+        });
+        id
+    }
+
+    fn variable(&mut self, name: &'c str, span: Span) -> VarId {
+        let here = self.levels.len() - 1;
+        let home = (0..=here)
+            .rev()
+            .find(|&level| self.levels[level].direct.contains(name))
+            .unwrap_or(here);
+        let id = match self.levels[home].numbers.get(name) {
+            Some(&id) => id,
+            None => {
+                let id = self.new_variable(Name::Written(name), home, span);
+                self.levels[home].numbers.insert(name, id);
+                id
+            }
+        };
+        let variable = &mut self.variables[id.index()];
+        variable.count += 1;
+        if home < here {
+            variable.further_in.get_or_insert(span);
+        }
+        id
+    }
+
+    /// A variable that stands for an expression.
+    fn value_of(&mut self, term: &'c ast::Term) -> VarId {
+        let level = self.levels.len() - 1;
+        let id = self.new_variable(Name::Expression(term), level, term.place.0);
+        self.variables[id.index()].count = 2;
+        id
+    }
+
+    fn name(&self, id: VarId) -> String {
+        match &self.variables[id.index()].name {
+            Name::Written(name) => (*name).to_owned(),
+            Name::Expression(term) => term.to_string(),
+        }
+    }
+
+    fn is_hidden(&self, index: usize) -> bool {
+        match self.variables[index].name {
+            Name::Expression(_) => true,
+            // See `witness`.
+            Name::Written(name) => name.starts_with('+'),
+        }
+    }
+
+    fn known(&self, index: usize) -> Known {
+        let id = VarId(u32::try_from(index).expect("fewer than 2^32 variables"));
+        let hidden = self.is_hidden(index);
+        let variable = &self.variables[index];
+        Known {
+            name: self.name(id),
+            ty: self.type_of_variable(id),
+            first: variable.first,
+            count: variable.count,
+            hidden,
+        }
+    }
+
+    /// A term whose value is needed; an expression is computed, into `into` if that is given.
+    fn operand(&mut self, term: &'c ast::Term, into: Option<VarId>) -> Operand {
+        let span = term.place.0;
+        let kind = match &term.kind {
+            TermKind::Variable(name) => OperandKind::Variable(self.variable(name, span)),
+            TermKind::Wildcard => {
+                let fault = Diagnostic::new(Code::UnboundVariable, "`_` where a value is needed")
+                    .at(span, "nothing says what this is")
+                    .help("write a variable that an atom binds, or a constant");
+                self.fault(fault);
+                OperandKind::Nothing
+            }
+            TermKind::Number(number) => OperandKind::Whole(*number),
+            TermKind::Unsigned(number) => OperandKind::Constant(Value(*number), BaseType::Unsigned),
+            TermKind::Float(text) => {
+                OperandKind::Constant(Value::float(text.parse().unwrap_or_default()), BaseType::Float)
+            }
+            TermKind::Text(text) => OperandKind::Constant(Value(self.symbols.intern(text).0), BaseType::Symbol),
+            TermKind::Functor(functor, arguments) => {
+                let arguments = arguments.iter().map(|argument| self.operand(argument, None)).collect();
+                let to = into.unwrap_or_else(|| self.value_of(term));
+                self.push(Pending::Compute {
+                    to,
+                    functor: *functor,
+                    arguments,
+                    ty: None,
+                    span,
+                });
+                OperandKind::Variable(to)
+            }
+            TermKind::Cast(inner, ty) => {
+                let mut argument = self.operand(inner, None);
+                let ty = self.names.type_named(ty);
+                if let (OperandKind::Whole(_), Some(base)) = (argument.kind, ty.map(|ty| self.names.base(ty)))
+                    && base != BaseType::Symbol
+                {
+                    // `as(2, float)` is 2.0.
+                    argument.kind = OperandKind::Constant(self.value(argument, base), base);
+                }
+                let to = into.unwrap_or_else(|| self.value_of(term));
+                match ty {
+                    Some(ty) => self.narrow(to.index(), Use { ty, span }),
+                    None => self.excuse(to),
+                }
+                self.push(Pending::Compute {
+                    to,
+                    functor: Functor::Cast,
+                    arguments: vec![argument],
+                    ty,
+                    span,
+                });
+                OperandKind::Variable(to)
+            }
+            TermKind::Aggregate(aggregate) => {
+                let to = into.unwrap_or_else(|| self.value_of(term));
+                self.aggregate(aggregate, to, span);
+                OperandKind::Variable(to)
+            }
+        };
+        Operand { kind, span }
+    }
+
+    fn push(&mut self, pending: Pending<'c>) {
+        if let Some(list) = self.pending.last_mut() {
+            list.push(pending);
+        }
+    }
+
+    fn aggregate(&mut self, aggregate: &'c ast::Aggregate, to: VarId, span: Span) {
+        let (mut body, mut target): (HashSet<&str>, HashSet<&str>) = (HashSet::new(), HashSet::new());
+        aggregate.body.iter().for_each(|literal| {
+            names_in(literal, false, &mut |name| {
+                body.insert(name);
+            })
+        });
+        aggregate.target.iter().for_each(|term| {
+            names_of(term, false, &mut |name| {
+                target.insert(name);
+            })
+        });
+        // A name of the target and the body is the aggregate's own; any other that is known further out is meant.
+        let known = |name: &&&str| self.levels.iter().any(|level| level.direct.contains(**name));
+        let own = |name: &&&str| (body.contains(**name) && target.contains(**name)) || !known(name);
+        let direct = body.union(&target).filter(own).copied().collect();
+        self.levels.push(Level {
+            numbers: HashMap::new(),
+            direct,
+        });
+        self.pending.push(Vec::new());
+        if aggregate.body.is_empty() {
+            self.always(true, span);
+        }
+        for literal in &aggregate.body {
+            if let ast::Literal::Any(alternatives) = literal {
+                if alternatives.is_empty() {
+                    self.always(false, span);
+                    continue;
+                }
+                let fault = Diagnostic::new(Code::Unsupported, "alternatives in an aggregate are not supported")
+                    .at(span, "")
+                    .help("define a predicate by a clause with these alternatives, and aggregate over that");
+                self.fault(fault);
+                self.lost = true;
+            }
+            self.literal(literal);
+        }
+        let target = aggregate.target.as_ref().map(|target| self.operand(target, None));
+        let body = self.pending.pop().unwrap_or_default();
+        let level = self.levels.len() - 1;
+        self.levels.pop();
+        self.push(Pending::Aggregate {
+            to,
+            op: aggregate.op,
+            target,
+            body,
+            level,
+            span,
+        });
+    }
+
+    /// `true` or `false` in the body of an aggregate.
+    fn always(&mut self, holds: bool, span: Span) {
+        let [left, right] = [0, i64::from(!holds)].map(|number| Operand {
+            kind: OperandKind::Whole(number),
+            span,
+        });
+        self.push(Pending::Compare {
+            op: Comparison::Equal,
+            left,
+            right,
+            span,
+        });
+    }
+
+    /// The atom, if its predicate is known and has as many columns; if not, its variables are excused.
+    fn atom(&mut self, atom: &'c ast::Atom) -> Option<Atom> {
+        let relation = self.names.predicate(&atom.predicate);
+        let fits = relation.is_some_and(|relation| self.arity(relation, atom));
+        let relation = relation.filter(|_| fits);
+        let terms: Vec<Term> = (atom.terms.iter().enumerate())
+            .map(|(column, term)| self.argument(relation.map(|relation| (relation, column)), term))
+            .collect();
+        let Some(relation) = relation else {
+            self.sound = false;
+            self.lost = true;
+            for term in &terms {
+                if let Term::Variable(id) = term {
+                    self.excuse(*id);
+                }
+            }
+            return None;
+        };
+        Some(Atom {
+            relation,
+            terms,
+            span: atom.place.0,
+        })
+    }
+
+    /// A term of an atom: a constant gets the base type of its column.
+    fn argument(&mut self, place: Option<(RelId, usize)>, term: &'c ast::Term) -> Term {
+        if term.kind == TermKind::Wildcard {
+            return Term::Wildcard;
+        }
+        let operand = self.operand(term, None);
+        let (constant, found) = match operand.kind {
+            OperandKind::Variable(id) => return Term::Variable(id),
+            OperandKind::Nothing => return Term::Wildcard,
+            OperandKind::Whole(_) => (None, "a number"),
+            OperandKind::Constant(value, BaseType::Symbol) => (Some((value, BaseType::Symbol)), "a text"),
+            OperandKind::Constant(value, BaseType::Float) => (Some((value, BaseType::Float)), "a float"),
+            OperandKind::Constant(value, base) => (Some((value, base)), "an unsigned number"),
+        };
+        let Some((relation, ty)) =
+            place.and_then(|(relation, column)| Some((relation, self.column(relation, column)?)))
+        else {
+            return Term::Constant(Value(0));
+        };
+        let wanted = self.names.base(ty);
+        match (operand.kind, constant) {
+            (OperandKind::Whole(_), _) if wanted != BaseType::Symbol => {
+                return Term::Constant(self.value(operand, wanted));
+            }
+            (_, Some((value, base))) if base == wanted => return Term::Constant(value),
+            _ => {}
+        }
+        let message = format!("expected a value of type `{}`, found {found}", self.names.type_name(ty));
+        let fault = Diagnostic::new(Code::TypeMismatch, message)
+            .at(term.place.0, found)
+            .also(self.names.relation(relation).span, "declared here")
+            .note(format!("the declaration is `{}`", self.names.signature_text(relation)));
+        self.fault(fault);
+        Term::Constant(Value(0))
+    }
+
+    /// The word of a constant in a place of a base type; one that does not fit is reported.
+    fn value(&mut self, operand: Operand, base: BaseType) -> Value {
+        let number = match operand.kind {
+            OperandKind::Constant(value, _) => return value,
+            OperandKind::Whole(number) => number,
+            _ => return Value(0),
+        };
+        #[allow(clippy::cast_precision_loss)]
+        let value = match base {
+            BaseType::Unsigned => u32::try_from(number).ok().map(Value),
+            BaseType::Float => Some(Value::float(number as f32)),
+            BaseType::Number | BaseType::Symbol => i32::try_from(number).ok().map(Value::number),
+        };
+        value.unwrap_or_else(|| {
+            let range = match base {
+                BaseType::Unsigned => format!("unsigned numbers go from 0 to {}", u32::MAX),
+                _ => format!("numbers go from {} to {}", i32::MIN, i32::MAX),
+            };
+            let fault = Diagnostic::new(Code::LimitExceeded, "number out of range")
+                .at(operand.span, "")
+                .note(range);
+            self.fault(fault);
+            Value(0)
+        })
+    }
+
+    fn excuse(&mut self, id: VarId) {
+        self.variables[id.index()].excused = true;
+    }
+
+    fn arity(&mut self, relation: RelId, atom: &ast::Atom) -> bool {
+        let Some(columns) = &self.names.signatures[relation.index()].columns else {
+            return false;
+        };
+        let (wanted, found) = (columns.len(), atom.terms.len());
+        if wanted != found {
+            let plural = |count: usize| if count == 1 { "argument" } else { "arguments" };
+            let name = &atom.predicate.text;
+            let message = format!("`{name}` takes {wanted} {}, not {found}", plural(wanted));
+            let fault = Diagnostic::new(Code::ArityMismatch, message)
+                .at(atom.place.0, format!("{found} {} here", plural(found)))
+                .also(self.names.relation(relation).span, "declared here")
+                .note(format!("the declaration is `{}`", self.names.signature_text(relation)));
+            self.fault(fault);
+        }
+        wanted == found
+    }
+
+    fn column(&self, relation: RelId, column: usize) -> Option<TypeId> {
+        let columns = self.names.signatures[relation.index()].columns.as_ref()?;
+        columns.get(column).copied().flatten()
+    }
+
+    fn head(&mut self, atom: &'c ast::Atom, fact: bool) -> Option<Atom> {
+        for term in &atom.terms {
+            if term.kind == TermKind::Wildcard {
+                let fault = Diagnostic::new(Code::UnboundVariable, "`_` in a head")
+                    .at(term.place.0, "nothing says what this is")
+                    .help(if fact {
+                        "write a constant"
+                    } else {
+                        "write a variable that the body binds"
+                    });
+                self.fault(fault);
+            }
+        }
+        self.atom(atom)
+    }
+
+    fn literal(&mut self, literal: &'c ast::Literal) {
+        match literal {
+            ast::Literal::Atom { negated, atom: syntax } => {
+                let kind = match (self.levels.len(), negated) {
+                    (1, false) => EdgeKind::Needs,
+                    (1, true) => EdgeKind::Negates,
+                    _ => EdgeKind::Aggregates,
+                };
+                let Some(atom) = self.atom(syntax) else { return };
+                self.edges.push((atom.relation, kind, atom.span));
+                for (column, (term, place)) in atom.terms.iter().zip(&syntax.terms).enumerate() {
+                    let Term::Variable(id) = *term else { continue };
+                    let Some(ty) = self.column(atom.relation, column) else {
+                        self.excuse(id);
+                        continue;
+                    };
+                    let span = place.place.0;
+                    if *negated {
+                        self.variables[id.index()].negated.get_or_insert((ty, span));
+                    } else {
+                        self.narrow(id.index(), Use { ty, span });
+                    }
+                }
+                self.push(Pending::Atom {
+                    negated: *negated,
+                    atom,
+                    syntax,
+                });
+            }
+            ast::Literal::Compare { op, left, right, place } => {
+                let is_value = |term: &ast::Term| {
+                    matches!(
+                        term.kind,
+                        TermKind::Functor(..) | TermKind::Cast(..) | TermKind::Aggregate(_)
+                    )
+                };
+                let is_variable = |term: &ast::Term| matches!(term.kind, TermKind::Variable(_));
+                if *op == Comparison::Equal {
+                    // `_ = max x : { ... }`: whatever it is, if it is anything.
+                    for (any, value) in [(left, right), (right, left)] {
+                        if any.kind == TermKind::Wildcard && matches!(value.kind, TermKind::Aggregate(_)) {
+                            self.operand(value, None);
+                            return;
+                        }
+                    }
+                    for (variable, value) in [(left, right), (right, left)] {
+                        if is_variable(variable) && is_value(value) {
+                            if let OperandKind::Variable(into) = self.operand(variable, None).kind {
+                                self.operand(value, Some(into));
+                            }
+                            return;
+                        }
+                    }
+                }
+                let left = self.operand(left, None);
+                let right = self.operand(right, None);
+                self.push(Pending::Compare {
+                    op: *op,
+                    left,
+                    right,
+                    span: place.0,
+                });
+            }
+            ast::Literal::Any(_) => {}
+        }
+    }
+
+    /// A rule for a predicate whose facts come from outside.
+    fn derivable(&mut self, relation: RelId, clause: &ast::Clause, head: &ast::Atom) {
+        if clause.body.is_empty() {
+            return;
+        }
+        if let Some(input) = self.names.signatures[relation.index()].input {
+            let name = &head.predicate.text;
+            let (code, help) = match self.names.inputs {
+                Inputs::Given => (
+                    Code::DerivedInput,
+                    "derive another predicate, with one clause that takes over what is given",
+                ),
+                Inputs::Extended => (
+                    Code::ExtendedInput,
+                    "to tell them apart, derive another predicate, with one clause that takes over what is given",
+                ),
+            };
+            let fault = Diagnostic::new(code, format!("`{name}` is input and also derived"))
+                .at(head.place.0, "derived here")
+                .also(input, "input here")
+                .help(help);
+            self.faults.push(fault);
+        }
+    }
+
+    /// Remembers which variables stand outside of all aggregates: that must be known when the first aggregate is read.
+    fn mark_direct(&mut self, head: &'c ast::Atom, body: &[&'c ast::Literal]) {
+        let mut mark = |name| {
+            self.levels[0].direct.insert(name);
+        };
+        head.terms.iter().for_each(|term| names_of(term, false, &mut mark));
+        body.iter().for_each(|literal| names_in(literal, false, &mut mark));
+    }
+
+    fn has_too_many_expressions(&mut self, head: &ast::Atom) -> bool {
+        let count = (0..self.variables.len()).filter(|&index| self.is_hidden(index)).count();
+        if count > MAX_EXPRESSIONS {
+            let fault = Diagnostic::new(Code::LimitExceeded, format!("clause with {count} expressions"))
+                .at(head.place.0, "")
+                .note(format!(
+                    "a clause has at most {MAX_EXPRESSIONS} operators and functions"
+                ));
+            self.fault(fault);
+        }
+        count > MAX_EXPRESSIONS
+    }
+
+    // --- the checked literals
+
+    /// A literal as the engine gets it; `None` for an aggregate, see `Check::finish`.
+    pub fn written(&mut self, pending: &Pending<'c>) -> Option<Literal> {
+        Some(match pending {
+            Pending::Atom { negated, atom, .. } if *negated => Literal::Negative(atom.clone()),
+            Pending::Atom { atom, .. } => Literal::Positive(atom.clone()),
+            Pending::Compare { op, left, right, span } => {
+                let base = self.base_of(*left).or_else(|| self.base_of(*right));
+                let number = |side: &Operand| matches!(side.kind, OperandKind::Whole(_));
+                let usual = if number(left) {
+                    BaseType::Number
+                } else {
+                    BaseType::Symbol
+                };
+                let base = base.unwrap_or(usual);
+                Literal::Compare {
+                    op: *op,
+                    left: self.finished(*left, base),
+                    right: self.finished(*right, base),
+                    base,
+                    span: *span,
+                }
+            }
+            Pending::Compute {
+                to,
+                functor,
+                arguments,
+                span,
+                ..
+            } => {
+                let known = arguments.iter().find_map(|&argument| self.base_of(argument));
+                let base = match functor.shape() {
+                    Shape::Same(_) => known.or_else(|| self.base_of_variable(*to)),
+                    _ => known,
+                };
+                let base = base.unwrap_or(BaseType::Number);
+                let bases: Vec<BaseType> = match functor.shape() {
+                    Shape::Fixed(bases, _) => bases.to_vec(),
+                    _ => vec![base; arguments.len()],
+                };
+                Literal::Compute {
+                    to: Term::Variable(*to),
+                    functor: *functor,
+                    base,
+                    arguments: (arguments.iter().zip(bases))
+                        .map(|(&argument, base)| self.finished(argument, base))
+                        .collect(),
+                    span: *span,
+                }
+            }
+            Pending::Aggregate { .. } => return None,
+        })
+    }
+
+    pub fn finished(&mut self, operand: Operand, base: BaseType) -> Term {
+        match operand.kind {
+            OperandKind::Variable(id) => Term::Variable(id),
+            OperandKind::Nothing => Term::Wildcard,
+            OperandKind::Whole(_) | OperandKind::Constant(..) => Term::Constant(self.value(operand, base)),
+        }
+    }
+
+    /// Within how many aggregates a variable lives; `None` for one that was made later.
+    pub fn level(&self, id: VarId) -> Option<usize> {
+        self.variables.get(id.index()).map(|variable| variable.level)
+    }
+
+    pub fn report(&mut self, fault: Diagnostic) {
+        self.fault(fault);
+    }
+
+    pub fn unsound(&mut self) {
+        self.sound = false;
+    }
+
+    pub fn edge(&mut self, to: RelId, kind: EdgeKind, span: Span) {
+        self.edges.push((to, kind, span));
+    }
+}

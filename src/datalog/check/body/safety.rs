@@ -1,0 +1,220 @@
+//! Safety: which variables the body binds, and what could bind the others.
+
+use crate::datalog::check::rules::{Term, VarId};
+use crate::datalog::syntax::ast;
+use crate::datalog::syntax::ast::Comparison;
+use crate::datalog::syntax::ast::TermKind;
+use crate::diag::{Code, Diagnostic};
+
+use crate::datalog::check::body::{Check, Operand, OperandKind, Pending, Variable};
+
+impl<'c> Check<'_, 'c> {
+    fn is_bound(&self, operand: Operand) -> bool {
+        match operand.kind {
+            OperandKind::Variable(id) => self.bound[id.index()],
+            _ => true,
+        }
+    }
+
+    /// Marks what a literal of a level binds, given what is bound so far. What an aggregate's body binds stays within.
+    fn bind(&mut self, pending: &Pending<'c>, level: usize) -> bool {
+        let mut binds: Vec<VarId> = Vec::new();
+        let mut changed = false;
+        match pending {
+            Pending::Atom {
+                negated: false, atom, ..
+            } => {
+                binds.extend(atom.terms.iter().filter_map(|term| match term {
+                    Term::Variable(id) => Some(*id),
+                    _ => None,
+                }));
+            }
+            Pending::Compare {
+                op: Comparison::Equal,
+                left,
+                right,
+                ..
+            } => {
+                for (from, to) in [(*left, *right), (*right, *left)] {
+                    if let (true, OperandKind::Variable(id)) = (self.is_bound(from), to.kind) {
+                        binds.push(id);
+                    }
+                }
+            }
+            Pending::Compute { to, arguments, .. } if arguments.iter().all(|&argument| self.is_bound(argument)) => {
+                binds.push(*to);
+            }
+            Pending::Aggregate {
+                to,
+                target,
+                body,
+                level: inner,
+                ..
+            } => {
+                for pending in body {
+                    changed |= self.bind(pending, *inner);
+                }
+                let mut ready = true;
+                self.each_variable(body, *target, &mut |id, check| {
+                    ready &= check.variables[id.index()].level >= *inner || check.bound[id.index()];
+                });
+                if ready {
+                    binds.push(*to);
+                }
+            }
+            _ => {}
+        }
+        for id in binds {
+            if self.variables[id.index()].level == level && !self.bound[id.index()] {
+                self.bound[id.index()] = true;
+                changed = true;
+            }
+        }
+        changed
+    }
+
+    /// Every variable of literals and of an aggregate's target.
+    fn each_variable(&self, pending: &[Pending<'c>], target: Option<Operand>, each: &mut dyn FnMut(VarId, &Self)) {
+        let operand = |operand: Operand, each: &mut dyn FnMut(VarId, &Self)| {
+            if let OperandKind::Variable(id) = operand.kind {
+                each(id, self);
+            }
+        };
+        for pending in pending {
+            match pending {
+                Pending::Atom { atom, .. } => {
+                    for term in &atom.terms {
+                        if let Term::Variable(id) = term {
+                            each(*id, self);
+                        }
+                    }
+                }
+                Pending::Compare { left, right, .. } => {
+                    operand(*left, each);
+                    operand(*right, each);
+                }
+                Pending::Compute { to, arguments, .. } => {
+                    arguments.iter().for_each(|&argument| operand(argument, each));
+                    each(*to, self);
+                }
+                Pending::Aggregate { to, target, body, .. } => {
+                    each(*to, self);
+                    self.each_variable(body, *target, each);
+                }
+            }
+        }
+        if let Some(target) = target {
+            operand(target, each);
+        }
+    }
+
+    pub(super) fn bindings(&mut self, head: &ast::Atom, is_fact: bool, pending: &[Pending<'c>]) {
+        self.bound = vec![false; self.variables.len()];
+        self.bind_all(pending);
+        // First the causes: what is computed from an unbound variable is not told besides.
+        let mut computed = vec![false; self.variables.len()];
+        mark_computed(pending, &mut computed);
+        self.report_unbound(head, is_fact, |index| !computed[index]);
+        self.bind_all(pending);
+        self.report_unbound(head, is_fact, |_| true);
+    }
+
+    fn bind_all(&mut self, pending: &[Pending<'c>]) {
+        let mut changed = true;
+        while std::mem::take(&mut changed) {
+            for pending in pending {
+                changed |= self.bind(pending, 0);
+            }
+        }
+    }
+
+    fn report_unbound(&mut self, head: &ast::Atom, is_fact: bool, chosen: impl Fn(usize) -> bool) {
+        let unbound: Vec<usize> = (0..self.variables.len())
+            .filter(|&index| !self.bound[index] && chosen(index))
+            .collect();
+        for index in unbound {
+            if self.faults.full() {
+                self.sound = false;
+                return;
+            }
+            self.bound[index] = true;
+            let group = self.group(index);
+            if self.variables[group].excused || self.variables[index].excused {
+                continue;
+            }
+            if self.is_hidden(index) {
+                // It is computed from what was reported itself.
+                self.sound = false;
+                continue;
+            }
+            let name = self.name(VarId(u32::try_from(index).expect("fewer than 2^32 variables")));
+            let mut fault = Diagnostic::new(Code::UnboundVariable, format!("no positive atom binds `{name}`"))
+                .at(self.variables[index].first, "");
+            if is_fact {
+                fault = fault
+                    .note("a fact has no variables; a name without quotes is one")
+                    .help(format!("write the constant in quotes: `\"{name}\"`"));
+            } else {
+                if let Some((_, span)) = self.variables[index].negated
+                    && span != self.variables[index].first
+                {
+                    fault = fault.also(span, "a negated atom binds nothing");
+                }
+                if let Some(span) = self.variables[index].further_in {
+                    fault = fault.also(span, "what stands in an aggregate binds nothing outside of it");
+                }
+                fault = match self.binder(index, head, &name) {
+                    Some(binder) => fault.help(format!(
+                        "add a positive atom that says what `{name}` is, such as `{binder}`"
+                    )),
+                    None => fault.help(format!("add a positive atom with `{name}` to the body")),
+                };
+            }
+            self.fault(fault);
+        }
+    }
+
+    /// An atom that could bind the variable: over a declared predicate, with few columns, one of which has its type.
+    fn binder(&self, index: usize, head: &ast::Atom, name: &str) -> Option<String> {
+        let Variable { negated, compared, .. } = self.variables[index];
+        let wanted = negated.map(|(ty, _)| ty).or(compared).or_else(|| {
+            let relation = self.names.find(&head.predicate.text)?;
+            let is_it = |term: &ast::Term| term.kind == TermKind::Variable(name.to_owned());
+            self.column(relation, head.terms.iter().position(is_it)?)
+        })?;
+        let mut best: Option<(usize, String)> = None;
+        for (relation, signature) in self.names.relations.iter().zip(&self.names.signatures).take(1000) {
+            let columns = signature.columns.as_deref().unwrap_or_default();
+            let place = columns
+                .iter()
+                .position(|ty| ty.is_some_and(|ty| self.names.is_subtype(ty, wanted)));
+            let Some(place) = place else { continue };
+            // Of predicates with as many columns an input one is better: it surely has rows.
+            let rank = 2 * columns.len() + usize::from(!relation.input);
+            if relation.name != head.predicate.text
+                && !relation.hidden
+                && best.as_ref().is_none_or(|(least, _)| rank < *least)
+            {
+                let terms: Vec<&str> = (0..columns.len())
+                    .map(|at| if at == place { name } else { "_" })
+                    .collect();
+                best = Some((rank, format!("{}({})", relation.name, terms.join(", "))));
+            }
+        }
+        best.map(|(_, text)| text)
+    }
+}
+
+/// Marks the variables that literals compute.
+fn mark_computed(pending: &[Pending<'_>], computed: &mut [bool]) {
+    for pending in pending {
+        match pending {
+            Pending::Compute { to, .. } => computed[to.index()] = true,
+            Pending::Aggregate { to, body, .. } => {
+                computed[to.index()] = true;
+                mark_computed(body, computed);
+            }
+            Pending::Atom { .. } | Pending::Compare { .. } => {}
+        }
+    }
+}

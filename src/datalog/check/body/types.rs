@@ -1,0 +1,484 @@
+//! The type of each variable: the columns it stands in, what it is compared with, and the expressions it is part of.
+
+use crate::datalog::check::names::Names;
+use crate::datalog::check::rules::{Atom, Term, VarId};
+use crate::datalog::syntax::ast;
+use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::datalog::syntax::functor::{AggregateOp, Functor, Shape};
+use crate::diag::{Code, Diagnostic, Span};
+
+use crate::datalog::check::body::{Check, Operand, OperandKind, Pending, Use, VariableType};
+
+impl<'c> Check<'_, 'c> {
+    pub(super) fn group(&self, mut at: usize) -> usize {
+        while let Some(next) = self.variables[at].typed_as {
+            at = next;
+        }
+        at
+    }
+
+    /// A further column that a variable, or a group, stands in.
+    pub(super) fn narrow(&mut self, variable: usize, further: Use) {
+        let Some(known) = self.variables[variable].narrowest else {
+            self.variables[variable].narrowest = Some(further);
+            return;
+        };
+        match self.names.meet(known.ty, further.ty) {
+            Some(meet) => {
+                if meet != known.ty {
+                    self.variables[variable].narrowest = Some(Use { ty: meet, ..further });
+                }
+            }
+            None => self.clash(variable, known, further),
+        }
+    }
+
+    fn clash(&mut self, variable: usize, known: Use, further: Use) {
+        if self.variables[variable].excused {
+            return;
+        }
+        self.variables[variable].excused = true;
+        let name = self.name(VarId(u32::try_from(variable).expect("fewer than 2^32 variables")));
+        let (first, second) = (
+            self.names.type_name(known.ty).to_owned(),
+            self.names.type_name(further.ty).to_owned(),
+        );
+        let fault = Diagnostic::new(
+            Code::TypeMismatch,
+            format!("`{name}` cannot be both `{first}` and `{second}`"),
+        )
+        .at(further.span, format!("`{second}` here"))
+        .also(known.span, format!("`{first}` here"));
+        self.fault(fault);
+    }
+
+    /// Makes a group of variables that are compared, and of what an aggregate selects or adds up and its result.
+    pub(super) fn join_compared(&mut self, pending: &[Pending<'c>]) {
+        for pending in pending {
+            match pending {
+                Pending::Compare { left, right, span, .. } => self.join(*left, *right, *span),
+                Pending::Aggregate {
+                    to,
+                    op,
+                    target,
+                    body,
+                    span,
+                    ..
+                } => {
+                    self.join_compared(body);
+                    let result = Operand::variable(*to, *span);
+                    if let (AggregateOp::Min | AggregateOp::Max | AggregateOp::Sum, Some(target)) = (op, target) {
+                        self.join(result, *target, *span);
+                    }
+                }
+                Pending::Atom { .. } | Pending::Compute { .. } => {}
+            }
+        }
+    }
+
+    fn join(&mut self, left: Operand, right: Operand, span: Span) {
+        let (OperandKind::Variable(a), OperandKind::Variable(b)) = (left.kind, right.kind) else {
+            return;
+        };
+        let groups = [self.group(a.index()), self.group(b.index())];
+        if groups[0] == groups[1] {
+            return;
+        }
+        let [first, second] = groups.map(|group| self.variables[group].narrowest);
+        let excused = groups.iter().any(|&group| self.variables[group].excused);
+        let narrowest = match (first, second) {
+            (Some(first), Some(second)) => match self.names.meet(first.ty, second.ty) {
+                Some(meet) if meet == first.ty => Some(first),
+                Some(meet) => Some(Use { ty: meet, ..second }),
+                None => {
+                    // Different base types are told where those are looked at.
+                    if !excused && self.names.base(first.ty) == self.names.base(second.ty) {
+                        let types = [first.ty, second.ty].map(|ty| self.names.type_name(ty).to_owned());
+                        self.incomparable([(left, &types[0]), (right, &types[1])], span);
+                    }
+                    return;
+                }
+            },
+            (one, other) => one.or(other),
+        };
+        // The later joins the earlier, so chains stay as short as the text makes them.
+        let [into, from] = [groups[0].min(groups[1]), groups[0].max(groups[1])];
+        self.variables[from].typed_as = Some(into);
+        self.variables[into].excused = excused;
+        self.variables[into].narrowest = narrowest;
+    }
+
+    pub(super) fn type_of_variable(&self, id: VarId) -> VariableType {
+        let group = &self.variables[self.group(id.index())];
+        match (group.narrowest, group.base) {
+            (Some(narrowest), _) => VariableType::Type(narrowest.ty),
+            (None, Some((base, _))) => VariableType::Base(base),
+            (None, None) => VariableType::Unknown,
+        }
+    }
+
+    /// The type of a variable about which nothing was reported.
+    fn type_of(&self, id: VarId) -> VariableType {
+        if self.variables[self.group(id.index())].excused {
+            VariableType::Unknown
+        } else {
+            self.type_of_variable(id)
+        }
+    }
+
+    pub(super) fn base_of_variable(&self, id: VarId) -> Option<BaseType> {
+        match self.type_of(id) {
+            VariableType::Unknown => None,
+            VariableType::Base(base) => Some(base),
+            VariableType::Type(ty) => Some(self.names.base(ty)),
+        }
+    }
+
+    pub(super) fn base_of(&self, operand: Operand) -> Option<BaseType> {
+        match operand.kind {
+            OperandKind::Variable(id) => self.base_of_variable(id),
+            OperandKind::Constant(_, base) => Some(base),
+            OperandKind::Whole(_) | OperandKind::Nothing => None,
+        }
+    }
+
+    /// Where the type of a variable comes from.
+    fn origin(&self, id: VarId) -> Option<Span> {
+        let group = &self.variables[self.group(id.index())];
+        let narrowest = group.narrowest.map(|narrowest| narrowest.span);
+        narrowest.or(group.base.map(|(_, span)| span))
+    }
+
+    /// Finds the base types of variables and constants in comparisons and expressions, and reports what does not fit.
+    pub(super) fn infer(&mut self, head: Option<&Atom>, pending: &[Pending<'c>]) {
+        let mut ties = Vec::new();
+        self.ties(pending, &mut ties);
+        self.spread(&ties);
+        // Where nothing else says what a variable is, the places that it is used in do.
+        if let Some(head) = head {
+            self.hint(head);
+        }
+        let negated = pending.iter().filter_map(|pending| match pending {
+            Pending::Atom {
+                negated: true, atom, ..
+            } => Some(atom),
+            _ => None,
+        });
+        negated.for_each(|atom| self.hint(atom));
+        self.spread(&ties);
+        for index in 0..ties.len() {
+            let tie = &ties[index];
+            let numeric = tie.allowed.len() < BaseType::ALL.len()
+                || tie
+                    .operands
+                    .iter()
+                    .any(|operand| matches!(operand.kind, OperandKind::Whole(_)));
+            if numeric && tie.base(self).is_none() && tie.allowed.contains(&BaseType::Number) {
+                self.settle(&ties[index], BaseType::Number);
+                self.spread(&ties);
+            }
+        }
+        for tie in &ties {
+            self.check_tie(tie);
+        }
+    }
+
+    /// A variable of the atom whose base is not known gets that of its column.
+    fn hint(&mut self, atom: &Atom) {
+        for (column, term) in atom.terms.iter().enumerate() {
+            if let (Term::Variable(id), Some(ty)) = (term, self.column(atom.relation, column)) {
+                let (base, span) = (self.names.base(ty), self.variables[id.index()].first);
+                let group = self.group(id.index());
+                if self.base_of_variable(*id).is_none() {
+                    self.variables[group].base = Some((base, span));
+                }
+            }
+        }
+    }
+
+    /// What the literals say of base types.
+    fn ties(&self, pending: &[Pending<'c>], out: &mut Vec<Tie>) {
+        for pending in pending {
+            match pending {
+                Pending::Atom { .. } => {}
+                Pending::Compare { op, left, right, span } => {
+                    let allowed: &[BaseType] = match op {
+                        Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => {
+                            &[BaseType::Symbol]
+                        }
+                        _ => &BaseType::ALL,
+                    };
+                    out.push(Tie::new(TieKind::Compare, &[*left, *right], allowed, *span));
+                }
+                Pending::Compute {
+                    to,
+                    functor,
+                    arguments,
+                    ty,
+                    span,
+                } => {
+                    let result = Operand::variable(*to, *span);
+                    let kind = TieKind::Functor(functor.name());
+                    match functor.shape() {
+                        Shape::Same(allowed) => {
+                            let all: Vec<Operand> = std::iter::once(result).chain(arguments.iter().copied()).collect();
+                            out.push(Tie::new(kind, &all, allowed, *span));
+                        }
+                        Shape::Convert(allowed, base) => {
+                            out.push(Tie::new(kind, arguments, allowed, *span));
+                            let base = ty.map_or(base, |ty| self.names.base(ty));
+                            if *functor != Functor::Cast || ty.is_some() {
+                                out.push(Tie::new(kind, &[result], only(base), *span));
+                            }
+                        }
+                        Shape::Fixed(bases, base) => {
+                            for (argument, base) in arguments.iter().zip(bases) {
+                                out.push(Tie::new(kind, &[*argument], only(*base), *span));
+                            }
+                            out.push(Tie::new(kind, &[result], only(base), *span));
+                        }
+                    }
+                }
+                Pending::Aggregate {
+                    to,
+                    op,
+                    target,
+                    body,
+                    span,
+                    ..
+                } => {
+                    self.ties(body, out);
+                    let result = Operand::variable(*to, *span);
+                    let kind = TieKind::Functor(op.name());
+                    match (op, target) {
+                        (AggregateOp::Mean, Some(target)) => {
+                            out.push(Tie::new(kind, &[*target], op.takes(), *span));
+                            out.push(Tie::new(kind, &[result], only(BaseType::Float), *span));
+                        }
+                        (_, Some(target)) => out.push(Tie::new(kind, &[result, *target], op.takes(), *span)),
+                        (_, None) => out.push(Tie::new(kind, &[result], only(BaseType::Number), *span)),
+                    }
+                }
+            }
+        }
+    }
+
+    /// Hands what is known along the ties until nothing more follows.
+    fn spread(&mut self, ties: &[Tie]) {
+        let mut changed = true;
+        while std::mem::take(&mut changed) {
+            for tie in ties {
+                if let Some(base) = tie.base(self) {
+                    changed |= self.settle(tie, base);
+                }
+            }
+        }
+    }
+
+    /// Gives the base type to all variables of a tie that have none.
+    fn settle(&mut self, tie: &Tie, base: BaseType) -> bool {
+        let mut changed = false;
+        for operand in &tie.operands {
+            if let OperandKind::Variable(id) = operand.kind {
+                let group = self.group(id.index());
+                if !self.variables[group].excused && self.base_of_variable(id).is_none() {
+                    self.variables[group].base = Some((base, operand.span));
+                    changed = true;
+                }
+            }
+        }
+        changed
+    }
+
+    fn check_tie(&mut self, tie: &Tie) {
+        let known: Vec<(Operand, BaseType)> = (tie.operands.iter())
+            .filter_map(|&operand| match operand.kind {
+                // A number fits every base type but one.
+                OperandKind::Whole(_) if tie.base(self) == Some(BaseType::Symbol) => Some((operand, BaseType::Number)),
+                _ => Some((operand, self.base_of(operand)?)),
+            })
+            .collect();
+        let Some(&(first, base)) = known.first() else { return };
+        let other = known.iter().find(|(_, other)| *other != base).copied();
+        if let (TieKind::Compare, Some(other)) = (tie.kind, other)
+            && tie.allowed.len() > 1
+        {
+            self.incomparable([(first, base.name()), (other.0, other.1.name())], tie.span);
+            return;
+        }
+        if let Some((operand, found)) = known.iter().find(|(_, found)| !tie.allowed.contains(found)) {
+            let wanted: Vec<String> = tie.allowed.iter().map(|base| format!("`{}`", base.name())).collect();
+            let what = match tie.kind {
+                TieKind::Compare => "this takes values",
+                TieKind::Functor(_) => "has to do with values",
+            };
+            let message = match tie.kind {
+                TieKind::Compare => format!("{what} of type {}, not `{}`", wanted.join(" or "), found.name()),
+                TieKind::Functor(name) => {
+                    format!(
+                        "`{name}` {what} of type {}, not `{}`",
+                        wanted.join(" or "),
+                        found.name()
+                    )
+                }
+            };
+            let fault = Diagnostic::new(Code::TypeMismatch, message).at(operand.span, format!("`{}`", found.name()));
+            let operand = *operand;
+            self.tell_origin(fault, operand);
+        } else if let Some((operand, found)) = other {
+            let name = match tie.kind {
+                TieKind::Compare => "=",
+                TieKind::Functor(name) => name,
+            };
+            let message = format!("`{name}` cannot mix a `{}` and a `{}`", base.name(), found.name());
+            let fault = Diagnostic::new(Code::TypeMismatch, message)
+                .at(operand.span, format!("`{}`", found.name()))
+                .also(first.span, format!("`{}`", base.name()))
+                .help("convert one of them: `to_number(x)`, `to_unsigned(x)`, `to_float(x)` or `to_string(x)`");
+            self.tell_origin(fault, operand);
+        }
+    }
+
+    fn tell_origin(&mut self, mut fault: Diagnostic, operand: Operand) {
+        if let OperandKind::Variable(id) = operand.kind {
+            if let Some(origin) = self.origin(id)
+                && origin != operand.span
+            {
+                fault = fault.also(origin, "its type comes from here");
+            }
+            let group = self.group(id.index());
+            self.variables[group].excused = true;
+        }
+        self.fault(fault);
+    }
+
+    /// Two operands, each with the name of its type.
+    fn incomparable(&mut self, sides: [(Operand, &str); 2], span: Span) {
+        let message = format!("a `{}` cannot be compared with a `{}`", sides[0].1, sides[1].1);
+        let mut fault = Diagnostic::new(Code::TypeMismatch, message).at(span, "");
+        for (operand, ty) in sides {
+            if let OperandKind::Variable(id) = operand.kind
+                && let Some(origin) = self.origin(id)
+            {
+                fault = fault.also(origin, format!("`{}` is a `{ty}` here", self.name(id)));
+            }
+        }
+        self.fault(fault);
+    }
+
+    /// Variables in heads and negated atoms must fit what stands there.
+    pub(super) fn types(&mut self, head: &ast::Atom, lowered: Option<&Atom>, pending: &[Pending<'c>]) {
+        if let Some(lowered) = lowered {
+            for column in 0..lowered.terms.len() {
+                self.fits(lowered, column, head.terms[column].place.0, true);
+            }
+        }
+        self.types_of(pending);
+    }
+
+    fn types_of(&mut self, pending: &[Pending<'c>]) {
+        for pending in pending {
+            match pending {
+                Pending::Atom {
+                    negated: true,
+                    atom,
+                    syntax,
+                } => {
+                    for (column, term) in syntax.terms.iter().enumerate() {
+                        self.fits(atom, column, term.place.0, false);
+                    }
+                }
+                Pending::Compare { left, right, .. } => {
+                    for (side, other) in [(left, right), (right, left)] {
+                        if let (OperandKind::Variable(id), Some(base)) = (side.kind, self.base_of(*other)) {
+                            self.variables[id.index()].compared = Some(Names::base_type(base));
+                        }
+                    }
+                }
+                Pending::Aggregate { body, .. } => self.types_of(body),
+                Pending::Atom { .. } | Pending::Compute { .. } => {}
+            }
+        }
+    }
+
+    /// In a head the variable must be of a subtype of the column; in a negated atom of the same base.
+    fn fits(&mut self, atom: &Atom, column: usize, span: Span, is_head: bool) {
+        let (Term::Variable(id), Some(wanted)) = (atom.terms[column], self.column(atom.relation, column)) else {
+            return;
+        };
+        let fits = match self.type_of(id) {
+            VariableType::Unknown => true,
+            VariableType::Base(base) => base == self.names.base(wanted),
+            VariableType::Type(found) if is_head => self.names.is_subtype(found, wanted),
+            VariableType::Type(found) => self.names.base(found) == self.names.base(wanted),
+        };
+        if fits {
+            return;
+        }
+        let name = self.name(id);
+        let found = match self.type_of(id) {
+            VariableType::Type(found) => self.names.type_name(found).to_owned(),
+            VariableType::Base(base) => base.name().to_owned(),
+            VariableType::Unknown => String::new(),
+        };
+        let wanted = self.names.type_name(wanted).to_owned();
+        let message = format!("expected a value of type `{wanted}`, found `{name}` of type `{found}`");
+        let mut fault = Diagnostic::new(Code::TypeMismatch, message).at(span, format!("must be of type `{wanted}`"));
+        if let Some(origin) = self.origin(id) {
+            fault = fault.also(origin, format!("`{name}` is of type `{found}` here"));
+        }
+        let group = self.group(id.index());
+        self.variables[group].excused = true;
+        self.fault(fault.note(format!(
+            "the declaration is `{}`",
+            self.names.signature_text(atom.relation)
+        )));
+    }
+
+    /// The base type of an operand, when all are known.
+    pub fn settled_base(&self, operand: Operand) -> BaseType {
+        self.base_of(operand).unwrap_or(BaseType::Number)
+    }
+}
+
+/// Operands of one base type.
+struct Tie {
+    kind: TieKind,
+    operands: Vec<Operand>,
+    allowed: &'static [BaseType],
+    span: Span,
+}
+
+#[derive(Clone, Copy)]
+enum TieKind {
+    Compare,
+    Functor(&'static str),
+}
+
+impl Tie {
+    fn new(kind: TieKind, operands: &[Operand], allowed: &'static [BaseType], span: Span) -> Tie {
+        Tie {
+            kind,
+            operands: operands.to_vec(),
+            allowed,
+            span,
+        }
+    }
+
+    fn base(&self, check: &Check<'_, '_>) -> Option<BaseType> {
+        match self.allowed {
+            [only] => Some(*only),
+            _ => self.operands.iter().find_map(|&operand| check.base_of(operand)),
+        }
+    }
+}
+
+/// The list of one base type.
+fn only(base: BaseType) -> &'static [BaseType] {
+    match base {
+        BaseType::Symbol => &[BaseType::Symbol],
+        BaseType::Number => &[BaseType::Number],
+        BaseType::Unsigned => &[BaseType::Unsigned],
+        BaseType::Float => &[BaseType::Float],
+    }
+}

@@ -1,0 +1,384 @@
+//! From the syntax of clauses to checked ones: alternatives and several heads become clauses of their own, and each is checked
+//! by [`super::body`].
+
+use std::collections::{HashMap, HashSet};
+
+use crate::diag::{Code, Diagnostic, Faults, Span};
+use crate::symbol::Symbols;
+
+use crate::datalog::check::body;
+use crate::datalog::check::body::{Body, VariableType};
+use crate::datalog::check::names::Names;
+use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Relation, Term, VarId};
+use crate::datalog::check::scope;
+use crate::datalog::check::scope::Scope;
+use crate::datalog::check::witness;
+use crate::datalog::syntax::ast;
+use crate::datalog::syntax::ast::BaseType;
+use crate::datalog::syntax::ast::{Item, TermKind};
+
+/// A longer body is refused.
+const MAX_LITERALS: usize = 1024;
+
+/// More combinations of alternatives are refused.
+const MAX_ALTERNATIVES: usize = 1024;
+
+/// That a head depends on a predicate of its body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Edge {
+    pub from: RelId,
+    pub to: RelId,
+    pub kind: EdgeKind,
+    /// The atom in the body; for a guard, the `.scope`.
+    pub span: Span,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum EdgeKind {
+    Needs,
+    Negates,
+    Aggregates,
+}
+
+/// A clause and what the checks between clauses need besides.
+#[derive(Debug)]
+pub(crate) struct Checked {
+    pub clause: Clause,
+    /// What its variables are made of, as far as that is known.
+    pub bases: Vec<Option<BaseType>>,
+    /// Whether no error was found in it.
+    pub sound: bool,
+}
+
+/// All clauses.
+#[derive(Default)]
+pub(crate) struct Clauses {
+    pub clauses: Vec<Checked>,
+    /// Clauses of the hidden predicates.
+    pub hidden: Vec<Clause>,
+    /// Dependencies, of faulty clauses too. Hidden predicates do not occur in them.
+    pub edges: Vec<Edge>,
+    /// The texts of all constants.
+    pub symbols: Symbols,
+    /// Whether a clause was left out because of a name that is not known.
+    pub incomplete: bool,
+}
+
+/// Checks all clauses. The constants' texts are added to `symbols`.
+pub(crate) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults: &mut Faults) -> Clauses {
+    let mut clauses = Clauses {
+        symbols,
+        ..Clauses::default()
+    };
+    let mut scopes = scope::Scopes::default();
+    let mut before = None;
+    for item in items {
+        match item {
+            Item::Scope(scope) => scopes.enter(scope, names, faults),
+            Item::Clause(clause) => {
+                one(clause, &mut scopes, names, &mut clauses, faults);
+                before = Some(clause);
+            }
+            Item::Plan(plan) => check_plan(plan, before, faults),
+            _ => {}
+        }
+    }
+    for index in 0..names.relations.len() {
+        let relation = &names.relations[index];
+        if relation.input && relation.derived && relation.given.is_none() {
+            give(
+                RelId(u32::try_from(index).expect("fewer than 2^32 predicates")),
+                names,
+                &mut clauses,
+            );
+        }
+    }
+    clauses
+}
+
+/// Orders that are none of the clause before are refused, as Soufflé does.
+fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Faults) {
+    let positive = |literal: &ast::Literal| matches!(literal, ast::Literal::Atom { negated: false, .. });
+    let is_flat = |clause: &&ast::Clause| {
+        !clause
+            .body
+            .iter()
+            .any(|literal| matches!(literal, ast::Literal::Any(_)))
+    };
+    if let Some(clause) = clause.filter(is_flat) {
+        let count = clause.body.iter().filter(|literal| positive(literal)).count();
+        for (version, order) in &plan.orders {
+            let mut sorted = order.clone();
+            sorted.sort_unstable();
+            if !sorted.into_iter().eq(1..=count as i64) {
+                let fault = Diagnostic::new(
+                    Code::Syntax,
+                    format!("version {version} is no order of the clause's atoms"),
+                )
+                .at(plan.place.0, "")
+                .also(
+                    clause.place.0,
+                    format!("the positive atoms of the clause before it: {count}"),
+                );
+                faults.push(fault.help("name each atom once by its number, or remove `.plan`: it has no effect"));
+                return;
+            }
+        }
+    }
+    let fault = Diagnostic::new(Code::Ignored, "`.plan` has no effect").at(plan.place.0, "");
+    faults.push(fault.help("remove it; the order of literals is chosen by itself"));
+}
+
+/// A predicate that is input and derived: what is given goes to a hidden one, `P(x, y) :- +1(x, y).`
+fn give(id: RelId, names: &mut Names, out: &mut Clauses) {
+    let given = RelId(u32::try_from(names.relations.len()).expect("fewer than 2^32 predicates"));
+    let owner = names.relation(id);
+    let name = format!("+{}", names.hidden() + 1);
+    let doc = format!("the rows of `{}` that are given", owner.name);
+    let mut hidden = Relation::made(name, owner.columns.clone(), doc, owner.span);
+    hidden.derived = false;
+    let span = hidden.span;
+    let terms: Vec<Term> = (0..hidden.columns.len())
+        .map(|column| Term::Variable(VarId(u32::try_from(column).expect("few columns"))))
+        .collect();
+    let atom = |relation| Atom {
+        relation,
+        terms: terms.clone(),
+        span,
+    };
+    out.hidden.push(Clause {
+        head: atom(id),
+        body: vec![Literal::Positive(atom(given))],
+        variables: hidden.columns.iter().map(|column| column.name.clone()).collect(),
+        doc: String::new(),
+        span,
+    });
+    names.signatures.push(names.signatures[id.index()].clone());
+    names.relations.push(hidden);
+    names.relations[id.index()].given = Some(given);
+}
+
+fn one(clause: &ast::Clause, scopes: &mut scope::Scopes, names: &mut Names, out: &mut Clauses, faults: &mut Faults) {
+    let alternatives = count(&clause.body);
+    let too_many = |message: String, note: String| {
+        Diagnostic::new(Code::LimitExceeded, message)
+            .at(clause.heads[0].place.0, "")
+            .note(note)
+    };
+    if clause.body.len() > MAX_LITERALS {
+        let message = format!("clause with {} literals", clause.body.len());
+        faults.push(too_many(message, format!("a body has at most {MAX_LITERALS}")));
+        out.incomplete = true;
+        return;
+    }
+    if alternatives.saturating_mul(clause.heads.len()) > MAX_ALTERNATIVES {
+        let note = format!("alternatives and heads make at most {MAX_ALTERNATIVES} combinations");
+        faults.push(too_many("clause with too many alternatives".to_owned(), note));
+        out.incomplete = true;
+        return;
+    }
+    let mut bodies = Vec::with_capacity(alternatives);
+    if alternatives > 0 {
+        expand(vec![&clause.body], Vec::new(), &mut bodies);
+    }
+    if bodies.is_empty() {
+        // It says `false`, so there is nothing to derive; but its heads are looked up like all names.
+        for head in &clause.heads {
+            names.predicate(&head.predicate);
+        }
+    }
+    let first_edge = out.edges.len();
+    for body in &bodies {
+        for head in &clause.heads {
+            alternative(clause, head, body, scopes, names, out, faults);
+        }
+    }
+    if bodies.len() > 1 {
+        let mut seen = HashSet::new();
+        let edges = out.edges.split_off(first_edge);
+        out.edges.extend(edges.into_iter().filter(|edge| seen.insert(*edge)));
+    }
+}
+
+/// How many alternatives a body has.
+fn count(body: &[ast::Literal]) -> usize {
+    body.iter().fold(1_usize, |product, literal| match literal {
+        ast::Literal::Any(alternatives) => {
+            let sum = (alternatives.iter()).fold(0_usize, |sum, alternative| sum.saturating_add(count(alternative)));
+            product.saturating_mul(sum)
+        }
+        _ => product,
+    })
+}
+
+/// Every way to choose one alternative of each disjunction. `rest` are the lists of literals that are still to be gone through,
+/// the next one last.
+fn expand<'c>(
+    mut rest: Vec<&'c [ast::Literal]>,
+    mut done: Vec<&'c ast::Literal>,
+    out: &mut Vec<Vec<&'c ast::Literal>>,
+) {
+    while let Some(list) = rest.pop() {
+        let Some((literal, others)) = list.split_first() else {
+            continue;
+        };
+        rest.push(others);
+        match literal {
+            ast::Literal::Any(alternatives) => {
+                for alternative in alternatives {
+                    let mut rest = rest.clone();
+                    rest.push(alternative);
+                    expand(rest, done.clone(), out);
+                }
+                return;
+            }
+            _ => done.push(literal),
+        }
+    }
+    out.push(done);
+}
+
+/// One head and one alternative of a clause.
+fn alternative(
+    clause: &ast::Clause,
+    head: &ast::Atom,
+    body: &[&ast::Literal],
+    scopes: &mut scope::Scopes,
+    names: &mut Names,
+    out: &mut Clauses,
+    faults: &mut Faults,
+) {
+    let written_out = witness::write_out(head, body);
+    let written_out: Option<Vec<&ast::Literal>> = written_out.as_ref().map(|literals| literals.iter().collect());
+    let body = written_out.as_deref().unwrap_or(body);
+    let checked = body::check(clause, head, body, scopes.current(), names, out, faults);
+    let Some(Body {
+        head,
+        mut body,
+        variables,
+        sound,
+    }) = checked
+    else {
+        out.incomplete = true;
+        return;
+    };
+    let is_fact = body.is_empty();
+    let mut scoped = Scope {
+        head: &head,
+        body: &mut body,
+        names: variables.iter().map(|variable| variable.name.clone()).collect(),
+        types: variables.iter().map(|variable| variable.ty).collect(),
+        guarded: vec![false; variables.len()],
+    };
+    let sound = scopes.guard(&mut scoped, sound, names, out, faults) && sound;
+    let Scope {
+        names: variable_names,
+        guarded,
+        ..
+    } = scoped;
+    if sound && !is_fact {
+        lone_variables(clause, &variables, &guarded, faults);
+    }
+    let bases = variables.iter().map(|variable| base(variable.ty, names)).collect();
+    let derived = &mut names.relations[head.relation.index()].derived;
+    *derived |= !is_fact;
+    out.clauses.push(Checked {
+        clause: Clause {
+            head,
+            body,
+            variables: variable_names,
+            doc: clause.doc.clone(),
+            span: clause.place.0,
+        },
+        bases,
+        sound,
+    });
+}
+
+fn base(ty: VariableType, names: &Names) -> Option<BaseType> {
+    match ty {
+        VariableType::Unknown => None,
+        VariableType::Base(base) => Some(base),
+        VariableType::Type(id) => Some(names.base(id)),
+    }
+}
+
+/// Warns of variables that occur once. One guarded by a scope says "somebody in view" and needs no second occurrence.
+fn lone_variables(clause: &ast::Clause, variables: &[body::Known], guarded: &[bool], faults: &mut Faults) {
+    let lone = |variable: &body::Known| variable.count == 1 && !variable.hidden && !variable.name.starts_with('_');
+    let mut counts = None;
+    for (variable, guarded) in variables.iter().zip(guarded) {
+        if *guarded || !lone(variable) {
+            continue;
+        }
+        // What occurs once in this alternative may occur in others.
+        let counts = counts.get_or_insert_with(|| {
+            let mut counts: HashMap<&str, usize> = HashMap::new();
+            let mut count = |name| *counts.entry(name).or_default() += 1;
+            clause
+                .heads
+                .iter()
+                .flat_map(|head| &head.terms)
+                .for_each(|term| names_of(term, true, &mut count));
+            clause
+                .body
+                .iter()
+                .for_each(|literal| names_in(literal, true, &mut count));
+            counts
+        });
+        if counts.get(variable.name.as_str()).is_none_or(|&count| count > 1) {
+            continue;
+        }
+        let fault = Diagnostic::new(
+            Code::SingletonVariable,
+            format!("the variable `{}` occurs only once", variable.name),
+        )
+        .at(variable.first, "")
+        .help(format!(
+            "write `_` or `_{}` if its value does not matter",
+            variable.name
+        ));
+        faults.push(fault);
+    }
+}
+
+/// Every occurrence of a variable in a term; those in aggregates if `inside`.
+pub(crate) fn names_of<'c>(term: &'c ast::Term, inside: bool, each: &mut impl FnMut(&'c str)) {
+    match &term.kind {
+        TermKind::Variable(name) => each(name),
+        TermKind::Functor(_, arguments) => arguments.iter().for_each(|argument| names_of(argument, inside, each)),
+        TermKind::Cast(inner, _) => names_of(inner, inside, each),
+        TermKind::Aggregate(aggregate) if inside => {
+            aggregate
+                .target
+                .iter()
+                .for_each(|target| names_of(target, inside, each));
+            aggregate
+                .body
+                .iter()
+                .for_each(|literal| names_in(literal, inside, each));
+        }
+        TermKind::Aggregate(_)
+        | TermKind::Wildcard
+        | TermKind::Number(_)
+        | TermKind::Unsigned(_)
+        | TermKind::Float(_)
+        | TermKind::Text(_) => {}
+    }
+}
+
+/// Every occurrence of a variable in a literal; those in aggregates if `inside`.
+pub(crate) fn names_in<'c>(literal: &'c ast::Literal, inside: bool, each: &mut impl FnMut(&'c str)) {
+    match literal {
+        ast::Literal::Atom { atom, .. } => atom.terms.iter().for_each(|term| names_of(term, inside, each)),
+        ast::Literal::Compare { left, right, .. } => {
+            [left, right].into_iter().for_each(|side| names_of(side, inside, each))
+        }
+        ast::Literal::Any(alternatives) => {
+            alternatives
+                .iter()
+                .flatten()
+                .for_each(|literal| names_in(literal, inside, each));
+        }
+    }
+}

@@ -1,0 +1,358 @@
+//! Inline predicates that say nothing of themselves.
+//!
+//! ```text
+//! .decl less(x: number, y: number) inline
+//! less(x, y) :- x < y.
+//! A(x) :- B(x), B(y), less(x, y + 1).         becomes   A(x) :- B(x), B(y), x < y + 1.
+//! ```
+//!
+//! An inline predicate is like any other if its clauses bind their variables. One with a clause that does not is no set of
+//! rows: each atom over it is replaced by what it stands for. This is done on the syntax, before names are looked up.
+
+use std::collections::{HashMap, HashSet};
+
+use crate::diag::{Code, Diagnostic, Faults, Span};
+
+use crate::datalog::check::clause::{names_in, names_of};
+use crate::datalog::check::strata::components;
+use crate::datalog::check::witness::{Names, bound_names, renamed, renamed_term};
+use crate::datalog::syntax::ast::Comparison;
+use crate::datalog::syntax::ast::{Atom, Clause, Decl, Item, Literal, Name, Term, TermKind};
+use crate::datalog::syntax::parser::negate;
+
+/// Inline predicates may use each other so deeply.
+const MAX_DEPTH: usize = 16;
+
+/// One clause may be made this much longer by it.
+const MAX_GROWTH: usize = 1024;
+
+/// What an inline predicate stands for: head and body of its clauses.
+type Meanings<'c> = HashMap<&'c str, Vec<(&'c Atom, &'c [Literal])>>;
+
+/// The items with such predicates replaced; `None` if there are none.
+pub(crate) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> {
+    let inline = declared(items);
+    if inline.is_empty() {
+        return None;
+    }
+    refuse_marks(items, &inline, faults);
+    let cyclic = refuse_cycles(items, &inline, faults);
+    let mut meanings: Meanings<'_> = HashMap::new();
+    let mut open: HashSet<&str> = HashSet::new();
+    for clause in clauses(items) {
+        for head in clause
+            .heads
+            .iter()
+            .filter(|head| inline.contains_key(head.predicate.text.as_str()))
+        {
+            let name = head.predicate.text.as_str();
+            meanings.entry(name).or_default().push((head, &clause.body));
+            let bound = bound_names(&clause.body.iter().collect::<Vec<_>>());
+            let is_open =
+                |term: &Term| matches!(&term.kind, TermKind::Variable(name) if !bound.contains(name.as_str()));
+            let says_true = |literal: &Literal| *literal == Literal::Any(vec![Vec::new()]);
+            let simple = !(clause.body.iter()).any(|literal| matches!(literal, Literal::Any(_)) && !says_true(literal));
+            if simple && !clause.body.is_empty() && head.terms.iter().any(is_open) {
+                open.insert(name);
+            }
+        }
+    }
+    refuse_negated(items, &meanings, &open, faults);
+    meanings.retain(|name, _| open.contains(name) && !cyclic.contains(name));
+    if meanings.is_empty() && cyclic.is_empty() {
+        return None;
+    }
+    let mut inliner = Inliner {
+        meanings: &meanings,
+        fresh: 0,
+        growth: 0,
+        faults,
+    };
+    let mut out = Vec::with_capacity(items.len());
+    for item in items {
+        match item {
+            Item::Clause(clause) => {
+                let heads: Vec<Atom> = (clause.heads.iter())
+                    .filter(|head| {
+                        let name = head.predicate.text.as_str();
+                        !meanings.contains_key(name) && !cyclic.contains(name)
+                    })
+                    .cloned()
+                    .collect();
+                if !heads.is_empty() {
+                    inliner.growth = 0;
+                    let body = inliner.all(&clause.body, 0);
+                    out.push(Item::Clause(Clause {
+                        heads,
+                        body,
+                        ..clause.clone()
+                    }));
+                }
+            }
+            Item::Decl(decl) => {
+                let mut decl = decl.clone();
+                // Here the word has an effect.
+                let replaced = |name: &str| meanings.contains_key(name) || cyclic.contains(name);
+                if decl.names.iter().all(|name| replaced(&name.text)) {
+                    decl.qualifiers.retain(|word| word.text != "inline");
+                }
+                out.push(Item::Decl(decl));
+            }
+            other => out.push(other.clone()),
+        }
+    }
+    Some(out)
+}
+
+fn clauses(items: &[Item]) -> impl Iterator<Item = &Clause> {
+    items.iter().filter_map(|item| match item {
+        Item::Clause(clause) => Some(clause),
+        _ => None,
+    })
+}
+
+/// The inline predicates and where they are declared. `no_inline` beside `inline` wins.
+fn declared(items: &[Item]) -> HashMap<&str, Span> {
+    let has = |decl: &Decl, wanted: &str| decl.qualifiers.iter().any(|word| word.text == wanted);
+    (items.iter())
+        .filter_map(|item| match item {
+            Item::Decl(decl) if has(decl, "inline") && !has(decl, "no_inline") => Some(&decl.names),
+            _ => None,
+        })
+        .flatten()
+        .map(|name| (name.text.as_str(), name.place.0))
+        .collect()
+}
+
+fn refused(name: &Name, why: &str) -> Diagnostic {
+    Diagnostic::new(
+        Code::Unsupported,
+        format!("`{}` {why}: this is not supported", name.text),
+    )
+    .at(name.place.0, "")
+    .help("remove `inline` from its declaration")
+}
+
+/// What stands for something else is neither read nor written.
+fn refuse_marks(items: &[Item], inline: &HashMap<&str, Span>, faults: &mut Faults) {
+    for item in items {
+        let Item::Mark(mark) = item else { continue };
+        for name in &mark.names {
+            if let Some(&declaration) = inline.get(name.text.as_str()) {
+                let why = format!("is inline and named by `.{}`", mark.kind.name());
+                faults.push(refused(name, &why).also(declaration, "declared here"));
+            }
+        }
+    }
+}
+
+/// The inline predicates that stand for themselves, by way of inline ones only. Each circle is told once.
+fn refuse_cycles<'c>(items: &'c [Item], inline: &HashMap<&'c str, Span>, faults: &mut Faults) -> HashSet<&'c str> {
+    let mut names: Vec<&str> = inline.keys().copied().collect();
+    names.sort_unstable_by_key(|name| inline[name]);
+    let number: HashMap<&str, usize> = names.iter().enumerate().map(|(number, name)| (*name, number)).collect();
+    let mut uses: Vec<(usize, usize, &Name)> = Vec::new();
+    for clause in clauses(items) {
+        for head in &clause.heads {
+            if let Some(&from) = number.get(head.predicate.text.as_str()) {
+                each_atom(&clause.body, &mut |_, atom| {
+                    if let Some(&to) = number.get(atom.predicate.text.as_str()) {
+                        uses.push((from, to, &atom.predicate));
+                    }
+                });
+            }
+        }
+    }
+    let mut successors = vec![Vec::new(); names.len()];
+    for &(from, to, _) in &uses {
+        successors[from].push(to);
+    }
+    let (component, _) = components(&successors);
+    let mut told: HashSet<usize> = HashSet::new();
+    let mut cyclic = HashSet::new();
+    for (from, to, place) in uses {
+        if component[from] == component[to] {
+            cyclic.extend([names[from], names[to]]);
+            if told.insert(component[from]) {
+                let why = "is inline and depends on itself by way of inline predicates only";
+                faults.push(refused(place, why).also(inline[names[to]], "declared here"));
+            }
+        }
+    }
+    cyclic
+}
+
+/// "Not P" for a P that is closed: what a clause of P has besides the variables of its head cannot be bound outside.
+fn refuse_negated(items: &[Item], meanings: &Meanings<'_>, open: &HashSet<&str>, faults: &mut Faults) {
+    let has_own = |(head, body): &(&Atom, &[Literal])| {
+        let mut of_head: HashSet<&str> = HashSet::new();
+        head.terms.iter().for_each(|term| {
+            names_of(term, true, &mut |name| {
+                of_head.insert(name);
+            })
+        });
+        let mut own = false;
+        body.iter()
+            .for_each(|literal| names_in(literal, true, &mut |name| own |= !of_head.contains(name)));
+        own
+    };
+    for clause in clauses(items) {
+        each_atom(&clause.body, &mut |negated, atom| {
+            let name = atom.predicate.text.as_str();
+            let meaning = meanings.get(name).filter(|_| negated && !open.contains(name));
+            if meaning.is_some_and(|clauses| clauses.iter().any(has_own)) {
+                let why = "is inline, has variables of its own, and is negated";
+                faults.push(refused(&atom.predicate, why));
+            }
+        });
+    }
+}
+
+/// Every atom of literals, those of aggregates included, and whether it is negated.
+fn each_atom<'c>(literals: &'c [Literal], each: &mut dyn FnMut(bool, &'c Atom)) {
+    for literal in literals {
+        match literal {
+            Literal::Atom { negated, atom } => {
+                each(*negated, atom);
+                atom.terms.iter().for_each(|term| each_atom_of(term, each));
+            }
+            Literal::Compare { left, right, .. } => {
+                each_atom_of(left, each);
+                each_atom_of(right, each);
+            }
+            Literal::Any(alternatives) => alternatives.iter().for_each(|all| each_atom(all, each)),
+        }
+    }
+}
+
+fn each_atom_of<'c>(term: &'c Term, each: &mut dyn FnMut(bool, &'c Atom)) {
+    match &term.kind {
+        TermKind::Functor(_, arguments) => arguments.iter().for_each(|argument| each_atom_of(argument, each)),
+        TermKind::Cast(inner, _) => each_atom_of(inner, each),
+        TermKind::Aggregate(aggregate) => each_atom(&aggregate.body, each),
+        _ => {}
+    }
+}
+
+struct Inliner<'a, 'c> {
+    meanings: &'a Meanings<'c>,
+    fresh: usize,
+    growth: usize,
+    faults: &'a mut Faults,
+}
+
+impl Inliner<'_, '_> {
+    fn all(&mut self, literals: &[Literal], depth: usize) -> Vec<Literal> {
+        literals.iter().flat_map(|literal| self.one(literal, depth)).collect()
+    }
+
+    fn one(&mut self, literal: &Literal, depth: usize) -> Vec<Literal> {
+        match literal {
+            Literal::Any(alternatives) => {
+                vec![Literal::Any(
+                    alternatives
+                        .iter()
+                        .map(|alternative| self.all(alternative, depth))
+                        .collect(),
+                )]
+            }
+            Literal::Compare { op, left, right, place } => {
+                let [left, right] = [left, right].map(|side| self.term(side, depth));
+                vec![Literal::Compare {
+                    op: *op,
+                    left,
+                    right,
+                    place: *place,
+                }]
+            }
+            Literal::Atom { negated, atom } => {
+                let Some(meanings) = self.meanings.get(atom.predicate.text.as_str()) else {
+                    return vec![literal.clone()];
+                };
+                self.growth += meanings.iter().map(|(_, body)| 1 + body.len()).sum::<usize>();
+                if depth >= MAX_DEPTH || self.growth > MAX_GROWTH {
+                    return self.refuse(atom, "is inline and used too deeply");
+                }
+                let mut alternatives = Vec::new();
+                for &(head, body) in meanings {
+                    if head.terms.len() != atom.terms.len() {
+                        return vec![literal.clone()];
+                    }
+                    let Some(alternative) = self.meaning(atom, head, body, *negated) else {
+                        return self.refuse(atom, "is inline, has variables of its own, and is negated");
+                    };
+                    alternatives.push(self.all(&alternative, depth + 1));
+                }
+                if *negated {
+                    return alternatives.into_iter().flat_map(negate).collect();
+                }
+                match alternatives.len() {
+                    1 => alternatives.remove(0),
+                    _ => vec![Literal::Any(alternatives)],
+                }
+            }
+        }
+    }
+
+    /// Aggregates have bodies, too.
+    fn term(&mut self, term: &Term, depth: usize) -> Term {
+        let mut term = term.clone();
+        match &mut term.kind {
+            TermKind::Aggregate(aggregate) => aggregate.body = self.all(&aggregate.body, depth),
+            TermKind::Functor(_, arguments) => {
+                for argument in arguments {
+                    *argument = self.term(argument, depth);
+                }
+            }
+            TermKind::Cast(inner, _) => **inner = self.term(inner, depth),
+            _ => {}
+        }
+        term
+    }
+
+    fn refuse(&mut self, atom: &Atom, why: &str) -> Vec<Literal> {
+        self.faults.push(refused(&atom.predicate, why));
+        Vec::new()
+    }
+
+    /// What one clause says of the atom. `None` if that cannot be negated.
+    fn meaning(&mut self, atom: &Atom, head: &Atom, body: &[Literal], negated: bool) -> Option<Vec<Literal>> {
+        self.fresh += 1;
+        let mut names: Names = HashMap::new();
+        let mut equal: Vec<(&Term, &Term)> = Vec::new();
+        for (formal, actual) in head.terms.iter().zip(&atom.terms) {
+            match &formal.kind {
+                TermKind::Variable(name) if !names.contains_key(name) && actual.kind != TermKind::Wildcard => {
+                    names.insert(name.clone(), actual.kind.clone());
+                }
+                _ if actual.kind == TermKind::Wildcard && negated => return None,
+                _ if actual.kind == TermKind::Wildcard => {}
+                _ => equal.push((formal, actual)),
+            }
+        }
+        let mut own: HashSet<&str> = HashSet::new();
+        for literal in body {
+            names_in(literal, true, &mut |name| {
+                own.insert(name);
+            });
+        }
+        own.retain(|name| !names.contains_key(*name));
+        if negated && !own.is_empty() {
+            return None;
+        }
+        for name in own {
+            names.insert(name.to_owned(), TermKind::Variable(format!("+{name}.{}", self.fresh)));
+        }
+        let equal = equal.into_iter().map(|(formal, actual)| Literal::Compare {
+            op: Comparison::Equal,
+            left: renamed_term(formal, &names),
+            right: actual.clone(),
+            place: atom.place,
+        });
+        Some(
+            equal
+                .chain(body.iter().map(|literal| renamed(literal, &names)))
+                .collect(),
+        )
+    }
+}

@@ -1,0 +1,787 @@
+//! Types and predicates: who is declared, as what.
+
+use std::collections::{HashMap, HashSet};
+
+use crate::diag::{Code, Diagnostic, Faults, Span, did_you_mean};
+
+use crate::datalog::check::Inputs;
+use crate::datalog::check::rules::{Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
+use crate::datalog::syntax::ast::BaseType;
+use crate::datalog::syntax::ast::{Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
+
+/// More columns than this are refused.
+const MAX_COLUMNS: usize = 64;
+
+/// A longer chain of subtypes is refused.
+const MAX_TYPE_DEPTH: usize = 64;
+
+/// More members of a union are refused.
+const MAX_MEMBERS: usize = 128;
+
+/// For so many unknown names a similar one is looked for; beyond that the text is too strange for it to help.
+const MAX_SUGGESTIONS: usize = 30;
+
+/// Of the places where an unknown name is used, so many are shown.
+const MAX_USES_SHOWN: usize = 4;
+
+/// What the checks know of a predicate besides its [`Relation`].
+#[derive(Clone, Debug)]
+pub(crate) struct Signature {
+    /// The column types as far as they are known; `None` if the columns were not understood.
+    pub columns: Option<Vec<Option<TypeId>>>,
+    /// The `.input` that names it.
+    pub input: Option<Span>,
+}
+
+/// All declared names. The maps are only asked, never walked.
+pub(crate) struct Names {
+    pub types: Vec<Type>,
+    pub relations: Vec<Relation>,
+    pub signatures: Vec<Signature>,
+    /// Where each type is declared, for labels; none for `symbol` and `number`.
+    type_spans: Vec<Option<Span>>,
+    type_by_name: HashMap<String, Option<TypeId>>,
+    /// Where each type is declared, those too that are another name for one.
+    declared_types: HashMap<String, Span>,
+    /// The unions that a type is a member of.
+    unions_of: HashMap<TypeId, Vec<TypeId>>,
+    relation_by_name: HashMap<String, RelId>,
+    /// The `.printsize` that names a predicate.
+    printsizes: HashMap<RelId, Span>,
+    unknown: Unknown,
+    /// Whether every declaration was read; if not, unknown names are not reported.
+    complete: bool,
+    /// What an `.input` may be.
+    pub inputs: Inputs,
+}
+
+/// Unknown names and where they are used, in the order of first use.
+#[derive(Default)]
+struct Unknown {
+    predicates: indexmap::IndexMap<String, Vec<Span>>,
+    types: indexmap::IndexMap<String, Vec<Span>>,
+}
+
+pub(crate) fn declare(items: &[Item], complete: bool, inputs: Inputs, faults: &mut Faults) -> Names {
+    let mut names = Names {
+        types: Vec::new(),
+        relations: Vec::new(),
+        signatures: Vec::new(),
+        type_spans: Vec::new(),
+        type_by_name: HashMap::new(),
+        declared_types: HashMap::new(),
+        unions_of: HashMap::new(),
+        relation_by_name: HashMap::new(),
+        printsizes: HashMap::new(),
+        unknown: Unknown::default(),
+        complete,
+        inputs,
+    };
+    names.declare_types(items, faults);
+    for item in items {
+        if let Item::Decl(decl) = item {
+            names.declare_predicates(decl, faults);
+        }
+    }
+    for item in items {
+        match item {
+            Item::Mark(mark) => names.mark(mark, faults),
+            Item::Pragma(pragma) => faults.push(
+                Diagnostic::new(Code::Ignored, "`.pragma` has no effect")
+                    .at(pragma.place.0, "")
+                    .help("remove it"),
+            ),
+            _ => {}
+        }
+    }
+    names
+}
+
+impl Names {
+    /// The predicate of that name; an unknown one is remembered for [`Names::report_unknown`].
+    pub fn predicate(&mut self, name: &Name) -> Option<RelId> {
+        let known = self.find(&name.text);
+        if known.is_none() {
+            remember(&mut self.unknown.predicates, name);
+        }
+        known
+    }
+
+    /// The predicate of that name, if it is declared.
+    pub fn find(&self, name: &str) -> Option<RelId> {
+        self.relation_by_name.get(name).copied()
+    }
+
+    /// Whether every declaration was read.
+    pub fn complete(&self) -> bool {
+        self.complete
+    }
+
+    pub fn relation(&self, id: RelId) -> &Relation {
+        &self.relations[id.index()]
+    }
+
+    /// The base type itself.
+    pub fn base_type(base: BaseType) -> TypeId {
+        match base {
+            BaseType::Symbol => TypeId(0),
+            BaseType::Number => TypeId(1),
+            BaseType::Unsigned => TypeId(2),
+            BaseType::Float => TypeId(3),
+        }
+    }
+
+    /// How many predicates were made while checking.
+    pub fn hidden(&self) -> usize {
+        self.relations
+            .iter()
+            .rev()
+            .take_while(|relation| relation.hidden)
+            .count()
+    }
+
+    /// A hidden predicate with these columns, which clauses are to derive.
+    pub fn hide(&mut self, columns: Vec<(String, TypeId)>, doc: String, span: Span) -> RelId {
+        let relation = RelId(u32::try_from(self.relations.len()).expect("fewer than 2^32 predicates"));
+        self.signatures.push(Signature {
+            columns: Some(columns.iter().map(|(_, ty)| Some(*ty)).collect()),
+            input: None,
+        });
+        let column = |(name, ty)| Column {
+            name,
+            ty,
+            base: self.base(ty),
+        };
+        let columns = columns.into_iter().map(column).collect();
+        let name = format!("+{}", self.hidden() + 1);
+        self.relations.push(Relation::made(name, columns, doc, span));
+        relation
+    }
+
+    pub fn type_name(&self, id: TypeId) -> &str {
+        &self.types[id.0 as usize].name
+    }
+
+    pub fn base(&self, id: TypeId) -> BaseType {
+        self.types[id.0 as usize].base
+    }
+
+    /// Whether every value of type `sub` is one of type `sup`.
+    pub fn is_subtype(&self, sub: TypeId, sup: TypeId) -> bool {
+        if self.unions_of.is_empty() {
+            let parent = |id: &TypeId| self.types[id.0 as usize].parent;
+            return std::iter::successors(Some(sub), parent).any(|id| id == sup);
+        }
+        let mut seen = vec![false; self.types.len()];
+        let mut work = vec![sub];
+        while let Some(id) = work.pop() {
+            if id == sup {
+                return true;
+            }
+            if std::mem::replace(&mut seen[id.0 as usize], true) {
+                continue;
+            }
+            work.extend(self.types[id.0 as usize].parent);
+            work.extend(self.unions_of.get(&id).into_iter().flatten());
+        }
+        let members = &self.types[sub.0 as usize].members;
+        !members.is_empty() && members.iter().all(|&member| self.is_subtype(member, sup))
+    }
+
+    /// The narrower of two types of one line, or a type that both have as a part; `None` if no value is of both.
+    pub fn meet(&self, a: TypeId, b: TypeId) -> Option<TypeId> {
+        if a == b || self.is_subtype(a, b) {
+            return Some(a);
+        }
+        if self.is_subtype(b, a) {
+            return Some(b);
+        }
+        let members = |id: TypeId| self.types[id.0 as usize].members.iter();
+        let parts = members(a)
+            .map(|&part| (part, b))
+            .chain(members(b).map(|&part| (part, a)));
+        parts.into_iter().find_map(|(part, other)| self.meet(part, other))
+    }
+
+    /// `P(x: agent, y: agent)`
+    pub fn signature_text(&self, id: RelId) -> String {
+        let relation = self.relation(id);
+        let columns: Vec<String> = (relation.columns.iter())
+            .map(|column| format!("{}: {}", column.name, self.type_name(column.ty)))
+            .collect();
+        format!("{}({})", relation.name, columns.join(", "))
+    }
+
+    // --- types
+
+    fn declare_types(&mut self, items: &[Item], faults: &mut Faults) {
+        for base in BaseType::ALL {
+            self.add_type(base.name(), base, None, String::new());
+        }
+        let mut declared: Vec<&TypeDecl> = Vec::new();
+        let mut first: HashMap<&str, &TypeDecl> = HashMap::new();
+        for item in items {
+            let Item::Type(decl) = item else { continue };
+            let name = decl.name.text.as_str();
+            if self.type_by_name.contains_key(name) {
+                let fault = Diagnostic::new(Code::DuplicateDeclaration, format!("the type `{name}` is built in"))
+                    .at(decl.name.place.0, "");
+                faults.push(fault);
+            } else if let Some(earlier) = first.get(name) {
+                let fault = Diagnostic::new(
+                    Code::DuplicateDeclaration,
+                    format!("the type `{name}` is declared twice"),
+                )
+                .at(decl.name.place.0, "declared again here")
+                .also(earlier.name.place.0, "first declared here");
+                faults.push(fault);
+            } else {
+                first.insert(name, decl);
+                self.declared_types.insert(name.to_owned(), decl.name.place.0);
+                declared.push(decl);
+            }
+        }
+        // Every subtype gets its number before parents are looked up, so that declarations may come in any order.
+        for decl in &declared {
+            if let TypeDefinition::Subtype(_) | TypeDefinition::Union(_) = decl.definition {
+                let id = self.add_type(
+                    &decl.name.text,
+                    BaseType::Symbol,
+                    Some(decl.name.place.0),
+                    decl.doc.clone(),
+                );
+                debug_assert_eq!(self.type_by_name[&decl.name.text], Some(id));
+            }
+        }
+        for decl in &declared {
+            match &decl.definition {
+                TypeDefinition::Subtype(_) | TypeDefinition::Union(_) => {}
+                TypeDefinition::Alias(_) => {
+                    let target = self.alias_target(decl, &first, faults);
+                    self.type_by_name.insert(decl.name.text.clone(), target);
+                }
+                TypeDefinition::Faulty => {
+                    self.type_by_name.insert(decl.name.text.clone(), None);
+                }
+            }
+        }
+        let mut faulty = vec![false; self.types.len()];
+        for decl in &declared {
+            if let TypeDefinition::Subtype(parent) = &decl.definition
+                && let Some(id) = self.type_by_name[&decl.name.text]
+            {
+                match self.type_named(parent) {
+                    Some(parent) => self.types[id.0 as usize].parent = Some(parent),
+                    None => faulty[id.0 as usize] = true,
+                }
+            }
+        }
+        for decl in &declared {
+            if let TypeDefinition::Union(members) = &decl.definition
+                && let Some(id) = self.type_by_name[&decl.name.text]
+            {
+                let known: Vec<TypeId> = members.iter().filter_map(|member| self.type_named(member)).collect();
+                faulty[id.0 as usize] |= known.len() < members.len();
+                // Until all bases are known the first member stands for the base.
+                self.types[id.0 as usize].parent = known.first().copied();
+                self.types[id.0 as usize].members = known;
+            }
+        }
+        self.refuse_subtypes_of_unions(&declared, &mut faulty, faults);
+        self.settle_parents(&mut faulty, faults);
+        self.settle_unions(&declared, &mut faulty, faults);
+        for decl in &declared {
+            if let Some(id) = self.type_by_name[&decl.name.text]
+                && faulty[id.0 as usize]
+            {
+                self.type_by_name.insert(decl.name.text.clone(), None);
+            }
+        }
+    }
+
+    fn add_type(&mut self, name: &str, base: BaseType, span: Option<Span>, doc: String) -> TypeId {
+        let id = TypeId(u32::try_from(self.types.len()).expect("fewer than 2^32 types"));
+        self.types.push(Type {
+            name: name.to_owned(),
+            base,
+            parent: None,
+            members: Vec::new(),
+            doc,
+        });
+        self.type_spans.push(span);
+        self.type_by_name.insert(name.to_owned(), Some(id));
+        id
+    }
+
+    /// Follows `.type A = B`, `.type B = C` ... to a type.
+    fn alias_target(
+        &mut self,
+        decl: &TypeDecl,
+        first: &HashMap<&str, &TypeDecl>,
+        faults: &mut Faults,
+    ) -> Option<TypeId> {
+        let mut at = decl;
+        let mut steps = 0;
+        while let TypeDefinition::Alias(other) = &at.definition {
+            if let Some(known) = self.type_by_name.get(&other.text) {
+                return *known;
+            }
+            steps += 1;
+            at = match first.get(other.text.as_str()) {
+                Some(next) if std::ptr::eq(*next, decl) => {
+                    let message = format!("the type `{}` is declared by way of itself", decl.name.text);
+                    faults.push(Diagnostic::new(Code::CyclicType, message).at(decl.name.place.0, ""));
+                    return None;
+                }
+                Some(_) if steps > MAX_TYPE_DEPTH => {
+                    let fault = Diagnostic::new(Code::LimitExceeded, "too long a chain of types")
+                        .at(decl.name.place.0, "")
+                        .note(format!("at most {MAX_TYPE_DEPTH} names may stand for each other"));
+                    faults.push(fault);
+                    return None;
+                }
+                Some(next) => next,
+                None => return self.type_named(other),
+            };
+        }
+        None
+    }
+
+    /// A subtype has one parent line, which a union has not.
+    fn refuse_subtypes_of_unions(&self, declared: &[&TypeDecl], faulty: &mut [bool], faults: &mut Faults) {
+        let is_union = |decl: &&&TypeDecl| matches!(decl.definition, TypeDefinition::Union(_));
+        let unions: HashMap<TypeId, Span> = (declared.iter().filter(is_union))
+            .filter_map(|decl| Some((self.type_by_name[&decl.name.text]?, decl.name.place.0)))
+            .collect();
+        for decl in declared {
+            if let (TypeDefinition::Subtype(parent), Some(id)) = (&decl.definition, self.type_by_name[&decl.name.text])
+                && let Some(union) = self.types[id.0 as usize].parent.and_then(|id| unions.get(&id))
+            {
+                faulty[id.0 as usize] = true;
+                let message = format!("`{}` is a subtype of the union `{}`", decl.name.text, parent.text);
+                let fault = Diagnostic::new(Code::TypeMismatch, message)
+                    .at(parent.place.0, "")
+                    .also(*union, "the union")
+                    .help("make it a subtype of a member");
+                faults.push(fault);
+            }
+        }
+    }
+
+    /// Finds the base of every type through its parents. Types on a cycle or under a faulty one become faulty.
+    fn settle_parents(&mut self, faulty: &mut [bool], faults: &mut Faults) {
+        // 0: not looked at; otherwise the distance from the base, plus one.
+        let mut depth = vec![0_usize; self.types.len()];
+        depth[..BaseType::ALL.len()].fill(1);
+        let mut reported_on = vec![usize::MAX; self.types.len()];
+        for start in BaseType::ALL.len()..self.types.len() {
+            let mut path = Vec::new();
+            let mut at = start;
+            while depth[at] == 0 && !faulty[at] && reported_on[at] != start {
+                reported_on[at] = start;
+                path.push(at);
+                match self.types[at].parent {
+                    Some(parent) => at = parent.0 as usize,
+                    None => break,
+                }
+            }
+            let cyclic = depth[at] == 0 && !faulty[at];
+            if cyclic {
+                let cycle = &path[path.iter().position(|&id| id == at).unwrap_or(0)..];
+                let name = &self.types[at].name;
+                let mut fault = Diagnostic::new(Code::CyclicType, format!("the type `{name}` is a subtype of itself"));
+                for (index, &id) in cycle.iter().enumerate() {
+                    let Some(span) = self.type_spans[id] else { continue };
+                    fault = if index == 0 {
+                        fault.at(span, "")
+                    } else {
+                        fault.also(span, "on the circle")
+                    };
+                }
+                faults.push(fault);
+            }
+            for &id in path.iter().rev() {
+                let parent = self.types[id].parent.map_or(0, |parent| parent.0 as usize);
+                if cyclic || faulty[parent] {
+                    faulty[id] = true;
+                    continue;
+                }
+                depth[id] = depth[parent] + 1;
+                self.types[id].base = self.types[parent].base;
+                if depth[id] > MAX_TYPE_DEPTH {
+                    faulty[id] = true;
+                    let mut fault = Diagnostic::new(Code::LimitExceeded, "too long a chain of subtypes")
+                        .note(format!("a type has at most {MAX_TYPE_DEPTH} ancestors"));
+                    if let Some(span) = self.type_spans[id] {
+                        fault = fault.at(span, "");
+                    }
+                    faults.push(fault);
+                }
+            }
+        }
+        // Nobody may walk along a cycle later.
+        for (id, ty) in self.types.iter_mut().enumerate() {
+            if faulty[id] {
+                ty.parent = None;
+            }
+        }
+    }
+
+    /// The members of a union have one base, and none is the union itself.
+    fn settle_unions(&mut self, declared: &[&TypeDecl], faulty: &mut [bool], faults: &mut Faults) {
+        for decl in declared {
+            let (TypeDefinition::Union(written), Some(id)) = (&decl.definition, self.type_by_name[&decl.name.text])
+            else {
+                continue;
+            };
+            let at = id.0 as usize;
+            let members = self.types[at].members.clone();
+            faulty[at] |= members.iter().any(|member| faulty[member.0 as usize]);
+            if faulty[at] {
+                self.types[at].members.clear();
+                self.types[at].parent = None;
+                continue;
+            }
+            // A member that is itself a union is walked through, to find circles.
+            let mut seen = HashSet::new();
+            let mut work = members.clone();
+            let mut leaves = Vec::new();
+            while let Some(member) = work.pop() {
+                if seen.len() <= MAX_MEMBERS && seen.insert(member) {
+                    let parts = &self.types[member.0 as usize].members;
+                    work.extend(parts);
+                    leaves.extend(parts.is_empty().then_some(member));
+                }
+            }
+            leaves.sort_unstable();
+            let name = &decl.name.text;
+            let base = self.base(id);
+            let other = members.iter().position(|&member| self.base(member) != base);
+            if seen.len() > MAX_MEMBERS {
+                let fault = Diagnostic::new(Code::LimitExceeded, "union of too many types")
+                    .at(decl.name.place.0, "")
+                    .note(format!(
+                        "a union has at most {MAX_MEMBERS} members, those of its members included"
+                    ));
+                faults.push(fault);
+            } else if seen.contains(&id) {
+                let message = format!("the type `{name}` is a part of itself");
+                faults.push(Diagnostic::new(Code::CyclicType, message).at(decl.name.place.0, ""));
+            } else if let Some(other) = other {
+                let message = format!(
+                    "the union `{name}` has values of type `{}` and of type `{}`",
+                    base.name(),
+                    self.base(members[other]).name()
+                );
+                let fault = Diagnostic::new(Code::TypeMismatch, message).at(written[other].place.0, "");
+                faults.push(fault.also(written[0].place.0, format!("`{}` here", base.name())));
+            } else {
+                self.types[at].parent = Some(Self::base_type(base));
+                self.types[at].members.clone_from(&leaves);
+                for member in members.into_iter().chain(leaves) {
+                    self.unions_of.entry(member).or_default().push(id);
+                }
+                continue;
+            }
+            faulty[at] = true;
+            self.types[at].members.clear();
+            self.types[at].parent = None;
+        }
+    }
+
+    /// The type of that name; an unknown one is remembered for [`Names::report_unknown`].
+    pub fn type_named(&mut self, name: &Name) -> Option<TypeId> {
+        match self.type_by_name.get(&name.text) {
+            Some(known) => *known,
+            None => {
+                remember(&mut self.unknown.types, name);
+                None
+            }
+        }
+    }
+
+    // --- predicates
+
+    fn declare_predicates(&mut self, decl: &Decl, faults: &mut Faults) {
+        let mut columns = Vec::new();
+        let mut types = Vec::new();
+        let mut seen: HashMap<&str, Span> = HashMap::new();
+        for column in decl.columns.iter().flatten() {
+            let span = column.name.place.0;
+            if let Some(&first) = seen.get(column.name.text.as_str()) {
+                let message = format!("two columns are named `{}`", column.name.text);
+                let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
+                    .at(span, "named again here")
+                    .also(first, "first named here");
+                faults.push(fault);
+            }
+            seen.insert(&column.name.text, span);
+            let ty = self.type_named(&column.ty);
+            types.push(ty);
+            let ty = ty.unwrap_or(TypeId(0));
+            columns.push(Column {
+                name: column.name.text.clone(),
+                ty,
+                base: self.base(ty),
+            });
+        }
+        if columns.len() > MAX_COLUMNS {
+            let fault = Diagnostic::new(Code::LimitExceeded, format!("{} columns", columns.len()))
+                .at(decl.names[0].place.0, "")
+                .note(format!("a predicate has at most {MAX_COLUMNS}"));
+            faults.push(fault);
+        }
+        qualifiers(&decl.qualifiers, faults);
+        for name in &decl.names {
+            let span = name.place.0;
+            if let Some(&earlier) = self.declared_types.get(&name.text) {
+                let message = format!("`{}` is a type and a predicate", name.text);
+                let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
+                    .at(span, "declared as a predicate here")
+                    .also(earlier, "declared as a type here")
+                    .help("give one of them another name");
+                faults.push(fault);
+            }
+            if let Some(&earlier) = self.relation_by_name.get(&name.text) {
+                let message = format!("the predicate `{}` is declared twice", name.text);
+                let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
+                    .at(span, "declared again here")
+                    .also(self.relation(earlier).span, "first declared here");
+                faults.push(fault);
+                continue;
+            }
+            let id = RelId(u32::try_from(self.relations.len()).expect("fewer than 2^32 predicates"));
+            self.relation_by_name.insert(name.text.clone(), id);
+            self.relations.push(Relation {
+                name: name.text.clone(),
+                columns: columns.clone(),
+                doc: decl.doc.clone(),
+                span,
+                input: false,
+                given: None,
+                output: false,
+                printsize: false,
+                derived: false,
+                hidden: false,
+                directives: Vec::new(),
+            });
+            self.signatures.push(Signature {
+                columns: decl.columns.is_some().then(|| types.clone()),
+                input: None,
+            });
+        }
+    }
+
+    fn mark(&mut self, mark: &Mark, faults: &mut Faults) {
+        let directive = read_options(mark, faults);
+        for name in &mark.names {
+            let Some(id) = self.predicate(name) else { continue };
+            let relation = &mut self.relations[id.index()];
+            match mark.kind {
+                MarkKind::Input => {
+                    relation.input = true;
+                    self.signatures[id.index()].input.get_or_insert(name.place.0);
+                }
+                MarkKind::Output => relation.output = true,
+                MarkKind::PrintSize => {
+                    relation.printsize = true;
+                    if let Some(earlier) = self.printsizes.insert(id, name.place.0) {
+                        let message = format!("`{}` has two `.printsize`", name.text);
+                        let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
+                            .at(name.place.0, "again here")
+                            .also(earlier, "first here");
+                        faults.push(fault.help("remove one of them"));
+                    }
+                }
+            }
+            let (columns, chosen) = (relation.arity(), directive.format.columns.len());
+            if let Some(option) = mark.options.iter().find(|option| option.key.text == "columns")
+                && chosen != columns
+                && chosen > 0
+            {
+                let message = format!("`columns` names {chosen} columns, `{}` has {columns}", relation.name);
+                let fault = Diagnostic::new(Code::ArityMismatch, message).at(option.place.0, "");
+                faults.push(fault.also(relation.span, "declared here"));
+            }
+            relation.directives.push(directive.clone());
+        }
+    }
+
+    // --- unknown names
+
+    /// Reports each unknown name once, with the places of its uses.
+    pub fn report_unknown(&mut self, faults: &mut Faults) {
+        let unknown = std::mem::take(&mut self.unknown);
+        if !self.complete {
+            return;
+        }
+        for (index, (name, uses)) in unknown.types.iter().enumerate() {
+            let fault = Diagnostic::new(Code::UnknownType, format!("no type `{name}` is declared"));
+            let mut fault = with_uses(fault, uses);
+            let candidates = self.types.iter().map(|ty| ty.name.as_str());
+            let near = if index < MAX_SUGGESTIONS {
+                did_you_mean(name, candidates)
+            } else {
+                None
+            };
+            fault = match near {
+                Some(near) => {
+                    let id = self.types.iter().position(|ty| ty.name == near);
+                    if let Some(span) = id.and_then(|id| self.type_spans[id]) {
+                        fault = fault.also(span, format!("`{near}` is declared here"));
+                    }
+                    fault.help(format!("did you mean `{near}`?"))
+                }
+                None => fault.help(match BaseType::of_other_languages(name) {
+                    Some(base) => format!("write `{}`", base.name()),
+                    None => format!("declare it: `.type {name} <: symbol`"),
+                }),
+            };
+            faults.push(fault);
+        }
+        for (index, (name, uses)) in unknown.predicates.iter().enumerate() {
+            let fault = Diagnostic::new(Code::UnknownPredicate, format!("no predicate `{name}` is declared"));
+            let mut fault = with_uses(fault, uses);
+            let candidates = self.relations.iter().map(|relation| relation.name.as_str());
+            let near = if index < MAX_SUGGESTIONS {
+                did_you_mean(name, candidates)
+            } else {
+                None
+            };
+            fault = match near {
+                Some(near) => {
+                    let span = self.relation_by_name.get(near).map(|&id| self.relation(id).span);
+                    if let Some(span) = span {
+                        fault = fault.also(span, format!("`{near}` is declared here"));
+                    }
+                    fault.help(format!("did you mean `{near}`?"))
+                }
+                None => fault.help(format!(
+                    "declare it: `.decl {name}(...)`, or include the file that does; `.include \"vocabulary.dl\"` declares all that \
+                     rules of the city speak of"
+                )),
+            };
+            faults.push(fault);
+        }
+    }
+}
+
+/// Reports the words after a declaration: none may say again or otherwise what another says, and all but `inline` have no effect. That
+/// asks how a predicate is evaluated, which changes no answer, so nothing is lost where it is not followed.
+fn qualifiers(words: &[Name], faults: &mut Faults) {
+    let storage = |word: &Name| matches!(word.text.as_str(), "btree" | "brie");
+    let rivals = |a: &Name, b: &Name| a.text == b.text || (storage(a) && storage(b));
+    for (index, word) in words.iter().enumerate() {
+        if let Some(earlier) = words[..index].iter().find(|earlier| rivals(earlier, word)) {
+            let fault = Diagnostic::new(
+                Code::DuplicateDeclaration,
+                format!("`{}` after `{}`", word.text, earlier.text),
+            )
+            .at(word.place.0, "")
+            .also(earlier.place.0, "one of them is enough");
+            faults.push(fault.help("remove one of them"));
+        } else if word.text != "inline" && !words[index + 1..].iter().any(|later| rivals(word, later)) {
+            let fault = Diagnostic::new(Code::Ignored, format!("`{}` has no effect", word.text));
+            faults.push(fault.at(word.place.0, "").help("remove it"));
+        }
+    }
+}
+
+/// How far back a place is looked for.
+const MAX_USES_REMEMBERED: usize = 8;
+
+/// A place is remembered once, though a clause with alternatives is looked at several times.
+fn remember(unknown: &mut indexmap::IndexMap<String, Vec<Span>>, name: &Name) {
+    let places = unknown.entry(name.text.clone()).or_default();
+    if !places
+        .iter()
+        .rev()
+        .take(MAX_USES_REMEMBERED)
+        .any(|place| *place == name.place.0)
+    {
+        places.push(name.place.0);
+    }
+}
+
+/// What the options of an `.input`, `.output` or `.printsize` say.
+fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
+    let mut place = RowPlace::Usual;
+    let mut format = RowFormat::default();
+    let mut delimiter = None;
+    let mut terminal = false;
+    for option in &mark.options {
+        let flag = option.value == "true";
+        match option.key.text.as_str() {
+            "IO" => match (mark.kind, option.value.as_str()) {
+                (MarkKind::Input | MarkKind::Output, "file") | (MarkKind::PrintSize, "stdoutprintsize") => {}
+                (MarkKind::Input, "stdin") | (MarkKind::Output, "stdout") => terminal = true,
+                (_, value) => {
+                    let fault = Diagnostic::new(Code::Unsupported, format!("`IO={value}` is not supported here"));
+                    let known = match mark.kind {
+                        MarkKind::Input => "`file` and `stdin`",
+                        MarkKind::Output => "`file` and `stdout`",
+                        MarkKind::PrintSize => "`stdoutprintsize`",
+                    };
+                    faults.push(fault.at(option.place.0, "").help(format!("it may be {known}")));
+                }
+            },
+            "filename" if mark.kind != MarkKind::PrintSize => place = RowPlace::File(option.value.clone()),
+            "delimiter" if option.value.is_empty() => {
+                faults.push(Diagnostic::new(Code::Syntax, "empty delimiter").at(option.place.0, ""));
+            }
+            "delimiter" => delimiter = Some(option.value.clone()),
+            "headers" => format.headers = flag,
+            "rfc4180" => format.quoted = flag,
+            "columns" if mark.kind == MarkKind::Input => match column_numbers(&option.value) {
+                Some(numbers) => format.columns = numbers,
+                None => {
+                    let fault = Diagnostic::new(Code::Syntax, "not a list of columns").at(option.place.0, "");
+                    faults.push(fault.help("it is written as numbers, from 0 on, each once: `columns=\"0:2:1\"`"));
+                }
+            },
+            "compress" if option.value == "false" => {}
+            key @ ("compress" | "dbname") => {
+                let fault = Diagnostic::new(Code::Unsupported, format!("the option `{key}` is not supported"));
+                faults.push(fault.at(option.key.place.0, ""));
+            }
+            key => {
+                let fault = Diagnostic::new(Code::Ignored, format!("the option `{key}` has no effect"));
+                faults.push(fault.at(option.key.place.0, "").help("remove it"));
+            }
+        }
+    }
+    let usual = if format.quoted { "," } else { "\t" };
+    format.delimiter = delimiter.unwrap_or_else(|| usual.to_owned());
+    if terminal {
+        place = RowPlace::Terminal;
+    }
+    Directive {
+        kind: mark.kind,
+        place,
+        format,
+    }
+}
+
+/// `0:2:1`
+fn column_numbers(text: &str) -> Option<Vec<usize>> {
+    let numbers: Vec<usize> = text
+        .split(':')
+        .map(|number| number.trim().parse::<u16>().ok().map(usize::from))
+        .collect::<Option<_>>()?;
+    let different: HashSet<&usize> = numbers.iter().collect();
+    (different.len() == numbers.len()).then_some(numbers)
+}
+
+fn with_uses(mut fault: Diagnostic, uses: &[Span]) -> Diagnostic {
+    for (index, &span) in uses.iter().take(MAX_USES_SHOWN).enumerate() {
+        fault = if index == 0 {
+            fault.at(span, "")
+        } else {
+            fault.also(span, "also used here")
+        };
+    }
+    if uses.len() > MAX_USES_SHOWN {
+        fault = fault.note(format!("it is used in {} more places", uses.len() - MAX_USES_SHOWN));
+    }
+    fault
+}

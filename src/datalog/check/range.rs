@@ -1,0 +1,303 @@
+//! `range` as hidden predicates.
+//!
+//! ```text
+//! A(x) :- B(n), x = range(0, n).      becomes   A(x) :- B(n), +2(0, n, 1, x).
+//!                                     with      +1(0, n, 1) :- 0 <= n, B(n).              what is asked for
+//!                                               +2(f, t, s, f) :- +1(f, t, s), f < t.     where it begins
+//!                                               +2(f, t, s, y) :- +2(f, t, s, x), ...     and what comes after
+//! ```
+//!
+//! So a range is asked for only where the rest of the clause needs one, and every way of evaluation knows ranges. Whole numbers
+//! are reached by doubling the distance from the beginning: a range of n values takes log n rounds. The steps of a range of
+//! floats are added one by one, since the sum depends on how it is made.
+
+use std::collections::BTreeSet;
+
+use crate::diag::Span;
+
+use crate::datalog::check::aggregate::{Finish, bound_by};
+use crate::datalog::check::body::{Check, Known, Pending, VariableType, renumber};
+use crate::datalog::check::clause::EdgeKind;
+use crate::datalog::check::names::Names;
+use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Term, VarId};
+use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::datalog::syntax::functor::Functor;
+use crate::datalog::value::Value;
+
+const FROM: Term = Term::Variable(VarId(0));
+const TO: Term = Term::Variable(VarId(1));
+const STEP: Term = Term::Variable(VarId(2));
+const VALUE: Term = Term::Variable(VarId(3));
+const DISTANCE: Term = Term::Variable(VarId(4));
+const DOUBLE: Term = Term::Variable(VarId(5));
+const NEXT: Term = Term::Variable(VarId(6));
+
+/// The names of these variables.
+const NAMES: [&str; 7] = ["from", "to", "step", "value", "distance", "double", "next"];
+
+/// The columns of what is asked for, and of the values.
+const ASKED: usize = 3;
+const COLUMNS: usize = 4;
+
+impl<'c> Check<'_, 'c> {
+    /// An atom for `to = range(from, to, step)`; `None` if something that it needs is not there yet. `near` are the finished literals
+    /// beside it, `context` those of the clause, or of aggregates, around.
+    pub fn range_literal(
+        &mut self,
+        pending: &Pending<'c>,
+        near: &[Literal],
+        context: &[Literal],
+        finish: &mut Finish<'_>,
+    ) -> Option<Literal> {
+        let Some(Literal::Compute {
+            to,
+            functor: Functor::Range,
+            base,
+            arguments,
+            span,
+        }) = self.written(pending)
+        else {
+            return None;
+        };
+        let needed: BTreeSet<VarId> = arguments.iter().filter_map(variable).collect();
+        let (near, context) = relevant(&needed, near, context)?;
+        for atom in context.iter().filter_map(Literal::atom) {
+            if !self.names.relation(atom.relation).hidden {
+                self.edge(atom.relation, EdgeKind::Aggregates, atom.span);
+            }
+        }
+        let mut making = Making {
+            names: &mut *self.names,
+            hidden: &mut *finish.hidden,
+            base,
+            span,
+        };
+        let asked = making.predicate("what is asked of `range`", ASKED);
+        let values = making.predicate("what `range` gives", COLUMNS);
+        let around: Vec<Literal> = near.into_iter().chain(context).collect();
+        let mut ways = Vec::new();
+        for (terms, condition, way) in asked_of(&arguments, base, span) {
+            let body = condition.into_iter().chain(around.iter().cloned()).collect();
+            making.clause(asked, terms, body, finish.variables.clone());
+            ways.push(way);
+        }
+        making.values(asked, values, &ways);
+        let [from, until, rest @ ..] = arguments.as_slice() else {
+            return None;
+        };
+        // Without a step both ways are there, of which one is empty.
+        let step = rest.first().copied().unwrap_or(Term::Wildcard);
+        Some(Literal::Positive(Atom {
+            relation: values,
+            terms: vec![*from, *until, step, to],
+            span,
+        }))
+    }
+}
+
+fn variable(term: &Term) -> Option<VarId> {
+    match term {
+        Term::Variable(id) => Some(*id),
+        _ => None,
+    }
+}
+
+/// Of the literals near and around those that are bound and have to do, through others, with the needed variables. `None` if they do
+/// not bind these.
+fn relevant(needed: &BTreeSet<VarId>, near: &[Literal], context: &[Literal]) -> Option<(Vec<Literal>, Vec<Literal>)> {
+    let all: Vec<Literal> = near.iter().chain(context).cloned().collect();
+    let bound = bound_by(&all);
+    if !needed.is_subset(&bound) {
+        return None;
+    }
+    let mut connected = needed.clone();
+    let mut chosen = vec![false; all.len()];
+    let mut changed = true;
+    while std::mem::take(&mut changed) {
+        for (literal, chosen) in all.iter().zip(&mut chosen) {
+            let ids: Vec<VarId> = literal.terms().filter_map(variable).collect();
+            if !*chosen && ids.iter().all(|id| bound.contains(id)) && ids.iter().any(|id| connected.contains(id)) {
+                connected.extend(ids);
+                *chosen = true;
+                changed = true;
+            }
+        }
+    }
+    let pick = |from: usize, literals: &[Literal]| {
+        let chosen = chosen[from..].iter().zip(literals);
+        chosen
+            .filter(|(chosen, _)| **chosen)
+            .map(|(_, literal)| literal.clone())
+            .collect()
+    };
+    Some((pick(0, near), pick(near.len(), context)))
+}
+
+/// Where a range goes: up with a step above zero, down with one below; with the step 0 it has one value.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Way {
+    Up,
+    Down,
+    Nowhere,
+}
+
+/// What may be asked for with these arguments: beginning, end and step, when, and which way the step leads.
+fn asked_of(arguments: &[Term], base: BaseType, span: Span) -> Vec<(Vec<Term>, Option<Literal>, Way)> {
+    let [from, to, rest @ ..] = arguments else {
+        return Vec::new();
+    };
+    let signed = base != BaseType::Unsigned;
+    let compare = |op, left, right| Literal::Compare {
+        op,
+        left,
+        right,
+        base,
+        span,
+    };
+    match rest.first() {
+        Some(step) => {
+            let sign = [
+                (Way::Up, Comparison::Greater),
+                (Way::Down, Comparison::Less),
+                (Way::Nowhere, Comparison::Equal),
+            ];
+            let possible = sign.into_iter().filter(|(way, _)| signed || *way != Way::Down);
+            possible
+                .map(|(way, op)| {
+                    let condition = compare(op, *step, constant(0, base));
+                    (vec![*from, *to, *step], Some(condition), way)
+                })
+                .collect()
+        }
+        // Of unsigned numbers there is no step downwards.
+        None => {
+            let mut all = vec![(
+                vec![*from, *to, constant(1, base)],
+                Some(compare(Comparison::Less, *from, *to)),
+                Way::Up,
+            )];
+            if signed {
+                let condition = compare(Comparison::Greater, *from, *to);
+                all.push((vec![*from, *to, constant(-1, base)], Some(condition), Way::Down));
+            }
+            all
+        }
+    }
+}
+
+fn constant(n: i8, base: BaseType) -> Term {
+    Term::Constant(match base {
+        BaseType::Float => Value::float(f32::from(n)),
+        _ => Value::number(i32::from(n)),
+    })
+}
+
+/// The hidden predicates of one range.
+struct Making<'m> {
+    names: &'m mut Names,
+    hidden: &'m mut Vec<Clause>,
+    base: BaseType,
+    span: Span,
+}
+
+impl Making<'_> {
+    fn predicate(&mut self, doc: &str, columns: usize) -> RelId {
+        let ty = Names::base_type(self.base);
+        let columns = NAMES[..columns].iter().map(|name| ((*name).to_owned(), ty)).collect();
+        self.names.hide(columns, doc.to_owned(), self.span)
+    }
+
+    fn clause(&mut self, relation: RelId, mut terms: Vec<Term>, mut body: Vec<Literal>, variables: Vec<Known>) {
+        let variables = renumber(variables, std::iter::once(&mut terms), &mut body);
+        let head = self.atom(relation, terms);
+        self.hidden.push(Clause {
+            head,
+            body,
+            variables: variables.into_iter().map(|variable| variable.name).collect(),
+            doc: String::new(),
+            span: self.span,
+        });
+    }
+
+    fn atom(&self, relation: RelId, terms: Vec<Term>) -> Atom {
+        Atom {
+            relation,
+            terms,
+            span: self.span,
+        }
+    }
+
+    /// The clauses for the values.
+    fn values(&mut self, asked: RelId, values: RelId, ways: &[Way]) {
+        let variables: Vec<Known> = (NAMES.iter())
+            .map(|name| Known {
+                name: (*name).to_owned(),
+                ty: VariableType::Base(self.base),
+                first: self.span,
+                count: 2,
+                hidden: true,
+            })
+            .collect();
+        for &way in ways {
+            for (value, body) in self.bodies(asked, values, way) {
+                self.clause(values, vec![FROM, TO, STEP, value], body, variables.clone());
+            }
+        }
+    }
+
+    /// What is a value, and when. Numbers wrap around: what does not lie further on than where it was reached from is none.
+    fn bodies(&self, asked: RelId, values: RelId, way: Way) -> Vec<(Term, Vec<Literal>)> {
+        let (before, after, sign) = match way {
+            Way::Up => (Comparison::Less, Comparison::Greater, Comparison::Greater),
+            Way::Down => (Comparison::Greater, Comparison::Less, Comparison::Less),
+            Way::Nowhere => (Comparison::NotEqual, Comparison::NotEqual, Comparison::Equal),
+        };
+        let compare = |left, op, right| Literal::Compare {
+            op,
+            left,
+            right,
+            base: self.base,
+            span: self.span,
+        };
+        let compute = |to, left, functor, right| Literal::Compute {
+            to,
+            functor,
+            base: self.base,
+            arguments: vec![left, right],
+            span: self.span,
+        };
+        let asked = Literal::Positive(self.atom(asked, vec![FROM, TO, STEP]));
+        let known = Literal::Positive(self.atom(values, vec![FROM, TO, STEP, VALUE]));
+        let this_way = compare(STEP, sign, constant(0, self.base));
+        let begin = vec![asked.clone(), this_way.clone(), compare(FROM, before, TO)];
+        let reached = |term, from| [compare(term, after, from), compare(term, before, TO)];
+        let mut bodies = vec![(FROM, begin)];
+        match (way, self.base) {
+            (Way::Nowhere, _) => {}
+            (_, BaseType::Float) => {
+                let mut next = vec![known, this_way, compute(NEXT, VALUE, Functor::Add, STEP)];
+                next.extend(reached(NEXT, VALUE));
+                bodies.push((NEXT, next));
+            }
+            _ => {
+                let mut second = vec![asked, this_way.clone(), compute(NEXT, FROM, Functor::Add, STEP)];
+                second.extend(reached(NEXT, FROM));
+                bodies.push((NEXT, second));
+                let mut double = vec![
+                    known,
+                    this_way,
+                    compare(VALUE, after, FROM),
+                    compute(DISTANCE, VALUE, Functor::Subtract, FROM),
+                    compute(DOUBLE, VALUE, Functor::Add, DISTANCE),
+                ];
+                double.extend(reached(DOUBLE, VALUE));
+                let mut beside = double.clone();
+                beside.push(compute(NEXT, DOUBLE, Functor::Add, STEP));
+                beside.extend(reached(NEXT, DOUBLE));
+                bodies.push((DOUBLE, double));
+                bodies.push((NEXT, beside));
+            }
+        }
+        bodies
+    }
+}

@@ -1,0 +1,343 @@
+//! `.scope P`: writes the guards of a local view out as ordinary literals.
+//!
+//! ```text
+//! .scope Sees
+//! Stop(X) :- IsAtInter(X), IsInInter(Y).         becomes   ..., Sees(X, Y).
+//! Stop(X) :- IsCar(X), IsClose(X, _).            becomes   IsCar(X), IsClose(X, w), Sees(X, w).
+//! Go(X)   :- IsCar(X), Not(IsClose(X, _)).       becomes   IsCar(X), Not(+1(X)).
+//!                                                with      +1(X) :- IsClose(X, w), Sees(X, w).
+//! ```
+
+use indexmap::IndexMap;
+
+use crate::diag::{Code, Diagnostic, Faults, Span};
+
+use crate::datalog::check::body::VariableType;
+use crate::datalog::check::clause::{Clauses, Edge, EdgeKind};
+use crate::datalog::check::names::Names;
+use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
+use crate::datalog::syntax::ast;
+
+/// A clause that the scope may add to.
+pub(crate) struct Scope<'a> {
+    pub head: &'a Atom,
+    pub body: &'a mut Vec<Literal>,
+    /// The names of its variables; new ones are added.
+    pub names: Vec<String>,
+    /// The types of the author's variables.
+    pub types: Vec<VariableType>,
+    /// Which of the author's variables have a guard.
+    pub guarded: Vec<bool>,
+}
+
+/// The scope in force.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Guard {
+    pub relation: RelId,
+    pub ego: TypeId,
+    pub seen: TypeId,
+    /// The `.scope`.
+    pub span: Span,
+}
+
+/// The scopes of a program, as its clauses are read in order.
+#[derive(Default)]
+pub(crate) struct Scopes {
+    current: Option<Guard>,
+    /// The hidden predicates by what they stand for: equal ones are shared.
+    hidden: IndexMap<Hidden, RelId>,
+}
+
+/// A negated atom with `_` under a scope, without the names of its variables.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct Hidden {
+    guard: RelId,
+    relation: RelId,
+    terms: Vec<Term>,
+    /// For each term, whether it is a `_` in view.
+    in_view: Vec<bool>,
+}
+
+impl Scopes {
+    /// The scope in force.
+    pub fn current(&self) -> Option<Guard> {
+        self.current
+    }
+
+    /// A `.scope` directive.
+    pub fn enter(&mut self, scope: &ast::Scope, names: &mut Names, faults: &mut Faults) {
+        self.current = None;
+        let Some(name) = &scope.predicate else { return };
+        let Some(relation) = names.predicate(name) else { return };
+        let Some(columns) = &names.signatures[relation.index()].columns else {
+            return;
+        };
+        match columns.as_slice() {
+            &[Some(ego), Some(seen)] => {
+                self.current = Some(Guard {
+                    relation,
+                    ego,
+                    seen,
+                    span: name.place.0,
+                });
+            }
+            [_, _] => {}
+            _ => {
+                let fault = Diagnostic::new(Code::InvalidScope, format!("`{}` cannot be a scope", name.text))
+                    .at(name.place.0, "a scope has two columns: who sees, and who is seen")
+                    .also(names.relation(relation).span, "declared here")
+                    .note(format!("the declaration is `{}`", names.signature_text(relation)));
+                faults.push(fault);
+            }
+        }
+    }
+
+    /// Adds the guards of the scope in force to a clause, or reports that it cannot be guarded. `false`: reported.
+    pub fn guard(
+        &mut self,
+        clause: &mut Scope<'_>,
+        sound: bool,
+        names: &mut Names,
+        out: &mut Clauses,
+        faults: &mut Faults,
+    ) -> bool {
+        let Some(guard) = self.current else { return true };
+        if clause.head.relation == guard.relation || clause.body.is_empty() {
+            return true;
+        }
+        let ego = match clause.head.terms.first() {
+            Some(&Term::Variable(id)) if fits(clause.types[id.index()], guard.ego, names) => Some(id),
+            _ => None,
+        };
+        for (index, ty) in clause.types.iter().enumerate() {
+            clause.guarded[index] = ego != Some(variable(index)) && fits(*ty, guard.seen, names);
+        }
+        let in_view = |atom: &Atom, column: usize| {
+            let types = names.signatures[atom.relation.index()]
+                .columns
+                .as_deref()
+                .unwrap_or_default();
+            atom.terms[column] == Term::Wildcard && types[column].is_some_and(|ty| names.meet(ty, guard.seen).is_some())
+        };
+        // For each literal, which of its columns are a `_` in view.
+        let wildcards: Vec<Vec<bool>> = (clause.body.iter())
+            .map(|literal| match literal {
+                Literal::Positive(atom) | Literal::Negative(atom) => {
+                    (0..atom.terms.len()).map(|column| in_view(atom, column)).collect()
+                }
+                _ => Vec::new(),
+            })
+            .collect();
+        if !clause.guarded.contains(&true) && !wildcards.iter().flatten().any(|&wildcard| wildcard) {
+            return true;
+        }
+        let Some(ego) = ego else {
+            // Of a clause that is wrong anyway the head's type may be unknown.
+            if sound {
+                self.refuse(clause, guard, names, faults);
+            }
+            return false;
+        };
+        if !sound {
+            return true;
+        }
+        self.expand(clause, guard, ego, &wildcards, names, out);
+        true
+    }
+
+    fn refuse(&self, clause: &Scope<'_>, guard: Guard, names: &Names, faults: &mut Faults) {
+        let scope = &names.relation(guard.relation).name;
+        let ego = names.type_name(guard.ego);
+        let fault = Diagnostic::new(
+            Code::InvalidScope,
+            format!("the scope `{scope}` cannot guard this clause"),
+        )
+        .at(
+            clause.head.span,
+            format!("its first argument is not a variable of type `{ego}`"),
+        )
+        .also(guard.span, "the scope")
+        .note(format!(
+            "in a scope the other variables of a clause are those that `{scope}` relates to the head's first"
+        ))
+        .help("end the scope before this clause with `.scope` alone");
+        faults.push(fault);
+    }
+
+    fn expand(
+        &mut self,
+        clause: &mut Scope<'_>,
+        guard: Guard,
+        ego: VarId,
+        wildcards: &[Vec<bool>],
+        names: &mut Names,
+        out: &mut Clauses,
+    ) {
+        let head = clause.head.relation;
+        let mut targets: Vec<VarId> = (0..clause.guarded.len())
+            .filter(|&at| clause.guarded[at])
+            .map(variable)
+            .collect();
+        for (literal, wildcards) in clause.body.iter_mut().zip(wildcards) {
+            if !wildcards.contains(&true) {
+                continue;
+            }
+            match literal {
+                Literal::Positive(atom) => {
+                    for (term, _) in atom.terms.iter_mut().zip(wildcards).filter(|(_, in_view)| **in_view) {
+                        let fresh = variable(clause.names.len());
+                        clause.names.push("_".to_owned());
+                        *term = Term::Variable(fresh);
+                        targets.push(fresh);
+                    }
+                }
+                Literal::Negative(atom) => {
+                    out.edges.push(Edge {
+                        from: head,
+                        to: guard.relation,
+                        kind: EdgeKind::Negates,
+                        span: guard.span,
+                    });
+                    *atom = self.hide(atom, ego, wildcards, &clause.names, guard, names, out);
+                }
+                Literal::Compare { .. } | Literal::Compute { .. } | Literal::Aggregate { .. } | Literal::Guard(_) => {}
+            }
+        }
+        let atom = |target: VarId| Atom {
+            relation: guard.relation,
+            terms: vec![Term::Variable(ego), Term::Variable(target)],
+            span: guard.span,
+        };
+        for target in targets {
+            let guard_atom = atom(target);
+            let written = clause.body.iter().any(|literal| {
+                matches!(literal, Literal::Positive(atom) if atom.relation == guard.relation && atom.terms == guard_atom.terms)
+            });
+            if !written {
+                clause.body.push(Literal::Guard(guard_atom));
+            }
+        }
+        out.edges.push(Edge {
+            from: head,
+            to: guard.relation,
+            kind: EdgeKind::Needs,
+            span: guard.span,
+        });
+    }
+
+    /// The atom `+n(ego, others)` that holds if some row in view matches `atom`.
+    #[allow(clippy::too_many_arguments)]
+    fn hide(
+        &mut self,
+        atom: &Atom,
+        ego: VarId,
+        in_view: &[bool],
+        variable_names: &[String],
+        guard: Guard,
+        names: &mut Names,
+        out: &mut Clauses,
+    ) -> Atom {
+        // Variables are numbered anew: 0 is the ego, then the others of the atom, then the `_`s in view.
+        let mut others = vec![ego];
+        let mut columns = vec![(guard.ego, variable_names[ego.index()].clone())];
+        let types = names.signatures[atom.relation.index()]
+            .columns
+            .clone()
+            .unwrap_or_default();
+        let mut terms = atom.terms.clone();
+        for (column, term) in terms.iter_mut().enumerate() {
+            let Term::Variable(id) = *term else { continue };
+            let position = others.iter().position(|&other| other == id).unwrap_or_else(|| {
+                others.push(id);
+                columns.push((types[column].unwrap_or(TypeId(0)), variable_names[id.index()].clone()));
+                others.len() - 1
+            });
+            *term = Term::Variable(variable(position));
+        }
+        let definition = Hidden {
+            guard: guard.relation,
+            relation: atom.relation,
+            terms,
+            in_view: in_view.to_vec(),
+        };
+        let relation = match self.hidden.get(&definition) {
+            Some(&relation) => relation,
+            None => {
+                let relation = self.define(&definition, &columns, atom.span, guard, names, out);
+                self.hidden.insert(definition, relation);
+                relation
+            }
+        };
+        Atom {
+            relation,
+            terms: others.into_iter().map(Term::Variable).collect(),
+            span: atom.span,
+        }
+    }
+
+    fn define(
+        &self,
+        definition: &Hidden,
+        columns: &[(TypeId, String)],
+        span: Span,
+        guard: Guard,
+        names: &mut Names,
+        out: &mut Clauses,
+    ) -> RelId {
+        let doc = format!(
+            "some `{}` in `{}`",
+            names.relation(definition.relation).name,
+            names.relation(guard.relation).name
+        );
+        let hidden = columns.iter().map(|(ty, name)| (name.clone(), *ty)).collect();
+        let relation = names.hide(hidden, doc, span);
+        let mut variables: Vec<String> = columns.iter().map(|(_, name)| name.clone()).collect();
+        let mut terms = definition.terms.clone();
+        let mut body = Vec::new();
+        for (term, in_view) in terms.iter_mut().zip(&definition.in_view) {
+            if *in_view {
+                let fresh = Term::Variable(variable(variables.len()));
+                variables.push("_".to_owned());
+                *term = fresh;
+                body.push(Literal::Guard(Atom {
+                    relation: guard.relation,
+                    terms: vec![Term::Variable(VarId(0)), fresh],
+                    span: guard.span,
+                }));
+            }
+        }
+        body.insert(
+            0,
+            Literal::Positive(Atom {
+                relation: definition.relation,
+                terms,
+                span,
+            }),
+        );
+        out.hidden.push(Clause {
+            head: Atom {
+                relation,
+                terms: (0..columns.len()).map(|at| Term::Variable(variable(at))).collect(),
+                span,
+            },
+            body,
+            variables,
+            doc: String::new(),
+            span,
+        });
+        relation
+    }
+}
+
+fn variable(index: usize) -> VarId {
+    VarId(u32::try_from(index).expect("fewer than 2^32 variables"))
+}
+
+/// Whether a variable of that type may stand in a column of the scope.
+pub(crate) fn fits(ty: VariableType, column: TypeId, names: &Names) -> bool {
+    match ty {
+        VariableType::Unknown => false,
+        VariableType::Base(base) => base == names.base(column),
+        VariableType::Type(ty) => names.meet(ty, column).is_some(),
+    }
+}

@@ -1,0 +1,235 @@
+//! The order of evaluation: predicates that depend on each other together, each after all it depends on; and the check that
+//! none depends on its own negation.
+
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, VecDeque};
+
+use crate::diag::{Code, Diagnostic, Faults};
+
+use crate::datalog::check::clause::{Edge, EdgeKind};
+use crate::datalog::check::names::Names;
+use crate::datalog::check::rules::{Clause, ClauseId, RelId, Relation, Stratum};
+
+/// In one component so many cycles are reported; more would not help to mend it.
+const MAX_CYCLES: usize = 8;
+
+/// Reports the predicates that depend on their own negation: for each negated atom on a cycle the shortest cycle through it,
+/// if no cycle reported before goes through it.
+pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
+    let count = names.relations.len();
+    let mut out: Vec<Vec<usize>> = vec![Vec::new(); count];
+    for (index, edge) in edges.iter().enumerate() {
+        out[edge.from.index()].push(index);
+    }
+    let successors: Vec<Vec<usize>> = out
+        .iter()
+        .map(|list| list.iter().map(|&edge| edges[edge].to.index()).collect())
+        .collect();
+    let (component, components) = components(&successors);
+    let mut covered = vec![false; edges.len()];
+    let mut reported = vec![0_usize; components];
+    for (index, edge) in edges.iter().enumerate() {
+        if faults.full() {
+            return;
+        }
+        let home = component[edge.from.index()];
+        if edge.kind == EdgeKind::Needs
+            || component[edge.to.index()] != home
+            || covered[index]
+            || reported[home] >= MAX_CYCLES
+        {
+            continue;
+        }
+        reported[home] += 1;
+        let back = shortest(edge.to.index(), edge.from.index(), edges, &out, &component);
+        covered[index] = true;
+        for &step in &back {
+            covered[step] = true;
+        }
+        let name = |id: RelId| names.relation(id).name.as_str();
+        let what = match edge.kind {
+            EdgeKind::Aggregates => "an aggregate over itself",
+            _ => "its own negation",
+        };
+        let message = match back.as_slice() {
+            [] => format!("`{}` depends on {what}", name(edge.from)),
+            _ => format!(
+                "`{}` depends on {what}, through {}",
+                name(edge.from),
+                through(edge, &back, edges, names)
+            ),
+        };
+        let step = |edge: &Edge| match edge.kind {
+            EdgeKind::Needs => format!("`{}` needs `{}`", name(edge.from), name(edge.to)),
+            EdgeKind::Negates => format!("`{}` needs that `{}` does not hold", name(edge.from), name(edge.to)),
+            EdgeKind::Aggregates => format!("`{}` needs all of `{}`", name(edge.from), name(edge.to)),
+        };
+        let mut fault = Diagnostic::new(Code::CyclicNegation, message).at(edge.span, step(edge));
+        for at in back {
+            fault = fault.also(edges[at].span, step(&edges[at]));
+        }
+        let help = match edge.kind {
+            EdgeKind::Aggregates => format!(
+                "aggregate over a predicate that does not need `{}`, such as one that holds what is known before",
+                name(edge.from)
+            ),
+            _ => format!(
+                "let `{}` be decided by predicates that do not need `{}`, or leave one of these steps out",
+                name(edge.to),
+                name(edge.from)
+            ),
+        };
+        faults.push(
+            fault.help(help).note("what a negated atom or an aggregate says must be settled before it is used, so no circle may lead through one"),
+        );
+    }
+}
+
+fn through(edge: &Edge, back: &[usize], edges: &[Edge], names: &Names) -> String {
+    let on_the_way: Vec<String> = std::iter::once(edge.to)
+        .chain(back.iter().map(|&step| edges[step].to))
+        .filter(|&id| id != edge.from)
+        .map(|id| format!("`{}`", names.relation(id).name))
+        .collect();
+    on_the_way.join(" and ")
+}
+
+/// The edges of a shortest way between two predicates of one component.
+fn shortest(from: usize, to: usize, edges: &[Edge], out: &[Vec<usize>], component: &[usize]) -> Vec<usize> {
+    let mut came_by: Vec<Option<usize>> = vec![None; out.len()];
+    let mut queue = VecDeque::from([from]);
+    while let Some(at) = queue.pop_front() {
+        if at == to {
+            break;
+        }
+        for &edge in &out[at] {
+            let next = edges[edge].to.index();
+            if component[next] == component[from] && next != from && came_by[next].is_none() {
+                came_by[next] = Some(edge);
+                queue.push_back(next);
+            }
+        }
+    }
+    let mut way = Vec::new();
+    let mut at = to;
+    while at != from {
+        let Some(edge) = came_by[at] else { break };
+        way.push(edge);
+        at = edges[edge].from.index();
+    }
+    way.reverse();
+    way
+}
+
+/// The strongly connected components of a graph: for each node the number of its component, and how many there are. A
+/// component has a higher number than those it leads to.
+pub(crate) fn components(successors: &[Vec<usize>]) -> (Vec<usize>, usize) {
+    const UNSEEN: usize = usize::MAX;
+    let count = successors.len();
+    let mut index = vec![UNSEEN; count];
+    let mut low = vec![0_usize; count];
+    let mut component = vec![UNSEEN; count];
+    let mut components = 0;
+    let mut next_index = 0;
+    let mut stack = Vec::new();
+    // Tarjan's algorithm with its own call stack, so that long chains of predicates do not exhaust the real one.
+    let mut calls: Vec<(usize, usize)> = Vec::new();
+    for root in 0..count {
+        if index[root] != UNSEEN {
+            continue;
+        }
+        calls.push((root, 0));
+        while let Some((node, child)) = calls.pop() {
+            if child == 0 {
+                index[node] = next_index;
+                low[node] = next_index;
+                next_index += 1;
+                stack.push(node);
+            }
+            match successors[node].get(child) {
+                Some(&next) => {
+                    calls.push((node, child + 1));
+                    if index[next] == UNSEEN {
+                        calls.push((next, 0));
+                    } else if component[next] == UNSEEN {
+                        low[node] = low[node].min(index[next]);
+                    }
+                }
+                None => {
+                    if low[node] == index[node] {
+                        while let Some(member) = stack.pop() {
+                            component[member] = components;
+                            if member == node {
+                                break;
+                            }
+                        }
+                        components += 1;
+                    }
+                    if let Some(&(parent, _)) = calls.last() {
+                        low[parent] = low[parent].min(low[node]);
+                    }
+                }
+            }
+        }
+    }
+    (component, components)
+}
+
+/// The strata of the predicates that have clauses. Of those that could come next, the one declared first does.
+pub(crate) fn order(relations: &[Relation], clauses: &[Clause]) -> Vec<Stratum> {
+    let mut successors: Vec<Vec<usize>> = vec![Vec::new(); relations.len()];
+    let mut defining: Vec<Vec<ClauseId>> = vec![Vec::new(); relations.len()];
+    for (index, clause) in clauses.iter().enumerate() {
+        let head = clause.head.relation.index();
+        defining[head].push(ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")));
+        for literal in &clause.body {
+            if let Some(atom) = literal.atom() {
+                successors[head].push(atom.relation.index());
+            }
+        }
+    }
+    let (component, count) = components(&successors);
+    let mut members: Vec<Vec<RelId>> = vec![Vec::new(); count];
+    for relation in 0..relations.len() {
+        members[component[relation]].push(RelId(u32::try_from(relation).expect("fewer than 2^32 predicates")));
+    }
+    let mut waiting = vec![0_usize; count];
+    let mut dependants: Vec<Vec<usize>> = vec![Vec::new(); count];
+    let mut recursive = vec![false; count];
+    for (relation, list) in successors.iter().enumerate() {
+        for &needed in list {
+            let (home, other) = (component[relation], component[needed]);
+            if home == other {
+                recursive[home] = true;
+            } else {
+                waiting[home] += 1;
+                dependants[other].push(home);
+            }
+        }
+    }
+    let rank = |stratum: usize| Reverse((members[stratum][0], stratum));
+    let mut ready: BinaryHeap<_> = (0..count).filter(|&stratum| waiting[stratum] == 0).map(rank).collect();
+    let mut strata = Vec::new();
+    while let Some(Reverse((_, stratum))) = ready.pop() {
+        for &dependant in &dependants[stratum] {
+            waiting[dependant] -= 1;
+            if waiting[dependant] == 0 {
+                ready.push(rank(dependant));
+            }
+        }
+        let mut own: Vec<ClauseId> = members[stratum]
+            .iter()
+            .flat_map(|id| defining[id.index()].iter().copied())
+            .collect();
+        if own.is_empty() {
+            continue;
+        }
+        own.sort_unstable();
+        strata.push(Stratum {
+            relations: members[stratum].clone(),
+            clauses: own,
+            recursive: recursive[stratum],
+        });
+    }
+    strata
+}

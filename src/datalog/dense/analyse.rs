@@ -1,0 +1,166 @@
+//! Which strata the dense executor can take.
+
+use crate::datalog::check::{Atom, Literal, RelId, Rules, Stratum, Term};
+use crate::datalog::dense::program::Dense;
+use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::diag::Span;
+use std::fmt;
+
+/// Which executor each stratum gets.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Choice {
+    /// By position of the stratum: why it cannot be dense; `None` if it can.
+    pub relational: Vec<Option<Reason>>,
+}
+
+impl Choice {
+    /// Whether the stratum is for the dense executor.
+    pub fn is_dense(&self, stratum: usize) -> bool {
+        self.relational[stratum].is_none()
+    }
+
+    /// Whether all strata are.
+    pub fn all_dense(&self) -> bool {
+        self.relational.iter().all(Option::is_none)
+    }
+}
+
+/// Why a stratum cannot be dense.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// It depends on itself.
+    Recursive,
+    /// The predicate has no column, or more than two.
+    Columns(RelId),
+    /// A column of the predicate does not hold symbols.
+    NotSymbols(RelId),
+    /// A clause names a particular entity, here.
+    Constant(Span),
+    /// A clause computes or compares values, here.
+    Computes(Span),
+    /// A negated atom has no variable, here.
+    NoVariable(Span),
+    /// A clause has too many variables, here.
+    Variables(Span),
+    /// A stratum that is not dense reads this predicate of it. (Dense strata come last.)
+    ReadBy(RelId),
+}
+
+impl Reason {
+    /// In words, to go after "because".
+    pub fn show(&self, rules: &Rules) -> String {
+        let name = |relation: &RelId| {
+            let relation = &rules.relations[relation.index()];
+            match relation.hidden {
+                true => relation.doc.clone(),
+                false => format!("`{}`", relation.name),
+            }
+        };
+        match self {
+            Reason::Recursive => "a predicate depends on itself".to_owned(),
+            Reason::Columns(relation) => format!(
+                "{} has {} columns, not one or two",
+                name(relation),
+                rules.relations[relation.index()].arity()
+            ),
+            Reason::NotSymbols(relation) => format!("{} has a column that does not hold symbols", name(relation)),
+            Reason::Constant(_) => "a clause names a constant".to_owned(),
+            Reason::Computes(_) => "a clause computes or compares values".to_owned(),
+            Reason::NoVariable(_) => "a negated atom has no variable".to_owned(),
+            Reason::Variables(_) => format!("a clause has more than {} variables", Dense::VARIABLES_MAX),
+            Reason::ReadBy(relation) => format!("the relational executor needs {}", name(relation)),
+        }
+    }
+
+    /// The place that shows it, if it is not a whole predicate.
+    pub fn span(&self) -> Option<Span> {
+        match self {
+            Reason::Constant(span) | Reason::Computes(span) | Reason::NoVariable(span) | Reason::Variables(span) => {
+                Some(*span)
+            }
+            _ => None,
+        }
+    }
+}
+
+impl fmt::Display for Choice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let dense = self.relational.iter().filter(|reason| reason.is_none()).count();
+        write!(f, "{dense} of {} strata dense", self.relational.len())
+    }
+}
+
+/// Chooses the executor of every stratum. A stratum is dense if it can be and no stratum that cannot be depends on it; so the
+/// relational executor runs first, and the dense one after it.
+pub fn choose(rules: &Rules) -> Choice {
+    let mut relational: Vec<Option<Reason>> = (rules.strata.iter()).map(|stratum| obstacle(rules, stratum)).collect();
+    let mut home = vec![None; rules.relations.len()];
+    for (position, stratum) in rules.strata.iter().enumerate() {
+        for relation in &stratum.relations {
+            home[relation.index()] = Some(position);
+        }
+    }
+    // A stratum comes after all it reads.
+    for position in (0..rules.strata.len()).rev() {
+        if relational[position].is_none() {
+            continue;
+        }
+        let clauses = rules.strata[position].clauses.iter();
+        let bodies = clauses.flat_map(|clause| &rules.clauses[clause.index()].body);
+        for atom in bodies.filter_map(Literal::atom) {
+            if let Some(read) = home[atom.relation.index()]
+                && read != position
+            {
+                relational[read].get_or_insert(Reason::ReadBy(atom.relation));
+            }
+        }
+    }
+    Choice { relational }
+}
+
+/// What keeps a stratum from being dense, if anything in itself does.
+fn obstacle(rules: &Rules, stratum: &Stratum) -> Option<Reason> {
+    if stratum.recursive {
+        return Some(Reason::Recursive);
+    }
+    stratum.clauses.iter().find_map(|clause| {
+        let clause = &rules.clauses[clause.index()];
+        let wildcards = clause.body.iter().flat_map(Literal::terms);
+        let wildcards = wildcards.filter(|term| **term == Term::Wildcard).count();
+        if clause.variables.len() + wildcards > Dense::VARIABLES_MAX {
+            return Some(Reason::Variables(clause.span));
+        }
+        unfit(rules, &clause.head).or_else(|| clause.body.iter().find_map(|literal| obstacle_in(rules, literal)))
+    })
+}
+
+fn obstacle_in(rules: &Rules, literal: &Literal) -> Option<Reason> {
+    match literal {
+        Literal::Positive(atom) | Literal::Guard(atom) => unfit(rules, atom),
+        Literal::Negative(atom) => unfit(rules, atom).or_else(|| {
+            let bound = atom.terms.iter().any(|term| matches!(term, Term::Variable(_)));
+            (!bound).then_some(Reason::NoVariable(atom.span))
+        }),
+        Literal::Compare {
+            op: Comparison::Equal | Comparison::NotEqual,
+            left: Term::Variable(_),
+            right: Term::Variable(_),
+            base: BaseType::Symbol,
+            ..
+        } => None,
+        Literal::Compare { span, .. } | Literal::Compute { span, .. } => Some(Reason::Computes(*span)),
+        Literal::Aggregate { atom, .. } => Some(Reason::Computes(atom.span)),
+    }
+}
+
+fn unfit(rules: &Rules, atom: &Atom) -> Option<Reason> {
+    let relation = &rules.relations[atom.relation.index()];
+    if !(1..=2).contains(&relation.arity()) {
+        return Some(Reason::Columns(atom.relation));
+    }
+    if relation.columns.iter().any(|column| column.base != BaseType::Symbol) {
+        return Some(Reason::NotSymbols(atom.relation));
+    }
+    let constant = atom.terms.iter().any(|term| matches!(term, Term::Constant(_)));
+    constant.then_some(Reason::Constant(atom.span))
+}

@@ -1,0 +1,227 @@
+//! Clauses as what they ask of variables, and the searches for those that only have to exist.
+
+use crate::datalog::check::{Atom, Clause, Literal, RelId, Term};
+use crate::datalog::dense::program::Axis;
+use crate::datalog::syntax::ast::Comparison;
+use std::collections::BTreeMap;
+
+/// A variable of a body: 0 is the head's first.
+pub(super) type Var = usize;
+
+/// What can be said of one variable.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Property {
+    Holds(RelId),
+    Diagonal(RelId),
+    /// The predicate relates something to it; it is in this column.
+    Related(RelId, Axis),
+}
+
+/// A literal over variables.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Lit {
+    Is(Property, Var, bool),
+    Pair(RelId, Var, Var, bool),
+    Same(Var, Var, bool),
+}
+
+/// A body over numbered variables.
+pub(super) struct Body {
+    /// Beginning with the head's.
+    variables: usize,
+    pub literals: Vec<Lit>,
+    /// The head has two columns; the second is variable 1.
+    pair: bool,
+}
+
+impl Body {
+    /// `None` if it never holds.
+    pub fn new(clause: &Clause) -> Option<Body> {
+        let mut numbers: BTreeMap<u32, Var> = BTreeMap::new();
+        let mut variables = 0;
+        let mut fresh = || {
+            variables += 1;
+            variables - 1
+        };
+        let mut number = |term: &Term, fresh: &mut dyn FnMut() -> Var| match term {
+            Term::Variable(id) => *numbers.entry(id.0).or_insert_with(fresh),
+            Term::Wildcard => fresh(),
+            Term::Constant(_) => unreachable!("a stratum with constants is not dense"),
+        };
+        let mut literals = Vec::new();
+        let head: Vec<Var> = (clause.head.terms.iter())
+            .map(|term| number(term, &mut fresh))
+            .collect();
+        let pair = head.len() == 2;
+        if pair && head[0] == head[1] {
+            let second = fresh();
+            literals.push(Lit::Same(head[0], second, true));
+        }
+        for literal in &clause.body {
+            match literal {
+                Literal::Positive(Atom { relation, terms, .. }) | Literal::Guard(Atom { relation, terms, .. }) => {
+                    let terms: Vec<Var> = terms.iter().map(|term| number(term, &mut fresh)).collect();
+                    literals.push(about(*relation, &terms, true));
+                }
+                Literal::Negative(Atom { relation, terms, .. }) => literals.push(match terms.as_slice() {
+                    [term, Term::Wildcard] => Lit::Is(
+                        Property::Related(*relation, Axis::First),
+                        number(term, &mut fresh),
+                        false,
+                    ),
+                    [Term::Wildcard, term] => Lit::Is(
+                        Property::Related(*relation, Axis::Second),
+                        number(term, &mut fresh),
+                        false,
+                    ),
+                    terms => {
+                        let terms: Vec<Var> = terms.iter().map(|term| number(term, &mut fresh)).collect();
+                        about(*relation, &terms, false)
+                    }
+                }),
+                Literal::Compare { op, left, right, .. } => {
+                    let (left, right) = (number(left, &mut fresh), number(right, &mut fresh));
+                    let holds = *op == Comparison::Equal;
+                    match (left == right, holds) {
+                        (true, true) => {}
+                        (true, false) => return None,
+                        (false, _) => literals.push(Lit::Same(left, right, holds)),
+                    }
+                }
+                Literal::Compute { .. } | Literal::Aggregate { .. } => {
+                    unreachable!("a stratum that computes is not dense")
+                }
+            }
+        }
+        literals.sort_unstable();
+        literals.dedup();
+        Some(Body {
+            variables,
+            literals,
+            pair,
+        })
+    }
+
+    /// The variables besides the head's first, in groups that no literal connects but through that one. If the head has two
+    /// columns, the first group has the second variable, first.
+    pub fn groups(&self) -> Vec<Vec<Var>> {
+        let mut group: Vec<Var> = (0..self.variables).collect();
+        for literal in &self.literals {
+            if let Lit::Pair(_, left, right, _) | Lit::Same(left, right, _) = *literal
+                && left != 0
+                && right != 0
+            {
+                let (keep, drop) = (group[left].min(group[right]), group[left].max(group[right]));
+                group
+                    .iter_mut()
+                    .filter(|group| **group == drop)
+                    .for_each(|group| *group = keep);
+            }
+        }
+        let heads = (1..self.variables).filter(|&var| group[var] == var);
+        heads
+            .map(|head| (1..self.variables).filter(|&var| group[var] == head).collect())
+            .collect()
+    }
+
+    /// Whether the predicate relates the head's first variable to all others, and nothing is asked of all entities.
+    pub fn is_guarded_by(&self, guard: RelId) -> bool {
+        let asks_all = |literal: &Lit| matches!(literal, Lit::Is(Property::Related(..), ..));
+        let guarded = |var| self.literals.contains(&Lit::Pair(guard, 0, var, true));
+        (1..self.variables).all(guarded) && !self.literals.iter().any(asks_all)
+    }
+
+    /// The groups that only have to exist.
+    pub fn conditions(&self) -> Vec<Vec<Var>> {
+        self.groups().split_off(usize::from(self.pair))
+    }
+}
+
+fn about(relation: RelId, terms: &[Var], holds: bool) -> Lit {
+    match *terms {
+        [of] => Lit::Is(Property::Holds(relation), of, holds),
+        [left, right] if left == right => Lit::Is(Property::Diagonal(relation), left, holds),
+        [left, right] => Lit::Pair(relation, left, right, holds),
+        _ => unreachable!("a dense predicate has one or two columns"),
+    }
+}
+
+/// A search for values of the variables of one group: one step for each variable.
+pub(super) type Search = Vec<Seek>;
+
+/// A step of a search.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Seek {
+    pub properties: Vec<(Property, bool)>,
+    /// Ends in the bound variable and whether it holds.
+    pub relations: Vec<(Relates, usize, bool)>,
+}
+
+/// How a value can stand to a bound variable.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Relates {
+    /// The value is in this column of the predicate.
+    By(RelId, Axis),
+    Same,
+}
+
+impl Body {
+    /// What is said of one variable alone.
+    pub fn properties(&self, var: Var) -> Vec<(Property, bool)> {
+        let of = |literal: &Lit| match *literal {
+            Lit::Is(property, of, holds) if of == var => Some((property, holds)),
+            _ => None,
+        };
+        self.literals.iter().filter_map(of).collect()
+    }
+
+    /// What relates `var` to a variable that is bound; `bound` has them in order.
+    fn relations(&self, var: Var, bound: &[Var]) -> Vec<(Relates, usize, bool)> {
+        let place = |of: Var| bound.iter().position(|&bound| bound == of);
+        let of = |literal: &Lit| match *literal {
+            Lit::Pair(relation, left, right, holds) if right == var => {
+                Some((Relates::By(relation, Axis::Second), place(left)?, holds))
+            }
+            Lit::Pair(relation, left, right, holds) if left == var => {
+                Some((Relates::By(relation, Axis::First), place(right)?, holds))
+            }
+            Lit::Same(left, right, holds) if right == var => Some((Relates::Same, place(left)?, holds)),
+            Lit::Same(left, right, holds) if left == var => Some((Relates::Same, place(right)?, holds)),
+            _ => None,
+        };
+        self.literals.iter().filter_map(of).collect()
+    }
+
+    /// A search for a group. It takes next the variable that most is known of, beginning with `first` if there is one.
+    /// Rows of `guards` are asked first: they leave few values.
+    pub fn search(&self, group: &[Var], first: Option<Var>, guards: &[RelId]) -> Search {
+        let mut bound: Vec<Var> = vec![0];
+        let mut rest = group.to_vec();
+        let mut search = Vec::new();
+        while !rest.is_empty() {
+            let known = |&var: &Var| {
+                let relations = self.relations(var, &bound);
+                let holding = relations.iter().filter(|(_, _, holds)| *holds).count();
+                (
+                    Some(var) == first,
+                    holding,
+                    self.properties(var).len(),
+                    std::cmp::Reverse(var),
+                )
+            };
+            let next = *rest.iter().max_by_key(|var| known(var)).expect("there is one");
+            let mut relations = self.relations(next, &bound);
+            relations.sort_by_key(|&(relates, to, holds)| {
+                let guards = matches!(relates, Relates::By(relation, _) if guards.contains(&relation));
+                (!holds, !guards, relates, to)
+            });
+            search.push(Seek {
+                properties: self.properties(next),
+                relations,
+            });
+            bound.push(next);
+            rest.retain(|&var| var != next);
+        }
+        search
+    }
+}

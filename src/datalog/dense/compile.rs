@@ -1,0 +1,492 @@
+//! From rules to a list of operations on sets.
+
+use crate::datalog::check::{ClauseId, Literal, RelId, Rules};
+use crate::datalog::dense::analyse::Choice;
+use crate::datalog::dense::body::{Body, Lit, Property, Relates, Search, Seek};
+use crate::datalog::dense::program::{
+    Any, Axis, Counting, Demand, Dense, Fired, Home, Input, List, Op, Place, Range, Rare, Reg, Step, Test,
+};
+use std::collections::{BTreeMap, BTreeSet};
+
+impl Dense {
+    /// Compiles the dense strata of a choice made by [`super::choose`] for these rules. What other strata derive is input. The
+    /// inputs that `steady` names seldom change: what follows from them alone is computed only when they do.
+    pub fn new(rules: &Rules, choice: &Choice, counting: Counting, steady: impl Fn(RelId) -> bool) -> Dense {
+        let strata = || (rules.strata.iter().enumerate()).filter(|(position, _)| choice.is_dense(*position));
+        let mut derived = vec![false; rules.relations.len()];
+        for relation in strata().flat_map(|(_, stratum)| &stratum.relations) {
+            derived[relation.index()] = true;
+        }
+        let clauses = strata().flat_map(|(_, stratum)| &stratum.clauses);
+        let bodies: Vec<(ClauseId, Body)> = clauses
+            .filter_map(|&clause| Some((clause, Body::new(&rules.clauses[clause.index()])?)))
+            .collect();
+
+        let mut compiler = Compiler::new(rules, counting, derived);
+        compiler.find_inputs(&bodies, steady);
+        compiler.find_shared(&bodies);
+        let mut bodies = bodies.iter().peekable();
+        for (_, stratum) in strata() {
+            for &relation in &stratum.relations {
+                compiler.declare(relation);
+            }
+            while let Some((clause, body)) = bodies.next_if(|(clause, _)| stratum.clauses.contains(clause)) {
+                compiler.clause(*clause, body);
+            }
+            compiler.complete();
+        }
+        compiler.out
+    }
+}
+
+/// That entities are in a set, or that they are not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Asked {
+    set: Reg,
+    holds: bool,
+}
+
+impl Asked {
+    fn of(set: Reg) -> Asked {
+        Asked { set, holds: true }
+    }
+}
+
+/// When a set changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Changes {
+    /// With steady inputs only.
+    Seldom,
+    /// From run to run.
+    Often,
+    /// Within a run: it is a predicate whose clauses are being evaluated.
+    Within,
+}
+
+struct Compiler<'a> {
+    rules: &'a Rules,
+    counting: Counting,
+    /// By [`RelId`].
+    derived: Vec<bool>,
+    /// Predicates that scopes ask for.
+    guards: Vec<RelId>,
+    out: Dense,
+    known_properties: BTreeMap<Property, Reg>,
+    /// How often something is asked of an entity.
+    uses: BTreeMap<(Property, bool), usize>,
+    /// Sets made of two others.
+    known_sets: BTreeMap<(Reg, Asked), Reg>,
+    /// By [`Reg`]: how seldom the set changes.
+    changes: Vec<Changes>,
+    /// Searches that several clauses make, with what each clause asks of given predicates about the head's first variable.
+    shared: BTreeMap<Search, Vec<Vec<(Property, bool)>>>,
+    known_searches: BTreeMap<Search, Reg>,
+    /// The sets of derived predicates with one column.
+    heads: Vec<Reg>,
+}
+
+impl<'a> Compiler<'a> {
+    fn new(rules: &'a Rules, counting: Counting, derived: Vec<bool>) -> Self {
+        let literals = rules.clauses.iter().flat_map(|clause| &clause.body);
+        let mut guards: Vec<RelId> = literals
+            .filter_map(|literal| match literal {
+                Literal::Guard(atom) => Some(atom.relation),
+                _ => None,
+            })
+            .collect();
+        guards.sort_unstable();
+        guards.dedup();
+        Compiler {
+            rules,
+            counting,
+            derived,
+            guards,
+            out: Dense {
+                inputs: Vec::new(),
+                lists: Vec::new(),
+                set_count: Reg::INPUTS.index(),
+                row_lists: 0,
+                steps: Vec::new(),
+                tests: Vec::new(),
+                restless: 0,
+                settling: Vec::new(),
+                ops: Vec::new(),
+                cleared: Vec::new(),
+                homes: vec![Home::Given; rules.relations.len()],
+                fired: vec![None; rules.clauses.len()],
+                local: true,
+                guards: Vec::new(),
+            },
+            known_properties: BTreeMap::new(),
+            uses: BTreeMap::new(),
+            known_sets: BTreeMap::new(),
+            changes: vec![Changes::Seldom; Reg::INPUTS.index()],
+            shared: BTreeMap::new(),
+            known_searches: BTreeMap::new(),
+            heads: Vec::new(),
+        }
+    }
+
+    fn is_given(&self, property: Property) -> bool {
+        let (Property::Holds(relation) | Property::Diagonal(relation) | Property::Related(relation, _)) = property;
+        !self.derived[relation.index()]
+    }
+
+    /// Numbers the sets that the caller provides, and finds out whether the program is local.
+    fn find_inputs(&mut self, bodies: &[(ClauseId, Body)], steady: impl Fn(RelId) -> bool) {
+        let mut given = BTreeSet::new();
+        for literal in bodies.iter().flat_map(|(_, body)| &body.literals) {
+            if let Lit::Is(property, _, holds) = *literal {
+                *self.uses.entry((property, holds)).or_default() += 1;
+            }
+            let (relation, asked_of_head) = match *literal {
+                Lit::Is(Property::Related(relation, axis), var, _) => (relation, var == 0 && axis == Axis::First),
+                Lit::Is(property @ (Property::Holds(relation) | Property::Diagonal(relation)), var, _) => {
+                    if self.is_given(property) {
+                        given.insert((steady(relation), property));
+                    }
+                    (relation, var == 0)
+                }
+                Lit::Pair(relation, left, _, _) => (relation, left == 0),
+                Lit::Same(..) => continue,
+            };
+            self.out.local &= asked_of_head || !self.derived[relation.index()];
+        }
+        let guards_all = |guard: &RelId| bodies.iter().all(|(_, body)| body.is_guarded_by(*guard));
+        self.out.guards = self.guards.iter().copied().filter(guards_all).collect();
+        for (steady, property) in given {
+            let set = self.set(if steady { Changes::Seldom } else { Changes::Often });
+            self.known_properties.insert(property, set);
+            self.out.inputs.push(match property {
+                Property::Diagonal(relation) => Input::Diagonal(relation),
+                Property::Holds(relation) | Property::Related(relation, _) => Input::Unary(relation),
+            });
+            self.out.restless += usize::from(!steady);
+        }
+    }
+
+    /// Finds the searches that several clauses make.
+    fn find_shared(&mut self, bodies: &[(ClauseId, Body)]) {
+        for (_, body) in bodies {
+            let mut asked = body.properties(0);
+            asked.retain(|(property, _)| self.is_given(*property));
+            for group in body.conditions() {
+                let search = body.search(&group, None, &self.guards);
+                self.shared.entry(search).or_default().push(asked.clone());
+            }
+        }
+        // Demands that need not overlap had better be small: then each leaves out those of whom its head is known.
+        let within = |one: &[_], other: &[_]| one.iter().all(|asked| other.contains(asked));
+        (self.shared).retain(|_, users| {
+            let others = |at: usize| users[..at].iter().chain(&users[at + 1..]);
+            (users.iter().enumerate()).any(|(at, one)| others(at).any(|other| within(one, other)))
+        });
+    }
+
+    fn set(&mut self, changes: Changes) -> Reg {
+        self.changes.push(changes);
+        self.out.set_count += 1;
+        Reg::new(self.out.set_count - 1)
+    }
+
+    /// A set that is empty when a run begins.
+    fn cleared(&mut self, changes: Changes) -> Reg {
+        let set = self.set(changes);
+        self.out.cleared.push(set);
+        set
+    }
+
+    fn row_list(&mut self) -> usize {
+        self.out.row_lists += 1;
+        self.out.row_lists - 1
+    }
+
+    fn declare(&mut self, relation: RelId) {
+        self.out.homes[relation.index()] = match self.rules.relations[relation.index()].arity() {
+            1 => {
+                let set = self.cleared(Changes::Within);
+                self.heads.push(set);
+                Home::Set(set)
+            }
+            _ => Home::Rows(self.row_list()),
+        };
+    }
+
+    /// The predicates so far have all their facts before the next clause.
+    fn complete(&mut self) {
+        for set in &self.heads {
+            self.changes[set.index()] = Changes::Often;
+        }
+    }
+
+    fn clause(&mut self, id: ClauseId, body: &Body) {
+        let head = self.rules.clauses[id.index()].head.relation;
+        let mut asked = self.ask(&body.properties(0));
+        asked.push(Asked::of(Reg::EGOS));
+        let mut own = Vec::new();
+        for group in body.conditions() {
+            let search = body.search(&group, None, &self.guards);
+            match self.shared.contains_key(&search) {
+                true => asked.push(Asked::of(self.shared_search(search))),
+                false => own.push(search),
+            }
+        }
+        // One variable is found faster than several.
+        own.sort_by_key(Vec::len);
+
+        if let (Home::Set(dst), Counting::Off) = (self.out.homes[head.index()], self.counting) {
+            let last = own.pop();
+            let (mut left, mut right) = self.halves(asked);
+            for search in own {
+                left = self.exists(left, right, &search);
+                right = left;
+            }
+            match last {
+                Some(search) => self.add_existing(Demand { dst, left, right }, &search),
+                None => self.add(dst, left, right),
+            }
+            return;
+        }
+        let mut found = self.combine(asked);
+        for search in own {
+            found = self.exists(found, found, &search);
+        }
+        match self.out.homes[head.index()] {
+            Home::Set(dst) => {
+                self.add(dst, found, found);
+                if self.counting == Counting::Each {
+                    self.out.fired[id.index()] = Some(Fired::Set(found));
+                }
+            }
+            Home::Rows(rows) => {
+                let groups = body.groups();
+                let search = body.search(&groups[0], Some(1), &self.guards);
+                let steps = self.steps(&search);
+                let steps = Range::extend(&mut self.out.steps, steps);
+                let dst = match self.counting {
+                    Counting::Off => rows,
+                    Counting::Each => self.row_list(),
+                };
+                let demand = found;
+                self.out.ops.push(Op::Rare(Rare::Rows { dst, demand, steps }));
+                if self.counting == Counting::Each {
+                    self.out.fired[id.index()] = Some(Fired::Rows(dst));
+                    self.out.ops.push(Op::Rare(Rare::OrRows { dst: rows, from: dst }));
+                }
+            }
+            Home::Given => unreachable!("a clause of a dense stratum derives its predicate"),
+        }
+    }
+
+    /// The set of entities for which a search that several clauses make succeeds, as far as one of them asks.
+    fn shared_search(&mut self, search: Search) -> Reg {
+        if let Some(&set) = self.known_searches.get(&search) {
+            return set;
+        }
+        let users = self.shared[&search].clone();
+        let demand = match users.iter().any(Vec::is_empty) {
+            true => Reg::EGOS,
+            false => {
+                let sets: Vec<Reg> = (users.iter())
+                    .map(|asked| {
+                        let mut asked = self.ask(asked);
+                        asked.push(Asked::of(Reg::EGOS));
+                        self.combine(asked)
+                    })
+                    .collect();
+                let demand = self.cleared(Changes::Often);
+                for set in sets {
+                    self.add(demand, set, set);
+                }
+                demand
+            }
+        };
+        let dst = self.exists(demand, demand, &search);
+        self.known_searches.insert(search, dst);
+        dst
+    }
+
+    /// The members of both `left` and `right` for which a search succeeds.
+    fn exists(&mut self, left: Reg, right: Reg, search: &Search) -> Reg {
+        let dst = self.cleared(Changes::Often);
+        self.add_existing(Demand { dst, left, right }, search);
+        dst
+    }
+
+    /// Adds those who are asked about and for whom a search succeeds.
+    fn add_existing(&mut self, demand: Demand, search: &Search) {
+        let steps = self.steps(search);
+        let op = self
+            .any(demand, &steps)
+            .unwrap_or_else(|| Op::Exists(demand, Range::extend(&mut self.out.steps, steps)));
+        self.out.ops.push(op);
+    }
+
+    /// Adds the members of both `left` and `right` to a set.
+    fn add(&mut self, dst: Reg, left: Reg, right: Reg) {
+        self.out.ops.push(Op::Add { dst, left, right });
+    }
+
+    /// An operation of its own for a search with one step that asks a few given lists only.
+    fn any(&self, demand: Demand, steps: &[Step]) -> Option<Op> {
+        let [Step { among, tests }] = *steps else {
+            return None;
+        };
+        let list = |test: &Test| match test.list {
+            Place::Given(list) if test.holds => u16::try_from(list).ok(),
+            _ => None,
+        };
+        let lists: Vec<u16> = self.out.tests(tests).iter().map(list).collect::<Option<_>>()?;
+        match *lists {
+            [] => Some(Op::Any0(demand, Any::new(among, []))),
+            [a] => Some(Op::Any1(demand, Any::new(among, [a]))),
+            [a, b] => Some(Op::Any2(demand, Any::new(among, [a, b]))),
+            [a, b, c] => Some(Op::Any3(demand, Any::new(among, [a, b, c]))),
+            _ => None,
+        }
+    }
+
+    /// The sets of what is asked of one variable. What clauses have in common comes first, so that it is put together once.
+    fn ask(&mut self, properties: &[(Property, bool)]) -> Vec<Asked> {
+        let mut properties = properties.to_vec();
+        properties.sort_by_key(|asked| std::cmp::Reverse(self.uses.get(asked).copied().unwrap_or(0)));
+        let asked = properties.into_iter().map(|(property, holds)| Asked {
+            set: self.property(property),
+            holds,
+        });
+        asked.collect()
+    }
+
+    /// The set of entities that have the property.
+    fn property(&mut self, property: Property) -> Reg {
+        if let Some(&set) = self.known_properties.get(&property) {
+            return set;
+        }
+        let set = match property {
+            Property::Holds(relation) => match self.out.homes[relation.index()] {
+                Home::Set(set) => set,
+                Home::Given | Home::Rows(_) => unreachable!("given sets are numbered before"),
+            },
+            Property::Diagonal(relation) => {
+                let Home::Rows(rows) = self.out.homes[relation.index()] else {
+                    unreachable!("given sets are numbered before")
+                };
+                let dst = self.set(Changes::Often);
+                self.out.ops.push(Op::Rare(Rare::Diagonal { dst, rows }));
+                dst
+            }
+            Property::Related(relation, axis) => {
+                let other = match axis {
+                    Axis::First => Axis::Second,
+                    Axis::Second => Axis::First,
+                };
+                let search = vec![Seek {
+                    properties: Vec::new(),
+                    relations: vec![(Relates::By(relation, other), 0, true)],
+                }];
+                self.exists(Reg::ALL, Reg::ALL, &search)
+            }
+        };
+        self.known_properties.insert(property, set);
+        set
+    }
+
+    /// The set of the entities of which all is true that is asked.
+    fn combine(&mut self, asked: Vec<Asked>) -> Reg {
+        let (left, right) = self.halves(asked);
+        self.both(left, Asked::of(right))
+    }
+
+    /// The same as the intersection of two sets: what seldom changes is put together apart from the rest. It need not be done again,
+    /// and the rest is what clauses tend to have in common.
+    fn halves(&mut self, asked: Vec<Asked>) -> (Reg, Reg) {
+        let seldom = |asked: &Asked| self.changes[asked.set.index()] == Changes::Seldom;
+        let (mut steady, rest): (Vec<Asked>, Vec<Asked>) = asked.into_iter().partition(seldom);
+        steady.sort_unstable_by_key(|asked| (!asked.holds, asked.set));
+        let left = self.fold(Reg::ALL, &steady);
+        let among = match steady.contains(&Asked::of(Reg::EGOS)) {
+            true => Reg::EGOS,
+            false => Reg::ALL,
+        };
+        match *rest {
+            [] => (left, left),
+            [Asked { set, holds: true }, ref rest @ ..] => (left, self.fold(set, rest)),
+            [ref rest @ .., Asked { set, holds: true }] if left == among => (self.fold(among, rest), set),
+            ref rest => {
+                let right = self.fold(among, rest);
+                (if left == among { right } else { left }, right)
+            }
+        }
+    }
+
+    /// The members of a set of which all is true that is asked.
+    fn fold(&mut self, among: Reg, asked: &[Asked]) -> Reg {
+        asked.iter().fold(among, |made, &asked| self.both(made, asked))
+    }
+
+    /// The members of `left` of which is true what is asked.
+    fn both(&mut self, left: Reg, right: Asked) -> Reg {
+        if right.holds && (right.set == left || right.set == Reg::ALL) {
+            return left;
+        }
+        if right.holds && left == Reg::ALL {
+            return right.set;
+        }
+        if let Some(&set) = self.known_sets.get(&(left, right)) {
+            return set;
+        }
+        let changes = self.changes[left.index()].max(self.changes[right.set.index()]);
+        let dst = self.set(changes.min(Changes::Often));
+        let op = match right {
+            Asked {
+                set: right,
+                holds: true,
+            } => Op::Both { dst, left, right },
+            Asked {
+                set: right,
+                holds: false,
+            } => Op::Without { dst, left, right },
+        };
+        if changes != Changes::Within {
+            self.known_sets.insert((left, right), dst);
+        }
+        match changes {
+            Changes::Seldom => self.out.settling.push(op),
+            _ => self.out.ops.push(op),
+        }
+        dst
+    }
+
+    fn steps(&mut self, search: &Search) -> Vec<Step> {
+        let step = |seek: &Seek| {
+            let asked = self.ask(&seek.properties);
+            let tests = (seek.relations.iter())
+                .map(|&(relates, to, holds)| Test {
+                    list: self.place(relates),
+                    to,
+                    holds,
+                })
+                .collect();
+            Step {
+                among: self.combine(asked),
+                tests: Range::extend(&mut self.out.tests, tests),
+            }
+        };
+        search.iter().map(step).collect()
+    }
+
+    fn place(&mut self, relates: Relates) -> Place {
+        let Relates::By(relation, axis) = relates else {
+            return Place::Same;
+        };
+        if let Home::Rows(rows) = self.out.homes[relation.index()] {
+            return Place::Derived(rows, axis);
+        }
+        let list = List(relation, axis);
+        let known = self.out.lists.iter().position(|&known| known == list);
+        Place::Given(known.unwrap_or_else(|| {
+            self.out.lists.push(list);
+            self.out.lists.len() - 1
+        }))
+    }
+}

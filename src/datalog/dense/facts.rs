@@ -1,0 +1,122 @@
+//! Facts held as bits.
+
+use crate::datalog::check::RelId;
+use crate::datalog::dense::program::{Axis, Dense, Input, List, Reg};
+use crate::datalog::dense::run::{Frame, Pairs};
+use crate::datalog::dense::sets::{Set, and, is_empty};
+
+/// Facts of all predicates that a program reads, held as bits.
+#[derive(Clone, Debug)]
+pub struct BitFacts<const W: usize> {
+    count: usize,
+    inputs: Vec<Set<W>>,
+    /// For each list one block for each word of a set: the rows of the entities that have their bits in that word.
+    lists: Vec<[Set<W>; 64]>,
+    /// For each list the entities whose rows are not empty.
+    related: Vec<Set<W>>,
+}
+
+impl<const W: usize> BitFacts<W> {
+    /// No facts about `count` entities.
+    pub fn new(program: &Dense, count: usize) -> Self {
+        BitFacts {
+            count,
+            inputs: vec![[0; W]; program.inputs().len()],
+            lists: vec![[[0; W]; 64]; program.lists().len() * W],
+            related: vec![[0; W]; program.lists().len()],
+        }
+    }
+
+    /// Adds a fact: its predicate and the positions of its entities. Facts that the program does not read are passed over.
+    ///
+    /// # Panics
+    /// If there are fewer entities.
+    pub fn insert(&mut self, program: &Dense, relation: RelId, row: &[usize]) {
+        assert!(row.iter().all(|&entity| entity < self.count), "unknown entity");
+        for (&input, set) in program.inputs().iter().zip(&mut self.inputs) {
+            let holds = match (input, row) {
+                (Input::Unary(read), [_]) => read == relation,
+                (Input::Diagonal(read), [x, y]) => read == relation && x == y,
+                _ => false,
+            };
+            if holds {
+                set[row[0] / 64] |= 1 << (row[0] % 64);
+            }
+        }
+        if let &[x, y] = row {
+            for (position, list) in program.lists().iter().enumerate() {
+                let (at, member) = match *list {
+                    List(read, Axis::Second) if read == relation => (x, y),
+                    List(read, Axis::First) if read == relation => (y, x),
+                    List(..) => continue,
+                };
+                self.lists[position * W + at / 64][at % 64][member / 64] |= 1 << (member % 64);
+                self.related[position][at / 64] |= 1 << (at % 64);
+            }
+        }
+    }
+
+    /// Gives a frame for as many entities its inputs.
+    ///
+    /// # Panics
+    /// If the frame is for another number of entities.
+    pub fn load(&self, program: &Dense, frame: &mut Frame<W>) {
+        assert_eq!(self.count, frame.count);
+        let (restless, steady) = self.inputs.split_at(program.restless);
+        let (into, steady_into) = (frame.sets[Reg::INPUTS.index()..]).split_at_mut(program.restless);
+        for (into, set) in into.iter_mut().zip(restless) {
+            *into = *set;
+        }
+        let steady_into = &mut steady_into[..steady.len()];
+        if steady_into != steady {
+            steady_into.copy_from_slice(steady);
+            frame.unsettled = true;
+        }
+    }
+}
+
+impl<const W: usize> Pairs<W> for BitFacts<W> {
+    #[inline]
+    fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
+        and(among, &self.lists[list * W + at / 64][at % 64])
+    }
+
+    #[inline]
+    fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
+        let demand = lists
+            .iter()
+            .fold(demand, |demand, &list| and(demand, &self.related[list]));
+        let mut found = [0; W];
+        let mut word = 0;
+        while word < W {
+            if demand[word] != 0 {
+                let rows = lists.map(|list| &self.lists[list * W + word]);
+                found[word] = of(demand[word], |at| {
+                    let mut set = among;
+                    let mut list = 0;
+                    while list < N {
+                        set = and(set, &rows[list][at]);
+                        list += 1;
+                    }
+                    !is_empty(&set)
+                });
+            }
+            word += 1;
+        }
+        found
+    }
+}
+
+/// Those of `members` for which it holds.
+#[inline(always)]
+fn of(members: u64, holds: impl Fn(usize) -> bool) -> u64 {
+    let mut found = 0;
+    let mut rest = members;
+    while rest != 0 {
+        let at = rest.trailing_zeros() as usize & 63;
+        // Without a branch: whether it holds is hard to guess.
+        found |= u64::from(holds(at)) << at;
+        rest &= rest - 1;
+    }
+    found
+}

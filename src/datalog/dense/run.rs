@@ -1,0 +1,397 @@
+//! Running a [`Dense`] program.
+
+use crate::datalog::check::{ClauseId, RelId};
+use crate::datalog::dense::program::{Any, Axis, Demand, Dense, Op, Place, Range, Rare, Reg, Step};
+use crate::datalog::dense::sets::{Set, and, first, has, is_empty, members, only, or, without};
+
+/// Where facts about pairs come from.
+pub trait Pairs<const W: usize> {
+    /// Those of `among` that stand in the relation of the list to entity `at`. `list` is a position in [`Dense::lists`].
+    fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W>;
+
+    /// Whether to give up. What is computed from then on means nothing.
+    #[inline]
+    fn stopped(&self) -> bool {
+        false
+    }
+
+    /// Those of `demand` to which one and the same member of `among` stands in the relations of all lists.
+    #[inline]
+    fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
+        let mut found = [0; W];
+        for at in members(&demand) {
+            let mut set = among;
+            for list in lists {
+                set = self.narrow(list, at, set);
+                if is_empty(&set) {
+                    break;
+                }
+            }
+            if !is_empty(&set) {
+                found[at / 64] |= 1 << (at % 64);
+            }
+        }
+        found
+    }
+}
+
+/// A program with so many sets at most runs faster.
+const FEW: usize = 256;
+
+/// The sets of a frame while a program runs.
+trait Sets<const W: usize>: AsRef<[Set<W>]> {
+    fn get(&self, set: Reg) -> &Set<W>;
+    fn get_mut(&mut self, set: Reg) -> &mut Set<W>;
+}
+
+impl<const W: usize> Sets<W> for [Set<W>] {
+    #[inline(always)]
+    fn get(&self, set: Reg) -> &Set<W> {
+        &self[set.index()]
+    }
+
+    #[inline(always)]
+    fn get_mut(&mut self, set: Reg) -> &mut Set<W> {
+        &mut self[set.index()]
+    }
+}
+
+// As many as there are numbers of one byte, so that the number of a set need not be compared with theirs.
+impl<const W: usize> Sets<W> for [Set<W>; FEW] {
+    #[inline(always)]
+    fn get(&self, set: Reg) -> &Set<W> {
+        &self[set.index() % FEW]
+    }
+
+    #[inline(always)]
+    fn get_mut(&mut self, set: Reg) -> &mut Set<W> {
+        &mut self[set.index() % FEW]
+    }
+}
+
+impl Demand {
+    /// Who is asked about.
+    #[inline(always)]
+    fn of<const W: usize>(&self, sets: &(impl Sets<W> + ?Sized)) -> Set<W> {
+        without(and(*sets.get(self.left), sets.get(self.right)), sets.get(self.dst))
+    }
+}
+
+#[inline(always)]
+fn add_any<const W: usize, const N: usize>(
+    sets: &mut (impl Sets<W> + ?Sized),
+    demand: &Demand,
+    search: &Any<N>,
+    pairs: &impl Pairs<W>,
+) {
+    let (asked, among) = (demand.of(sets), *sets.get(search.among));
+    if !is_empty(&asked) && !is_empty(&among) {
+        let found = match N {
+            0 => asked,
+            _ => pairs.any(search.lists.map(usize::from), asked, among),
+        };
+        let dst = sets.get_mut(demand.dst);
+        *dst = or(*dst, &found);
+    }
+}
+
+/// The sets a [`Dense`] program reads and writes, for one universe.
+#[derive(Clone, Debug)]
+pub struct Frame<const W: usize> {
+    pub(super) count: usize,
+    pub(super) sets: Vec<Set<W>>,
+    /// Whether a steady input has changed since what follows from it was computed.
+    pub(super) unsettled: bool,
+    /// Rows of derived predicates with two columns, `count` for each.
+    rows: Vec<Set<W>>,
+}
+
+impl<const W: usize> Frame<W> {
+    /// For `count` entities; all inputs are empty.
+    ///
+    /// # Panics
+    /// If a set does not hold so many.
+    pub fn new(program: &Dense, count: usize) -> Self {
+        let mut frame = Frame {
+            count: 0,
+            sets: vec![[0; W]; program.set_count.max(FEW)],
+            unsettled: true,
+            rows: Vec::new(),
+        };
+        frame.reset(program, count);
+        frame
+    }
+
+    /// Makes it one for another universe, under the same program; all inputs are empty. Allocates only if it is larger than every one
+    /// before.
+    ///
+    /// # Panics
+    /// If a set does not hold so many.
+    pub fn reset(&mut self, program: &Dense, count: usize) {
+        assert!(count <= 64 * W, "{count} entities in sets of {}", 64 * W);
+        self.count = count;
+        // All others are written before they are read.
+        self.sets[Reg::INPUTS.index()..][..program.inputs.len()].fill([0; W]);
+        self.rows.clear();
+        self.rows.resize(program.row_lists * count, [0; W]);
+        self.unsettled = true;
+        self.sets[Reg::ALL.index()] = first(count);
+        self.sets[Reg::EGOS.index()] = first(count);
+    }
+
+    /// How many entities there are.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Decides only about these entities: heads whose first argument is another are left out. Only for programs that are
+    /// [local](Dense::is_local); for others the answer would be wrong.
+    pub fn set_egos(&mut self, egos: Set<W>) {
+        let egos = and(egos, &self.sets[Reg::ALL.index()]);
+        let old = &mut self.sets[Reg::EGOS.index()];
+        self.unsettled |= *old != egos;
+        *old = egos;
+    }
+
+    /// Sets an input: the entities of which it holds. `input` is a position in [`Dense::inputs`].
+    pub fn set_input(&mut self, program: &Dense, input: usize, set: Set<W>) {
+        let old = &mut self.sets[Reg::INPUTS.index() + input];
+        self.unsettled |= input >= program.restless && *old != set;
+        *old = set;
+    }
+
+    /// Evaluates the program.
+    pub fn run(&mut self, program: &Dense, pairs: &impl Pairs<W>) {
+        let Frame {
+            count,
+            sets,
+            unsettled,
+            rows,
+        } = self;
+        for set in &program.cleared {
+            sets[set.index()] = [0; W];
+        }
+        if !rows.is_empty() {
+            rows.fill([0; W]);
+        }
+        let mut execute = |ops: &[Op]| match sets.first_chunk_mut::<FEW>() {
+            Some(few) if program.set_count <= FEW => execute(program, ops, few, rows, *count, pairs),
+            _ => execute(program, ops, &mut sets[..], rows, *count, pairs),
+        };
+        if std::mem::take(unsettled) {
+            execute(&program.settling);
+        }
+        execute(&program.ops);
+    }
+
+    /// Of which entities a predicate with one column holds; `None` if the program does not derive it.
+    pub fn set(&self, program: &Dense, relation: RelId) -> Option<&Set<W>> {
+        program.set_of(relation).map(|set| &self.sets[set.index()])
+    }
+
+    /// To which entities a predicate with two columns relates entity `at`; `None` if the program does not derive it.
+    pub fn row(&self, program: &Dense, relation: RelId, at: usize) -> Option<&Set<W>> {
+        let list = program.rows_of(relation)?;
+        (at < self.count).then(|| &self.rows[list * self.count + at])
+    }
+
+    /// The entities that a clause derives its head of, if the head has one column and clauses are counted ([`Counting::Each`]).
+    ///
+    /// [`Counting::Each`]: super::Counting::Each
+    pub fn fired(&self, program: &Dense, clause: ClauseId) -> Option<&Set<W>> {
+        program.fired(clause).map(|set| &self.sets[set.index()])
+    }
+
+    /// How many rows a clause derives; `None` if clauses are not counted, or it is not the program's.
+    pub fn count_fired(&self, program: &Dense, clause: ClauseId) -> Option<usize> {
+        let size = |set: &Set<W>| set.iter().map(|word| word.count_ones() as usize).sum::<usize>();
+        if let Some(set) = self.fired(program, clause) {
+            return Some(size(set));
+        }
+        let list = program.fired_rows(clause)?;
+        let rows = &self.rows[list * self.count..(list + 1) * self.count];
+        Some(rows.iter().map(size).sum())
+    }
+}
+
+/// Runs operations of the program one after the other.
+fn execute<const W: usize>(
+    program: &Dense,
+    ops: &[Op],
+    sets: &mut (impl Sets<W> + ?Sized),
+    rows: &mut [Set<W>],
+    count: usize,
+    pairs: &impl Pairs<W>,
+) {
+    for op in ops {
+        match op {
+            Op::Both { dst, left, right } => *sets.get_mut(*dst) = and(*sets.get(*left), sets.get(*right)),
+            Op::Without { dst, left, right } => *sets.get_mut(*dst) = without(*sets.get(*left), sets.get(*right)),
+            Op::Add { dst, left, right } => {
+                let set = and(*sets.get(*left), sets.get(*right));
+                let dst = sets.get_mut(*dst);
+                *dst = or(*dst, &set);
+            }
+            Op::Any0(demand, search) => add_any(sets, demand, search, pairs),
+            Op::Any1(demand, search) => add_any(sets, demand, search, pairs),
+            Op::Any2(demand, search) => add_any(sets, demand, search, pairs),
+            Op::Any3(demand, search) => add_any(sets, demand, search, pairs),
+            Op::Exists(demand, steps) => {
+                let asked = demand.of(sets);
+                if !is_empty(&asked) {
+                    let found = search(program, sets, rows, count, pairs).exists(asked, *steps);
+                    let dst = sets.get_mut(demand.dst);
+                    *dst = or(*dst, &found);
+                }
+            }
+            Op::Rare(op) => execute_rare(program, op, sets, rows, count, pairs),
+        }
+    }
+}
+
+// Apart, so that the usual operations find what they need in registers.
+#[inline(never)]
+fn execute_rare<const W: usize>(
+    program: &Dense,
+    op: &Rare,
+    sets: &mut (impl Sets<W> + ?Sized),
+    rows: &mut [Set<W>],
+    count: usize,
+    pairs: &impl Pairs<W>,
+) {
+    match op {
+        Rare::Rows { dst, demand, steps } => {
+            let (steps, demand) = (program.steps(*steps), *sets.get(*demand));
+            if is_empty(sets.get(steps[0].among)) {
+                return;
+            }
+            for ego in members(&demand) {
+                let set = search(program, sets, rows, count, pairs).values(ego, steps);
+                let row = dst * count + ego;
+                rows[row] = or(rows[row], &set);
+            }
+        }
+        Rare::OrRows { dst, from } => {
+            for at in 0..count {
+                let dst = dst * count + at;
+                rows[dst] = or(rows[dst], &rows[from * count + at]);
+            }
+        }
+        Rare::Diagonal { dst, rows: list } => {
+            let mut set = [0; W];
+            for at in 0..count {
+                if has(&rows[list * count + at], at) {
+                    set[at / 64] |= 1 << (at % 64);
+                }
+            }
+            *sets.get_mut(*dst) = set;
+        }
+    }
+}
+
+fn search<'a, const W: usize, P>(
+    program: &'a Dense,
+    sets: &'a (impl Sets<W> + ?Sized),
+    rows: &'a [Set<W>],
+    count: usize,
+    pairs: &'a P,
+) -> Search<'a, W, P> {
+    Search {
+        program,
+        sets: sets.as_ref(),
+        rows,
+        count,
+        pairs,
+    }
+}
+
+/// Looks for values of variables.
+struct Search<'a, const W: usize, P> {
+    program: &'a Dense,
+    sets: &'a [Set<W>],
+    rows: &'a [Set<W>],
+    count: usize,
+    pairs: &'a P,
+}
+
+/// The values of the head's first variable and of those of the steps so far.
+type Bound = [usize; Dense::VARIABLES_MAX + 1];
+
+impl<const W: usize, P: Pairs<W>> Search<'_, W, P> {
+    /// Those of `demand` for which values of all steps exist.
+    #[inline(never)]
+    fn exists(&self, demand: Set<W>, steps: Range) -> Set<W> {
+        let mut found = [0; W];
+        let steps = self.program.steps(steps);
+        if is_empty(&self.sets[steps[0].among.index()]) {
+            return found;
+        }
+        for ego in members(&demand) {
+            let mut bound = [0; Dense::VARIABLES_MAX + 1];
+            bound[0] = ego;
+            let set = self.narrow(&steps[0], &bound);
+            if self.go_on(steps, 0, set, &mut bound) {
+                found[ego / 64] |= 1 << (ego % 64);
+            }
+        }
+        found
+    }
+
+    /// The values of the first step for an entity for which values of the others exist.
+    fn values(&self, ego: usize, steps: &[Step]) -> Set<W> {
+        let mut bound = [0; Dense::VARIABLES_MAX + 1];
+        bound[0] = ego;
+        let mut set = self.narrow(&steps[0], &bound);
+        if steps.len() > 1 {
+            for value in members(&set) {
+                if !self.go_on(steps, 0, only(value), &mut bound) {
+                    set = without(set, &only(value));
+                }
+            }
+        }
+        set
+    }
+
+    /// Whether some member of `set`, taken for step `depth`, leaves values for all further steps.
+    fn go_on(&self, steps: &[Step], depth: usize, set: Set<W>, bound: &mut Bound) -> bool {
+        let Some(next) = steps.get(depth + 1) else {
+            return !is_empty(&set);
+        };
+        if is_empty(&set) || is_empty(&self.sets[next.among.index()]) || self.pairs.stopped() {
+            return false;
+        }
+        members(&set).any(|value| {
+            bound[depth + 1] = value;
+            let set = self.narrow(next, bound);
+            self.go_on(steps, depth + 1, set, bound)
+        })
+    }
+
+    /// The values that a step leaves, given those that are bound.
+    #[inline]
+    fn narrow(&self, step: &Step, bound: &Bound) -> Set<W> {
+        let mut set = self.sets[step.among.index()];
+        for test in self.program.tests(step.tests) {
+            let at = bound[test.to];
+            let fitting = match test.list {
+                Place::Given(list) => self.pairs.narrow(list, at, set),
+                Place::Derived(list, Axis::Second) => and(set, &self.rows[list * self.count + at]),
+                Place::Derived(list, Axis::First) => {
+                    let mut fitting = [0; W];
+                    for member in members(&set) {
+                        if has(&self.rows[list * self.count + member], at) {
+                            fitting[member / 64] |= 1 << (member % 64);
+                        }
+                    }
+                    fitting
+                }
+                Place::Same => and(set, &only(at)),
+            };
+            set = match test.holds {
+                true => fitting,
+                false => without(set, &fitting),
+            };
+        }
+        set
+    }
+}

@@ -1,0 +1,85 @@
+//! Plans follow the sizes of relations.
+//!
+//! Before there are rows, a clause is planned by what it says alone. When a stratum is evaluated and the relations it reads have
+//! become several times larger or smaller than those it was planned for, its clauses are planned again by measured sizes.
+
+use crate::datalog::check::RelId;
+use crate::datalog::eval::exec::{Commit, State};
+use crate::datalog::plan::estimate::Size;
+use crate::datalog::plan::steps::{Aim, StratumPlan};
+use std::sync::Arc;
+
+/// The numbers of rows that a stratum's plans were made for, by position in its inputs and behind them in its members; none before
+/// there were rows.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Basis {
+    recompute: Vec<usize>,
+    maintain: Vec<usize>,
+}
+
+impl Basis {
+    fn of(&mut self, aim: Aim) -> &mut Vec<usize> {
+        match aim {
+            Aim::Recompute => &mut self.recompute,
+            Aim::Maintain => &mut self.maintain,
+        }
+    }
+}
+
+/// Fewer rows than this are as good as this many: no order of so few costs much.
+const ROWS_MIN: usize = 64;
+
+/// Plans are good for relations so many times as large or as small.
+const FACTOR: usize = 4;
+
+/// Whether a plan for so many rows is still good for as many as there are now.
+fn is_good(planned: usize, now: usize) -> bool {
+    let (planned, now) = (planned.max(ROWS_MIN), now.max(ROWS_MIN));
+    now / FACTOR < planned && planned / FACTOR < now
+}
+
+impl<const W: usize> State<W> {
+    /// Has the clauses of a stratum planned again if its relations are no longer of the sizes they were planned for.
+    pub(crate) fn adapt(&mut self, commit: &mut Commit<'_, W>, (stratum, number): (&StratumPlan, usize), aim: Aim) {
+        // When a stratum is computed from scratch, nobody knows yet how large its members will be.
+        let members: &[RelId] = if aim == Aim::Maintain { &stratum.members } else { &[] };
+        let relations = || stratum.inputs.iter().chain(members);
+        let rows = |relation: &RelId| self.tables[relation.index()].rows.len();
+        let basis = self.bases[number].of(aim);
+        let mut planned = basis.iter().copied().chain(std::iter::repeat(0));
+        if relations().all(|relation| is_good(planned.next().unwrap_or(0), rows(relation))) {
+            return;
+        }
+        *basis = relations().map(rows).collect();
+
+        let mut sizes: Vec<Option<Size>> = vec![None; self.tables.len()];
+        for relation in relations() {
+            let arity = commit.compiled.relation(*relation).arity();
+            sizes[relation.index()] = Some(Size::of(&self.tables[relation.index()].rows, arity));
+        }
+        Arc::make_mut(&mut commit.plans).adapt(&stratum.clauses, aim, &sizes);
+        let before = commit
+            .changed
+            .iter_mut()
+            .map(|changed| changed.as_mut().map(|(_, table)| table));
+        let tables = self.tables.iter_mut().zip(before).zip(commit.plans.indexes.counts());
+        for ((table, before), indexes) in tables {
+            table.widen(indexes);
+            if let Some(before) = before {
+                before.widen(indexes);
+            }
+            self.copies_max = self.copies_max.max(indexes + 1);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn plans_are_good_within_a_factor() {
+        assert!(is_good(0, 255) && is_good(255, 0) && is_good(100_000, 399_000) && is_good(399_000, 100_000));
+        assert!(!is_good(0, 256) && !is_good(256, 0) && !is_good(100_000, 400_000) && !is_good(400_000, 100_000));
+    }
+}

@@ -1,0 +1,669 @@
+//! The relational executor: keeps the rows of all relations, makes commits and evaluates strata. Recursive ones are for
+//! [`super::recursion`].
+
+use crate::datalog::check::{ClauseId, RelId, Term};
+use crate::datalog::eval::adapt::Basis;
+use crate::datalog::eval::delta::{Delta, Rows};
+use crate::datalog::eval::join;
+use crate::datalog::eval::join::{Ask, Effort, Output, Stop, View};
+use crate::datalog::eval::limits::{EvalError, Limits};
+use crate::datalog::eval::noted::Noted;
+use crate::datalog::eval::stats::{Moment, RuleWork, Strategy, StratumWork, Work, WorkLog};
+use crate::datalog::eval::table::{Net, Table};
+use crate::datalog::eval::workers::Workers;
+use crate::datalog::plan::Compiled;
+use crate::datalog::plan::Plans;
+use crate::datalog::plan::steps::{Aim, IndexId, IndexSpec, Plan, Source, Step, StratumPlan, Version};
+use crate::datalog::row::{Row, normalise};
+use crate::datalog::value::Value;
+use crate::symbol::Symbols;
+use std::sync::Arc;
+
+/// What a session keeps between commits, whatever the width of its rows.
+pub(crate) trait Store: Send + Sync {
+    /// Notes that a row is to be (or not to be) there from the next commit on.
+    fn change(&mut self, relation: RelId, row: &[Value], present: bool);
+    /// Notes that rows are to be there, which are `arity` words each, at least one.
+    fn insert_all(&mut self, relation: RelId, words: &[Value], arity: usize);
+    /// Makes room for so many rows that are to be inserted.
+    fn reserve(&mut self, relation: RelId, rows: usize);
+    /// How many changes of a relation are noted.
+    fn noted(&self, relation: RelId) -> usize;
+    /// Forgets all changes noted of a relation but the first ones.
+    fn forget(&mut self, relation: RelId, len: usize);
+    /// Forgets the changes noted since the last commit.
+    fn rollback(&mut self);
+    /// Makes the noted changes and brings what depends on them up to date. On failure everything is as before.
+    fn commit(
+        &mut self,
+        compiled: &Compiled,
+        symbols: &Symbols,
+        orders: Orders<'_>,
+    ) -> Result<(Delta, WorkLog), EvalError>;
+    /// Whether the row, which has the right arity, is there.
+    fn contains(&self, relation: RelId, row: &[Value]) -> bool;
+    /// The row at a position below `len`, padded.
+    fn row(&self, relation: RelId, position: usize) -> &[Value];
+    /// How many rows the relation has.
+    fn len(&self, relation: RelId) -> usize;
+    /// How clauses are evaluated now.
+    fn plans(&self) -> &Plans;
+    /// The distinct rows that a clause derives.
+    fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>>;
+}
+
+/// How a commit is to be made.
+#[derive(Clone, Copy)]
+pub(crate) struct Orders<'a> {
+    pub(crate) strategy: Strategy,
+    pub(crate) limits: Limits,
+    pub(crate) workers: &'a Workers,
+    /// Is told when a clause begins and ends.
+    pub(crate) watch: Option<&'a dyn Fn(Moment)>,
+    /// Whether to give the commit up. Asked on the calling thread.
+    pub(crate) ask: Ask<'a>,
+}
+
+/// What a stratum may take of what is left.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Room {
+    /// Rows of its members. If these are as many as there is memory for, `narrowed`.
+    pub(crate) rows: usize,
+    narrowed: bool,
+    /// Rows looked at.
+    steps: u64,
+    /// Memory for its members' rows and the indexes it needs.
+    bytes: u64,
+}
+
+impl Room {
+    /// Fails if the members of a stratum together have more rows than there is room for.
+    pub(crate) fn check_rows(&self, total: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<(), Failure> {
+        meter.fail_if(total > self.rows, stratum, Stop::Overflow)
+    }
+
+    /// Fails if the rows of the members take more memory than there is room for.
+    pub(crate) fn check_bytes(&self, bytes: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<(), Failure> {
+        meter.fail_if(bytes as u64 > self.bytes, stratum, Stop::Memory)
+    }
+}
+
+/// An empty store for a program.
+pub(crate) fn store(compiled: &Compiled) -> Box<dyn Store> {
+    match compiled.plans.width {
+        2 => Box::new(State::<2>::new(compiled)),
+        3 => Box::new(State::<3>::new(compiled)),
+        4 => Box::new(State::<4>::new(compiled)),
+        8 => Box::new(State::<8>::new(compiled)),
+        16 => Box::new(State::<16>::new(compiled)),
+        _ => Box::new(State::<32>::new(compiled)),
+    }
+}
+
+pub(crate) struct State<const W: usize> {
+    /// By [`RelId`]: the rows as of the last commit.
+    pub(crate) tables: Vec<Table<W>>,
+    /// By [`RelId`]: the facts in the text, for relations that no clause with a body derives. They cannot be retracted.
+    given: Vec<Vec<Row<W>>>,
+    /// By [`RelId`]: changes for the next commit.
+    noted: Vec<Noted<W>>,
+    /// How clauses are evaluated, for relations of about the sizes they have.
+    pub(crate) plans: Arc<Plans>,
+    /// By position of the stratum: the sizes it was planned for.
+    pub(crate) bases: Vec<Basis>,
+    /// Whether a commit has succeeded.
+    committed: bool,
+    /// By position of the stratum: what the last computation from scratch took.
+    costs: Vec<Cost>,
+    /// How many rows the tables have.
+    rows: usize,
+    /// Each of them is in memory no more often than this.
+    pub(crate) copies_max: usize,
+}
+
+/// What computing a stratum from scratch took.
+#[derive(Clone, Copy, Debug, Default)]
+struct Cost {
+    looked_at: u64,
+    /// How many rows its inputs had.
+    inputs: u64,
+}
+
+/// A commit while it is made.
+pub(crate) struct Commit<'a, const W: usize> {
+    pub(crate) compiled: &'a Compiled,
+    /// How clauses are evaluated: the session's own plans.
+    pub(crate) plans: Arc<Plans>,
+    pub(crate) symbols: &'a Symbols,
+    orders: Orders<'a>,
+    /// By [`RelId`]: how the relations changed so far, and what they were before.
+    pub(crate) changed: Vec<Option<(Net<W>, Table<W>)>>,
+}
+
+impl<const W: usize> Commit<'_, W> {
+    /// All that changed. The tables as they were are dropped.
+    fn delta(self) -> Delta {
+        let mut delta = Delta::default();
+        // Relations that the optimiser added are nobody's business.
+        let relations = self.compiled.rules.relations.iter().zip((0..).map(RelId));
+        for (changed, (relation, id)) in self.changed.into_iter().zip(relations) {
+            let Some((net, _)) = changed else { continue };
+            let arity = relation.arity();
+            delta.push(id, Rows::of(arity, net.added), Rows::of(arity, net.removed.into()));
+        }
+        delta
+    }
+
+    /// How a relation changed, if it did.
+    pub(crate) fn net(&self, relation: RelId) -> Option<&Net<W>> {
+        self.changed[relation.index()].as_ref().map(|(net, _)| net)
+    }
+}
+
+/// The clause whose evaluation was given up, and why.
+pub(crate) type Failure = (ClauseId, Stop);
+
+/// Runs plans and keeps account of it.
+pub(crate) struct Meter<'a> {
+    effort: Effort,
+    rules: Vec<RuleWork>,
+    /// `None`: everything is done on the calling thread.
+    workers: Option<&'a Workers>,
+    watch: Option<&'a dyn Fn(Moment)>,
+    ask: Ask<'a>,
+}
+
+impl<'a> Meter<'a> {
+    /// Nothing done yet; no more than `budget` rows may be looked at.
+    fn new(budget: u64, orders: Orders<'a>, workers: Option<&'a Workers>) -> Self {
+        let mut effort = Effort::new(budget);
+        effort.text_bytes = orders.limits.bytes;
+        Meter {
+            effort,
+            rules: Vec::new(),
+            workers,
+            watch: orders.watch,
+            ask: orders.ask,
+        }
+    }
+
+    /// The distinct rows of an output, in order; see [`Output::take`].
+    pub(crate) fn take<const W: usize>(&self, out: &mut Output<W>) -> Vec<Row<W>> {
+        match self.workers {
+            Some(workers) => out.take_by(|rows| workers.normalise(rows)),
+            None => out.take(),
+        }
+    }
+
+    /// Evaluates a plan of a clause that begins with so many given rows.
+    pub(crate) fn run<const W: usize>(
+        &mut self,
+        clause: ClauseId,
+        plan: &Plan,
+        (views, given): (&[View<'_, W>], usize),
+        symbols: &Symbols,
+        out: &mut Output<W>,
+    ) -> Result<(), Failure> {
+        let before = (self.effort.looked_at, out.pushed);
+        let tell = |moment| self.watch.iter().for_each(|watch| watch(moment));
+        tell(Moment::Begin(clause));
+        let result = match self.workers {
+            Some(workers) => workers.run(plan, views, (symbols, self.ask), &mut self.effort, out),
+            None => join::run(plan, views, (symbols, self.ask), &mut self.effort, out),
+        };
+        tell(Moment::End(clause));
+        let position = self.rules.binary_search_by_key(&clause, |rule| rule.clause);
+        let position = position.unwrap_or_else(|position| {
+            let rule = RuleWork {
+                clause,
+                given: 0,
+                looked_at: 0,
+                derived: 0,
+            };
+            self.rules.insert(position, rule);
+            position
+        });
+        let rule = &mut self.rules[position];
+        rule.given += given as u64;
+        rule.looked_at += self.effort.looked_at - before.0;
+        rule.derived += out.pushed - before.1;
+        result.map_err(|stop| (clause, stop))
+    }
+
+    /// Gives a stratum up if `failed`, at the clause that has derived most, repetitions included.
+    fn fail_if(&self, failed: bool, stratum: &StratumPlan, stop: Stop) -> Result<(), Failure> {
+        let derived = |clause: &ClauseId| {
+            let position = self.rules.binary_search_by_key(clause, |rule| rule.clause);
+            position.map_or(0, |position| self.rules[position].derived)
+        };
+        let clauses = stratum.clauses.iter().copied().filter(|_| failed);
+        let largest = clauses.max_by_key(|clause| (derived(clause), std::cmp::Reverse(*clause)));
+        largest.map_or(Ok(()), |clause| Err((clause, stop)))
+    }
+
+    /// What was done, in so many rounds.
+    pub(crate) fn finish(self, rounds: usize) -> Work {
+        Work {
+            rounds,
+            rules: self.rules,
+            given_up: 0,
+            shared: 0,
+        }
+    }
+}
+
+impl<const W: usize> State<W> {
+    fn new(compiled: &Compiled) -> Self {
+        let rules = &compiled.rules;
+        let mut given = vec![Vec::new(); rules.relations.len()];
+        for clause in &rules.clauses {
+            if !rules.relations[clause.head.relation.index()].derived {
+                given[clause.head.relation.index()].push(constants(&clause.head.terms));
+            }
+        }
+        given.iter_mut().for_each(normalise);
+        let indexes = || compiled.plans.indexes.counts();
+        State {
+            tables: indexes().map(|count| Table::new(Vec::new(), count)).collect(),
+            rows: 0,
+            copies_max: indexes().max().unwrap_or(0) + 1,
+            costs: vec![Cost::default(); compiled.plans.strata.len()],
+            // They are inserted like any other fact, once.
+            noted: given.iter().cloned().map(Noted::of).collect(),
+            plans: Arc::clone(&compiled.plans),
+            bases: vec![Basis::default(); compiled.plans.strata.len()],
+            given,
+            committed: false,
+        }
+    }
+
+    fn try_commit(&mut self, commit: &mut Commit<'_, W>) -> Result<(WorkLog, Vec<Cost>), EvalError> {
+        let limits = commit.orders.limits;
+        let Compiled { rules, plans, .. } = commit.compiled;
+        for relation in (0..rules.relations.len() as u32).map(RelId) {
+            let noted = &mut self.noted[relation.index()];
+            if noted.is_empty() {
+                continue;
+            }
+            let table = &self.tables[relation.index()];
+            if let Some((net, rows)) = noted.apply(table) {
+                let table = table.replaced(&specs(&commit.plans, relation), &net, rows);
+                self.put(commit, relation, net, table);
+            }
+        }
+
+        let mut log = WorkLog::default();
+        let mut costs = self.costs.clone();
+        // Rows derived by the strata so far, and rows looked at for them. A limit that is passed by a sum of these is passed
+        // whatever was there before.
+        let (mut derived, mut steps) = (0, 0);
+        let mut shared = Vec::new();
+        for ((stratum, cost), number) in plans.strata.iter().zip(&mut costs).zip(0..) {
+            let changes = stratum.inputs.iter().any(|&input| commit.net(input).is_some());
+            let work = if self.committed && !changes {
+                StratumWork::Skipped
+            } else {
+                let room = self.room(commit, stratum, (derived, steps));
+                let work = self.update(commit, (stratum, number), cost, room);
+                work.map_err(|(clause, stop)| {
+                    let clause = commit.plans.reported(clause, rules.clauses.len());
+                    match stop {
+                        Stop::Budget => EvalError::TooManySteps {
+                            limit: limits.steps,
+                            clause,
+                        },
+                        Stop::Overflow if !room.narrowed => EvalError::TooManyRows {
+                            limit: limits.rows,
+                            clause,
+                        },
+                        Stop::Overflow | Stop::Memory => EvalError::TooMuchMemory {
+                            limit: limits.bytes,
+                            clause,
+                        },
+                        Stop::Interrupted => EvalError::Interrupted { clause },
+                    }
+                })?
+            };
+            steps += work.work().map_or(0, |work| work.looked_at() + work.given_up);
+            if commit.compiled.is_shared(stratum) {
+                shared.push(work);
+                continue;
+            }
+            log.strata.push(work.after(std::mem::take(&mut shared)));
+            let members = stratum.members.iter();
+            derived += members.map(|&relation| self.len(relation)).sum::<usize>();
+        }
+        Ok((log, costs))
+    }
+
+    /// What the limits leave for a stratum after so many rows were derived and looked at.
+    fn room(&self, commit: &Commit<'_, W>, stratum: &StratumPlan, (derived, steps): (usize, u64)) -> Room {
+        let limits = commit.orders.limits;
+        let most = (self.rows * self.copies_max * size_of::<Row<W>>()) as u64;
+        // Adding up takes longer than many a commit.
+        let held = if most <= limits.bytes / 16 {
+            most
+        } else {
+            let relations = (0..self.tables.len() as u32).map(RelId).zip(&self.tables);
+            let others = relations.filter(|(relation, _)| !stratum.members.contains(relation));
+            others.map(|(_, table)| table.bytes()).sum()
+        };
+        let bytes = limits.bytes.saturating_sub(held + commit.symbols.bytes());
+        // What is shared has no more rows than a relation that it reads, and does not count.
+        let rows = match commit.compiled.is_shared(stratum) {
+            true => usize::MAX,
+            false => limits.rows.saturating_sub(derived),
+        };
+        let fit = usize::try_from(bytes / size_of::<Row<W>>() as u64).unwrap_or(usize::MAX);
+        Room {
+            rows: rows.min(fit),
+            narrowed: fit < rows,
+            steps: limits.steps.saturating_sub(steps),
+            bytes,
+        }
+    }
+
+    /// What the indexes take that a computation of the stratum from scratch has to make.
+    fn missing_indexes(&self, plans: &Plans, stratum: &StratumPlan) -> u64 {
+        let clauses = stratum.clauses.iter().map(|clause| &plans.clauses[clause.index()]);
+        let all = clauses.flat_map(|clause| {
+            let deltas = clause.deltas.iter().map(|(_, plan)| plan);
+            deltas.chain(clause.detours.iter().flatten()).chain([&clause.complete])
+        });
+        let sources = all.flat_map(|plan| &plan.steps).flat_map(Step::sources);
+        let finished = sources.filter(|source| source.version == Version::Complete);
+        let mut missing: Vec<IndexId> = finished.map(|source| source.index).collect();
+        missing.sort_unstable();
+        missing.dedup();
+        let specs = missing.into_iter().map(|index| &plans.indexes[index]);
+        let bytes = specs.map(|spec| {
+            let table = &self.tables[spec.relation.index()];
+            if table.has(spec) {
+                0
+            } else {
+                size_of_val(&table.rows[..]) as u64
+            }
+        });
+        bytes.sum()
+    }
+
+    /// Brings the relations of a stratum up to date in the way that looks cheaper.
+    fn update(
+        &mut self,
+        commit: &mut Commit<'_, W>,
+        (stratum, number): (&StratumPlan, usize),
+        cost: &mut Cost,
+        room: Room,
+    ) -> Result<StratumWork, Failure> {
+        let Orders { strategy, workers, .. } = commit.orders;
+        // Symbols are numbered in the order in which they are made, so that is left to one thread.
+        let several = workers.are_several() && !makes_texts(&commit.plans, stratum);
+        let workers = several.then_some(workers);
+        let inputs: usize = stratum.inputs.iter().map(|&input| self.len(input)).sum();
+        let inputs = inputs as u64;
+        let mut given_up = 0;
+        if self.committed && stratum.maintainable && strategy != Strategy::Recompute {
+            // Had the inputs as many rows as now, it would have taken about this.
+            let recomputing = u128::from(cost.looked_at) * u128::from(inputs + 1) / u128::from(cost.inputs + 1);
+            let recomputing = u64::try_from(recomputing).unwrap_or(u64::MAX);
+            let maintaining = || Self::maintenance_cost(commit, stratum);
+            let budget = match strategy {
+                Strategy::Maintain => Some(u64::MAX),
+                _ => (maintaining() <= recomputing).then_some(recomputing),
+            };
+            if let Some(budget) = budget.map(|budget| budget.min(room.steps)) {
+                self.adapt(commit, (stratum, number), Aim::Maintain);
+                let mut meter = Meter::new(budget, commit.orders, workers);
+                match self.maintain(commit, stratum, room, &mut meter) {
+                    Ok((nets, rounds)) => {
+                        for (&relation, net) in stratum.members.iter().zip(nets) {
+                            if !net.is_empty() {
+                                let table =
+                                    self.tables[relation.index()].patched(&specs(&commit.plans, relation), &net);
+                                self.put(commit, relation, net, table);
+                            }
+                        }
+                        return Ok(StratumWork::Maintained(meter.finish(rounds)));
+                    }
+                    Err(failure @ (_, Stop::Interrupted)) => return Err(failure),
+                    // Where it was stopped may depend on the number of threads. That it passed the budget does not.
+                    Err(_) => given_up = budget,
+                }
+            }
+        }
+
+        let room = Room {
+            steps: room.steps - given_up,
+            ..room
+        };
+        self.adapt(commit, (stratum, number), Aim::Recompute);
+        if room.narrowed || room.bytes < commit.orders.limits.bytes / 2 {
+            let missing = self.missing_indexes(&commit.plans, stratum);
+            if let (true, Some(&clause)) = (missing > room.bytes, stratum.clauses.first()) {
+                return Err((clause, Stop::Memory));
+            }
+        }
+        let attempt = |workers| {
+            let mut meter = Meter::new(room.steps, commit.orders, workers);
+            let result = self.evaluate(commit, stratum, room, &mut meter);
+            result.map(|(results, rounds)| (results, rounds, meter))
+        };
+        let (results, rounds, meter) = match attempt(workers) {
+            // Which limit is passed first, and where, may depend on the number of threads.
+            Err((_, stop)) if several && stop != Stop::Interrupted => attempt(None)?,
+            result => result?,
+        };
+        *cost = Cost {
+            looked_at: meter.effort.looked_at,
+            inputs,
+        };
+        for (&relation, rows) in stratum.members.iter().zip(results) {
+            let table = &self.tables[relation.index()];
+            let rows = Arc::new(rows);
+            let net = Net::between(&table.rows, &rows);
+            if !net.is_empty() {
+                let table = table.replaced(&specs(&commit.plans, relation), &net, rows);
+                self.put(commit, relation, net, table);
+            }
+        }
+        let mut work = meter.finish(rounds);
+        work.given_up = given_up;
+        Ok(StratumWork::Recomputed(work))
+    }
+
+    /// About how many rows maintaining the stratum looks at.
+    fn maintenance_cost(commit: &Commit<'_, W>, stratum: &StratumPlan) -> u64 {
+        /// A changed row is looked for in some other relations, and a head that may have lost a derivation in all clauses.
+        const ROW: u64 = 4;
+        /// Beginning with a clause costs something even for one row.
+        const CLAUSE: u64 = 8;
+        let clauses = stratum.clauses.iter();
+        let changes = clauses.flat_map(|clause| &commit.plans.clauses[clause.index()].changes);
+        let nets = changes.filter_map(|change| commit.net(change.over));
+        nets.map(|net| CLAUSE + ROW * net.len() as u64).sum()
+    }
+
+    /// Puts a relation's new table in place.
+    fn put(&mut self, commit: &mut Commit<'_, W>, relation: RelId, net: Net<W>, table: Table<W>) {
+        let old = std::mem::replace(&mut self.tables[relation.index()], table);
+        self.rows = self.rows + self.len(relation) - old.rows.len();
+        commit.changed[relation.index()] = Some((net, old));
+    }
+
+    /// The rows of the stratum's derived relations from scratch, and the number of rounds that took.
+    fn evaluate(
+        &self,
+        commit: &Commit<'_, W>,
+        stratum: &StratumPlan,
+        room: Room,
+        meter: &mut Meter<'_>,
+    ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
+        let plans = &commit.plans;
+        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
+        let mut views = Vec::new();
+        for &clause in &stratum.clauses {
+            let plan = &plans.clauses[clause.index()];
+            let Some(member) = plans.member[plan.complete.head.index()] else {
+                continue;
+            };
+            // A clause over the stratum itself derives nothing before there is something.
+            if plan.deltas.is_empty() {
+                views.clear();
+                views.extend(self.complete_views(plans, &plan.complete));
+                meter.run(
+                    clause,
+                    &plan.complete,
+                    (&views, 0),
+                    commit.symbols,
+                    &mut outputs[member],
+                )?;
+            }
+        }
+        if stratum.recursive {
+            return self.grow(commit, stratum, None, outputs, room, meter);
+        }
+        let rows: Vec<_> = outputs.iter_mut().map(|output| meter.take(output)).collect();
+        let total: usize = rows.iter().map(Vec::len).sum();
+        room.check_rows(total, stratum, meter)?;
+        Ok((rows, 1))
+    }
+
+    fn complete_views<'a>(&'a self, plans: &'a Plans, plan: &'a Plan) -> impl Iterator<Item = View<'a, W>> {
+        plan.steps.iter().map(|step| self.complete_view(plans, step))
+    }
+
+    pub(crate) fn complete_view(&self, plans: &Plans, step: &Step) -> View<'_, W> {
+        let batch = |source: Source| {
+            let spec = &plans.indexes[source.index];
+            self.tables[spec.relation.index()].batch(spec)
+        };
+        View::for_step(step, batch)
+    }
+}
+
+/// Whether a clause of the stratum makes texts.
+fn makes_texts(plans: &Plans, stratum: &StratumPlan) -> bool {
+    let clauses = stratum.clauses.iter();
+    let mut steps = clauses.flat_map(|clause| &plans.clauses[clause.index()].complete.steps);
+    steps.any(|step| matches!(step, Step::Compute { functor, .. } if functor.makes_text()))
+}
+
+/// A relation's indexes.
+pub(crate) fn specs(plans: &Plans, relation: RelId) -> Vec<&IndexSpec> {
+    plans.indexes.of(relation).collect()
+}
+
+impl<const W: usize> Store for State<W> {
+    fn change(&mut self, relation: RelId, row: &[Value], present: bool) {
+        let row = Row::new(row);
+        if present || self.given[relation.index()].binary_search(&row).is_err() {
+            self.noted[relation.index()].push(row, present);
+        }
+    }
+
+    fn insert_all(&mut self, relation: RelId, words: &[Value], arity: usize) {
+        self.noted[relation.index()].extend(words, arity);
+    }
+
+    fn reserve(&mut self, relation: RelId, rows: usize) {
+        self.noted[relation.index()].reserve(rows);
+    }
+
+    fn noted(&self, relation: RelId) -> usize {
+        self.noted[relation.index()].len()
+    }
+
+    fn forget(&mut self, relation: RelId, len: usize) {
+        self.noted[relation.index()].truncate(len);
+    }
+
+    fn rollback(&mut self) {
+        for (noted, given) in self.noted.iter_mut().zip(&self.given) {
+            noted.clear();
+            if !self.committed {
+                *noted = Noted::of(given.clone());
+            }
+        }
+    }
+
+    fn commit(
+        &mut self,
+        compiled: &Compiled,
+        symbols: &Symbols,
+        orders: Orders<'_>,
+    ) -> Result<(Delta, WorkLog), EvalError> {
+        let mut commit = Commit {
+            compiled,
+            // The commit alone holds them while it is made, so that it can change them in place.
+            plans: std::mem::replace(&mut self.plans, Arc::clone(&compiled.plans)),
+            symbols,
+            orders,
+            changed: self.tables.iter().map(|_| None).collect(),
+        };
+        let result = self.try_commit(&mut commit);
+        self.plans = Arc::clone(&commit.plans);
+        match result {
+            Ok((log, costs)) => {
+                self.noted.iter_mut().for_each(Noted::clear);
+                self.costs = costs;
+                self.committed = true;
+                Ok((commit.delta(), log))
+            }
+            Err(error) => {
+                for (position, changed) in commit.changed.into_iter().enumerate() {
+                    let Some((net, old)) = changed else { continue };
+                    drop(net);
+                    self.rows = self.rows + old.rows.len() - self.tables[position].rows.len();
+                    let base = commit.plans.member[position].is_none();
+                    let noted = &mut self.noted[position];
+                    let new = std::mem::replace(&mut self.tables[position], old);
+                    // What was noted and is not there has become the table's.
+                    if base && noted.is_empty() {
+                        noted.put_back(new.rows);
+                    }
+                }
+                Err(error)
+            }
+        }
+    }
+
+    fn contains(&self, relation: RelId, row: &[Value]) -> bool {
+        let rows = &self.tables[relation.index()].rows;
+        rows.binary_search(&Row::new(row)).is_ok()
+    }
+
+    fn row(&self, relation: RelId, position: usize) -> &[Value] {
+        &self.tables[relation.index()].rows[position].0
+    }
+
+    fn len(&self, relation: RelId) -> usize {
+        self.tables[relation.index()].rows.len()
+    }
+
+    fn plans(&self) -> &Plans {
+        &self.plans
+    }
+
+    fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>> {
+        let plan = &self.plans.clauses[clause.index()].complete;
+        let mut out = Output::new(usize::MAX);
+        if self.committed {
+            let views: Vec<View<'_, W>> = self.complete_views(&self.plans, plan).collect();
+            // What a clause derives is in its head's relation, which is within the limit: it cannot overflow.
+            let _ = join::run(plan, &views, (symbols, None), &mut Effort::new(u64::MAX), &mut out);
+        }
+        let arity = compiled.rules.relations[plan.head.index()].arity();
+        out.take().iter().map(|row| row.0[..arity].to_vec()).collect()
+    }
+}
+
+/// The row of a fact.
+fn constants<const W: usize>(terms: &[Term]) -> Row<W> {
+    let mut row = Row::ZERO;
+    for (word, term) in row.0.iter_mut().zip(terms) {
+        if let Term::Constant(value) = term {
+            *word = *value;
+        }
+    }
+    row
+}

@@ -1,0 +1,849 @@
+//! Runs the steps of a plan: one pipelined nested-loop join over sorted rows, without intermediate relations.
+
+use crate::datalog::eval::seen::{Added, Seen, raise};
+use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
+use crate::datalog::row::{Batch, Row, difference, gallop, normalise};
+use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::datalog::syntax::functor::Functor;
+use crate::datalog::value::{Patterns, Value};
+use crate::symbol::{Symbol, Symbols};
+use std::cmp::Ordering;
+
+/// The rows a step looks at: sorted batches, mostly one; for a step that meets lists, one for each list.
+#[derive(Clone, Debug)]
+pub(crate) struct View<'a, const W: usize> {
+    pub(crate) first: Batch<'a, W>,
+    pub(crate) rest: Vec<Batch<'a, W>>,
+}
+
+impl<'a, const W: usize> View<'a, W> {
+    /// For a step that looks at no rows.
+    pub(crate) const NONE: Self = View {
+        first: Batch { rows: &[], starts: &[] },
+        rest: Vec::new(),
+    };
+
+    /// One batch.
+    pub(crate) fn of(first: Batch<'a, W>) -> Self {
+        View {
+            first,
+            rest: Vec::new(),
+        }
+    }
+
+    /// The batch for the source of a step, or those of the lists that it meets.
+    #[inline]
+    pub(crate) fn for_step(step: &Step, batch: impl Fn(Source) -> Batch<'a, W>) -> Self {
+        match (step.source(), step) {
+            (Some(source), _) => View::of(batch(source)),
+            (None, Step::Meet { lists, .. }) => {
+                let mut batches = lists.iter().map(|list| batch(list.source));
+                batches.next().map_or(View::NONE, |first| View {
+                    first,
+                    rest: batches.collect(),
+                })
+            }
+            _ => View::NONE,
+        }
+    }
+
+    pub(crate) fn batches(&self) -> impl Iterator<Item = &Batch<'a, W>> {
+        std::iter::once(&self.first).chain(&self.rest)
+    }
+
+    #[inline]
+    fn holds(&self, key: &[Value]) -> bool {
+        self.first.holds(key) || self.rest.iter().any(|batch| batch.holds(key))
+    }
+}
+
+/// Derived rows on their way to a relation, with some or no repetitions. The memory they take is bounded: where words are dense,
+/// rows are marked in a [`Seen`] and repetitions never get in; where they are not, rows are put in order when there are many and
+/// repetitions are dropped.
+#[derive(Debug)]
+pub(crate) struct Output<const W: usize> {
+    rows: Vec<Row<W>>,
+    /// Rows ever pushed.
+    pub(crate) pushed: u64,
+    /// Holds what is in `rows`, if there is one.
+    seen: Option<Seen<W>>,
+    /// Whether `seen`, if there is one, holds all rows that were ever pushed.
+    whole: bool,
+    /// Whether rows were taken.
+    took: bool,
+    /// By column: the largest word of rows that were taken.
+    largest: [u32; W],
+    /// Whether `seen` lacks only rows that were taken, which it may be told.
+    may_learn: bool,
+    /// Whether nobody else knows the rows that were taken; see [`Output::remember`].
+    remembers: bool,
+    /// If so, and `seen` was given up: the rows that had been taken before.
+    taken: Vec<Row<W>>,
+    /// New rows that `seen` keeps in place of `rows`.
+    kept: usize,
+    /// With so many rows something is to be done about them.
+    act_at: usize,
+    compact_at: usize,
+    limit: usize,
+}
+
+/// Why an evaluation was given up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Stop {
+    /// More distinct rows were derived than the limit allows.
+    Overflow,
+    /// More rows were looked at than allowed.
+    Budget,
+    /// Rows, indexes or texts take more memory than allowed.
+    Memory,
+    /// The caller will not wait longer.
+    Interrupted,
+}
+
+/// Is asked now and then whether to give an evaluation up.
+pub(crate) type Ask<'a> = Option<&'a dyn Fn() -> bool>;
+
+/// What evaluations need besides their inputs, and how much they did.
+#[derive(Debug)]
+pub(crate) struct Effort {
+    slots: Vec<Value>,
+    /// Rows that scans and tests looked at.
+    pub(crate) looked_at: u64,
+    /// More than this is too much.
+    pub(crate) budget: u64,
+    /// With more rows than this it is time to see whether to go on.
+    pause: u64,
+    /// More bytes of texts than this are too much.
+    pub(crate) text_bytes: u64,
+}
+
+impl Effort {
+    /// So many rows are looked at between two questions whether to go on: a fraction of a millisecond.
+    const PAUSE: u64 = 1 << 14;
+
+    /// None yet.
+    pub(crate) fn new(budget: u64) -> Self {
+        Effort {
+            slots: Vec::new(),
+            looked_at: 0,
+            budget,
+            pause: budget.min(Self::PAUSE),
+            text_bytes: u64::MAX,
+        }
+    }
+}
+
+impl<const W: usize> Output<W> {
+    /// Words of derived rows that are kept before repetitions are looked for: 128 MiB.
+    const COMPACT_WORDS: usize = 1 << 25;
+
+    /// Rows before it is first asked whether their words are dense.
+    const SEEN_MIN: usize = 256;
+
+    /// More than a gigabyte is never spent on bits, as much as so many rows take.
+    const SEEN_ROWS_MAX: u64 = (1 << 30) / size_of::<Row<W>>() as u64;
+
+    /// No rows yet; at most `limit` distinct ones are accepted.
+    pub(crate) fn new(limit: usize) -> Self {
+        let compact_at = (Self::COMPACT_WORDS / W).min(limit.saturating_add(1));
+        Output {
+            rows: Vec::new(),
+            pushed: 0,
+            seen: None,
+            whole: true,
+            took: false,
+            largest: [0; W],
+            may_learn: false,
+            remembers: false,
+            taken: Vec::new(),
+            kept: 0,
+            act_at: compact_at.min(Self::SEEN_MIN),
+            compact_at,
+            limit,
+        }
+    }
+
+    /// These distinct rows, as if they had been derived.
+    pub(crate) fn of(rows: Vec<Row<W>>, limit: usize) -> Self {
+        Output {
+            rows,
+            ..Self::new(limit)
+        }
+    }
+
+    /// An empty output for some of the rows that are to go into this one, at most `limit` of them. It leaves out what is known here.
+    pub(crate) fn fork(&self, limit: usize) -> Self {
+        Output {
+            seen: self.seen.as_ref().map(Seen::fork),
+            ..Self::new(limit)
+        }
+    }
+
+    /// How many distinct rows are accepted.
+    pub(crate) fn limit(&self) -> usize {
+        self.limit
+    }
+
+    /// What the bits of known rows take.
+    pub(crate) fn seen_bytes(&self) -> usize {
+        self.seen.as_ref().map_or(0, Seen::bytes)
+    }
+
+    /// Takes in what was derived into a fork.
+    pub(crate) fn absorb(&mut self, mut fork: Self) -> Result<(), Stop> {
+        let pushed = self.pushed + fork.pushed;
+        self.pushed = pushed;
+        if let (Some(seen), Some(other)) = (&mut self.seen, &fork.seen)
+            && other.keeps()
+            && seen.is_like(other)
+        {
+            if !seen.keeps() {
+                seen.keep(&self.rows);
+                self.kept = std::mem::take(&mut self.rows).len();
+            }
+            self.kept += seen.absorb(other);
+            return if self.kept > self.limit {
+                Err(Stop::Overflow)
+            } else {
+                Ok(())
+            };
+        }
+        let rows = fork.take();
+        if self.seen.is_none() {
+            self.rows.extend_from_slice(&rows);
+            return if self.rows.len() >= self.act_at {
+                self.act()
+            } else {
+                Ok(())
+            };
+        }
+        for row in rows {
+            self.push(row)?;
+        }
+        self.pushed = pushed;
+        Ok(())
+    }
+
+    /// Puts the rows in order, if they are in a list.
+    pub(crate) fn settle(&mut self) {
+        normalise(&mut self.rows);
+    }
+
+    /// Whether nothing is in it.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.rows.is_empty() && self.kept == 0
+    }
+
+    #[inline]
+    fn push(&mut self, row: Row<W>) -> Result<(), Stop> {
+        self.pushed += 1;
+        if let Some(seen) = &mut self.seen {
+            match seen.add(&row) {
+                Added::Known => return Ok(()),
+                Added::New if seen.keeps() => {
+                    self.kept += 1;
+                    return if self.kept > self.limit {
+                        Err(Stop::Overflow)
+                    } else {
+                        Ok(())
+                    };
+                }
+                Added::New => {}
+                Added::Beyond => self.unmark(),
+            }
+        }
+        self.rows.push(row);
+        if self.rows.len() >= self.act_at {
+            self.act()
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Pushes rows that are like `row` but for one word, which they have from a column of the rows found.
+    #[inline]
+    fn push_along(&mut self, mut row: Row<W>, word: usize, found: &[Row<W>], column: usize) -> Result<(), Stop> {
+        let mut rest = found;
+        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
+            let (added, new) = seen.keep_along(row, word, found.iter().map(|other| other.0[column]));
+            self.pushed += added as u64;
+            self.kept += new;
+            if self.kept > self.limit {
+                return Err(Stop::Overflow);
+            }
+            rest = &found[added..];
+        }
+        for other in rest {
+            row.0[word] = other.0[column];
+            self.push(row)?;
+        }
+        Ok(())
+    }
+
+    /// Goes back to a plain list.
+    #[cold]
+    fn unmark(&mut self) {
+        if let Some(mut seen) = self.seen.take() {
+            self.largest = seen.largest();
+            let all = if self.remembers { seen.all() } else { Vec::new() };
+            if seen.keeps() {
+                self.rows = seen.drain(std::mem::take(&mut self.kept));
+            } else if self.remembers {
+                normalise(&mut self.rows);
+            }
+            self.taken = difference(&all, &self.rows);
+        }
+        self.remembers = false;
+        // Not before there are more rows is it asked again whether words are dense.
+        self.act_at = (self.rows.len() + Self::SEEN_MIN).min(self.compact_at);
+    }
+
+    /// Finds the better way to hold the rows there are.
+    #[cold]
+    fn act(&mut self) -> Result<(), Stop> {
+        if self.seen.is_none() {
+            self.seen = Seen::over(&self.rows, self.largest, self.pushed.min(Self::SEEN_ROWS_MAX));
+            if self.seen.is_some() {
+                self.whole = !self.took;
+                self.may_learn = self.took;
+                normalise(&mut self.rows);
+            }
+        }
+        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.prefers_bits(self.rows.len())) {
+            seen.keep(&self.rows);
+            self.kept = self.rows.len();
+            self.rows = Vec::new();
+        }
+        if self.rows.len() >= self.compact_at {
+            normalise(&mut self.rows);
+            self.compact_at = self.compact_at.max(self.rows.len().saturating_mul(2));
+        }
+        if self.rows.len().max(self.kept) > self.limit {
+            return Err(Stop::Overflow);
+        }
+        self.act_at = self
+            .rows
+            .len()
+            .saturating_mul(2)
+            .max(Self::SEEN_MIN)
+            .min(self.compact_at);
+        Ok(())
+    }
+
+    /// The distinct rows, in order. The output is empty afterwards, but rows that were in it may be left out when they are
+    /// derived again.
+    pub(crate) fn take(&mut self) -> Vec<Row<W>> {
+        self.take_by(normalise)
+    }
+
+    /// The same with another way to sort rows and remove repetitions.
+    pub(crate) fn take_by(&mut self, normalise: impl FnOnce(&mut Vec<Row<W>>)) -> Vec<Row<W>> {
+        self.took |= !self.is_empty();
+        self.act_at = self.compact_at.min(Self::SEEN_MIN);
+        if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
+            return seen.drain(std::mem::take(&mut self.kept));
+        }
+        let mut rows = std::mem::take(&mut self.rows);
+        normalise(&mut rows);
+        if self.seen.is_none() {
+            raise(&mut self.largest, &rows);
+        }
+        rows
+    }
+
+    /// Tells it the rows that were pushed and taken before it had bits, so that it [is whole](Output::is_whole). Where that does
+    /// not succeed, it does not until there are other bits.
+    pub(crate) fn learn<'a>(&mut self, taken: impl Iterator<Item = &'a [Row<W>]>) {
+        if let Some(seen) = self.seen.as_mut().filter(|_| self.may_learn) {
+            self.may_learn = false;
+            let mut rows = taken.flatten();
+            self.whole = rows.all(|row| seen.note(row));
+        }
+    }
+
+    /// The rows that were taken from it are from now on remembered nowhere else. Only while it [is whole](Output::is_whole). When it
+    /// is not any more, [`Output::forgotten`] has them.
+    pub(crate) fn remember(&mut self) {
+        self.remembers = true;
+    }
+
+    /// The rows that it remembered and does not any more, in order. Once.
+    pub(crate) fn forgotten(&mut self) -> Vec<Row<W>> {
+        std::mem::take(&mut self.taken)
+    }
+
+    /// Whether it still knows all rows that were ever pushed.
+    pub(crate) fn is_whole(&self) -> bool {
+        self.whole && self.seen.is_some()
+    }
+
+    /// The rows that it knows were pushed, in order: all of them if it [is whole](Output::is_whole).
+    pub(crate) fn all(&self) -> Vec<Row<W>> {
+        self.seen.as_ref().map(Seen::all).unwrap_or_default()
+    }
+}
+
+/// Evaluates a plan. `views` has an element for each of its steps.
+pub(crate) fn run<const W: usize>(
+    plan: &Plan,
+    views: &[View<'_, W>],
+    (symbols, ask): (&Symbols, Ask<'_>),
+    effort: &mut Effort,
+    out: &mut Output<W>,
+) -> Result<(), Stop> {
+    effort.slots.clear();
+    effort.slots.extend_from_slice(&plan.slots);
+    let mut join = Join {
+        plan,
+        views,
+        symbols,
+        slots: &mut effort.slots,
+        looked_at: effort.looked_at,
+        budget: effort.budget,
+        pause: effort.pause,
+        ask,
+        text_bytes: effort.text_bytes,
+        patterns: None,
+        cursors: Vec::new(),
+        out,
+    };
+    let result = join.from(0, plan.steps.len());
+    (effort.looked_at, effort.pause) = (join.looked_at, join.pause);
+    result?;
+    // The last scan may have been the one that was too much.
+    if effort.looked_at > effort.budget {
+        return Err(Stop::Budget);
+    }
+    Ok(())
+}
+
+/// Columns of an index and the slots that go with them.
+type Columns<'a> = &'a [(u16, Slot)];
+
+struct Join<'a, const W: usize> {
+    plan: &'a Plan,
+    views: &'a [View<'a, W>],
+    symbols: &'a Symbols,
+    slots: &'a mut [Value],
+    looked_at: u64,
+    budget: u64,
+    pause: u64,
+    ask: Ask<'a>,
+    text_bytes: u64,
+    /// Made when first needed.
+    patterns: Option<Patterns>,
+    /// What is left of the lists that the steps are meeting which are being done, and the column of the words.
+    cursors: Vec<(&'a [Row<W>], usize)>,
+    out: &'a mut Output<W>,
+}
+
+impl<const W: usize> Join<'_, W> {
+    /// Does the steps from `depth` to `end` and says whether they succeeded at least once. A success of all steps derives a row.
+    fn from(&mut self, depth: usize, end: usize) -> Result<bool, Stop> {
+        let plan = self.plan;
+        let mut depth = depth;
+        loop {
+            if depth == end {
+                return if end == plan.steps.len() { self.emit() } else { Ok(true) };
+            }
+            let passed = match &plan.steps[depth] {
+                step @ (Step::Scan { .. } | Step::Meet { .. }) => match plan.enough[depth] as usize {
+                    0 => return self.branch(step, depth, (end, false)),
+                    // Within a part of which one success is enough there are only such parts, so this one ends in front of `end`.
+                    part => {
+                        let passed = self.branch(step, depth, (part, true))?;
+                        if part == plan.steps.len() {
+                            return Ok(passed);
+                        }
+                        depth = part - 1;
+                        passed
+                    }
+                },
+                Step::Exists { key, .. } => self.holds(depth, key),
+                Step::Absent { key, .. } => !self.holds(depth, key),
+                Step::Copy { to, from } => {
+                    self.slots[*to as usize] = self.slots[*from as usize];
+                    true
+                }
+                Step::Compare { op, left, right, base } => {
+                    let (left, right) = (self.slots[*left as usize], self.slots[*right as usize]);
+                    match op {
+                        Comparison::Match => self.matches(left, right),
+                        Comparison::NotMatch => !self.matches(left, right),
+                        _ => compare(self.symbols, *op, left, right, *base),
+                    }
+                }
+                Step::Compute {
+                    functor,
+                    base,
+                    arguments,
+                    to,
+                    test,
+                } => {
+                    let value = match functor.makes_text() {
+                        true => self.make(*functor, *base, arguments)?,
+                        false => self.compute(*functor, *base, arguments),
+                    };
+                    self.fill(*to, *test, value)
+                }
+                Step::Aggregate {
+                    key,
+                    op,
+                    base,
+                    column,
+                    to,
+                    test,
+                    ..
+                } => {
+                    let words = self.key(key);
+                    let views = self.views;
+                    let ranges = views[depth].batches().map(|batch| batch.range(&words[..key.len()]));
+                    self.looked_at += ranges.map(|range| range.len() as u64).sum::<u64>();
+                    if self.looked_at > self.pause {
+                        self.pause()?;
+                    }
+                    let rows = views[depth]
+                        .batches()
+                        .flat_map(|batch| batch.range(&words[..key.len()]));
+                    // Of rows without columns there are only as many as can be counted.
+                    let values = rows.map(|row| row.0[*column as usize]);
+                    let value = op.of(*base, values, self.symbols);
+                    self.fill(*to, *test, value)
+                }
+            };
+            if !passed {
+                return Ok(false);
+            }
+            depth += 1;
+        }
+    }
+
+    /// Whether to go on after so many rows.
+    #[cold]
+    fn pause(&mut self) -> Result<(), Stop> {
+        if self.looked_at > self.budget {
+            return Err(Stop::Budget);
+        }
+        if self.ask.is_some_and(|ask| ask()) {
+            return Err(Stop::Interrupted);
+        }
+        self.pause = self.budget.min(self.looked_at + Effort::PAUSE);
+        Ok(())
+    }
+
+    #[inline]
+    fn holds(&mut self, depth: usize, key: &[Slot]) -> bool {
+        self.looked_at += 1;
+        let view = &self.views[depth];
+        match *key {
+            [slot] => view.holds(&[self.slots[slot as usize]]),
+            [first, second] => view.holds(&[self.slots[first as usize], self.slots[second as usize]]),
+            _ => view.holds(&self.key(key)[..key.len()]),
+        }
+    }
+
+    /// Does a step that may go on several times, and those behind it to `end`; only until they succeed if `once` is set.
+    fn branch(&mut self, step: &Step, depth: usize, (end, once): (usize, bool)) -> Result<bool, Stop> {
+        if self.looked_at > self.pause {
+            self.pause()?;
+        }
+        match step {
+            Step::Scan {
+                key,
+                bind,
+                check,
+                distinct,
+                ..
+            } => {
+                let last = depth + 1 == self.plan.steps.len();
+                if last && !once && check.is_empty() && *distinct == 0 {
+                    let words = self.key(key);
+                    return self.spread(depth, &words[..key.len()], bind);
+                }
+                self.scan((depth, end, once), key, (bind, check), *distinct as usize)
+            }
+            Step::Meet { lists, to } => {
+                let base = self.cursors.len();
+                let result = self.meet((depth, end, once), lists, *to);
+                self.cursors.truncate(base);
+                result
+            }
+            _ => Ok(false),
+        }
+    }
+
+    fn scan(
+        &mut self,
+        (depth, end, once): (usize, usize, bool),
+        key: &[Slot],
+        (bind, check): (Columns<'_>, Columns<'_>),
+        distinct: usize,
+    ) -> Result<bool, Stop> {
+        let views = self.views;
+        let words = self.key(key);
+        let last = depth + 1 == self.plan.steps.len();
+        let mut any = false;
+        for batch in views[depth].batches() {
+            let mut rest = batch.range(&words[..key.len()]);
+            while let Some((row, others)) = rest.split_first() {
+                rest = others;
+                if distinct > 0 {
+                    rest = &rest[gallop(rest, |other| other.0[..distinct] == row.0[..distinct])..];
+                }
+                self.looked_at += 1;
+                for &(column, slot) in bind {
+                    self.slots[slot as usize] = row.0[column as usize];
+                }
+                if check
+                    .iter()
+                    .any(|&(column, slot)| self.slots[slot as usize] != row.0[column as usize])
+                {
+                    continue;
+                }
+                if if last { self.emit()? } else { self.from(depth + 1, end)? } {
+                    any = true;
+                    if once {
+                        return Ok(true);
+                    }
+                }
+            }
+        }
+        Ok(any)
+    }
+
+    /// Leapfrog: each list in turn is asked for the first word that is not less than the largest found so far; where all lists
+    /// have found the same one, it is in all. The caller drops the cursors.
+    fn meet(&mut self, (depth, end, once): (usize, usize, bool), lists: &[List], to: Slot) -> Result<bool, Stop> {
+        let views = self.views;
+        let base = self.cursors.len();
+        for (list, batch) in lists.iter().zip(views[depth].batches()) {
+            let words = self.key(&list.key);
+            let rows = batch.range(&words[..list.key.len()]);
+            self.cursors.push((rows, list.key.len()));
+        }
+        let (mut any, mut word, mut agreeing, mut at) = (false, Value(0), 0, 0);
+        loop {
+            self.looked_at += 1;
+            let (rows, column) = &mut self.cursors[base + at];
+            *rows = &rows[gallop(rows, |row| row.0[*column] < word)..];
+            let Some(row) = rows.first() else { return Ok(any) };
+            let found = row.0[*column];
+            agreeing = if found == word { agreeing + 1 } else { 1 };
+            word = found;
+            at = (at + 1) % lists.len();
+            if agreeing < lists.len() {
+                continue;
+            }
+            self.slots[to as usize] = word;
+            if self.from(depth + 1, end)? {
+                any = true;
+                if once {
+                    return Ok(true);
+                }
+            }
+            let Some(next) = word.0.checked_add(1) else {
+                return Ok(any);
+            };
+            (word, agreeing) = (Value(next), 0);
+        }
+    }
+
+    /// The last scan of a plan: every row found is a row derived.
+    fn spread(&mut self, depth: usize, key: &[Value], bind: &[(u16, Slot)]) -> Result<bool, Stop> {
+        let mut row = Row(self.key(&self.plan.output));
+        // (word of the row derived, column of the index)
+        let mut moves = [(0, 0); W];
+        let mut count = 0;
+        for (word, slot) in self.plan.output.iter().enumerate() {
+            if let Some(&(column, _)) = bind.iter().find(|(_, bound)| bound == slot) {
+                moves[count] = (word, column as usize);
+                count += 1;
+            }
+        }
+        let views = self.views;
+        let mut any = false;
+        for batch in views[depth].batches() {
+            let found = batch.range(key);
+            any |= !found.is_empty();
+            self.looked_at += found.len() as u64;
+            if let [(word, column)] = moves[..count] {
+                self.out.push_along(row, word, found, column)?;
+            } else {
+                for other in found {
+                    for &(word, column) in &moves[..count] {
+                        row.0[word] = other.0[column];
+                    }
+                    self.out.push(row)?;
+                }
+            }
+        }
+        Ok(any)
+    }
+
+    /// Puts a value into a slot, or compares it with what is there.
+    fn fill(&mut self, to: Slot, test: bool, value: Option<Value>) -> bool {
+        let slot = &mut self.slots[to as usize];
+        match value {
+            Some(value) if test => *slot == value,
+            Some(value) => {
+                *slot = value;
+                true
+            }
+            None => false,
+        }
+    }
+
+    /// As [`Join::compute`], for a functor that makes texts: there must be room for them.
+    #[cold]
+    fn make(&self, functor: Functor, base: BaseType, arguments: &[Slot]) -> Result<Option<Value>, Stop> {
+        if functor == Functor::Cat {
+            let length = |&slot: &Slot| {
+                self.symbols
+                    .text(Symbol(self.slots[slot as usize].0))
+                    .map_or(0, str::len)
+            };
+            if arguments.iter().map(length).sum::<usize>() as u64 > self.text_bytes {
+                return Err(Stop::Memory);
+            }
+        }
+        let value = self.compute(functor, base, arguments);
+        if self.symbols.bytes() > self.text_bytes {
+            return Err(Stop::Memory);
+        }
+        Ok(value)
+    }
+
+    fn compute(&self, functor: Functor, base: BaseType, arguments: &[Slot]) -> Option<Value> {
+        let slot = |slot: Slot| self.slots[slot as usize];
+        match *arguments {
+            [a] => functor.apply(base, &[slot(a)], self.symbols),
+            [a, b] => functor.apply(base, &[slot(a), slot(b)], self.symbols),
+            ref many => {
+                let values: Vec<Value> = many.iter().map(|&at| slot(at)).collect();
+                functor.apply(base, &values, self.symbols)
+            }
+        }
+    }
+
+    #[cold]
+    fn matches(&mut self, pattern: Value, text: Value) -> bool {
+        let text = self.symbols.text(Symbol(text.0)).unwrap_or_default();
+        let patterns = self.patterns.get_or_insert_default();
+        patterns.matches(pattern, text, self.symbols)
+    }
+
+    #[inline]
+    fn emit(&mut self) -> Result<bool, Stop> {
+        let row = self.key(&self.plan.output);
+        self.out.push(Row(row))?;
+        Ok(true)
+    }
+
+    #[inline]
+    fn key(&self, slots: &[Slot]) -> [Value; W] {
+        let mut words = [Value(0); W];
+        for (word, &slot) in words.iter_mut().zip(slots) {
+            *word = self.slots[slot as usize];
+        }
+        words
+    }
+}
+
+/// Whether a comparison holds. Numbers compare by value; symbols are equal by word and ordered by text.
+fn compare(symbols: &Symbols, op: Comparison, left: Value, right: Value, base: BaseType) -> bool {
+    let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
+    let order = || match base {
+        BaseType::Number => Some(left.as_number().cmp(&right.as_number())),
+        BaseType::Symbol if left == right => Some(Ordering::Equal),
+        BaseType::Symbol => Some(text(left).cmp(text(right))),
+        BaseType::Unsigned => Some(left.cmp(&right)),
+        BaseType::Float => left.as_float().partial_cmp(&right.as_float()),
+    };
+    match op {
+        Comparison::Equal => left == right,
+        Comparison::NotEqual => left != right,
+        Comparison::Less => order().is_some_and(Ordering::is_lt),
+        Comparison::LessEqual => order().is_some_and(Ordering::is_le),
+        Comparison::Greater => order().is_some_and(Ordering::is_gt),
+        Comparison::GreaterEqual => order().is_some_and(Ordering::is_ge),
+        Comparison::Contains => text(right).contains(text(left)),
+        Comparison::NotContains => !text(right).contains(text(left)),
+        Comparison::Match => Patterns::default().matches(left, text(right), symbols),
+        Comparison::NotMatch => !Patterns::default().matches(left, text(right), symbols),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn an_output_holds_what_was_pushed() {
+        let mut state = 5_u32;
+        let mut random = move |below: u32| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 4) % below
+        };
+        let mut known = 0;
+        // Dense words, then larger ones, then some for which there are no bits.
+        for phases in [
+            &[40, 40, 300, 300, 2_000][..],
+            &[3_000, 20, 100_000_000, 20, 20],
+            &[1, 1],
+        ] {
+            let mut out = Output::<2>::new(usize::MAX);
+            assert!(!out.is_whole());
+            let mut before: BTreeSet<Row<2>> = BTreeSet::new();
+            for &words in phases {
+                let mut pushed: BTreeSet<Row<2>> = BTreeSet::new();
+                for _ in 0..20_000 {
+                    if random(10) == 0 {
+                        let first = Value(random(words));
+                        let found: Vec<Row<2>> =
+                            (0..random(50)).map(|_| Row([Value(0), Value(random(words))])).collect();
+                        pushed.extend(found.iter().map(|row| Row([first, row.0[1]])));
+                        out.push_along(Row([first, Value(9)]), 1, &found, 1).unwrap();
+                    } else {
+                        let row = Row([Value(random(words)), Value(random(words))]);
+                        pushed.insert(row);
+                        out.push(row).unwrap();
+                    }
+                }
+                let taken = out.take();
+                assert!(out.is_empty());
+                assert!(taken.is_sorted_by(|a, b| a < b));
+                assert!(taken.iter().all(|row| pushed.contains(row)));
+                let taken: BTreeSet<Row<2>> = taken.into_iter().collect();
+                assert!(pushed.iter().all(|row| taken.contains(row) || before.contains(row)));
+                before.extend(pushed);
+                if out.is_whole() {
+                    assert!(out.all().iter().eq(&before));
+                    known += 1;
+                }
+            }
+        }
+        // Words that are dense from the beginning and stay so.
+        assert_eq!(known, 4);
+    }
+
+    #[test]
+    fn an_output_is_limited() {
+        for words in [1_000, 1_000_000_000] {
+            let mut out = Output::<2>::new(10_000);
+            let mut pushed = 0;
+            while pushed < 100_000
+                && out
+                    .push(Row([Value(pushed / 100 * (words / 1_000)), Value(pushed % 100)]))
+                    .is_ok()
+            {
+                pushed += 1;
+            }
+            assert!((10_000..20_000).contains(&pushed), "{pushed}");
+            let mut out = Output::<2>::new(10_000);
+            let again = (0..100_000_u32).map(|n| Row([Value(n % 10_000 * (words / 10_000).max(1)), Value(7)]));
+            assert!(again.map(|row| out.push(row)).all(|result| result.is_ok()));
+            assert!(out.take().len() <= 10_000);
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! What an evaluation may take, and what is said when that is not enough.
+
+use crate::datalog::check::{Clause, ClauseId, Literal, Rules, Term};
+use crate::datalog::syntax::ast::Comparison;
+use crate::diag::{Code, Diagnostic, Span};
+use std::collections::BTreeSet;
+use std::fmt;
+
+/// What a commit may take. Whether it is too much depends on the program and the facts alone: not on time, and not on the
+/// number of threads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Rows of all derived relations together: by default a hundred millions.
+    pub rows: usize,
+    /// Rows that scans and tests look at: by default a hundred thousand millions, which takes some minutes.
+    pub steps: u64,
+    /// Bytes of the rows, indexes and texts that a session holds: by default 4 GiB. While a commit is made there is a copy of
+    /// what changes, and some room for rows on their way, so that the process may need about three times as much.
+    pub bytes: u64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Limits {
+            rows: 100_000_000,
+            steps: 100_000_000_000,
+            bytes: 4 << 30,
+        }
+    }
+}
+
+/// Why a commit failed: what it takes is beyond [`Limits`], or whoever asked for it will not wait longer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum EvalError {
+    /// The derived relations together have more rows than allowed.
+    TooManyRows {
+        /// The limit.
+        limit: usize,
+        /// A clause of the stratum where it was passed.
+        clause: ClauseId,
+    },
+    /// More rows were looked at than allowed.
+    TooManySteps {
+        /// The limit.
+        limit: u64,
+        /// The clause that was evaluated.
+        clause: ClauseId,
+    },
+    /// Rows, indexes and texts take more memory than allowed.
+    TooMuchMemory {
+        /// The limit, in bytes.
+        limit: u64,
+        /// A clause of the stratum where it was passed.
+        clause: ClauseId,
+    },
+    /// The caller put an end to it; see [`Session::commit_until`](crate::datalog::session::Session::commit_until).
+    Interrupted {
+        /// The clause that was evaluated.
+        clause: ClauseId,
+    },
+}
+
+impl EvalError {
+    /// The clause that was evaluated, or one of those evaluated together.
+    pub fn clause(&self) -> ClauseId {
+        match *self {
+            EvalError::TooManyRows { clause, .. }
+            | EvalError::TooManySteps { clause, .. }
+            | EvalError::TooMuchMemory { clause, .. }
+            | EvalError::Interrupted { clause } => clause,
+        }
+    }
+
+    /// The error at the clause, and the atoms of its body that make it large. `rules` are those of the session.
+    pub fn diagnostic(&self, rules: &Rules) -> Diagnostic {
+        let fault = Diagnostic::from(self.clone());
+        let Some(clause) = rules.clauses.get(self.clause().index()) else {
+            return fault;
+        };
+        let fault = fault.at(clause.span, "in the evaluation of this clause");
+        match unjoined(clause) {
+            Some(span) => fault
+                .also(span, "shares no variable with the atoms before it")
+                .note("that makes the join large: each of its rows is combined with all rows of the others")
+                .help("add an atom that relates it to the others"),
+            None => fault,
+        }
+    }
+}
+
+impl fmt::Display for EvalError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            EvalError::TooManyRows { limit, .. } => write!(f, "the rules derive more than {limit} rows"),
+            EvalError::TooManySteps { limit, .. } => write!(f, "the rules look at more than {limit} rows"),
+            EvalError::TooMuchMemory { limit, .. } => {
+                // The largest unit of which it is a whole number.
+                let units = [(20, "MiB"), (10, "KiB"), (0, "bytes")].into_iter();
+                let mut fitting = units.filter(|(scale, _)| limit >> scale << scale == *limit);
+                let (scale, unit) = fitting.next().expect("it is a whole number of bytes");
+                write!(f, "rows, indexes and texts take more than {} {unit}", limit >> scale)
+            }
+            EvalError::Interrupted { .. } => write!(f, "the evaluation was interrupted"),
+        }
+    }
+}
+
+impl std::error::Error for EvalError {}
+
+/// Without the place, for when the texts of the rules are not at hand.
+impl From<EvalError> for Diagnostic {
+    fn from(error: EvalError) -> Self {
+        Diagnostic::new(Code::LimitExceeded, error.to_string())
+    }
+}
+
+/// The first atom that no chain of atoms and equations joins to the first one: a clause with it is a product.
+fn unjoined(clause: &Clause) -> Option<Span> {
+    let variables = |literal: &Literal| -> Vec<usize> {
+        let variable = |term: &Term| match term {
+            Term::Variable(variable) => Some(variable.index()),
+            _ => None,
+        };
+        literal.terms().filter_map(variable).collect()
+    };
+    // By variable: one that stands for all it is joined to.
+    let mut joined: Vec<usize> = (0..clause.variables.len()).collect();
+    let positive = |literal: &&Literal| matches!(literal, Literal::Positive(_) | Literal::Guard(_));
+    let found: BTreeSet<usize> = clause.body.iter().filter(positive).flat_map(&variables).collect();
+    let joins = |literal: &&Literal| match literal {
+        Literal::Positive(_) | Literal::Guard(_) => true,
+        Literal::Compare { op, .. } => *op == Comparison::Equal,
+        // A value that is only tested is computed for every combination.
+        Literal::Compute {
+            to: Term::Variable(to), ..
+        } => found.contains(&to.index()),
+        _ => false,
+    };
+    for literal in clause.body.iter().filter(joins) {
+        if let [first, rest @ ..] = &variables(literal)[..] {
+            for other in rest {
+                let (from, to) = (joined[*other], joined[*first]);
+                joined.iter_mut().filter(|at| **at == from).for_each(|at| *at = to);
+            }
+        }
+    }
+    let atoms = clause.body.iter().filter_map(|literal| match literal {
+        Literal::Positive(atom) => Some((atom.span, *variables(literal).first()?)),
+        _ => None,
+    });
+    let mut atoms = atoms.map(|(span, variable)| (span, joined[variable]));
+    let (_, first) = atoms.next()?;
+    atoms.find(|(_, other)| *other != first).map(|(span, _)| span)
+}

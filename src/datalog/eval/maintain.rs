@@ -1,0 +1,254 @@
+//! Brings a stratum up to date from what changed below it, by delete and rederive.
+//!
+//! For each clause and each atom of its body that changed, in this order:
+//!
+//! 1. *Lose*: what the clause derived from a row that went (of a negated atom: that came), everything else as it was. Those heads
+//!    may not hold any more. If the stratum is recursive, what was derived from those may not hold either, and so on.
+//! 2. *Keep*: of those heads, the ones that some clause still derives. They hold.
+//! 3. *Gain*: what the clause derives from a row that came (of a negated atom: that went), everything else as it is now, unless
+//!    it is known. If the stratum is recursive, so does what follows from the kept and the gained.
+//!
+//! No derivations are counted, so nothing is kept between commits besides the relations, clauses may stop at the first reason for
+//! a head, and a stratum can be recomputed in one commit and maintained in the next.
+
+use crate::datalog::check::RelId;
+use crate::datalog::eval::exec::{Commit, Failure, Meter, Room, State, specs};
+use crate::datalog::eval::join::{Output, View};
+use crate::datalog::eval::recursion::{Iteration, Relation, Variable};
+use crate::datalog::eval::table::{Net, Table};
+use crate::datalog::plan::steps::{ChangePlan, Plan, Source, Step, StratumPlan, Version};
+use crate::datalog::row::{Batch, Row, difference, merge};
+use std::sync::Arc;
+
+/// Rows by member of a stratum.
+type ByMember<const W: usize> = Vec<Vec<Row<W>>>;
+
+impl<const W: usize> State<W> {
+    /// How the members of the stratum change, and the number of rounds it took to find out. The inputs' tables are those of
+    /// after the change, the members' those of before.
+    pub(crate) fn maintain(
+        &self,
+        commit: &Commit<'_, W>,
+        stratum: &StratumPlan,
+        room: Room,
+        meter: &mut Meter<'_>,
+    ) -> Result<(Vec<Net<W>>, usize), Failure> {
+        let plans = &commit.plans;
+        let members = &stratum.members;
+        let (lost, mut rounds) = self.lose(commit, stratum, meter)?;
+
+        // In a recursive stratum, what may be lost must not be the reason for anything.
+        let without = |(relation, lost): (&RelId, &Vec<Row<W>>)| {
+            let net = Net {
+                added: Arc::default(),
+                removed: lost.clone(),
+            };
+            let needed = stratum.recursive && !lost.is_empty();
+            needed.then(|| self.tables[relation.index()].patched(&specs(plans, *relation), &net))
+        };
+        let shrunk: Vec<Option<Table<W>>> = members.iter().zip(&lost).map(without).collect();
+        let tables = members.iter().map(|relation| &self.tables[relation.index()]);
+        let base: Vec<&Table<W>> = shrunk
+            .iter()
+            .zip(tables)
+            .map(|(shrunk, table)| shrunk.as_ref().unwrap_or(table))
+            .collect();
+
+        let gone = self.keep(commit, stratum, &base, &lost, meter)?;
+        let gained = self.gain(commit, stratum, &base, room, meter)?;
+        let nets: Vec<Net<W>> = if stratum.recursive {
+            let again = lost.iter().zip(&gone).map(|(lost, gone)| difference(lost, gone));
+            let seeds = again.zip(gained).map(|(again, gained)| merge(&again, &gained));
+            let seeds = seeds.map(|rows| Output::of(rows, room.rows)).collect();
+            let (grown, more) = self.grow(commit, stratum, Some(&base), seeds, room, meter)?;
+            rounds += more;
+            let net = |(lost, grown): (&Vec<Row<W>>, &Vec<Row<W>>)| Net {
+                added: difference(grown, lost).into(),
+                removed: difference(lost, grown),
+            };
+            lost.iter().zip(&grown).map(net).collect()
+        } else {
+            let nets = gained.into_iter().zip(gone);
+            nets.map(|(added, removed)| Net {
+                added: added.into(),
+                removed,
+            })
+            .collect()
+        };
+
+        let after = |(relation, net): (&RelId, &Net<W>)| {
+            self.tables[relation.index()].rows.len() + net.added.len() - net.removed.len()
+        };
+        let total: usize = members.iter().zip(&nets).map(after).sum();
+        room.check_rows(total, stratum, meter)?;
+        Ok((nets, rounds.max(1)))
+    }
+
+    /// The rows that may not hold any more, and the number of rounds it took to find them.
+    fn lose(
+        &self,
+        commit: &Commit<'_, W>,
+        stratum: &StratumPlan,
+        meter: &mut Meter<'_>,
+    ) -> Result<(ByMember<W>, usize), Failure> {
+        let plans = &commit.plans;
+        let before = |relation: RelId| match &commit.changed[relation.index()] {
+            Some((_, table)) => table,
+            None => &self.tables[relation.index()],
+        };
+        // What is lost held, so there is no need for a limit.
+        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(usize::MAX)).collect();
+        let mut steps: Vec<View<'_, W>> = Vec::new();
+        for &clause in &stratum.clauses {
+            for change in &plans.clauses[clause.index()].changes {
+                let Some(net) = commit.net(change.over) else { continue };
+                let rows = if change.negated { &net.added } else { &net.removed };
+                if let (false, Some(head)) = (rows.is_empty(), plans.member[change.plan.head.index()]) {
+                    steps.clear();
+                    steps.extend(views(commit, &change.plan, rows, None, &before));
+                    meter.run(
+                        clause,
+                        &change.plan,
+                        (&steps, rows.len()),
+                        commit.symbols,
+                        &mut outputs[head],
+                    )?;
+                }
+            }
+        }
+        if !stratum.recursive || outputs.iter().all(Output::is_empty) {
+            return Ok((outputs.iter_mut().map(Output::take).collect(), 0));
+        }
+
+        let mut iteration = Iteration::new();
+        let members = stratum.members.iter();
+        let variables: Vec<Variable<Row<W>>> = members.map(|_| iteration.variable("lost")).collect();
+        let mut rounds = 0;
+        loop {
+            for (variable, output) in variables.iter().zip(&mut outputs) {
+                variable.insert(Relation {
+                    elements: output.take(),
+                });
+            }
+            if !iteration.changed() {
+                break;
+            }
+            rounds += 1;
+            for &clause in &stratum.clauses {
+                let recursive = |change: &&ChangePlan| stratum.members.contains(&change.over);
+                for change in plans.clauses[clause.index()].changes.iter().filter(recursive) {
+                    let member = (
+                        plans.member[change.over.index()],
+                        plans.member[change.plan.head.index()],
+                    );
+                    let (Some(over), Some(head)) = member else { continue };
+                    let rows = variables[over].recent.borrow();
+                    if !rows.is_empty() {
+                        let views: Vec<_> = views(commit, &change.plan, &rows, None, &before).collect();
+                        meter.run(
+                            clause,
+                            &change.plan,
+                            (&views, rows.len()),
+                            commit.symbols,
+                            &mut outputs[head],
+                        )?;
+                    }
+                }
+            }
+        }
+        let lost = variables.into_iter().map(|variable| variable.complete().elements);
+        Ok((lost.collect(), rounds))
+    }
+
+    /// Of the rows that may be lost, those that no clause derives from `base` and the inputs.
+    fn keep(
+        &self,
+        commit: &Commit<'_, W>,
+        stratum: &StratumPlan,
+        base: &[&Table<W>],
+        lost: &ByMember<W>,
+        meter: &mut Meter<'_>,
+    ) -> Result<ByMember<W>, Failure> {
+        let plans = &commit.plans;
+        let now = |relation| self.now(stratum, base, relation);
+        let mut gone = lost.clone();
+        for &clause in &stratum.clauses {
+            let plans = &plans.clauses[clause.index()];
+            let Some(member) = commit.plans.member[plans.complete.head.index()] else {
+                continue;
+            };
+            if let (Some(plan), false) = (&plans.check, gone[member].is_empty()) {
+                let mut out = Output::new(usize::MAX);
+                let doubtful = std::mem::take(&mut gone[member]);
+                let views: Vec<_> = views(commit, plan, &doubtful, None, &now).collect();
+                meter.run(clause, plan, (&views, doubtful.len()), commit.symbols, &mut out)?;
+                gone[member] = difference(&doubtful, &out.take());
+            }
+        }
+        Ok(gone)
+    }
+
+    /// The rows that clauses derive from rows of the inputs that came, and that are not in `base`.
+    fn gain(
+        &self,
+        commit: &Commit<'_, W>,
+        stratum: &StratumPlan,
+        base: &[&Table<W>],
+        room: Room,
+        meter: &mut Meter<'_>,
+    ) -> Result<ByMember<W>, Failure> {
+        let plans = &commit.plans;
+        let now = |relation| self.now(stratum, base, relation);
+        let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
+        let mut steps: Vec<View<'_, W>> = Vec::new();
+        for &clause in &stratum.clauses {
+            for change in &plans.clauses[clause.index()].changes {
+                let Some(net) = commit.net(change.over) else { continue };
+                let rows = if change.negated { &net.removed } else { &net.added };
+                if let (false, Some(head)) = (rows.is_empty(), plans.member[change.plan.head.index()]) {
+                    steps.clear();
+                    steps.extend(views(commit, &change.plan, rows, Some(base[head]), &now));
+                    meter.run(
+                        clause,
+                        &change.plan,
+                        (&steps, rows.len()),
+                        commit.symbols,
+                        &mut outputs[head],
+                    )?;
+                }
+            }
+        }
+        Ok(outputs.iter_mut().map(Output::take).collect())
+    }
+
+    /// The table of a relation as it is now, that of a member from `base`.
+    fn now<'a>(&'a self, stratum: &StratumPlan, base: &[&'a Table<W>], relation: RelId) -> &'a Table<W> {
+        let member = stratum.members.iter().position(|&member| member == relation);
+        member.map_or(&self.tables[relation.index()], |member| base[member])
+    }
+}
+
+/// What each step of a plan looks at: the first one at `rows`, the one that asks whether the head is known at `known`, others at
+/// what `table` says.
+fn views<'a, 'b: 'a, const W: usize>(
+    commit: &'a Commit<'_, W>,
+    plan: &'a Plan,
+    rows: &'a [Row<W>],
+    known: Option<&'a Table<W>>,
+    table: &'a impl Fn(RelId) -> &'b Table<W>,
+) -> impl Iterator<Item = View<'a, W>> {
+    let indexes = &commit.plans.indexes;
+    let view = move |(position, step): (usize, &Step)| {
+        let batch = |source: Source| {
+            let spec = &indexes[source.index];
+            match known {
+                _ if source.version == Version::New => Batch::plain(rows),
+                None if plan.fresh == Some(position) => Batch::plain(&[]),
+                Some(known) if plan.fresh == Some(position) => known.batch(spec),
+                _ => table(spec.relation).batch(spec),
+            }
+        };
+        View::for_step(step, batch)
+    };
+    plan.steps.iter().enumerate().map(view)
+}

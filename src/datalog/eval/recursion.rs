@@ -1,0 +1,309 @@
+//! Evaluates a recursive stratum to its fixpoint, semi-naively.
+//!
+//! datafrog's variables do the bookkeeping, here and in [`super::maintain`]: derived rows wait in a variable, are *new* for one
+//! round, and belong to its *stable* batches afterwards. The joins are our own ([`super::join`]), since datafrog's want their
+//! number and the types of their rows at compile time.
+
+use crate::datalog::check::{ClauseId, RelId};
+use crate::datalog::eval::exec::{Commit, Failure, Meter, Room, State};
+use crate::datalog::eval::join::{Output, View};
+use crate::datalog::eval::table::{Table, project};
+use crate::datalog::plan::Compiled;
+use crate::datalog::plan::Plans;
+use crate::datalog::plan::estimate;
+use crate::datalog::plan::estimate::Shape;
+use crate::datalog::plan::steps::{ClausePlans, IndexId, Plan, Source, Step, StratumPlan, Version};
+use crate::datalog::row::{Batch, Row, difference, merge};
+pub(crate) use datafrog::{Iteration, Relation, Variable};
+use std::cell::Ref;
+
+impl<const W: usize> State<W> {
+    /// What follows in a recursive stratum from the rows in `outputs`, themselves included, and the number of rounds that took.
+    /// `base` are the members' rows that hold already; they are not included.
+    pub(crate) fn grow(
+        &self,
+        commit: &Commit<'_, W>,
+        stratum: &StratumPlan,
+        base: Option<&[&Table<W>]>,
+        mut outputs: Vec<Output<W>>,
+        room: Room,
+        meter: &mut Meter<'_>,
+    ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
+        let plans = &commit.plans;
+        let mut recursion = Recursion::new(commit.compiled, plans, stratum, base);
+        let mut rounds = 0;
+        loop {
+            for (member, output) in outputs.iter_mut().enumerate() {
+                let mut elements = meter.take(output);
+                if let Some(base) = base {
+                    elements = difference(&elements, &base[member].rows);
+                }
+                recursion.insert(member, elements, output);
+            }
+            if !recursion.iteration.changed() {
+                break;
+            }
+            rounds += 1;
+            let chosen = self.choose(plans, stratum, &recursion);
+            let sources = || {
+                chosen
+                    .iter()
+                    .flat_map(|(_, _, plan)| &plan.steps)
+                    .flat_map(Step::sources)
+            };
+            recursion.keep(plans, |index| sources().any(|source| source.index == index));
+            let held = recursion.hold();
+            let known: usize = base.unwrap_or_default().iter().map(|table| table.rows.len()).sum();
+            let total = known + recursion.left_out.iter().sum::<usize>() + held.iter().map(Held::len).sum::<usize>();
+            room.check_rows(total, stratum, meter)?;
+            let copies: usize = recursion.grown.iter().map(Grown::len).sum();
+            room.check_bytes((total + copies) * size_of::<Row<W>>(), stratum, meter)?;
+            let mut views: Vec<View<'_, W>> = Vec::new();
+            for &(clause, over, plan) in &chosen {
+                let Some(head) = plans.member[plan.head.index()] else {
+                    continue;
+                };
+                let view = |step: &Step| match step.source() {
+                    Some(source) if source.version != Version::Complete => recursion.view(&held, plans, source),
+                    _ => self.complete_view(plans, step),
+                };
+                views.clear();
+                views.extend(plan.steps.iter().map(view));
+                let given = held[over].new.len();
+                meter.run(clause, plan, (&views, given), commit.symbols, &mut outputs[head])?;
+            }
+        }
+        Ok((recursion.complete(&outputs), rounds))
+    }
+
+    /// The plans for a round of a recursive stratum, with the clause and the member whose new rows they are for.
+    fn choose<'p>(
+        &self,
+        plans: &'p Plans,
+        stratum: &StratumPlan,
+        recursion: &Recursion<'_, W>,
+    ) -> Vec<(ClauseId, usize, &'p Plan)> {
+        let held = recursion.hold();
+        let shape = |source: Source| {
+            let relation = plans.indexes[source.index].relation;
+            match plans.member[relation.index()] {
+                Some(member) if source.version != Version::Complete => recursion.shape(&held, member, source.version),
+                _ => Shape::of(&self.tables[relation.index()].rows),
+            }
+        };
+        let mut chosen = Vec::new();
+        for &clause in &stratum.clauses {
+            let ClausePlans { deltas, detours, .. } = &plans.clauses[clause.index()];
+            for ((over, plan), detours) in deltas.iter().zip(detours) {
+                if let Some(over) = plans.member[over.index()].filter(|&over| !held[over].new.is_empty()) {
+                    chosen.push((clause, over, estimate::choose(plan, detours, &plans.indexes, &shape)));
+                }
+            }
+        }
+        chosen
+    }
+}
+
+/// A recursive stratum being evaluated.
+struct Recursion<'a, const W: usize> {
+    iteration: Iteration,
+    /// By member: the rows that held before.
+    base: Option<&'a [&'a Table<W>]>,
+    /// By member: the rows that came.
+    variables: Vec<Variable<Row<W>>>,
+    /// By member: whether no plan looks at rows that came before this round.
+    forward: Vec<bool>,
+    /// By member: how many rows came that are not in its variable, since nobody looks at them and its output knows them.
+    left_out: Vec<usize>,
+    /// The members' rows in other orders of columns.
+    grown: Vec<Grown<W>>,
+}
+
+/// An index over a relation that grows.
+struct Grown<const W: usize> {
+    id: IndexId,
+    /// Position among the members.
+    member: usize,
+    /// Whether it was used in this round: an index that is not is given up, and made again when it is wanted.
+    kept: bool,
+    /// Each at least twice as long as the next, so that a row is merged only a logarithmic number of times.
+    stable: Vec<Vec<Row<W>>>,
+    new: Vec<Row<W>>,
+}
+
+impl<const W: usize> Grown<W> {
+    fn len(&self) -> usize {
+        self.stable.iter().map(Vec::len).sum::<usize>() + self.new.len()
+    }
+}
+
+/// A variable's rows, borrowed for one round.
+struct Held<'a, const W: usize> {
+    stable: Ref<'a, Vec<Relation<Row<W>>>>,
+    new: Ref<'a, Relation<Row<W>>>,
+}
+
+impl<const W: usize> Held<'_, W> {
+    fn len(&self) -> usize {
+        self.stable.iter().map(|batch| batch.len()).sum::<usize>() + self.new.len()
+    }
+}
+
+impl<'b, const W: usize> Recursion<'b, W> {
+    fn new(compiled: &Compiled, plans: &Plans, stratum: &StratumPlan, base: Option<&'b [&'b Table<W>]>) -> Self {
+        let rules = &compiled.rules;
+        let members = &stratum.members;
+        let mut iteration = Iteration::new();
+        let name = |member: &RelId| &rules.relations[member.index()].name;
+        let variables = members.iter().map(|member| iteration.variable(name(member))).collect();
+        let clauses = || stratum.clauses.iter().map(|clause| &plans.clauses[clause.index()]);
+        let mut forward = vec![base.is_none(); members.len()];
+        let detours = clauses().flat_map(|clause| &clause.detours).flatten();
+        let all = clauses()
+            .flat_map(|clause| &clause.deltas)
+            .map(|(_, plan)| plan)
+            .chain(detours);
+        for source in all.flat_map(|plan| &plan.steps).flat_map(Step::sources) {
+            let relation = plans.indexes[source.index].relation;
+            if let (Version::Old | Version::All, Some(member)) = (source.version, plans.member[relation.index()]) {
+                forward[member] = false;
+            }
+        }
+        let mut grown: Vec<Grown<W>> = Vec::new();
+        let deltas = clauses().flat_map(|clause| &clause.deltas);
+        for source in deltas.flat_map(|(_, plan)| &plan.steps).flat_map(Step::sources) {
+            let relation = plans.indexes[source.index].relation;
+            let known = source.version == Version::Complete || plans.indexes.is_own(source.index);
+            let known = known || grown.iter().any(|grown| grown.id == source.index);
+            if let (false, Some(member)) = (known, plans.member[relation.index()]) {
+                grown.push(Grown {
+                    id: source.index,
+                    member,
+                    kept: false,
+                    stable: Vec::new(),
+                    new: Vec::new(),
+                });
+            }
+        }
+        Recursion {
+            iteration,
+            base,
+            variables,
+            left_out: vec![0; members.len()],
+            forward,
+            grown,
+        }
+    }
+
+    /// Has rows of a member, taken from its output, come in the next round.
+    fn insert(&mut self, member: usize, elements: Vec<Row<W>>, output: &mut Output<W>) {
+        let variable = &self.variables[member];
+        let mut stable = variable.stable.borrow_mut();
+        if self.forward[member] && output.is_whole() {
+            // Rows that are old are merged and copied again and again, and here for nobody.
+            output.remember();
+            let mut recent = variable.recent.borrow_mut();
+            self.left_out[member] += stable.iter().map(|rows| rows.len()).sum::<usize>() + recent.len();
+            stable.clear();
+            recent.elements = Vec::new();
+        } else if self.left_out[member] > 0 {
+            self.left_out[member] = 0;
+            stable.push(Relation {
+                elements: output.forgotten(),
+            });
+            variable.recent.borrow_mut().elements = Vec::new();
+        } else if self.forward[member] {
+            // What is inserted here may still repeat what came before; in the next round nothing does.
+            let recent = variable.recent.borrow();
+            output.learn(stable.iter().map(|rows| &rows[..]).chain([&recent[..]]));
+        }
+        drop(stable);
+        variable.insert(Relation { elements });
+    }
+
+    /// Brings the indexes that this round uses up to date. Once a round.
+    fn keep(&mut self, plans: &Plans, used: impl Fn(IndexId) -> bool) {
+        for grown in &mut self.grown {
+            let (was, is) = (grown.kept, used(grown.id));
+            let mut batch = std::mem::take(&mut grown.new);
+            grown.kept = is;
+            if !is {
+                grown.stable = Vec::new();
+                continue;
+            }
+            let columns = &plans.indexes[grown.id].columns;
+            let variable = &self.variables[grown.member];
+            if self.forward[grown.member] {
+                // Only the new ones are looked at.
+            } else if !was {
+                let stable = variable.stable.borrow();
+                grown.stable = stable.iter().map(|rows| project(rows, columns)).collect();
+            } else if !batch.is_empty() {
+                while let Some(last) = grown.stable.pop_if(|last| last.len() <= 2 * batch.len()) {
+                    batch = merge(&last, &batch);
+                }
+                grown.stable.push(batch);
+            }
+            grown.new = project(&variable.recent.borrow(), columns);
+        }
+    }
+
+    fn hold(&self) -> Vec<Held<'_, W>> {
+        self.variables
+            .iter()
+            .map(|variable| Held {
+                stable: variable.stable.borrow(),
+                new: variable.recent.borrow(),
+            })
+            .collect()
+    }
+
+    /// The rows of a member that a step looks at.
+    fn view<'a>(&'a self, held: &'a [Held<'a, W>], plans: &Plans, source: Source) -> View<'a, W> {
+        let spec = &plans.indexes[source.index];
+        let (with_old, with_new) = (source.version != Version::New, source.version != Version::Old);
+        let mut batches: Vec<Batch<'a, W>> = Vec::new();
+        let Some(member) = plans.member[spec.relation.index()] else {
+            return View::NONE;
+        };
+        if let (true, Some(base)) = (with_old, self.base) {
+            batches.push(base[member].batch(spec));
+        }
+        if let Some(grown) = self.grown.iter().find(|grown| grown.id == source.index) {
+            batches.extend(grown.stable.iter().filter(|_| with_old).map(|rows| Batch::plain(rows)));
+            batches.extend(with_new.then(|| Batch::plain(&grown.new)));
+        } else {
+            let Held { stable, new } = &held[member];
+            batches.extend(stable.iter().filter(|_| with_old).map(|rows| Batch::plain(rows)));
+            batches.extend(with_new.then(|| Batch::plain(new)));
+        }
+        match batches.pop() {
+            Some(first) => View { first, rest: batches },
+            None => View::NONE,
+        }
+    }
+
+    /// How many rows of a member a step looks at, and how their words are spread.
+    fn shape(&self, held: &[Held<'_, W>], member: usize, version: Version) -> Shape<W> {
+        let (with_old, with_new) = (version != Version::New, version != Version::Old);
+        let base = self.base.filter(|_| with_old).map(|base| &base[member].rows[..]);
+        let Held { stable, new } = &held[member];
+        let stable = stable.iter().filter(|_| with_old).map(|rows| &rows[..]);
+        let lists = base.into_iter().chain(stable).chain(with_new.then_some(&new[..]));
+        lists.map(Shape::of).fold(Shape::default(), Shape::with)
+    }
+
+    /// The rows that came. Only when nothing is new. Where the outputs still know them all, they are read from there, so that
+    /// they are not in memory twice.
+    fn complete(self, outputs: &[Output<W>]) -> Vec<Vec<Row<W>>> {
+        drop(self.grown);
+        let rows = |(variable, output): (Variable<Row<W>>, &Output<W>)| {
+            if self.base.is_some() || !output.is_whole() {
+                return variable.complete().elements;
+            }
+            variable.stable.borrow_mut().clear();
+            output.all()
+        };
+        self.variables.into_iter().zip(outputs).map(rows).collect()
+    }
+}

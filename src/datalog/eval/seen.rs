@@ -1,0 +1,303 @@
+//! Which rows have been derived, as one bit for each row that could be.
+//!
+//! Rules derive a row many times more often than once. Where the words of rows are dense, as interned symbols and small numbers
+//! are, looking at a bit is a fraction of what sorting repetitions away costs. The bits of what is new are also a sorted list.
+
+use crate::datalog::row::Row;
+use crate::datalog::value::Value;
+
+/// A set of rows whose words are below fixed bounds.
+#[derive(Debug)]
+pub(crate) struct Seen<const W: usize> {
+    /// By column: words are below it.
+    bounds: [u32; W],
+    /// By column: how far apart the bits of neighbours are.
+    strides: [u64; W],
+    /// Rows that were ever added.
+    known: Vec<u64>,
+    /// Rows added since the last [`Seen::drain`]; empty until there are enough to make it worth while.
+    fresh: Vec<u64>,
+}
+
+/// What became of a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Added {
+    /// It was there.
+    Known,
+    /// It was not there and is now.
+    New,
+    /// A word is too large.
+    Beyond,
+}
+
+impl<const W: usize> Seen<W> {
+    /// Bytes that may be spent whatever the number of rows.
+    const BYTES_FREE: u64 = 1 << 13;
+
+    /// A set with room for these rows, for words up to the largest of others and for some more, unless it would take more memory
+    /// than so many rows do.
+    pub(crate) fn over(rows: &[Row<W>], mut largest: [u32; W], count: u64) -> Option<Self> {
+        raise(&mut largest, rows);
+        let mut bounds = [1; W];
+        let mut strides = [0; W];
+        let mut bits = 1_u64;
+        for column in (0..W).rev() {
+            strides[column] = bits;
+            // A column of nothing but zeros is mostly padding.
+            if largest[column] > 0 {
+                bounds[column] = largest[column].checked_add(largest[column] / 4 + 1)?;
+            }
+            bits = bits.checked_mul(u64::from(bounds[column]))?;
+        }
+        if bits / 8 > count.saturating_mul(size_of::<Row<W>>() as u64).max(Self::BYTES_FREE) {
+            return None;
+        }
+        let mut seen = Seen {
+            bounds,
+            strides,
+            known: vec![0; usize::try_from(bits.div_ceil(64)).ok()?],
+            fresh: Vec::new(),
+        };
+        rows.iter().for_each(|row| _ = seen.add(row));
+        Some(seen)
+    }
+
+    /// A set with the same bounds and the same known rows. New rows are kept as bits, which is also faster where most are known.
+    pub(crate) fn fork(&self) -> Self {
+        Seen {
+            known: self.known.clone(),
+            fresh: vec![0; self.known.len()],
+            ..*self
+        }
+    }
+
+    /// By column: the largest word for which there are bits.
+    pub(crate) fn largest(&self) -> [u32; W] {
+        self.bounds.map(|bound| bound - 1)
+    }
+
+    /// What its bits of known rows take.
+    pub(crate) fn bytes(&self) -> usize {
+        self.known.len() * size_of::<u64>()
+    }
+
+    /// Whether both have a bit for the same rows.
+    pub(crate) fn is_like(&self, other: &Self) -> bool {
+        self.bounds == other.bounds
+    }
+
+    /// Adds the rows that a set like this one keeps, while new rows are kept as bits here, too. Says how many were new.
+    pub(crate) fn absorb(&mut self, other: &Self) -> usize {
+        let mut new = 0;
+        for ((known, fresh), other) in self.known.iter_mut().zip(&mut self.fresh).zip(&other.fresh) {
+            let come = other & !*known;
+            *known |= come;
+            *fresh |= come;
+            new += come.count_ones() as usize;
+        }
+        new
+    }
+
+    #[inline]
+    fn bit(&self, row: &Row<W>) -> Option<(usize, u64)> {
+        let mut at = 0;
+        for column in 0..W {
+            if row.0[column].0 >= self.bounds[column] {
+                return None;
+            }
+            at += u64::from(row.0[column].0) * self.strides[column];
+        }
+        Some(((at / 64) as usize, 1 << (at % 64)))
+    }
+
+    /// Adds a row.
+    #[inline]
+    pub(crate) fn add(&mut self, row: &Row<W>) -> Added {
+        let Some((word, mask)) = self.bit(row) else {
+            return Added::Beyond;
+        };
+        if self.known[word] & mask != 0 {
+            return Added::Known;
+        }
+        self.known[word] |= mask;
+        if let Some(fresh) = self.fresh.get_mut(word) {
+            *fresh |= mask;
+        }
+        Added::New
+    }
+
+    /// Adds a row that is not new, unless a word is too large.
+    pub(crate) fn note(&mut self, row: &Row<W>) -> bool {
+        let bit = self.bit(row);
+        if let Some((word, mask)) = bit {
+            self.known[word] |= mask;
+        }
+        bit.is_some()
+    }
+
+    /// Adds rows that are like `row` but for one word, while new rows are kept as bits. Says how many were added until one was
+    /// beyond, and how many of those were new.
+    #[inline]
+    pub(crate) fn keep_along(
+        &mut self,
+        mut row: Row<W>,
+        column: usize,
+        words: impl Iterator<Item = Value>,
+    ) -> (usize, usize) {
+        row.0[column] = Value(0);
+        let Some((base, mask)) = self.bit(&row) else {
+            return (0, 0);
+        };
+        let base = base as u64 * 64 + u64::from(mask.trailing_zeros());
+        let (bound, stride) = (self.bounds[column], self.strides[column]);
+        let (known, fresh) = (&mut self.known[..], &mut self.fresh[..]);
+        let (mut added, mut new) = (0, 0);
+        for value in words {
+            if value.0 >= bound {
+                break;
+            }
+            let at = base + u64::from(value.0) * stride;
+            let (word, mask) = ((at / 64) as usize, 1 << (at % 64));
+            if known[word] & mask == 0 {
+                known[word] |= mask;
+                fresh[word] |= mask;
+                new += 1;
+            }
+            added += 1;
+        }
+        (added, new)
+    }
+
+    /// Whether so many rows are better kept as bits than in a list that has to be sorted.
+    pub(crate) fn prefers_bits(&self, rows: usize) -> bool {
+        rows / 4 > self.known.len() / 64
+    }
+
+    /// Whether new rows are kept as bits.
+    pub(crate) fn keeps(&self) -> bool {
+        !self.fresh.is_empty()
+    }
+
+    /// From now on new rows are kept as bits. These are new, too; they have been added.
+    pub(crate) fn keep(&mut self, rows: &[Row<W>]) {
+        self.fresh = vec![0; self.known.len()];
+        for row in rows {
+            if let Some((word, mask)) = self.bit(row) {
+                self.fresh[word] |= mask;
+            }
+        }
+    }
+
+    /// The `count` rows that were kept, in order. From now on new rows are not kept.
+    pub(crate) fn drain(&mut self, count: usize) -> Vec<Row<W>> {
+        let fresh = std::mem::take(&mut self.fresh);
+        self.listed(&fresh, count)
+    }
+
+    /// All rows that were ever added, in order.
+    pub(crate) fn all(&self) -> Vec<Row<W>> {
+        let count: u32 = self.known.iter().map(|word| word.count_ones()).sum();
+        self.listed(&self.known, count as usize)
+    }
+
+    /// The `count` rows of a list of bits, in order.
+    fn listed(&self, bits: &[u64], count: usize) -> Vec<Row<W>> {
+        let mut rows = Vec::with_capacity(count);
+        for (position, &word) in (0_u64..).zip(bits) {
+            let mut word = word;
+            while word != 0 {
+                let mut rest = position * 64 + u64::from(word.trailing_zeros());
+                word &= word - 1;
+                let mut row = Row::ZERO;
+                for (column, stride) in self.strides.iter().enumerate() {
+                    row.0[column] = Value((rest / stride) as u32);
+                    rest %= stride;
+                }
+                rows.push(row);
+            }
+        }
+        rows
+    }
+}
+
+/// Makes every word at least as large as those of rows are in its column.
+pub(crate) fn raise<const W: usize>(largest: &mut [u32; W], rows: &[Row<W>]) {
+    for row in rows {
+        for (largest, word) in largest.iter_mut().zip(&row.0) {
+            *largest = word.0.max(*largest);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    fn check<const W: usize>(words: u32) {
+        let mut state = 3_u32;
+        let mut row = || {
+            Row(std::array::from_fn(|_| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                Value((state >> 8) % words)
+            }))
+        };
+        let first: Vec<Row<W>> = (0..20).map(|_| row()).collect();
+        let mut seen = Seen::over(&first, [0; W], 1_000_000).expect("it fits");
+        let mut expected: BTreeSet<[u32; W]> = first.iter().map(|row| row.0.map(|word| word.0)).collect();
+        for _ in 0..3 {
+            let mut fresh = BTreeSet::new();
+            seen.keep(&[]);
+            assert!(seen.keeps());
+            for row in (0..500).map(|_| row()) {
+                let plain = row.0.map(|word| word.0);
+                match seen.add(&row) {
+                    Added::Known => assert!(expected.contains(&plain)),
+                    Added::New => assert!(expected.insert(plain) && fresh.insert(plain)),
+                    Added::Beyond => assert!(!expected.contains(&plain)),
+                }
+            }
+            for first in 0..words {
+                let mut row = Row::ZERO;
+                row.0[0] = Value(first);
+                let bound = seen.bounds[W - 1];
+                let (added, new) = seen.keep_along(row, W - 1, (0..words).map(Value));
+                assert!(
+                    added
+                        == if first < seen.bounds[0] {
+                            bound.min(words) as usize
+                        } else {
+                            0
+                        }
+                );
+                let inserted = (0..added as u32).filter(|&last| {
+                    let mut plain = [0; W];
+                    (plain[0], plain[W - 1]) = (first, last);
+                    expected.insert(plain) && fresh.insert(plain)
+                });
+                assert_eq!(inserted.count(), new);
+            }
+            let drained = seen.drain(fresh.len()).into_iter().map(|row| row.0.map(|word| word.0));
+            assert!(drained.eq(fresh));
+            assert!(!seen.keeps());
+        }
+    }
+
+    #[test]
+    fn bits_are_a_sorted_set() {
+        check::<2>(40);
+        check::<3>(15);
+        check::<4>(6);
+        check::<2>(1);
+    }
+
+    #[test]
+    fn sparse_rows_have_no_bits() {
+        let over = |words: [u32; 2], largest, count| Seen::over(&[Row(words.map(Value))], largest, count);
+        assert!(over([0, u32::MAX], [0, 0], 1000).is_none());
+        assert!(over([100_000, 100_000], [0, 0], 1000).is_none());
+        assert!(over([100, 100], [100_000, 100_000], 1000).is_none());
+        assert!(over([100, 100], [0, 0], 0).is_some_and(|seen| seen.largest() == [125, 125]));
+        assert!(over([100, 100], [40, 200], 0).is_some_and(|seen| seen.largest() == [125, 250]));
+    }
+}

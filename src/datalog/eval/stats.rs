@@ -1,0 +1,139 @@
+//! What a commit did: how each stratum was brought up to date, and the work of each clause.
+
+use crate::datalog::check::ClauseId;
+
+/// What [`Session::commit_watched`] tells of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Moment {
+    /// A clause begins to be evaluated.
+    Begin(ClauseId),
+    /// It has been evaluated. There is always just one that has begun.
+    End(ClauseId),
+}
+
+/// How a commit brings a stratum up to date whose inputs changed. The result is the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Strategy {
+    /// Maintain or recompute, whatever looks cheaper. This is decided by numbers of rows: how many changed, and how many the last
+    /// computation from scratch looked at. If maintaining looks at more rows than that, it is given up and the stratum is
+    /// recomputed.
+    #[default]
+    Auto,
+    /// Always maintain, whatever it costs. Some strata cannot be maintained (those with a clause of more than 24 literals); they
+    /// are recomputed.
+    Maintain,
+    /// Always recompute.
+    Recompute,
+}
+
+/// What a commit did with a stratum.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum StratumWork {
+    /// Nothing: none of its inputs changed.
+    Skipped,
+    /// Followed the change of its inputs.
+    Maintained(Work),
+    /// Computed it from scratch: at the first commit, if the change is large, or if the stratum cannot be maintained.
+    Recomputed(Work),
+}
+
+impl StratumWork {
+    /// With what was done before it, for parts of bodies that are computed once.
+    pub(super) fn after(self, shared: Vec<StratumWork>) -> StratumWork {
+        let Some(last) = shared.iter().rfind(|work| **work != StratumWork::Skipped) else {
+            return self;
+        };
+        let maintained = matches!(last, StratumWork::Maintained(_));
+        let works = shared.iter().filter_map(StratumWork::work);
+        let shared = works.map(|work| work.looked_at() + work.given_up).sum();
+        match self {
+            StratumWork::Maintained(work) => StratumWork::Maintained(Work { shared, ..work }),
+            StratumWork::Recomputed(work) => StratumWork::Recomputed(Work { shared, ..work }),
+            // Its inputs changed, and what it reads of them did not.
+            StratumWork::Skipped => {
+                let work = Work {
+                    rounds: 1,
+                    shared,
+                    ..Work::default()
+                };
+                match maintained {
+                    true => StratumWork::Maintained(work),
+                    false => StratumWork::Recomputed(work),
+                }
+            }
+        }
+    }
+
+    /// What was done, unless the stratum was skipped.
+    pub fn work(&self) -> Option<&Work> {
+        match self {
+            StratumWork::Skipped => None,
+            StratumWork::Maintained(work) | StratumWork::Recomputed(work) => Some(work),
+        }
+    }
+}
+
+/// What it took to bring a stratum up to date.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Work {
+    /// Rounds to a fixpoint; 1 if the stratum is not recursive.
+    pub rounds: usize,
+    /// What its clauses did, those that ran, in order.
+    pub rules: Vec<RuleWork>,
+    /// If maintaining the stratum was given up: after so many rows were looked at, as many as recomputing it would take; else 0.
+    /// They are not in `rules`.
+    pub given_up: u64,
+    /// Rows looked at for parts of bodies that clauses share and that were computed once, before this stratum; they serve later ones
+    /// too. They are not in `rules`.
+    pub shared: u64,
+}
+
+impl Work {
+    /// Rows that scans and tests of its clauses looked at, and those for what they share.
+    pub fn looked_at(&self) -> u64 {
+        self.shared + self.rules.iter().map(|rule| rule.looked_at).sum::<u64>()
+    }
+
+    /// Rows that its clauses derived, repetitions included.
+    pub fn derived(&self) -> u64 {
+        self.rules.iter().map(|rule| rule.derived).sum()
+    }
+}
+
+/// What one clause did in a commit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RuleWork {
+    /// The clause.
+    pub clause: ClauseId,
+    /// Changed rows, and rows of its head in doubt, from which it was evaluated. 0 if it ran once over all rows.
+    pub given: u64,
+    /// Rows that its scans and tests looked at.
+    pub looked_at: u64,
+    /// Rows it derived, repetitions included: of those that may go, that stay nevertheless, and that come.
+    pub derived: u64,
+}
+
+/// What a commit did.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct WorkLog {
+    /// By position in [`Rules::strata`]; empty before the first commit.
+    pub strata: Vec<StratumWork>,
+}
+
+impl WorkLog {
+    /// Positions in [`Rules::strata`] of the strata that were maintained or recomputed.
+    pub fn evaluated(&self) -> impl Iterator<Item = usize> {
+        let strata = self.strata.iter().enumerate();
+        strata
+            .filter(|(_, work)| **work != StratumWork::Skipped)
+            .map(|(position, _)| position)
+    }
+
+    /// What each clause did that ran, in the order of the strata.
+    pub fn rules(&self) -> impl Iterator<Item = &RuleWork> {
+        self.strata
+            .iter()
+            .filter_map(StratumWork::work)
+            .flat_map(|work| &work.rules)
+    }
+}

@@ -1,0 +1,505 @@
+//! A relation as it is kept: its rows, other orders of their columns, and how all of it is patched when rows come and go.
+
+use crate::datalog::plan::steps::IndexSpec;
+use crate::datalog::row::{Batch, Row, difference, gallop};
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::{Arc, OnceLock};
+
+/// Rows that came and rows that went, both sorted; no row is in both.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Net<const W: usize> {
+    /// Shared with the table if there was nothing before.
+    pub(crate) added: Arc<Vec<Row<W>>>,
+    pub(crate) removed: Vec<Row<W>>,
+}
+
+impl<const W: usize> Net<W> {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.added.is_empty() && self.removed.is_empty()
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.added.len() + self.removed.len()
+    }
+
+    /// From one set of rows to another.
+    pub(crate) fn between(old: &[Row<W>], new: &Arc<Vec<Row<W>>>) -> Self {
+        Net {
+            added: match old {
+                [] => Arc::clone(new),
+                _ => difference(new, old).into(),
+            },
+            removed: difference(old, new),
+        }
+    }
+}
+
+/// A relation's rows and the indexes over them.
+#[derive(Debug, Default)]
+pub(crate) struct Table<const W: usize> {
+    /// Sorted, without repetitions.
+    pub(crate) rows: Arc<Vec<Row<W>>>,
+    /// By [`IndexSpec::position`]: made when first needed.
+    indexes: Vec<OnceLock<Index<W>>>,
+}
+
+impl<const W: usize> Table<W> {
+    /// A table without indexes, but room for so many.
+    pub(crate) fn new(rows: Vec<Row<W>>, indexes: usize) -> Self {
+        Table {
+            rows: rows.into(),
+            indexes: (0..indexes).map(|_| OnceLock::new()).collect(),
+        }
+    }
+
+    /// Makes room for so many indexes.
+    pub(crate) fn widen(&mut self, indexes: usize) {
+        self.indexes.resize_with(indexes.max(self.indexes.len()), OnceLock::new);
+    }
+
+    /// The rows in the order of an index.
+    pub(crate) fn batch(&self, spec: &IndexSpec) -> Batch<'_, W> {
+        let own = spec.position == 0;
+        let index = self.indexes[spec.position].get_or_init(|| Index::build(&self.rows, &spec.columns, own));
+        index.used.store(true, Relaxed);
+        Batch {
+            rows: if own { &self.rows } else { &index.rows },
+            starts: &index.starts,
+        }
+    }
+
+    /// What the rows and the indexes made so far take.
+    pub(crate) fn bytes(&self) -> u64 {
+        let indexes = self.indexes.iter().filter_map(OnceLock::get);
+        let starts = indexes.clone().map(|index| size_of_val(&index.starts[..]));
+        let lists = indexes.map(|index| size_of_val(&index.rows[..]));
+        (starts.chain(lists).sum::<usize>() + size_of_val(&self.rows[..])) as u64
+    }
+
+    /// Whether the index has been made.
+    pub(crate) fn has(&self, spec: &IndexSpec) -> bool {
+        spec.position == 0 || self.indexes[spec.position].get().is_some()
+    }
+
+    /// The rows in their own order, for finding some: with a directory only if there is one already.
+    fn known(&self) -> Batch<'_, W> {
+        let starts = self.indexes.first().and_then(OnceLock::get);
+        Batch {
+            rows: &self.rows,
+            starts: starts.map_or(&[], |index| &index.starts),
+        }
+    }
+
+    /// What changes of rows add and remove, and the rows after it, if it is anything. The changes are sorted, one for each row.
+    pub(crate) fn update(
+        &self,
+        changes: impl ExactSizeIterator<Item = (Row<W>, bool)>,
+    ) -> Option<(Net<W>, Arc<Vec<Row<W>>>)> {
+        let count = changes.len();
+        let (mut added, mut removed) = (Vec::new(), Vec::new());
+        let mut finder = Finder::new(self.known());
+        let mut rows = Vec::new();
+        let mut copied = 0;
+        for (row, present) in changes {
+            let was = finder.find(&row);
+            if was == present {
+                continue;
+            }
+            if rows.is_empty() {
+                rows.reserve(self.rows.len() + count);
+            }
+            append(&mut rows, &self.rows[copied..finder.at]);
+            copied = finder.at;
+            if present {
+                added.push(row);
+                rows.push(row);
+            } else {
+                removed.push(row);
+                copied += 1;
+            }
+        }
+        if added.is_empty() && removed.is_empty() {
+            return None;
+        }
+        append(&mut rows, &self.rows[copied..]);
+        let added = added.into();
+        Some((Net { added, removed }, rows.into()))
+    }
+
+    /// The table after a change. Indexes that are in use are patched.
+    pub(crate) fn patched(&self, specs: &[&IndexSpec], net: &Net<W>) -> Table<W> {
+        let rows = patch(self.known(), net);
+        self.replaced(specs, net, rows.into())
+    }
+
+    /// The same, if the rows after the change are known.
+    pub(crate) fn replaced(&self, specs: &[&IndexSpec], net: &Net<W>, rows: Arc<Vec<Row<W>>>) -> Table<W> {
+        let indexes = self.indexes.iter().zip(specs).map(|(index, spec)| {
+            let index = index.get().filter(|_| net.len() <= rows.len() / 2);
+            index
+                .and_then(|index| index.patched(&self.rows, spec, net, &rows))
+                .map_or_else(OnceLock::new, OnceLock::from)
+        });
+        Table {
+            indexes: indexes.collect(),
+            rows,
+        }
+    }
+}
+
+/// A relation's rows in another order of columns, or just a directory over its own order.
+#[derive(Debug)]
+struct Index<const W: usize> {
+    /// Empty if the relation's own rows serve.
+    rows: Vec<Row<W>>,
+    starts: Vec<u32>,
+    /// Whether anybody looked at it since it was made or patched.
+    used: AtomicBool,
+    /// How often it was patched without having been used.
+    idle: u8,
+}
+
+impl<const W: usize> Index<W> {
+    /// Below this number of rows a binary search costs no more than a directory.
+    const DIRECTORY_MIN: usize = 512;
+
+    /// Whether a directory is worth its memory: it is small, or there are not many more words than rows.
+    fn dense(rows: usize, largest: usize) -> bool {
+        let sparse = if largest < 1 << 16 { 32 } else { 4 };
+        rows >= Self::DIRECTORY_MIN && largest / sparse <= rows && u32::try_from(rows).is_ok()
+    }
+
+    /// An index that was patched so many times without having been used is given up.
+    const IDLE_MAX: u8 = 4;
+
+    /// An index over `rows` by `columns`; `own` if those are in their own order.
+    fn build(rows: &[Row<W>], columns: &[u16], own: bool) -> Self {
+        let (rows, starts) = match own {
+            true => (Vec::new(), directory(rows)),
+            false => ordered(rows, columns),
+        };
+        Index {
+            rows,
+            starts,
+            used: AtomicBool::new(false),
+            idle: 0,
+        }
+    }
+
+    /// The index after a change; `None` if it is not worth it. `old` and `new` are the relation's own rows.
+    fn patched(&self, old: &[Row<W>], spec: &IndexSpec, net: &Net<W>, new: &[Row<W>]) -> Option<Self> {
+        let idle = if self.used.load(Relaxed) { 0 } else { self.idle + 1 };
+        if idle > Self::IDLE_MAX {
+            return None;
+        }
+        let (rows, starts) = if spec.position == 0 {
+            (Vec::new(), patch_directory(&self.starts, net, new))
+        } else {
+            let net = Net {
+                added: project(&net.added, &spec.columns).into(),
+                removed: project(&net.removed, &spec.columns),
+            };
+            debug_assert_eq!(self.rows.len(), old.len());
+            let batch = Batch {
+                rows: &self.rows,
+                starts: &self.starts,
+            };
+            let rows = patch(batch, &net);
+            let starts = patch_directory(&self.starts, &net, &rows);
+            (rows, starts)
+        };
+        Some(Index {
+            rows,
+            starts,
+            used: AtomicBool::new(false),
+            idle,
+        })
+    }
+}
+
+/// Sorted rows with their columns in another order, sorted.
+pub(crate) fn project<const W: usize>(rows: &[Row<W>], columns: &[u16]) -> Vec<Row<W>> {
+    ordered(rows, columns).0
+}
+
+/// The same with a directory, if one is worth its memory. Then words are so dense that rows are put in order by counting them: those
+/// with one first word stay as they were, which mostly is their order already.
+fn ordered<const W: usize>(rows: &[Row<W>], columns: &[u16]) -> (Vec<Row<W>>, Vec<u32>) {
+    let first = columns.first().map_or(0, |&column| column as usize);
+    let largest = rows.iter().map(|row| row.0[first].0).max().unwrap_or(0) as usize;
+    if !Index::<W>::dense(rows.len(), largest) {
+        let mut projected: Vec<Row<W>> = rows.iter().map(|row| row.project(columns)).collect();
+        projected.sort_unstable();
+        return (projected, Vec::new());
+    }
+    // The number of rows of a word stands two places behind it, so that the places of the word itself and of the next one are
+    // where it begins and ends when all its rows are placed.
+    let mut starts = vec![0_u32; largest + 3];
+    for row in rows {
+        starts[row.0[first].0 as usize + 2] += 1;
+    }
+    for word in 2..starts.len() {
+        starts[word] += starts[word - 1];
+    }
+    let mut projected = vec![Row::ZERO; rows.len()];
+    for row in rows {
+        let at = &mut starts[row.0[first].0 as usize + 1];
+        projected[*at as usize] = row.project(columns);
+        *at += 1;
+    }
+    starts.pop();
+    if !columns.iter().skip(1).is_sorted() {
+        for bounds in starts.windows(2) {
+            projected[bounds[0] as usize..bounds[1] as usize].sort_unstable();
+        }
+    }
+    (projected, starts)
+}
+
+/// Finds rows one after the other, in order.
+struct Finder<'a, const W: usize> {
+    batch: Batch<'a, W>,
+    /// All in front of it are less than the rows found so far.
+    at: usize,
+}
+
+impl<'a, const W: usize> Finder<'a, W> {
+    fn new(batch: Batch<'a, W>) -> Self {
+        Finder { batch, at: 0 }
+    }
+
+    /// Puts `at` on the first row that is not less, and says whether it is the row.
+    fn find(&mut self, row: &Row<W>) -> bool {
+        // Rows that begin with a larger word than any before are not in the directory; they are at its end.
+        if let Some(&start) = self.batch.starts.get(row.0[0].0 as usize) {
+            self.at = self.at.max(start as usize);
+        }
+        let rest = &self.batch.rows[self.at..];
+        self.at += gallop(rest, |other| other < row);
+        self.batch.rows.get(self.at) == Some(row)
+    }
+}
+
+/// Appends rows, mostly few.
+#[inline]
+fn append<const W: usize>(to: &mut Vec<Row<W>>, rows: &[Row<W>]) {
+    if rows.len() < 16 {
+        rows.iter().for_each(|row| to.push(*row));
+    } else {
+        to.extend_from_slice(rows);
+    }
+}
+
+/// The rows after a change.
+fn patch<const W: usize>(batch: Batch<'_, W>, net: &Net<W>) -> Vec<Row<W>> {
+    let mut rows = Vec::with_capacity((batch.rows.len() + net.added.len()).saturating_sub(net.removed.len()));
+    let mut finder = Finder::new(batch);
+    let (mut added, mut removed) = (&net.added[..], &net.removed[..]);
+    let mut copied = 0;
+    loop {
+        let comes = match (added.first(), removed.first()) {
+            (None, None) => break,
+            (Some(_), None) => true,
+            (None, Some(_)) => false,
+            (Some(added), Some(removed)) => added < removed,
+        };
+        let list = if comes { &mut added } else { &mut removed };
+        let Some((row, rest)) = list.split_first() else { break };
+        *list = rest;
+        let found = finder.find(row);
+        append(&mut rows, &batch.rows[copied..finder.at]);
+        copied = finder.at;
+        if comes {
+            rows.push(*row);
+        } else if found {
+            copied += 1;
+        }
+    }
+    append(&mut rows, &batch.rows[copied..]);
+    rows
+}
+
+/// Direct addressing by the first word, if the words are dense enough (symbols are: they are numbered from zero).
+fn directory<const W: usize>(rows: &[Row<W>]) -> Vec<u32> {
+    let Some(last) = rows.last() else { return Vec::new() };
+    let largest = last.0[0].0 as usize;
+    if !Index::<W>::dense(rows.len(), largest) {
+        return Vec::new();
+    }
+    let mut starts = Vec::with_capacity(largest + 2);
+    for (row, position) in rows.iter().zip(0_u32..) {
+        let word = row.0[0].0 as usize;
+        if starts.len() <= word {
+            starts.resize(word + 1, position);
+        }
+    }
+    starts.push(rows.len() as u32);
+    starts
+}
+
+/// The directory after a change; `rows` are those after it.
+fn patch_directory<const W: usize>(old: &[u32], net: &Net<W>, rows: &[Row<W>]) -> Vec<u32> {
+    let beyond = net.added.last().is_some_and(|row| row.0[0].0 as usize + 1 >= old.len());
+    if old.is_empty() || beyond || !Index::<W>::dense(rows.len(), old.len()) {
+        return directory(rows);
+    }
+    // Everything behind a row that comes moves up by one, everything behind a row that goes moves down.
+    let mut starts = Vec::with_capacity(old.len());
+    let (mut added, mut removed) = (&net.added[..], &net.removed[..]);
+    let mut shift = 0_u32;
+    while starts.len() < old.len() {
+        let first = |list: &[Row<W>]| list.first().map_or(usize::MAX, |row| row.0[0].0 as usize);
+        let word = first(added).min(first(removed));
+        let moved = &old[starts.len()..old.len().min(word.saturating_add(1))];
+        starts.extend(moved.iter().map(|start| start.wrapping_add(shift)));
+        for (list, by) in [(&mut added, 1), (&mut removed, u32::MAX)] {
+            while first(list) == word && !list.is_empty() {
+                shift = shift.wrapping_add(by);
+                *list = &list[1..];
+            }
+        }
+    }
+    starts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::datalog::check::RelId;
+    use crate::datalog::row::{merge, normalise};
+    use crate::datalog::value::Value;
+
+    fn spec(columns: &[u16], position: usize) -> IndexSpec {
+        IndexSpec {
+            relation: RelId(0),
+            columns: columns.to_vec(),
+            position,
+        }
+    }
+
+    #[test]
+    fn searches_agree_with_and_without_a_directory() {
+        let mut list: Vec<Row<3>> = Vec::new();
+        for a in (0..300).filter(|a| a % 7 != 3) {
+            for b in 0..a % 5 {
+                list.push(Row([Value(a), Value(b), Value(a ^ b)]));
+            }
+        }
+        normalise(&mut list);
+        let table = Table::new(list.clone(), 1);
+        let own = spec(&[0, 1, 2], 0);
+        assert!(!table.batch(&own).starts.is_empty());
+        for a in 0..400 {
+            for b in 0..6 {
+                let expected: Vec<_> = list.iter().filter(|row| row.0[..2] == [Value(a), Value(b)]).collect();
+                for batch in [Batch::plain(&list), table.batch(&own)] {
+                    assert!(batch.range(&[Value(a), Value(b)]).iter().eq(expected.iter().copied()));
+                }
+            }
+            let expected: Vec<_> = list.iter().filter(|row| row.0[0] == Value(a)).collect();
+            for batch in [Batch::plain(&list), table.batch(&own)] {
+                assert!(batch.range(&[Value(a)]).iter().eq(expected.iter().copied()));
+            }
+        }
+        assert!(table.batch(&own).range(&[Value(u32::MAX)]).is_empty());
+    }
+
+    #[test]
+    fn orders_are_as_sorted_ones() {
+        let mut state = 11_u32;
+        let mut random = move |below: u32| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) % below
+        };
+        let mut counted = 0;
+        for (count, words) in [
+            (0, 1),
+            (3, 5),
+            (700, 20),
+            (700, 3_000),
+            (2_000, 40),
+            (2_000, 16_000_000),
+        ] {
+            let mut rows: Vec<Row<4>> = (0..count)
+                .map(|_| Row([words, 7, words, 1].map(|below| Value(random(below)))))
+                .collect();
+            normalise(&mut rows);
+            for columns in [&[1, 0, 2][..], &[0, 2, 1], &[2, 1, 0], &[1, 2, 0], &[2, 0, 1]] {
+                let mut expected: Vec<Row<4>> = rows.iter().map(|row| row.project(columns)).collect();
+                expected.sort_unstable();
+                let (projected, starts) = ordered(&rows, columns);
+                assert_eq!(projected, expected);
+                assert_eq!(starts, directory(&expected));
+                counted += usize::from(!starts.is_empty());
+            }
+        }
+        assert_eq!(counted, 17);
+    }
+
+    #[test]
+    fn patched_tables_are_as_built_ones() {
+        let mut state = 7_u32;
+        let mut random = move |below: u32| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) % below
+        };
+        let specs = [spec(&[0, 1], 0), spec(&[1, 0], 1)];
+        let specs: Vec<&IndexSpec> = specs.iter().collect();
+        // Words that fit into a directory, and words that sometimes do not.
+        for words in [300, 1_000, 1_000_000] {
+            let mut table: Table<2> = Table::new(Vec::new(), 2);
+            for step in 0..60 {
+                specs.iter().for_each(|spec| _ = table.batch(spec));
+                let count = if step % 10 == 0 { 900 } else { 20 };
+                let mut noted: Vec<(Row<2>, bool)> = (0..count)
+                    .map(|_| match table.rows.len() as u32 {
+                        rows if rows > 0 && random(2) == 0 => (table.rows[random(rows) as usize], false),
+                        _ => (Row([Value(random(words)), Value(random(words))]), true),
+                    })
+                    .collect();
+                noted.sort_unstable();
+                noted.dedup_by_key(|(row, _)| *row);
+                let Some((net, rows)) = table.update(noted.into_iter()) else {
+                    continue;
+                };
+                let expected = merge(&difference(&table.rows, &net.removed), &net.added);
+                assert_eq!(*net.added, difference(&expected, &table.rows));
+                assert_eq!(*rows, expected);
+                table = table.patched(&specs, &net);
+                assert_eq!(*table.rows, expected);
+                let built = Table::new(expected, 2);
+                for spec in &specs {
+                    let (patched, built) = (table.batch(spec), built.batch(spec));
+                    assert_eq!(patched.rows, built.rows);
+                    // A directory may go on behind the last word and may be kept a little longer.
+                    for word in 0..=words.min(2_000) {
+                        assert_eq!(patched.range(&[Value(word)]), built.range(&[Value(word)]));
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn an_index_that_nobody_uses_is_given_up() {
+        let specs = [spec(&[0, 1], 0), spec(&[1, 0], 1)];
+        let specs: Vec<&IndexSpec> = specs.iter().collect();
+        let rows = (0..100).map(|word| Row([Value(word), Value(word / 2)])).collect();
+        let mut table: Table<2> = Table::new(rows, 2);
+        table.batch(specs[1]);
+        for word in 0..u32::from(Index::<2>::IDLE_MAX) + 2 {
+            assert!(table.indexes[0].get().is_none());
+            assert_eq!(
+                table.indexes[1].get().is_some(),
+                word < u32::from(Index::<2>::IDLE_MAX) + 2,
+                "{word}"
+            );
+            let net = Net {
+                added: vec![Row([Value(200 + word), Value(0)])].into(),
+                removed: Vec::new(),
+            };
+            table = table.patched(&specs, &net);
+        }
+        assert!(table.indexes[1].get().is_none());
+    }
+}

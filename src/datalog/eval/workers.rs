@@ -1,0 +1,333 @@
+//! Several threads for one plan.
+//!
+//! The rows of a plan's first scan are cut into chunks; every thread evaluates some of them into an output of its own, and the
+//! outputs are joined. Which thread got which chunk changes neither the rows nor how many were looked at, so answers and work
+//! logs are those of one thread. What is little work stays on the calling thread.
+
+use crate::datalog::eval::join;
+use crate::datalog::eval::join::{Ask, Effort, Output, Stop, View};
+use crate::datalog::plan::estimate::Shape;
+use crate::datalog::plan::steps::{Plan, Slot, Step};
+use crate::datalog::row::{Batch, Row, gallop, normalise};
+use crate::symbol::Symbols;
+use rayon::slice::ParallelSliceMut;
+use std::num::NonZeroUsize;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::Duration;
+
+/// How many threads evaluate, and what they are worth starting for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Threads {
+    /// How many. With one, everything happens on the calling thread.
+    pub count: NonZeroUsize,
+    /// A plan that is expected to look at fewer rows than this, and a list of fewer rows to sort, stays on the calling thread.
+    pub split_from: usize,
+}
+
+impl Threads {
+    /// So many, for work that takes clearly longer than waking a thread.
+    pub fn new(count: NonZeroUsize) -> Self {
+        Threads {
+            count,
+            split_from: 1 << 15,
+        }
+    }
+
+    /// One for each core this process may use.
+    pub fn all() -> Self {
+        Threads::new(std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN))
+    }
+}
+
+impl Default for Threads {
+    /// One.
+    fn default() -> Self {
+        Threads::new(NonZeroUsize::MIN)
+    }
+}
+
+/// The threads of a session.
+#[derive(Debug, Default)]
+pub(crate) struct Workers {
+    /// If there is more than one thread.
+    pool: Option<rayon::ThreadPool>,
+    threads: Threads,
+}
+
+/// What one thread does.
+struct Hand<const W: usize> {
+    out: Output<W>,
+    effort: Effort,
+    result: Result<(), Stop>,
+}
+
+impl Workers {
+    /// So often it is asked whether to go on.
+    const PAUSE: Duration = Duration::from_millis(10);
+
+    /// Chunks for each thread, so that none waits long for the last one.
+    const CHUNKS: usize = 16;
+
+    /// Starts the threads. Fails if the system has none to give.
+    pub(crate) fn new(threads: Threads) -> std::io::Result<Self> {
+        let count = threads.count.get();
+        let pool = || rayon::ThreadPoolBuilder::new().num_threads(count).build();
+        let pool = (count > 1).then(pool).transpose().map_err(std::io::Error::other)?;
+        // There may be fewer than asked for: rayon has a limit.
+        let count = pool.as_ref().map_or(1, rayon::ThreadPool::current_num_threads);
+        Ok(Workers {
+            pool,
+            threads: Threads {
+                count: NonZeroUsize::new(count).unwrap_or(NonZeroUsize::MIN),
+                ..threads
+            },
+        })
+    }
+
+    /// Whether there is more than the calling thread.
+    pub(crate) fn are_several(&self) -> bool {
+        self.pool.is_some()
+    }
+
+    /// As [`join::run`]. If it fails, what is in `out` is not to be used.
+    pub(crate) fn run<const W: usize>(
+        &self,
+        plan: &Plan,
+        views: &[View<'_, W>],
+        (symbols, ask): (&Symbols, Ask<'_>),
+        effort: &mut Effort,
+        out: &mut Output<W>,
+    ) -> Result<(), Stop> {
+        if let Some(pool) = &self.pool {
+            let chunks = self.split(plan, views, out.seen_bytes());
+            if !chunks.is_empty() {
+                let hands = self.evaluate(pool, (plan, views, &chunks), (symbols, ask), effort, out);
+                if let Some(result) = join_hands(hands, effort, out) {
+                    return result;
+                }
+            }
+        }
+        join::run(plan, views, (symbols, ask), effort, out)
+    }
+
+    /// Sorts and removes repetitions.
+    pub(crate) fn normalise<const W: usize>(&self, rows: &mut Vec<Row<W>>) {
+        match &self.pool {
+            Some(pool) if rows.len() >= self.threads.split_from => {
+                pool.install(|| rows.par_sort_unstable());
+                rows.dedup();
+            }
+            _ => normalise(rows),
+        }
+    }
+
+    /// The rows of the first scan in pieces; none if the plan is better evaluated as a whole. `copied` bytes it takes to give
+    /// each thread an output.
+    fn split<'a, const W: usize>(&self, plan: &Plan, views: &[View<'a, W>], copied: usize) -> Vec<&'a [Row<W>]> {
+        let Some(Step::Scan { key, distinct, .. }) = plan.steps.first() else {
+            return Vec::new();
+        };
+        // If one success is enough, the rest of the rows is not looked at.
+        let one_is_enough = plan.enough.first().is_some_and(|&end| end != 0);
+        if one_is_enough || expected(plan, views) < (self.threads.split_from.max(copied / 8)) as f64 {
+            return Vec::new();
+        }
+        let words: Vec<_> = key.iter().map(|&slot| plan.slots[slot as usize]).collect();
+        let ranges = || views[0].batches().map(|batch| batch.range(&words));
+        let count: usize = ranges().map(<[_]>::len).sum();
+        let size = count.div_ceil(self.threads.count.get() * Self::CHUNKS).max(1);
+        let mut chunks = Vec::new();
+        for mut rest in ranges() {
+            while let Some(last) = rest.get(..size).unwrap_or(rest).last() {
+                let mut end = size.min(rest.len());
+                // Of rows that agree in their first columns one is looked at, so they stay together.
+                if let Some(columns @ 1..) = Some(*distinct as usize) {
+                    end += gallop(&rest[end..], |row| row.0[..columns] == last.0[..columns]);
+                }
+                let (chunk, others) = rest.split_at(end);
+                chunks.push(chunk);
+                rest = others;
+            }
+        }
+        if chunks.len() < 2 { Vec::new() } else { chunks }
+    }
+
+    fn evaluate<const W: usize>(
+        &self,
+        pool: &rayon::ThreadPool,
+        (plan, views, chunks): (&Plan, &[View<'_, W>], &[&[Row<W>]]),
+        (symbols, ask): (&Symbols, Ask<'_>),
+        effort: &Effort,
+        out: &Output<W>,
+    ) -> Vec<Hand<W>> {
+        let count = self.threads.count.get();
+        let hand = || Hand {
+            out: out.fork(out.limit() / count),
+            effort: Effort::new(effort.budget.saturating_sub(effort.looked_at)),
+            result: Ok(()),
+        };
+        let mut hands: Vec<Hand<W>> = (0..count).map(|_| hand()).collect();
+        let (next, stopped, interrupted) = (AtomicUsize::new(0), AtomicBool::new(false), AtomicBool::new(false));
+        let (next, stopped, interrupted) = (&next, &stopped, &interrupted);
+        let (working, done) = mpsc::channel::<()>();
+        pool.in_place_scope(|scope| {
+            for hand in &mut hands {
+                let working = working.clone();
+                scope.spawn(move |_| {
+                    let mut views = views.to_vec();
+                    let give_up = || interrupted.load(Relaxed);
+                    while let (Some(chunk), false) = (chunks.get(next.fetch_add(1, Relaxed)), stopped.load(Relaxed)) {
+                        views[0] = View::of(Batch::plain(chunk));
+                        let (symbols, out) = ((symbols, Some(&give_up as _)), &mut hand.out);
+                        hand.result = join::run(plan, &views, symbols, &mut hand.effort, out);
+                        if hand.result.is_err() {
+                            stopped.store(true, Relaxed);
+                        }
+                    }
+                    hand.out.settle();
+                    drop(working);
+                });
+            }
+            drop(working);
+            // Nothing is sent; the channel closes when all are done.
+            while let (Some(ask), Err(RecvTimeoutError::Timeout)) = (ask, done.recv_timeout(Self::PAUSE)) {
+                if ask() {
+                    interrupted.store(true, Relaxed);
+                    break;
+                }
+            }
+        });
+        if interrupted.load(Relaxed) {
+            // Also if all were done before they saw it.
+            hands[0].result = Err(Stop::Interrupted);
+        }
+        hands
+    }
+}
+
+/// Puts together what the threads did. `None` if one of them found no room for its rows: that is no more than a hint that there
+/// are too many, since some may have been derived by several.
+fn join_hands<const W: usize>(
+    hands: Vec<Hand<W>>,
+    effort: &mut Effort,
+    out: &mut Output<W>,
+) -> Option<Result<(), Stop>> {
+    let stopped = |with: Stop| hands.iter().any(|hand| hand.result == Err(with));
+    if stopped(Stop::Interrupted) {
+        return Some(Err(Stop::Interrupted));
+    }
+    if stopped(Stop::Overflow) {
+        return None;
+    }
+    effort.looked_at += hands.iter().map(|hand| hand.effort.looked_at).sum::<u64>();
+    if stopped(Stop::Budget) || effort.looked_at > effort.budget {
+        return Some(Err(Stop::Budget));
+    }
+    Some(hands.into_iter().try_for_each(|hand| out.absorb(hand.out)))
+}
+
+/// About how many rows evaluating the plan looks at.
+fn expected<const W: usize>(plan: &Plan, views: &[View<'_, W>]) -> f64 {
+    let (mut flow, mut looked_at) = (1.0, 0.0);
+    let in_batch = |batch: &Batch<'_, W>, key: &[Slot]| {
+        let columns: Vec<u16> = (0..key.len() as u16).collect();
+        Shape::of(batch.rows).found(&columns)
+    };
+    for (step, view) in plan.steps.iter().zip(views) {
+        match step {
+            Step::Scan { key, .. } | Step::Aggregate { key, .. } => {
+                let found: f64 = view.batches().map(|batch| in_batch(batch, key)).sum();
+                looked_at += flow * found;
+                if let Step::Scan { .. } = step {
+                    flow *= found;
+                }
+            }
+            Step::Meet { lists, .. } => {
+                let found = lists.iter().zip(view.batches());
+                let least = found
+                    .map(|(list, batch)| in_batch(batch, &list.key))
+                    .fold(f64::INFINITY, f64::min);
+                looked_at += flow * least * lists.len() as f64;
+                flow *= least;
+            }
+            _ => {}
+        }
+    }
+    looked_at
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::datalog::check::RelId;
+    use crate::datalog::eval::table::Table;
+    use crate::datalog::plan::steps::Source;
+    use crate::datalog::program::Program;
+    use crate::datalog::value::Value;
+    use crate::diag::Sources;
+    use crate::files::ReadError;
+
+    /// Rows, rows derived, rows looked at.
+    type Done = (Vec<Row<2>>, u64, u64);
+
+    #[test]
+    fn chunks_do_what_the_whole_does() {
+        let text = ".decl A(x: number, y: number)
+            .decl B(x: number, y: number)
+            B(x, z) :- A(x, y), A(y, z), x != z.
+            B(x, x) :- A(x, _), A(_, x).
+            B(x, y) :- A(x, y).
+            B(1, 2) :- A(_, _).";
+        let mut sources = Sources::new();
+        let entry = sources.add("test.dl", text);
+        let none = |_: &std::path::Path| Err(ReadError::TooLarge);
+        let program = Program::load(&mut sources, entry, &none).0.expect("it is right");
+        let plans = &program.0.plans;
+        let symbols = Symbols::new();
+        // Dense words, and words for which there are no bits.
+        for step in [1, 5_000_011] {
+            let mut rows: Vec<Row<2>> = (0..3_000_u32)
+                .map(|n| Row([n * n % 397, n * 7 % 401].map(|word| Value(word * step))))
+                .collect();
+            normalise(&mut rows);
+            let tables = [
+                Table::new(rows, plans.indexes.of(RelId(0)).count()),
+                Table::new(Vec::new(), plans.indexes.of(RelId(1)).count()),
+            ];
+            for (clause, splits) in [(0, true), (1, true), (2, true), (3, false)] {
+                let plan = &plans.clauses[clause].complete;
+                let batch = |source: Source| {
+                    let spec = &plans.indexes[source.index];
+                    assert_eq!(spec.relation, RelId(0));
+                    tables[0].batch(spec)
+                };
+                let view = |step: &Step| View::for_step(step, batch);
+                let views: Vec<View<'_, 2>> = plan.steps.iter().map(view).collect();
+                let run = |workers: &Workers, budget: u64, limit: usize| -> Result<Done, Stop> {
+                    let (mut effort, mut out) = (Effort::new(budget), Output::new(limit));
+                    // The second time most rows are known.
+                    workers.run(plan, &views, (&symbols, None), &mut effort, &mut out)?;
+                    workers.run(plan, &views, (&symbols, None), &mut effort, &mut out)?;
+                    let pushed = out.pushed;
+                    Ok((out.take_by(|rows| workers.normalise(rows)), pushed, effort.looked_at))
+                };
+                let alone = Workers::default();
+                let expected = run(&alone, u64::MAX, usize::MAX).unwrap();
+                for count in [2, 3, 7] {
+                    let workers = Workers::new(Threads {
+                        count: NonZeroUsize::new(count).unwrap(),
+                        split_from: 0,
+                    })
+                    .unwrap();
+                    assert_eq!(workers.split(plan, &views, 0).len() > count, splits);
+                    assert_eq!(run(&workers, u64::MAX, usize::MAX).as_ref(), Ok(&expected));
+                    let (rows, _, looked_at) = &expected;
+                    assert_eq!(run(&workers, *looked_at, rows.len()).as_ref(), Ok(&expected));
+                    assert_eq!(run(&workers, looked_at - 1, usize::MAX), Err(Stop::Budget));
+                    assert_eq!(run(&alone, looked_at - 1, usize::MAX), Err(Stop::Budget));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,510 @@
+//! Heights of derived facts, and for each fact the derivation of least height.
+
+use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules};
+use crate::datalog::explain::ExplainError;
+use crate::datalog::explain::search::{Attempt, Binding, Search, bind_head, unify, value};
+use crate::datalog::value::Value;
+use std::collections::{BTreeMap, HashMap};
+
+/// What is known of heights.
+pub(super) struct Heights {
+    /// The facts of the text, with the first clause that states each.
+    text: HashMap<(RelId, Vec<Value>), ClauseId>,
+    /// By [`RelId`]: position of the stratum of a derived relation.
+    stratum: Vec<Option<usize>>,
+    /// Heights of derived facts that some goal rests on, by relation and position of the row.
+    relevant: HashMap<(RelId, u32), u32>,
+    /// The derivations that have been found.
+    best: HashMap<(RelId, Vec<Value>), (u32, Best)>,
+    /// By position of the stratum: heights of all its facts, where what is relevant was too much.
+    progress: HashMap<usize, Progress>,
+}
+
+/// Facts by relation and position, and their heights.
+type Settled = Vec<((RelId, u32), u32)>;
+
+/// How much may be relevant to a goal: instances of clauses, and steps to find them.
+const INSTANCES_MAX: usize = 500_000;
+const RELEVANT_STEPS: u64 = 5_000_000;
+
+/// A stratum whose facts are being given their heights, in ascending order.
+#[derive(Default)]
+struct Progress {
+    /// By relation and position of the row.
+    heights: HashMap<RelId, Vec<Height>>,
+    /// Facts to settle, by the height they have unless a smaller one is found.
+    queue: BTreeMap<u32, Vec<(RelId, u32)>>,
+}
+
+#[derive(Clone, Copy)]
+struct Height {
+    height: u32,
+    settled: bool,
+}
+
+/// Where a fact comes from.
+#[derive(Clone)]
+pub(super) enum Best {
+    Input,
+    Text(ClauseId),
+    Derived {
+        clause: ClauseId,
+        binding: Binding,
+        /// By literal of the body, the row that a positive one stands for.
+        rows: Vec<Option<Vec<Value>>>,
+    },
+}
+
+impl Heights {
+    pub(super) fn new(rules: &Rules) -> Self {
+        let mut stratum = vec![None; rules.relations.len()];
+        for (position, members) in rules.strata.iter().enumerate() {
+            for relation in &members.relations {
+                if rules.relations[relation.index()].derived {
+                    stratum[relation.index()] = Some(position);
+                }
+            }
+        }
+        let mut text = HashMap::new();
+        for (clause, id) in rules.clauses.iter().zip(0..) {
+            if clause.body.is_empty() {
+                let row: Option<Vec<Value>> = clause.head.terms.iter().map(|term| value(term, &[])).collect();
+                if let Some(row) = row {
+                    text.entry((clause.head.relation, row)).or_insert(ClauseId(id));
+                }
+            }
+        }
+        Heights {
+            text,
+            stratum,
+            relevant: HashMap::new(),
+            best: HashMap::new(),
+            progress: HashMap::new(),
+        }
+    }
+
+    /// The height of a row, if it is settled.
+    fn of(&self, rel: RelId, position: u32) -> Option<u32> {
+        let Some(stratum) = self.stratum[rel.index()] else {
+            return Some(0);
+        };
+        if let Some(&height) = self.relevant.get(&(rel, position)) {
+            return Some(height);
+        }
+        let height = self.progress.get(&stratum)?.heights.get(&rel)?[position as usize];
+        height.settled.then_some(height.height)
+    }
+}
+
+/// The atoms that must hold for a clause to.
+fn positive(clause: &Clause) -> impl Iterator<Item = (usize, &Atom)> {
+    let body = clause.body.iter().enumerate();
+    body.filter_map(|(literal, body)| match body {
+        Literal::Positive(atom) | Literal::Guard(atom) => Some((literal, atom)),
+        _ => None,
+    })
+}
+
+impl Search<'_> {
+    /// The height of a fact that holds, and the derivation that gives it.
+    pub(super) fn origin(&mut self, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
+        let fact = (rel, row.to_vec());
+        if let Some(&clause) = self.heights.text.get(&fact) {
+            return Ok((0, Best::Text(clause)));
+        }
+        let Some(stratum) = self.heights.stratum[rel.index()] else {
+            return Ok((0, Best::Input));
+        };
+        if let Some(found) = self.heights.best.get(&fact) {
+            return Ok(found.clone());
+        }
+        let found = self.derivation(stratum, rel, row)?;
+        self.heights.best.insert(fact, found.clone());
+        Ok(found)
+    }
+
+    /// Of a derived fact that does not stand in the text.
+    fn derivation(&mut self, stratum: usize, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
+        let rules = self.rules();
+        let clauses = self.clauses_of(rel);
+        let goal = self.position(rel, row).map(|position| (rel, position));
+        let known = goal.is_some_and(|(rel, position)| self.heights.of(rel, position).is_some());
+        if known || goal.is_some_and(|goal| self.settle_relevant(goal)) {
+            // Then all that the fact could rest on is known too.
+        } else if rules.strata[stratum].recursive {
+            self.settle_below(&rules.strata[stratum].clauses)?;
+            self.settle(stratum, goal)?;
+        } else {
+            self.settle_below(&clauses)?;
+        }
+
+        let mut best: Option<(u32, ClauseId, Binding, Vec<Option<u32>>)> = None;
+        for id in clauses {
+            let clause = &rules.clauses[id.index()];
+            let mut binding: Binding = vec![None; clause.variables.len()];
+            let pattern: Vec<_> = row.iter().copied().map(Some).collect();
+            if clause.body.is_empty() || bind_head(clause, &pattern, &mut binding).is_err() {
+                continue;
+            }
+            let mut attempt = Attempt::new(clause, &vec![true; clause.body.len()], binding, 0);
+            // Clauses come in the order of the text, so of equal height the first found by clause is kept.
+            let bar = best.as_ref().map_or(u32::MAX, |(height, ..)| *height);
+            let heights = &self.heights;
+            let usable = |rel, position| heights.of(rel, position).is_some_and(|height| height + 1 < bar);
+            self.advance(&mut attempt, &usable, &mut |solution| {
+                let height = 1 + highest(clause, solution.rows, |rel, position| heights.of(rel, position));
+                let better = best.as_ref().is_none_or(|(least, by, binding, rows)| {
+                    (height, id, solution.binding, solution.rows) < (*least, *by, binding, rows)
+                });
+                if better && height < bar {
+                    best = Some((height, id, solution.binding.to_vec(), solution.rows.to_vec()));
+                }
+                true
+            })?;
+        }
+        let Some((height, clause, binding, rows)) = best else {
+            // A session holds nothing that no clause derives.
+            return Ok((0, Best::Input));
+        };
+        let body = &rules.clauses[clause.index()].body;
+        let rows = body.iter().zip(rows).map(|(literal, row)| match (literal, row) {
+            (Literal::Positive(atom) | Literal::Guard(atom), Some(position)) => {
+                Some(self.row(atom.relation, position).to_vec())
+            }
+            _ => None,
+        });
+        let rows = rows.collect();
+        Ok((height, Best::Derived { clause, binding, rows }))
+    }
+
+    /// Gives its height to everything that a derivation of the goal could rest on: first all instances of clauses are collected
+    /// backwards from the goal, then heights go forwards through them. `false`, and nothing is settled, if that is too much.
+    fn settle_relevant(&mut self, goal: (RelId, u32)) -> bool {
+        let outer = self.left();
+        let inner = RELEVANT_STEPS.min(outer / 2);
+        self.set_left(inner);
+        let found = self.relevant(goal);
+        self.set_left(outer - (inner - self.left()));
+        match found {
+            Ok(Some(heights)) => {
+                self.heights.relevant.extend(heights);
+                true
+            }
+            Ok(None) | Err(_) => false,
+        }
+    }
+
+    fn relevant(&self, goal: (RelId, u32)) -> Result<Option<Settled>, ExplainError> {
+        let rules = self.rules();
+        let mut facts = vec![goal];
+        let mut ids = HashMap::from([(goal, 0)]);
+        // By instance: what it derives, and how many facts that it needs are not settled yet.
+        let mut instances: Vec<(usize, usize)> = Vec::new();
+        // By fact: the instances that need it.
+        let mut users: Vec<Vec<usize>> = vec![Vec::new()];
+        let mut queue: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+        let mut next = 0;
+        while let Some(&(rel, position)) = facts.get(next) {
+            let head = next;
+            next += 1;
+            let row = self.row(rel, position);
+            if let Some(height) = self.heights.of(rel, position) {
+                queue.entry(height).or_default().push(head);
+                continue;
+            }
+            if self.heights.text.contains_key(&(rel, row.to_vec())) {
+                queue.entry(0).or_default().push(head);
+                continue;
+            }
+            let pattern: Vec<_> = row.iter().copied().map(Some).collect();
+            for id in self.clauses_of(rel) {
+                let clause = &rules.clauses[id.index()];
+                let mut binding: Binding = vec![None; clause.variables.len()];
+                if clause.body.is_empty() || bind_head(clause, &pattern, &mut binding).is_err() {
+                    continue;
+                }
+                let mut attempt = Attempt::new(clause, &vec![true; clause.body.len()], binding, 0);
+                self.advance(&mut attempt, &|_, _| true, &mut |solution| {
+                    let mut needed: Vec<usize> = Vec::new();
+                    for (literal, atom) in positive(clause) {
+                        let derived = self.heights.stratum[atom.relation.index()].is_some();
+                        if let (true, Some(position)) = (derived, solution.rows[literal]) {
+                            let fact = (atom.relation, position);
+                            let id = *ids.entry(fact).or_insert_with(|| {
+                                facts.push(fact);
+                                users.push(Vec::new());
+                                facts.len() - 1
+                            });
+                            if !needed.contains(&id) {
+                                needed.push(id);
+                            }
+                        }
+                    }
+                    needed.iter().for_each(|&id| users[id].push(instances.len()));
+                    if needed.is_empty() {
+                        queue.entry(1).or_default().push(head);
+                    }
+                    instances.push((head, needed.len()));
+                    instances.len() < INSTANCES_MAX
+                })?;
+                if instances.len() >= INSTANCES_MAX {
+                    return Ok(None);
+                }
+            }
+        }
+        let mut heights: Vec<Option<u32>> = vec![None; facts.len()];
+        while let Some((height, ready)) = queue.pop_first() {
+            for fact in ready {
+                if heights[fact].is_some() {
+                    continue;
+                }
+                heights[fact] = Some(height);
+                for &instance in &users[fact] {
+                    let (head, missing) = &mut instances[instance];
+                    *missing -= 1;
+                    if *missing == 0 {
+                        queue.entry(height + 1).or_default().push(*head);
+                    }
+                }
+            }
+        }
+        let settled = facts.into_iter().zip(heights);
+        Ok(Some(
+            settled.filter_map(|(fact, height)| Some((fact, height?))).collect(),
+        ))
+    }
+
+    /// Settles all facts of the strata below that the clauses need to hold, directly or through others.
+    fn settle_below(&mut self, clauses: &[ClauseId]) -> Result<(), ExplainError> {
+        let rules = self.rules();
+        let own = clauses
+            .first()
+            .and_then(|clause| self.heights.stratum[rules.clauses[clause.index()].head.relation.index()]);
+        let mut needed = Vec::new();
+        let mut todo: Vec<&[ClauseId]> = vec![clauses];
+        while let Some(clauses) = todo.pop() {
+            for clause in clauses {
+                for (_, atom) in positive(&rules.clauses[clause.index()]) {
+                    if let Some(stratum) = self.heights.stratum[atom.relation.index()]
+                        && Some(stratum) != own
+                        && !needed.contains(&stratum)
+                    {
+                        needed.push(stratum);
+                        todo.push(&rules.strata[stratum].clauses);
+                    }
+                }
+            }
+        }
+        needed.sort_unstable();
+        needed.into_iter().try_for_each(|stratum| self.settle(stratum, None))
+    }
+
+    /// Settles the facts of a stratum in ascending order until `goal` is settled, or all.
+    fn settle(&mut self, stratum: usize, goal: Option<(RelId, u32)>) -> Result<(), ExplainError> {
+        if let Some((rel, position)) = goal
+            && self.heights.of(rel, position).is_some()
+        {
+            return Ok(());
+        }
+        // Taken out while it changes, so that nothing half done is left behind if the work is too much.
+        let mut progress = match self.heights.progress.remove(&stratum) {
+            Some(progress) => progress,
+            None => self.begin(stratum)?,
+        };
+        let rules = self.rules();
+        while let Some((&height, _)) = progress.queue.first_key_value() {
+            let facts = progress.queue.remove(&height).unwrap_or_default();
+            let mut last = false;
+            for (rel, position) in facts {
+                let known = &mut progress.heights.entry(rel).or_default()[position as usize];
+                if known.settled {
+                    continue;
+                }
+                known.settled = true;
+                last |= goal == Some((rel, position));
+                if rules.strata[stratum].recursive {
+                    self.follow(stratum, rel, position, &mut progress)?;
+                }
+            }
+            if last {
+                break;
+            }
+        }
+        self.heights.progress.insert(stratum, progress);
+        Ok(())
+    }
+
+    /// The facts that follow without any fact of the stratum itself.
+    fn begin(&mut self, stratum: usize) -> Result<Progress, ExplainError> {
+        let rules = self.rules();
+        let mut progress = Progress::default();
+        let unknown = Height {
+            height: u32::MAX,
+            settled: false,
+        };
+        for &rel in &rules.strata[stratum].relations {
+            progress.heights.insert(rel, vec![unknown; self.len(rel)]);
+        }
+        for &id in &rules.strata[stratum].clauses {
+            let clause = &rules.clauses[id.index()];
+            let own = |(_, atom): (usize, &Atom)| progress.heights.contains_key(&atom.relation);
+            if !positive(clause).any(own) {
+                let attempt = Attempt::new(
+                    clause,
+                    &vec![true; clause.body.len()],
+                    vec![None; clause.variables.len()],
+                    0,
+                );
+                self.derive(attempt, &mut progress)?;
+            }
+        }
+        Ok(progress)
+    }
+
+    /// What follows from a fact that has just been settled, together with others that are.
+    fn follow(
+        &mut self,
+        stratum: usize,
+        rel: RelId,
+        position: u32,
+        progress: &mut Progress,
+    ) -> Result<(), ExplainError> {
+        let rules = self.rules();
+        for &id in &rules.strata[stratum].clauses {
+            let clause = &rules.clauses[id.index()];
+            for (literal, atom) in positive(clause).filter(|(_, atom)| atom.relation == rel) {
+                let mut binding: Binding = vec![None; clause.variables.len()];
+                if unify(&atom.terms, self.row(rel, position), &mut binding, &mut Vec::new()) {
+                    let mut attempt = Attempt::new(clause, &vec![true; clause.body.len()], binding, 0);
+                    attempt.pending[literal] = false;
+                    attempt.rows[literal] = Some(position);
+                    self.derive(attempt, progress)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Lowers the heights of what an attempt derives.
+    fn derive(&mut self, mut attempt: Attempt<'_>, progress: &mut Progress) -> Result<(), ExplainError> {
+        let clause = attempt.clause;
+        let mut lower = Vec::new();
+        {
+            let of = |rel: RelId, position: u32| match progress.heights.get(&rel) {
+                Some(heights) => {
+                    let height = heights[position as usize];
+                    height.settled.then_some(height.height)
+                }
+                None => self.heights.of(rel, position),
+            };
+            self.advance(
+                &mut attempt,
+                &|rel, position| of(rel, position).is_some(),
+                &mut |solution| {
+                    let head: Option<Vec<Value>> = (clause.head.terms.iter())
+                        .map(|term| value(term, solution.binding))
+                        .collect();
+                    // A fact of the text has height 0 and needs no clause with a body.
+                    let height = if clause.body.is_empty() {
+                        0
+                    } else {
+                        1 + highest(clause, solution.rows, of)
+                    };
+                    let rel = clause.head.relation;
+                    if let Some(position) = head.and_then(|row| self.position(rel, &row)) {
+                        let known = progress.heights[&rel][position as usize];
+                        if !known.settled && height < known.height {
+                            lower.push((height, position));
+                        }
+                    }
+                    true
+                },
+            )?;
+        }
+        let rel = clause.head.relation;
+        for (height, position) in lower {
+            let known = &mut progress.heights.entry(rel).or_default()[position as usize];
+            if height < known.height {
+                known.height = height;
+                progress.queue.entry(height).or_default().push((rel, position));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The greatest height among the rows that stand for positive literals.
+fn highest(clause: &Clause, rows: &[Option<u32>], of: impl Fn(RelId, u32) -> Option<u32>) -> u32 {
+    positive(clause)
+        .filter_map(|(literal, atom)| of(atom.relation, rows[literal]?))
+        .max()
+        .unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::datalog::program::Program;
+    use crate::datalog::workspace;
+    use crate::diag::Sources;
+
+    #[test]
+    fn both_ways_to_find_heights_agree() {
+        let text = ".decl edge(x: number, y: number)
+            .input edge
+            .decl hop, path(x: number, y: number)
+            .decl round(x: number)
+            hop(x, y) :- edge(x, y).
+            hop(x, x) :- edge(x, _), !edge(_, x).
+            path(3, 9).
+            path(x, y) :- hop(x, y).
+            path(x, z) :- path(x, y), path(y, z).
+            round(x) :- path(x, x).";
+        let mut sources = Sources::new();
+        let entry = sources.add("heights.dl", text);
+        let rules = workspace::load(&mut sources, entry, &crate::files::read_text)
+            .rules
+            .expect("no errors");
+        let program = Program::new(rules).expect("within limits");
+        let mut session = program.session();
+        let edge = program.relation("edge").expect("declared");
+        for [x, y] in [
+            [0, 1],
+            [1, 2],
+            [2, 3],
+            [3, 4],
+            [4, 5],
+            [5, 6],
+            [6, 1],
+            [9, 2],
+            [7, 0],
+            [8, 7],
+        ] {
+            session
+                .insert(edge, &[Value::number(x), Value::number(y)])
+                .expect("a row that fits");
+        }
+        session.commit().expect("few rows");
+        let mut forwards = Search::new(&session);
+        forwards.refill(1_000_000);
+        for stratum in 0..program.rules().strata.len() {
+            forwards.settle(stratum, None).expect("few rows");
+        }
+        let mut count = 0;
+        for name in ["hop", "path", "round"] {
+            let rel = program.relation(name).expect("declared");
+            for position in 0..u32::try_from(session.len(rel)).expect("few rows") {
+                let mut backwards = Search::new(&session);
+                backwards.refill(1_000_000);
+                assert!(backwards.settle_relevant((rel, position)));
+                let height = forwards.heights.of(rel, position);
+                assert!(height.is_some());
+                assert_eq!(height, backwards.heights.of(rel, position));
+                let (least, _) = forwards.origin(rel, forwards.row(rel, position)).expect("few rows");
+                assert_eq!(height, Some(least));
+                count += 1;
+            }
+        }
+        assert!(count > 50);
+    }
+}

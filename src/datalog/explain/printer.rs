@@ -1,0 +1,758 @@
+//! Explanations as text for readers and as JSON for programs.
+
+use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
+use crate::datalog::explain::{
+    Absence, Explanation, Fact, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise, Reason,
+};
+use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::datalog::syntax::functor::{AggregateOp, Functor};
+use crate::datalog::syntax::quoted;
+use crate::datalog::value::Value;
+use crate::diag::Sources;
+use crate::symbol::{Symbol, Symbols};
+use serde_json::{Map, json};
+use std::collections::HashSet;
+
+/// Tells explanations in the notation of the paper: `Not(IsAmbulance(Car_3))`.
+///
+/// The guard of a scope is told as what is in view; a hidden predicate, which stands for a negated atom with `_` in view, as that
+/// atom.
+#[derive(Clone, Copy)]
+pub struct Teller<'a> {
+    rules: &'a Rules,
+    symbols: &'a Symbols,
+    sources: &'a Sources,
+    /// Whether texts stand in quotes even where they read as names.
+    quotes: bool,
+}
+
+/// A line and what stands below it.
+struct Item {
+    text: String,
+    children: Vec<Item>,
+}
+
+impl Item {
+    fn leaf(text: impl Into<String>) -> Item {
+        Item {
+            text: text.into(),
+            children: Vec::new(),
+        }
+    }
+
+    fn draw(&self, first: &str, rest: &str, out: &mut String) {
+        out.push_str(first);
+        out.push_str(&self.text);
+        out.push('\n');
+        for (at, child) in self.children.iter().enumerate() {
+            let (corner, line) = if at + 1 < self.children.len() {
+                ("├─ ", "│  ")
+            } else {
+                ("└─ ", "   ")
+            };
+            child.draw(&format!("{rest}{corner}"), &format!("{rest}{line}"), out);
+        }
+    }
+}
+
+impl<'a> Teller<'a> {
+    /// A proof is drawn down to this depth; [`Teller::json`] has all of it.
+    pub const DEPTH_MAX: usize = 40;
+
+    /// Tells what `rules` derive. `symbols` are the session's, `sources` those of the rules.
+    pub fn new(rules: &'a Rules, symbols: &'a Symbols, sources: &'a Sources) -> Self {
+        Teller {
+            rules,
+            symbols,
+            sources,
+            quotes: false,
+        }
+    }
+
+    /// Tells values as they are written in rules, so that what is told can be read again: all texts in quotes.
+    pub fn quoting(self) -> Self {
+        Teller { quotes: true, ..self }
+    }
+
+    /// The explanation as a tree of lines. What occurs several times is told once.
+    pub fn tree(&self, explanation: &Explanation) -> String {
+        let mut out = String::new();
+        if !explanation.nodes().is_empty() {
+            let mut drawing = Drawing {
+                teller: *self,
+                explanation,
+                told: HashSet::new(),
+                open: Vec::new(),
+            };
+            drawing.node(NodeId(0), 0).draw("", "", &mut out);
+        }
+        out
+    }
+
+    /// The explanation as JSON: `{"nodes": [..]}`, the first node being what was asked; nodes refer to others by position.
+    ///
+    /// A node is `{"holds", "height", "by": "input" | "text" | "clause" | "range", "clause", "binding", "premises"}` or
+    /// `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range", "clauses": [{"clause", "binding", "fails"}]}`. An
+    /// entry of `premises` and `fails` has the `literal` as it reads under the binding, the `kind` (`fact`, `in-view`, `not`, `comparison`,
+    /// `expression`, `aggregate`) and, except for the last three, the `node` that tells why it holds or does not. A `clause` has `head`,
+    /// `file`, `line` and `doc`; where only the head does not fit, `fails` is empty. What does not hold in a recursion may lead back to
+    /// itself.
+    pub fn json(&self, explanation: &Explanation) -> serde_json::Value {
+        let nodes = explanation.nodes().iter().map(|node| self.node_json(node));
+        json!({ "nodes": nodes.collect::<Vec<serde_json::Value>>() })
+    }
+
+    /// One node of [`Teller::json`].
+    pub fn node_json(&self, node: &Node) -> serde_json::Value {
+        match node {
+            Node::Fact(fact) => self.fact_json(fact),
+            Node::Absence(absence) => self.absence_json(absence),
+        }
+    }
+
+    fn fact_json(&self, fact: &Fact) -> serde_json::Value {
+        let pattern: Vec<Option<Value>> = fact.row.iter().copied().map(Some).collect();
+        let holds = self.row(fact.relation, &pattern);
+        if self.is_range(fact.relation) {
+            return json!({ "holds": holds, "height": fact.height, "by": "range" });
+        }
+        match &fact.origin {
+            Origin::Input => json!({ "holds": holds, "height": fact.height, "by": "input" }),
+            Origin::Text(clause) => json!({
+                "holds": holds, "height": fact.height, "by": "text", "clause": self.clause_json(*clause),
+            }),
+            Origin::Derived(derivation) => {
+                let clause = &self.rules.clauses[derivation.clause.index()];
+                let premises: Vec<serde_json::Value> = (derivation.premises.iter().enumerate())
+                    .map(|(literal, premise)| {
+                        let node = match premise {
+                            Premise::Fact(node) | Premise::Absence(node) => Some(node.0),
+                            Premise::Comparison { .. } | Premise::Computed { .. } => None,
+                        };
+                        self.literal_json(clause, literal, &derivation.binding, node)
+                    })
+                    .collect();
+                json!({
+                    "holds": holds,
+                    "height": fact.height,
+                    "by": "clause",
+                    "clause": self.clause_json(derivation.clause),
+                    "binding": self.binding_json(clause, &derivation.binding),
+                    "premises": premises,
+                })
+            }
+        }
+    }
+
+    fn absence_json(&self, absence: &Absence) -> serde_json::Value {
+        let absent = self.row(absence.relation, &absence.pattern);
+        if self.is_range(absence.relation) {
+            return json!({ "absent": absent, "because": "range" });
+        }
+        match &absence.reason {
+            Reason::NotAFact => json!({ "absent": absent, "because": "not-a-fact" }),
+            Reason::NotLookedInto => json!({ "absent": absent, "because": "not-looked-into" }),
+            Reason::NoClause(misses) => {
+                let clauses: Vec<serde_json::Value> = (misses.iter())
+                    .map(|miss| {
+                        let clause = &self.rules.clauses[miss.clause.index()];
+                        let (binding, fails) = match &miss.obstacle {
+                            Obstacle::Head { .. } => (Map::new(), Vec::new()),
+                            Obstacle::Body { binding, failures } => {
+                                let fails = failures.iter().map(|failure| {
+                                    let node = match failure.kind {
+                                        FailureKind::Absent(node) | FailureKind::Holds(node) => Some(node.0),
+                                        FailureKind::AbsentTwice
+                                        | FailureKind::Comparison { .. }
+                                        | FailureKind::Computed { .. } => None,
+                                    };
+                                    self.literal_json(clause, failure.literal, binding, node)
+                                });
+                                (self.binding_json(clause, binding), fails.collect())
+                            }
+                        };
+                        json!({ "clause": self.clause_json(miss.clause), "binding": binding, "fails": fails })
+                    })
+                    .collect();
+                json!({ "absent": absent, "because": "no-clause", "clauses": clauses })
+            }
+        }
+    }
+
+    fn literal_json(
+        &self,
+        clause: &Clause,
+        literal: usize,
+        binding: &[Option<Value>],
+        node: Option<u32>,
+    ) -> serde_json::Value {
+        let literal = &clause.body[literal];
+        let kind = match literal {
+            Literal::Positive(_) => "fact",
+            Literal::Guard(_) => "in-view",
+            Literal::Negative(_) => "not",
+            Literal::Compare { .. } => "comparison",
+            Literal::Compute { .. } => "expression",
+            Literal::Aggregate { .. } => "aggregate",
+        };
+        let mut entry = json!({ "literal": self.literal(clause, literal, binding), "kind": kind });
+        if let Some(node) = node {
+            entry["node"] = json!(node);
+        }
+        entry
+    }
+
+    /// A clause as `{"head", "file", "line", "doc"}`.
+    pub fn clause_json(&self, clause: ClauseId) -> serde_json::Value {
+        let clause = &self.rules.clauses[clause.index()];
+        let head = &self.rules.relations[clause.head.relation.index()];
+        json!({
+            "head": if head.hidden { &head.doc } else { &head.name },
+            "file": self.sources.name(clause.span.source),
+            "line": self.sources.position(clause.span).line,
+            "doc": clause.doc,
+        })
+    }
+
+    fn binding_json(&self, clause: &Clause, binding: &[Option<Value>]) -> Map<String, serde_json::Value> {
+        self.named(clause, binding)
+            .map(|(name, value, base)| {
+                let value = match base {
+                    BaseType::Number => json!(value.as_number()),
+                    BaseType::Unsigned => json!(value.0),
+                    BaseType::Float if value.as_float().is_finite() => json!(value.as_float()),
+                    // JSON has no such numbers.
+                    BaseType::Float => json!(value.as_float().to_string()),
+                    BaseType::Symbol => json!(self.symbols.text(Symbol(value.0)).unwrap_or_default()),
+                };
+                (name.to_owned(), value)
+            })
+            .collect()
+    }
+
+    /// The named variables that are bound.
+    fn named<'b>(
+        &self,
+        clause: &'b Clause,
+        binding: &'b [Option<Value>],
+    ) -> impl Iterator<Item = (&'b str, Value, BaseType)> {
+        let bases = self.bases(clause);
+        (clause.variables.iter().zip(binding).zip(bases))
+            .filter(|((name, _), _)| *name != "_")
+            .filter_map(|((name, value), base)| Some((name.as_str(), (*value)?, base)))
+    }
+
+    /// What the variables of a clause are made of.
+    fn bases(&self, clause: &Clause) -> Vec<BaseType> {
+        let mut bases = vec![BaseType::Symbol; clause.variables.len()];
+        let mut see = |term: &Term, base: BaseType| {
+            if let Term::Variable(variable) = term {
+                bases[variable.index()] = base;
+            }
+        };
+        for literal in &clause.body {
+            match literal {
+                Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => {
+                    let columns = &self.rules.relations[atom.relation.index()].columns;
+                    (atom.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
+                }
+                Literal::Compare { left, right, base, .. } => {
+                    see(left, *base);
+                    see(right, *base);
+                }
+                Literal::Compute {
+                    to,
+                    functor,
+                    base,
+                    arguments,
+                    ..
+                } => {
+                    for (at, argument) in arguments.iter().enumerate() {
+                        see(argument, argument_base(*functor, *base, at));
+                    }
+                    result_base(*functor, *base).into_iter().for_each(|base| see(to, base));
+                }
+                Literal::Aggregate { to, op, base, atom, .. } => {
+                    let columns = &self.rules.relations[atom.relation.index()].columns;
+                    (atom.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
+                    see(to, aggregate_base(*op, *base));
+                }
+            }
+        }
+        let columns = &self.rules.relations[clause.head.relation.index()].columns;
+        (clause.head.terms.iter().zip(columns)).for_each(|(term, column)| see(term, column.base));
+        bases
+    }
+
+    /// The base type of what a literal computes.
+    fn computed_base(&self, clause: &Clause, literal: &Literal) -> BaseType {
+        match literal {
+            Literal::Compute {
+                to: Term::Variable(to), ..
+            } => self.bases(clause)[to.index()],
+            Literal::Compute { functor, base, .. } => result_base(*functor, *base).unwrap_or(*base),
+            Literal::Aggregate { op, base, .. } => aggregate_base(*op, *base),
+            _ => BaseType::Number,
+        }
+    }
+
+    /// Title and place of a clause: the first line of its doc comment, else its text, and `file:line`.
+    pub fn title(&self, clause: ClauseId) -> String {
+        let clause = &self.rules.clauses[clause.index()];
+        let title = match clause.doc.lines().next() {
+            Some(line) if !line.trim().is_empty() => line.trim().to_owned(),
+            _ => {
+                let words: Vec<&str> = self.sources.slice(clause.span).split_whitespace().collect();
+                words.join(" ")
+            }
+        };
+        format!("{title}  [{}]", self.place(clause))
+    }
+
+    /// The short name of a clause: what stands before the colon of its doc comment (`S2`), else `file:line`.
+    pub fn label(&self, clause: ClauseId) -> String {
+        let clause = &self.rules.clauses[clause.index()];
+        match clause.doc.split_once(':') {
+            Some((label, _)) if !label.is_empty() && !label.contains(char::is_whitespace) => label.to_owned(),
+            _ => self.place(clause),
+        }
+    }
+
+    /// A clause as its author wrote it.
+    pub fn source(&self, clause: ClauseId) -> &'a str {
+        self.sources.slice(self.rules.clauses[clause.index()].span)
+    }
+
+    /// `file:line` of a clause, without the folder.
+    fn place(&self, clause: &Clause) -> String {
+        let name = self.sources.name(clause.span.source);
+        let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
+        format!("{file}:{}", self.sources.position(clause.span).line)
+    }
+
+    /// A value as it is written: numbers in decimal, symbols bare where they read as names unless [`Teller::quoting`].
+    pub fn value(&self, value: Value, base: BaseType) -> String {
+        match base {
+            BaseType::Number => value.as_number().to_string(),
+            BaseType::Unsigned => value.0.to_string(),
+            BaseType::Float => crate::datalog::value::print_float(value.as_float()),
+            BaseType::Symbol => {
+                let text = self.symbols.text(Symbol(value.0)).unwrap_or_default();
+                let bare = |c: char| c.is_alphanumeric() || "_-.".contains(c);
+                if !self.quotes && !text.is_empty() && text.chars().all(bare) {
+                    text.to_owned()
+                } else {
+                    quoted(text)
+                }
+            }
+        }
+    }
+
+    /// A row or a pattern as an atom. Open columns are `_`.
+    pub fn row(&self, relation: RelId, pattern: &[Option<Value>]) -> String {
+        self.row_within(relation, pattern, 0)
+    }
+
+    fn row_within(&self, rel: RelId, pattern: &[Option<Value>], depth: usize) -> String {
+        let relation = &self.rules.relations[rel.index()];
+        if relation.hidden && relation.derived {
+            return self.unfold(rel, pattern, depth);
+        }
+        let columns = relation.columns.iter().zip(pattern);
+        let values: Vec<String> = columns
+            .map(|(column, value)| value.map_or("_".to_owned(), |value| self.value(value, column.base)))
+            .collect();
+        self.named_atom(rel, &values)
+    }
+
+    /// An atom of a predicate that is not unfolded.
+    fn named_atom(&self, rel: RelId, arguments: &[String]) -> String {
+        let arguments = arguments.join(", ");
+        match self.rules.relations.iter().find(|relation| relation.given == Some(rel)) {
+            Some(owner) => format!("given {}({arguments})", owner.name),
+            None => format!("{}({arguments})", self.rules.relations[rel.index()].name),
+        }
+    }
+
+    /// Whether a hidden predicate holds the values of a `range`: no other is recursive. How it is computed is not told.
+    fn is_range(&self, rel: RelId) -> bool {
+        let itself = |literal: &Literal| literal.atom().is_some_and(|atom| atom.relation == rel);
+        let mut clauses = self.rules.clauses.iter().filter(|clause| clause.head.relation == rel);
+        let hidden = self.rules.relations[rel.index()].hidden;
+        hidden && clauses.any(|clause| clause.body.iter().any(itself))
+    }
+
+    /// What a hidden predicate stands for: the bodies of its clauses.
+    fn unfold(&self, rel: RelId, pattern: &[Option<Value>], depth: usize) -> String {
+        const UNFOLD_MAX: usize = 8;
+        let relation = &self.rules.relations[rel.index()];
+        if depth == UNFOLD_MAX {
+            return relation.doc.clone();
+        }
+        let clauses = self
+            .rules
+            .clauses
+            .iter()
+            .filter(|clause| clause.head.relation == rel && !clause.body.is_empty());
+        if self.is_range(rel) {
+            let columns = relation.columns.iter().zip(pattern);
+            let values: Vec<String> = columns
+                .map(|(column, value)| value.map_or("_".to_owned(), |value| self.value(value, column.base)))
+                .collect();
+            let (value, arguments) = values.split_last().unwrap_or((&relation.doc, &[]));
+            return format!("{value} = {}", applied(Functor::Range, arguments));
+        }
+        let bodies: Vec<String> = clauses
+            .map(|clause| {
+                let mut binding = vec![None; clause.variables.len()];
+                for (term, value) in clause.head.terms.iter().zip(pattern) {
+                    if let Term::Variable(variable) = term {
+                        binding[variable.index()] = *value;
+                    }
+                }
+                let written = clause
+                    .body
+                    .iter()
+                    .filter(|literal| !matches!(literal, Literal::Guard(_)));
+                let text: Vec<String> = written
+                    .map(|literal| self.literal_within(clause, literal, &binding, depth + 1))
+                    .collect();
+                let guarded = clause.body.len() > text.len();
+                format!("{}{}", text.join(", "), if guarded { " in view" } else { "" })
+            })
+            .collect();
+        bodies.join(" or ")
+    }
+
+    /// A literal as it reads under a binding: open variables by name.
+    pub fn literal(&self, clause: &Clause, literal: &Literal, binding: &[Option<Value>]) -> String {
+        self.literal_within(clause, literal, binding, 0)
+    }
+
+    fn literal_within(&self, clause: &Clause, literal: &Literal, binding: &[Option<Value>], depth: usize) -> String {
+        match literal {
+            Literal::Positive(atom) | Literal::Guard(atom) => self.atom(clause, atom, binding, depth),
+            Literal::Negative(atom) => format!("Not({})", self.atom(clause, atom, binding, depth)),
+            Literal::Compare {
+                op, left, right, base, ..
+            } => {
+                let left = self.term(clause, left, *base, binding);
+                let right = self.term(clause, right, *base, binding);
+                match op {
+                    Comparison::Match | Comparison::Contains => format!("{op}({left}, {right})"),
+                    Comparison::NotMatch | Comparison::NotContains => {
+                        format!("Not({}({left}, {right}))", op.opposite())
+                    }
+                    _ => format!("{left} {op} {right}"),
+                }
+            }
+            Literal::Compute {
+                to,
+                functor,
+                base,
+                arguments,
+                ..
+            } => {
+                let arguments: Vec<String> = (arguments.iter().enumerate())
+                    .map(|(at, term)| self.term(clause, term, argument_base(*functor, *base, at), binding))
+                    .collect();
+                let to = self.term(clause, to, self.computed_base(clause, literal), binding);
+                format!("{to} = {}", applied(*functor, &arguments))
+            }
+            Literal::Aggregate {
+                to, op, atom, column, ..
+            } => {
+                let to = self.term(clause, to, self.computed_base(clause, literal), binding);
+                let rows = self.atom(clause, atom, binding, depth);
+                let of = match column {
+                    Some(column) => format!(" {}", self.column(atom.relation, *column)),
+                    None => String::new(),
+                };
+                format!("{to} = {}{of} : {{ {rows} }}", op.name())
+            }
+        }
+    }
+
+    /// The name of a column: of a hidden predicate, as the text that it stands for has it.
+    fn column(&self, rel: RelId, column: usize) -> &str {
+        let mut clauses = self.rules.clauses.iter();
+        match clauses.find(|clause| self.rules.relations[rel.index()].hidden && clause.head.relation == rel) {
+            Some(clause) => match clause.head.terms[column] {
+                Term::Variable(variable) => &clause.variables[variable.index()],
+                _ => "_",
+            },
+            None => &self.rules.relations[rel.index()].columns[column].name,
+        }
+    }
+
+    fn atom(&self, clause: &Clause, atom: &Atom, binding: &[Option<Value>], depth: usize) -> String {
+        let relation = &self.rules.relations[atom.relation.index()];
+        if relation.hidden && relation.derived {
+            return self.unfold(atom.relation, &super::search::pattern(atom, binding), depth);
+        }
+        let columns = relation.columns.iter().zip(&atom.terms);
+        let terms: Vec<String> = columns
+            .map(|(column, term)| self.term(clause, term, column.base, binding))
+            .collect();
+        self.named_atom(atom.relation, &terms)
+    }
+
+    fn term(&self, clause: &Clause, term: &Term, base: BaseType, binding: &[Option<Value>]) -> String {
+        match (super::search::value(term, binding), term) {
+            (Some(value), _) => self.value(value, base),
+            (None, Term::Variable(variable)) => clause.variables[variable.index()].clone(),
+            (None, _) => "_".to_owned(),
+        }
+    }
+}
+
+/// What the argument at a position is made of, if the first is of base type `base`.
+fn argument_base(functor: Functor, base: BaseType, at: usize) -> BaseType {
+    if functor == Functor::Substring && at > 0 {
+        BaseType::Number
+    } else {
+        base
+    }
+}
+
+/// What the value of a functor is made of; `None` for a cast, which says so elsewhere.
+fn result_base(functor: Functor, base: BaseType) -> Option<BaseType> {
+    match functor {
+        Functor::Cast => None,
+        Functor::Length | Functor::Ordinal | Functor::ToNumber => Some(BaseType::Number),
+        Functor::ToText => Some(BaseType::Symbol),
+        Functor::ToFloat => Some(BaseType::Float),
+        Functor::ToUnsigned => Some(BaseType::Unsigned),
+        _ => Some(base),
+    }
+}
+
+/// What the value of an aggregate is made of.
+fn aggregate_base(op: AggregateOp, base: BaseType) -> BaseType {
+    match op {
+        AggregateOp::Count => BaseType::Number,
+        AggregateOp::Mean => BaseType::Float,
+        AggregateOp::Sum | AggregateOp::Min | AggregateOp::Max => base,
+    }
+}
+
+/// A functor with its arguments.
+fn applied(functor: Functor, arguments: &[String]) -> String {
+    let name = functor.name();
+    let word = name.starts_with(char::is_alphabetic);
+    match (functor, arguments) {
+        (Functor::Negate, [only]) => format!("-({only})"),
+        (Functor::BitNot | Functor::Not, [only]) => format!("{name} {only}"),
+        (
+            Functor::BitAnd
+            | Functor::BitOr
+            | Functor::BitXor
+            | Functor::ShiftLeft
+            | Functor::ShiftRight
+            | Functor::ShiftRightUnsigned
+            | Functor::And
+            | Functor::Or
+            | Functor::Xor,
+            [left, right],
+        ) => format!("{left} {name} {right}"),
+        (_, [left, right]) if !word => format!("{left} {name} {right}"),
+        _ => format!("{name}({})", arguments.join(", ")),
+    }
+}
+
+/// A tree being drawn.
+struct Drawing<'a> {
+    teller: Teller<'a>,
+    explanation: &'a Explanation,
+    told: HashSet<NodeId>,
+    /// The nodes that the present line stands below.
+    open: Vec<NodeId>,
+}
+
+impl Drawing<'_> {
+    fn node(&mut self, id: NodeId, depth: usize) -> Item {
+        match self.explanation.node(id) {
+            Node::Fact(fact) => {
+                let pattern: Vec<Option<Value>> = fact.row.iter().copied().map(Some).collect();
+                let mut item = Item::leaf(self.teller.row(fact.relation, &pattern));
+                match &fact.origin {
+                    Origin::Input => {}
+                    Origin::Text(clause) => {
+                        let clause = &self.teller.rules.clauses[clause.index()];
+                        item.text = format!("{}  [{}]", item.text, self.teller.place(clause));
+                    }
+                    Origin::Derived(_) => self.below(id, depth, &mut item),
+                }
+                item
+            }
+            Node::Absence(absence) => {
+                let mut item = Item::leaf(format!("Not({})", self.teller.row(absence.relation, &absence.pattern)));
+                self.below(id, depth, &mut item);
+                item
+            }
+        }
+    }
+
+    /// What stands below a node, unless it has been told or is too deep.
+    fn below(&mut self, id: NodeId, depth: usize, item: &mut Item) {
+        let node = self.explanation.node(id);
+        let relation = match node {
+            Node::Absence(Absence {
+                reason: Reason::NotAFact,
+                ..
+            }) => return,
+            Node::Fact(fact) => fact.relation,
+            Node::Absence(absence) => absence.relation,
+        };
+        if self.teller.is_range(relation) {
+            return;
+        }
+        if self.open.contains(&id) {
+            item.text.push_str("  (that would rest on itself)");
+        } else if !self.told.insert(id) {
+            item.text.push_str("  (see above)");
+        } else if depth == Teller::DEPTH_MAX {
+            self.told.remove(&id);
+            item.text.push_str("  ...");
+        } else {
+            self.open.push(id);
+            match node {
+                Node::Fact(fact) => self.premises(fact, depth, item),
+                Node::Absence(absence) => self.misses(absence, depth, item),
+            }
+            self.open.pop();
+        }
+    }
+
+    fn premises(&mut self, fact: &Fact, depth: usize, item: &mut Item) {
+        let Origin::Derived(derivation) = &fact.origin else {
+            return;
+        };
+        let clause = &self.teller.rules.clauses[derivation.clause.index()];
+        if !self.teller.rules.relations[fact.relation.index()].hidden {
+            item.text = format!("{}  by {}", item.text, self.teller.title(derivation.clause));
+        }
+        for (literal, premise) in clause.body.iter().zip(&derivation.premises) {
+            let child = match premise {
+                Premise::Fact(node) => {
+                    let mut child = self.node(*node, depth + 1);
+                    if matches!(literal, Literal::Guard(_)) {
+                        child.text = format!("in view: {}", child.text);
+                    }
+                    child
+                }
+                Premise::Absence(node) => self.node(*node, depth + 1),
+                Premise::Comparison { .. } | Premise::Computed { .. } => {
+                    Item::leaf(self.teller.literal(clause, literal, &derivation.binding))
+                }
+            };
+            item.children.push(child);
+        }
+    }
+
+    fn misses(&mut self, absence: &Absence, depth: usize, item: &mut Item) {
+        let relation = &self.teller.rules.relations[absence.relation.index()];
+        match &absence.reason {
+            Reason::NotAFact => {}
+            Reason::NotLookedInto => item.text.push_str("  (not looked into)"),
+            Reason::NoClause(misses) if relation.hidden => {
+                for miss in misses {
+                    item.children.extend(self.failures(miss, depth));
+                }
+            }
+            Reason::NoClause(misses) => {
+                item.text = format!("{}: no clause of {} holds", item.text, relation.name);
+                for miss in misses {
+                    let mut child = Item::leaf(self.teller.title(miss.clause));
+                    child.children = self.failures(miss, depth);
+                    item.children.push(child);
+                }
+            }
+        }
+    }
+
+    fn failures(&mut self, miss: &Miss, depth: usize) -> Vec<Item> {
+        let clause = &self.teller.rules.clauses[miss.clause.index()];
+        let (binding, failures) = match &miss.obstacle {
+            Obstacle::Head { column } => {
+                return vec![Item::leaf(format!(
+                    "its head has another value in column {}",
+                    column + 1
+                ))];
+            }
+            Obstacle::Body { binding, failures } => (binding, failures),
+        };
+        let in_head = |name: &str| {
+            (clause.head.terms.iter())
+                .any(|term| matches!(term, Term::Variable(variable) if clause.variables[variable.index()] == name))
+        };
+        let nearest: Vec<String> = (self.teller.named(clause, binding))
+            .filter(|(name, ..)| !in_head(name))
+            .map(|(name, value, base)| format!("{name} = {}", self.teller.value(value, base)))
+            .collect();
+        let nearest = if nearest.is_empty() {
+            String::new()
+        } else {
+            format!("nearest {}", nearest.join(", "))
+        };
+        // One failure stands on the line of its binding, several below it.
+        let inline = if nearest.is_empty() || failures.len() > 1 {
+            String::new()
+        } else {
+            format!("{nearest}: ")
+        };
+        let items: Vec<Item> = (failures.iter())
+            .map(|failure| {
+                let literal = &clause.body[failure.literal];
+                let text = self.teller.literal(clause, literal, binding);
+                let (text, node) = match (&failure.kind, literal) {
+                    (FailureKind::Absent(node), Literal::Guard(_)) => (format!("not in view: {text}"), Some(*node)),
+                    (FailureKind::Absent(node), _) => (format!("{text} does not hold"), Some(*node)),
+                    (FailureKind::AbsentTwice, _) => (format!("{text} does not hold"), None),
+                    (FailureKind::Holds(node), _) => (format!("{text} fails"), Some(*node)),
+                    (FailureKind::Comparison { .. }, _) => (format!("{text} fails"), None),
+                    (FailureKind::Computed { value: None }, _) => (format!("{text} fails: it has no value"), None),
+                    (FailureKind::Computed { value: Some(value) }, _) => {
+                        let base = self.teller.computed_base(clause, literal);
+                        (format!("{text} fails: it is {}", self.teller.value(*value, base)), None)
+                    }
+                };
+                let mut item = Item::leaf(format!("{inline}{text}"));
+                if let Some(id) = node {
+                    match self.explanation.node(id) {
+                        // The text says it already.
+                        Node::Absence(Absence { reason, .. }) => match reason {
+                            Reason::NoClause(_) => self.below_absence(id, depth, &mut item),
+                            Reason::NotAFact | Reason::NotLookedInto => {}
+                        },
+                        Node::Fact(Fact {
+                            origin: Origin::Input, ..
+                        }) => {}
+                        Node::Fact(_) => item.children.push(self.node(id, depth + 1)),
+                    }
+                }
+                item
+            })
+            .collect();
+        if nearest.is_empty() || items.len() == 1 {
+            items
+        } else {
+            vec![Item {
+                text: nearest,
+                children: items,
+            }]
+        }
+    }
+
+    /// Why a positive literal does not hold, below the line that says so.
+    fn below_absence(&mut self, id: NodeId, depth: usize, item: &mut Item) {
+        let mut inner = self.node(id, depth + 1);
+        if inner.children.is_empty() {
+            if let Some((_, told)) = inner.text.split_once("  ") {
+                item.text = format!("{}  {told}", item.text);
+            }
+        } else {
+            item.children.append(&mut inner.children);
+        }
+    }
+}

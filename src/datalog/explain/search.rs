@@ -1,0 +1,730 @@
+//! Bindings that satisfy the literals of a clause, all or all but a few, over what a session holds.
+
+use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
+use crate::datalog::explain::heights::Heights;
+use crate::datalog::explain::{ExplainError, Pattern};
+use crate::datalog::session::Session;
+use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::datalog::value::{Patterns, Value};
+use crate::symbol::Symbol;
+use std::cell::{Cell, OnceCell, RefCell};
+use std::cmp::{Ordering, Reverse};
+use std::collections::HashMap;
+use std::rc::Rc;
+
+/// What each variable of a clause stands for, as far as it is known.
+pub(super) type Binding = Vec<Option<Value>>;
+
+/// Numbers of rows by the values of some columns.
+type Index = HashMap<Vec<Value>, Rc<[u32]>>;
+
+/// The nearest binding is looked for with at most this many failing literals, and in at most this many steps a clause.
+const FAILURES_MAX: usize = 3;
+const NEAREST_STEPS: u64 = 200_000;
+
+/// A relation's rows with indexes by bound columns, made when they are first needed.
+struct Table<'s> {
+    rows: Vec<&'s [Value]>,
+    /// By the set of bound columns, a bit for each.
+    indexes: RefCell<HashMap<u64, Rc<Index>>>,
+}
+
+/// Searches a session, counting steps.
+pub(super) struct Search<'s> {
+    pub(super) session: &'s Session,
+    /// By [`RelId`].
+    tables: Vec<OnceCell<Table<'s>>>,
+    /// By [`RelId`]: the clauses with that head, in the order of the text.
+    clauses: Vec<Vec<ClauseId>>,
+    limit: Cell<u64>,
+    left: Cell<u64>,
+    /// Whether to give up is asked now and then; once it is so, it stays so.
+    pub(super) ask: Option<&'s dyn Fn() -> bool>,
+    interrupted: Cell<bool>,
+    patterns: RefCell<Patterns>,
+    pub(super) heights: Heights,
+}
+
+/// Rows of a relation by their positions.
+enum Rows {
+    All(u32),
+    Some(Rc<[u32]>),
+    None,
+}
+
+impl Rows {
+    fn len(&self) -> usize {
+        match self {
+            Rows::All(count) => *count as usize,
+            Rows::Some(list) => list.len(),
+            Rows::None => 0,
+        }
+    }
+
+    fn get(&self, at: usize) -> u32 {
+        match self {
+            Rows::Some(list) => list[at],
+            _ => at as u32,
+        }
+    }
+}
+
+/// A binding under which the literals that were asked for hold.
+pub(super) struct Solution<'a> {
+    pub(super) binding: &'a [Option<Value>],
+    /// By literal: the position of the row that a positive one stands for.
+    pub(super) rows: &'a [Option<u32>],
+    /// By literal: whether it was given up.
+    pub(super) failed: &'a [bool],
+}
+
+/// Which rows may be used for positive literals.
+type Usable<'a> = &'a dyn Fn(RelId, u32) -> bool;
+/// Is shown every solution; whether to go on.
+type Visit<'a> = &'a mut dyn FnMut(Solution<'_>) -> bool;
+
+/// A clause half way through.
+pub(super) struct Attempt<'a> {
+    pub(super) clause: &'a Clause,
+    /// By literal: whether it is still to be satisfied.
+    pub(super) pending: Vec<bool>,
+    pub(super) binding: Binding,
+    pub(super) rows: Vec<Option<u32>>,
+    failed: Vec<bool>,
+    /// How many more literals may fail.
+    failures: usize,
+}
+
+impl<'a> Attempt<'a> {
+    pub(super) fn new(clause: &'a Clause, pending: &[bool], binding: Binding, failures: usize) -> Self {
+        Attempt {
+            clause,
+            pending: pending.to_vec(),
+            binding,
+            rows: vec![None; clause.body.len()],
+            failed: vec![false; clause.body.len()],
+            failures,
+        }
+    }
+}
+
+/// How to put an [`Attempt`] back as it was.
+#[derive(Default)]
+struct Undo {
+    settled: Vec<usize>,
+    failed: Vec<usize>,
+    bound: Vec<usize>,
+}
+
+impl<'s> Search<'s> {
+    pub(super) fn new(session: &'s Session) -> Self {
+        let rules = session.program().rules();
+        let mut clauses = vec![Vec::new(); rules.relations.len()];
+        for (clause, id) in rules.clauses.iter().zip(0..) {
+            clauses[clause.head.relation.index()].push(ClauseId(id));
+        }
+        Search {
+            session,
+            tables: (0..rules.relations.len()).map(|_| OnceCell::new()).collect(),
+            clauses,
+            limit: Cell::new(0),
+            left: Cell::new(0),
+            ask: None,
+            interrupted: Cell::new(false),
+            patterns: RefCell::default(),
+            heights: Heights::new(rules),
+        }
+    }
+
+    pub(super) fn rules(&self) -> &'s Rules {
+        self.session.program().rules()
+    }
+
+    pub(super) fn clauses_of(&self, rel: RelId) -> Vec<ClauseId> {
+        self.clauses[rel.index()].clone()
+    }
+
+    /// Allows this many steps from now on.
+    pub(super) fn refill(&mut self, steps: u64) {
+        self.limit.set(steps);
+        self.left.set(steps);
+        self.interrupted.set(false);
+    }
+
+    /// How many steps are left.
+    pub(super) fn left(&self) -> u64 {
+        self.left.get()
+    }
+
+    /// Sets how many steps are left.
+    pub(super) fn set_left(&self, steps: u64) {
+        self.left.set(steps);
+    }
+
+    /// Counts a step.
+    pub(super) fn step(&self) -> Result<(), ExplainError> {
+        /// So many steps are between two questions whether to go on.
+        const PAUSE: u64 = 1 << 14;
+        match self.left.get().checked_sub(1) {
+            Some(left) => {
+                self.left.set(left);
+                if left.is_multiple_of(PAUSE) && self.ask.is_some_and(|ask| ask()) {
+                    self.interrupted.set(true);
+                }
+                match self.interrupted.get() {
+                    true => Err(ExplainError::Interrupted),
+                    false => Ok(()),
+                }
+            }
+            None if self.interrupted.get() => Err(ExplainError::Interrupted),
+            None => Err(ExplainError::TooMuchWork {
+                limit: self.limit.get(),
+            }),
+        }
+    }
+
+    fn table(&self, rel: RelId) -> &Table<'s> {
+        self.tables[rel.index()].get_or_init(|| Table {
+            rows: self.session.rows(rel).collect(),
+            indexes: RefCell::default(),
+        })
+    }
+
+    /// The row at a position.
+    pub(super) fn row(&self, rel: RelId, position: u32) -> &'s [Value] {
+        self.table(rel).rows[position as usize]
+    }
+
+    pub(super) fn len(&self, rel: RelId) -> usize {
+        self.table(rel).rows.len()
+    }
+
+    /// The position of a row.
+    pub(super) fn position(&self, rel: RelId, row: &[Value]) -> Option<u32> {
+        let pattern: Pattern = row.iter().copied().map(Some).collect();
+        let rows = self.rows(rel, &pattern);
+        (rows.len() > 0).then(|| rows.get(0))
+    }
+
+    /// The rows that have the values of a pattern.
+    fn rows(&self, rel: RelId, pattern: &[Option<Value>]) -> Rows {
+        let table = self.table(rel);
+        let bound = |column: &usize| pattern[*column].is_some();
+        let columns: Vec<usize> = (0..pattern.len()).filter(bound).collect();
+        if columns.is_empty() {
+            return Rows::All(u32::try_from(table.rows.len()).unwrap_or(u32::MAX));
+        }
+        let mask = columns.iter().fold(0, |mask, column| mask | 1 << column);
+        let mut indexes = table.indexes.borrow_mut();
+        let index = indexes.entry(mask).or_insert_with(|| {
+            let mut lists: HashMap<Vec<Value>, Vec<u32>> = HashMap::new();
+            for (row, position) in table.rows.iter().zip(0..) {
+                let key = columns.iter().map(|&column| row[column]).collect();
+                lists.entry(key).or_default().push(position);
+            }
+            Rc::new(lists.into_iter().map(|(key, list)| (key, list.into())).collect())
+        });
+        let key: Vec<Value> = pattern.iter().flatten().copied().collect();
+        index.get(&key).map_or(Rows::None, |list| Rows::Some(Rc::clone(list)))
+    }
+
+    /// The first row that has the values of a pattern.
+    pub(super) fn first_row(&self, rel: RelId, pattern: &[Option<Value>]) -> Result<Option<Vec<Value>>, ExplainError> {
+        self.step()?;
+        let rows = self.rows(rel, pattern);
+        Ok((rows.len() > 0).then(|| self.row(rel, rows.get(0)).to_vec()))
+    }
+
+    pub(super) fn some_row(&self, rel: RelId, pattern: &[Option<Value>]) -> Result<bool, ExplainError> {
+        Ok(self.first_row(rel, pattern)?.is_some())
+    }
+
+    /// Shows `visit` every binding that extends `binding` and satisfies the `pending` literals except for `failures` of them,
+    /// until it has seen enough.
+    pub(super) fn solve(
+        &self,
+        clause: &Clause,
+        pending: &[bool],
+        binding: Binding,
+        failures: usize,
+        visit: Visit<'_>,
+    ) -> Result<(), ExplainError> {
+        let mut attempt = Attempt::new(clause, pending, binding, failures);
+        self.advance(&mut attempt, &|_, _| true, visit).map(|_| ())
+    }
+
+    /// As [`Search::solve`], from any point and with some rows only.
+    pub(super) fn advance(
+        &self,
+        attempt: &mut Attempt<'_>,
+        usable: Usable<'_>,
+        visit: Visit<'_>,
+    ) -> Result<bool, ExplainError> {
+        self.step()?;
+        let mut undo = Undo::default();
+        let result = self.proceed(attempt, &mut undo, usable, visit);
+        for literal in undo.settled {
+            attempt.pending[literal] = true;
+        }
+        for literal in undo.failed {
+            attempt.failed[literal] = false;
+            attempt.failures += 1;
+        }
+        for variable in undo.bound {
+            attempt.binding[variable] = None;
+        }
+        result
+    }
+
+    fn proceed(
+        &self,
+        attempt: &mut Attempt<'_>,
+        undo: &mut Undo,
+        usable: Usable<'_>,
+        visit: Visit<'_>,
+    ) -> Result<bool, ExplainError> {
+        let clause = attempt.clause;
+        // Where a literal may fail, an equality must not force a value before the atoms have had their say.
+        let mut force = attempt.failures == 0;
+        let chosen = loop {
+            if !self.test(attempt, undo, force)? {
+                return Ok(true);
+            }
+            let mut best: Option<(usize, Rows)> = None;
+            for (literal, body) in clause.body.iter().enumerate() {
+                if let (true, Literal::Positive(atom) | Literal::Guard(atom)) = (attempt.pending[literal], body) {
+                    let rows = self.rows(atom.relation, &pattern(atom, &attempt.binding));
+                    if best.as_ref().is_none_or(|(_, fewest)| rows.len() < fewest.len()) {
+                        best = Some((literal, rows));
+                    }
+                }
+            }
+            match best {
+                Some(best) => break Some(best),
+                None if force => break None,
+                None => force = true,
+            }
+        };
+        let Some((literal, rows)) = chosen else {
+            // What is left speaks of variables that nothing binds any more, so it cannot be said to hold.
+            let open = attempt.pending.iter().filter(|pending| **pending).count();
+            return Ok(open > attempt.failures
+                || visit(Solution {
+                    binding: &attempt.binding,
+                    rows: &attempt.rows,
+                    failed: &attempt.failed,
+                }));
+        };
+        let (Literal::Positive(atom) | Literal::Guard(atom)) = &clause.body[literal] else {
+            return Ok(true);
+        };
+        attempt.pending[literal] = false;
+        undo.settled.push(literal);
+        for at in 0..rows.len() {
+            self.step()?;
+            let position = rows.get(at);
+            if !usable(atom.relation, position) {
+                continue;
+            }
+            let mut bound = Vec::new();
+            if unify(
+                &atom.terms,
+                self.row(atom.relation, position),
+                &mut attempt.binding,
+                &mut bound,
+            ) {
+                attempt.rows[literal] = Some(position);
+                let more = self.advance(attempt, usable, visit);
+                attempt.rows[literal] = None;
+                if !more? {
+                    return Ok(false);
+                }
+            }
+            for variable in bound {
+                attempt.binding[variable] = None;
+            }
+        }
+        let open = || {
+            let unbound = |term: &Term| matches!(term, Term::Variable(v) if attempt.binding[v.index()].is_none());
+            atom.terms.iter().any(unbound)
+        };
+        if attempt.failures > 0 && (rows.len() == 0 || open()) {
+            attempt.failures -= 1;
+            attempt.failed[literal] = true;
+            let more = self.advance(attempt, usable, visit);
+            attempt.failures += 1;
+            attempt.failed[literal] = false;
+            return more;
+        }
+        Ok(true)
+    }
+
+    /// Tests the negated literals, comparisons, expressions and aggregates whose variables are bound. Whether the attempt can go on.
+    fn test(&self, attempt: &mut Attempt<'_>, undo: &mut Undo, force: bool) -> Result<bool, ExplainError> {
+        let clause = attempt.clause;
+        loop {
+            let mut changed = false;
+            for (literal, body) in clause.body.iter().enumerate() {
+                if !attempt.pending[literal] {
+                    continue;
+                }
+                let holds = match body {
+                    Literal::Positive(_) | Literal::Guard(_) => continue,
+                    _ => match self.decide(body, &attempt.binding)? {
+                        Some(holds) => holds,
+                        None if force => match self.learn(body, &attempt.binding)? {
+                            Some((variable, value)) => {
+                                attempt.binding[variable] = Some(value);
+                                undo.bound.push(variable);
+                                true
+                            }
+                            None => continue,
+                        },
+                        None => continue,
+                    },
+                };
+                changed = true;
+                attempt.pending[literal] = false;
+                undo.settled.push(literal);
+                if !holds {
+                    if attempt.failures == 0 {
+                        return Ok(false);
+                    }
+                    attempt.failures -= 1;
+                    attempt.failed[literal] = true;
+                    undo.failed.push(literal);
+                }
+            }
+            if !changed {
+                return Ok(true);
+            }
+        }
+    }
+
+    /// Whether a literal holds, if its variables are bound.
+    fn decide(&self, literal: &Literal, binding: &[Option<Value>]) -> Result<Option<bool>, ExplainError> {
+        match literal {
+            Literal::Positive(atom) | Literal::Guard(atom) if determined(atom, binding) => {
+                self.some_row(atom.relation, &pattern(atom, binding)).map(Some)
+            }
+            Literal::Negative(atom) if determined(atom, binding) => self
+                .some_row(atom.relation, &pattern(atom, binding))
+                .map(|some| Some(!some)),
+            Literal::Compare {
+                op, left, right, base, ..
+            } => Ok(match (value(left, binding), value(right, binding)) {
+                (Some(left), Some(right)) => Some(self.compare(*op, left, right, *base)),
+                _ => None,
+            }),
+            Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => {
+                Ok(match (self.result(literal, binding)?, value(to, binding)) {
+                    (None, _) | (Some(Some(_)), None) => None,
+                    (Some(None), _) => Some(false),
+                    (Some(Some(found)), Some(to)) => Some(found == to),
+                })
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// The value of an expression or aggregate, the inner `None` being that it has none; `None` for other literals and while not
+    /// all that it speaks of is bound.
+    pub(super) fn result(
+        &self,
+        literal: &Literal,
+        binding: &[Option<Value>],
+    ) -> Result<Option<Option<Value>>, ExplainError> {
+        match literal {
+            Literal::Compute {
+                functor,
+                base,
+                arguments,
+                ..
+            } => {
+                let arguments: Option<Vec<Value>> = arguments.iter().map(|term| value(term, binding)).collect();
+                Ok(arguments.map(|arguments| functor.apply(*base, &arguments, self.session.symbols())))
+            }
+            Literal::Aggregate {
+                op, base, atom, column, ..
+            } if determined(atom, binding) => {
+                let rows = self.rows(atom.relation, &pattern(atom, binding));
+                (0..rows.len()).try_for_each(|_| self.step())?;
+                let values = (0..rows.len()).map(|at| match column {
+                    Some(column) => self.row(atom.relation, rows.get(at))[*column],
+                    None => Value(0),
+                });
+                Ok(Some(op.of(*base, values, self.session.symbols())))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// The value that an equality, expression or aggregate gives to its one unbound variable.
+    fn learn(&self, literal: &Literal, binding: &[Option<Value>]) -> Result<Option<(usize, Value)>, ExplainError> {
+        match literal {
+            Literal::Compute {
+                to: to @ Term::Variable(variable),
+                ..
+            }
+            | Literal::Aggregate {
+                to: to @ Term::Variable(variable),
+                ..
+            } if value(to, binding).is_none() => Ok(self
+                .result(literal, binding)?
+                .flatten()
+                .map(|value| (variable.index(), value))),
+            _ => Ok(copy(literal, binding)),
+        }
+    }
+
+    fn compare(&self, op: Comparison, left: Value, right: Value, base: BaseType) -> bool {
+        let symbols = self.session.symbols();
+        let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
+        // Nothing is less or greater than what is not a number.
+        let order = || match base {
+            BaseType::Number => Some(left.as_number().cmp(&right.as_number())),
+            BaseType::Symbol => Some(text(left).cmp(text(right))),
+            BaseType::Unsigned => Some(left.0.cmp(&right.0)),
+            BaseType::Float => left.as_float().partial_cmp(&right.as_float()),
+        };
+        let matches = || self.patterns.borrow_mut().matches(left, text(right), symbols);
+        match op {
+            Comparison::Equal => left == right,
+            Comparison::NotEqual => left != right,
+            Comparison::Less => order().is_some_and(Ordering::is_lt),
+            Comparison::LessEqual => order().is_some_and(Ordering::is_le),
+            Comparison::Greater => order().is_some_and(Ordering::is_gt),
+            Comparison::GreaterEqual => order().is_some_and(Ordering::is_ge),
+            Comparison::Match => matches(),
+            Comparison::NotMatch => !matches(),
+            Comparison::Contains => text(right).contains(text(left)),
+            Comparison::NotContains => !text(right).contains(text(left)),
+        }
+    }
+
+    /// The nearest binding of a clause that does not hold, and the literals that fail under it. See
+    /// [`Obstacle::Body`](super::Obstacle::Body).
+    pub(super) fn nearest(&self, clause: &Clause, binding: Binding) -> Result<(Binding, Vec<usize>), ExplainError> {
+        let mut failing = Vec::new();
+        for (literal, body) in clause.body.iter().enumerate() {
+            if self.decide(body, &binding)? == Some(false) {
+                failing.push(literal);
+            }
+        }
+        if !failing.is_empty() {
+            return Ok((binding, failing));
+        }
+        let outer = self.left.get();
+        let inner = outer.min(NEAREST_STEPS);
+        self.left.set(inner);
+        let found = self.fewest_failures(clause, &binding);
+        self.left.set(outer - (inner - self.left.get()));
+        match found {
+            Ok(Some(found)) => Ok(found),
+            Err(error) if inner == outer => Err(error),
+            Ok(None) | Err(_) => self.longest_prefix(clause, binding),
+        }
+    }
+
+    fn fewest_failures(
+        &self,
+        clause: &Clause,
+        binding: &Binding,
+    ) -> Result<Option<(Binding, Vec<usize>)>, ExplainError> {
+        let all = vec![true; clause.body.len()];
+        for failures in 1..=FAILURES_MAX.min(clause.body.len()) {
+            let mut best = None;
+            self.solve(clause, &all, binding.clone(), failures, &mut |solution| {
+                let failing: Vec<usize> = (0..all.len()).filter(|&literal| solution.failed[literal]).collect();
+                let guards = failing
+                    .iter()
+                    .filter(|&&literal| matches!(clause.body[literal], Literal::Guard(_)));
+                let key = (
+                    coincidences(solution.binding),
+                    guards.count(),
+                    Reverse(failing.first().copied()),
+                    solution.binding.to_vec(),
+                );
+                if best.as_ref().is_none_or(|(least, _)| key < *least) {
+                    best = Some((key, failing));
+                }
+                true
+            })?;
+            if let Some(((.., binding), failing)) = best {
+                return Ok(Some((binding, failing)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// A binding that satisfies as many literals from the front as can be satisfied together, and the one after them. The order
+    /// is that of the text, but a literal that binds nothing waits for its variables.
+    fn longest_prefix(&self, clause: &Clause, binding: Binding) -> Result<(Binding, Vec<usize>), ExplainError> {
+        let mut satisfied = binding.clone();
+        let mut pending = vec![false; clause.body.len()];
+        for literal in in_order(clause, &binding) {
+            pending[literal] = true;
+            let mut found = None;
+            self.solve(clause, &pending, binding.clone(), 0, &mut |solution| {
+                found = Some(solution.binding.to_vec());
+                false
+            })?;
+            match found {
+                Some(binding) => satisfied = binding,
+                None => return Ok((satisfied, vec![literal])),
+            }
+        }
+        Ok((satisfied, Vec::new()))
+    }
+}
+
+/// How many pairs of variables stand for the same.
+fn coincidences(binding: &[Option<Value>]) -> usize {
+    let bound: Vec<Value> = binding.iter().flatten().copied().collect();
+    let pairs = bound.iter().enumerate();
+    pairs
+        .map(|(at, value)| bound[..at].iter().filter(|other| *other == value).count())
+        .sum()
+}
+
+/// The literals, each after those that bind what it speaks of.
+fn in_order(clause: &Clause, binding: &Binding) -> Vec<usize> {
+    let mut bound: Vec<bool> = binding.iter().map(Option::is_some).collect();
+    let mut order = Vec::new();
+    while order.len() < clause.body.len() {
+        let ready = |literal: &usize| !order.contains(literal) && binds(&clause.body[*literal], &bound).is_some();
+        let Some(next) = (0..clause.body.len()).find(ready) else {
+            break;
+        };
+        for variable in binds(&clause.body[next], &bound).unwrap_or_default() {
+            bound[variable] = true;
+        }
+        order.push(next);
+    }
+    order
+}
+
+/// The variables that are bound once a literal is satisfied; `None` if that cannot be told while so few are.
+fn binds(literal: &Literal, bound: &[bool]) -> Option<Vec<usize>> {
+    let variable = |term: &Term| match term {
+        Term::Variable(variable) => Some(variable.index()),
+        _ => None,
+    };
+    let known = |term: &Term| variable(term).is_none_or(|variable| bound[variable]);
+    match literal {
+        Literal::Positive(atom) | Literal::Guard(atom) => Some(atom.terms.iter().filter_map(variable).collect()),
+        Literal::Negative(atom) => atom.terms.iter().all(known).then(Vec::new),
+        Literal::Compare { op, left, right, .. } => match (known(left), known(right)) {
+            (true, true) => Some(Vec::new()),
+            (false, false) => None,
+            _ if *op == Comparison::Equal => Some([left, right].into_iter().filter_map(variable).collect()),
+            _ => None,
+        },
+        Literal::Compute { to, arguments, .. } => {
+            (arguments.iter().all(known)).then(|| variable(to).into_iter().collect())
+        }
+        Literal::Aggregate { to, atom, .. } => {
+            (atom.terms.iter().all(known)).then(|| variable(to).into_iter().collect())
+        }
+    }
+}
+
+/// Whether the pending literals bind every variable that the head, they themselves or nothing else needs.
+pub(super) fn safe(clause: &Clause, pending: &[bool]) -> bool {
+    let mut bound = vec![false; clause.variables.len()];
+    let mut waiting: Vec<&Literal> = (clause.body.iter().zip(pending))
+        .filter_map(|(literal, pending)| pending.then_some(literal))
+        .collect();
+    loop {
+        let before = waiting.len();
+        waiting.retain(|literal| match binds(literal, &bound) {
+            Some(variables) => {
+                variables.into_iter().for_each(|variable| bound[variable] = true);
+                false
+            }
+            None => true,
+        });
+        if waiting.len() == before {
+            break;
+        }
+    }
+    let head = clause.head.terms.iter();
+    waiting.is_empty()
+        && head
+            .into_iter()
+            .all(|term| !matches!(term, Term::Variable(variable) if !bound[variable.index()]))
+}
+
+/// What a term stands for.
+pub(super) fn value(term: &Term, binding: &[Option<Value>]) -> Option<Value> {
+    match *term {
+        Term::Constant(constant) => Some(constant),
+        Term::Variable(variable) => binding[variable.index()],
+        Term::Wildcard => None,
+    }
+}
+
+/// The values of an atom as far as they are known.
+pub(super) fn pattern(atom: &Atom, binding: &[Option<Value>]) -> Pattern {
+    atom.terms.iter().map(|term| value(term, binding)).collect()
+}
+
+/// Whether every variable of an atom is bound.
+fn determined(atom: &Atom, binding: &[Option<Value>]) -> bool {
+    let bound = |term: &Term| !matches!(term, Term::Variable(variable) if binding[variable.index()].is_none());
+    atom.terms.iter().all(bound)
+}
+
+/// Whether an unbound variable occurs twice in an atom.
+pub(super) fn repeats(atom: &Atom, binding: &[Option<Value>]) -> bool {
+    let open = |term: &&Term| matches!(term, Term::Variable(variable) if binding[variable.index()].is_none());
+    let mut terms = atom.terms.iter().enumerate().filter(|(_, term)| open(term));
+    terms.any(|(at, term)| atom.terms[..at].contains(term))
+}
+
+/// The value that an equality gives to its one unbound variable.
+fn copy(literal: &Literal, binding: &[Option<Value>]) -> Option<(usize, Value)> {
+    let Literal::Compare {
+        op: Comparison::Equal,
+        left,
+        right,
+        ..
+    } = literal
+    else {
+        return None;
+    };
+    match (left, value(left, binding), right, value(right, binding)) {
+        (Term::Variable(variable), None, _, Some(value)) | (_, Some(value), Term::Variable(variable), None) => {
+            Some((variable.index(), value))
+        }
+        _ => None,
+    }
+}
+
+/// Binds the variables of the terms so that they stand for the row, and notes which were new. `false` if they cannot; what was
+/// noted is to be taken back then too.
+pub(super) fn unify(terms: &[Term], row: &[Value], binding: &mut Binding, bound: &mut Vec<usize>) -> bool {
+    terms.iter().zip(row).all(|(term, &found)| match *term {
+        Term::Wildcard => true,
+        Term::Constant(constant) => constant == found,
+        Term::Variable(variable) => match binding[variable.index()] {
+            Some(known) => known == found,
+            None => {
+                binding[variable.index()] = Some(found);
+                bound.push(variable.index());
+                true
+            }
+        },
+    })
+}
+
+/// Binds the variables of the head so that it has the values of the pattern, or says in which column it cannot.
+pub(super) fn bind_head(clause: &Clause, pattern: &[Option<Value>], binding: &mut Binding) -> Result<(), usize> {
+    for (column, (term, &wanted)) in clause.head.terms.iter().zip(pattern).enumerate() {
+        let Some(wanted) = wanted else { continue };
+        if !unify(std::slice::from_ref(term), &[wanted], binding, &mut Vec::new()) {
+            return Err(column);
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,233 @@
+//! Relations as text, by Soufflé's conventions.
+//!
+//! One row is one line, its values are separated by tabs or what a [`RowFormat`] says: a symbol as it is, a number in decimal,
+//! a float with up to nine significant digits. The only row of a relation without columns is `()`. This module turns text into rows and
+//! rows into text; reading and writing files is for others.
+
+use crate::datalog::check::{Column, RelId, Relation, RowFormat};
+use crate::datalog::session::Session;
+use crate::datalog::syntax::ast::BaseType;
+use crate::datalog::value::{Value, parse as parse_value, print_float};
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span};
+use crate::symbol::Symbol;
+use std::cmp::Ordering;
+use std::io::{self, Write};
+
+/// Inserts the rows of a `.facts` text into a relation, to hold from the next commit on, and says how many lines there were. If
+/// there are faults, nothing is inserted.
+///
+/// ```text
+/// Car_1<tab>7
+/// Car_2<tab>-3
+/// ```
+pub fn load(session: &mut Session, rel: RelId, sources: &Sources, source: SourceId) -> Result<usize, Vec<Diagnostic>> {
+    load_as(session, rel, sources, source, &RowFormat::default())
+}
+
+/// The same for rows in any format.
+pub fn load_as(
+    session: &mut Session,
+    rel: RelId,
+    sources: &Sources,
+    source: SourceId,
+    format: &RowFormat,
+) -> Result<usize, Vec<Diagnostic>> {
+    let program = session.program().clone();
+    let Some(relation) = program.rules().relations.get(rel.index()) else {
+        return Err(vec![Diagnostic::new(
+            Code::InvalidFact,
+            "the program has no such relation",
+        )]);
+    };
+    let text = sources.text(source);
+    let mut faults = Faults::default();
+    let mut rows: Vec<Value> = Vec::new();
+    let mut count = 0;
+    let mut start = 0;
+    // The last line may or may not end with a line break.
+    for line in text
+        .strip_suffix('\n')
+        .unwrap_or(text)
+        .split('\n')
+        .take(if text.is_empty() { 0 } else { usize::MAX })
+    {
+        if format.headers && start == 0 {
+            start += line.len() + 1;
+            continue;
+        }
+        let content = line.strip_suffix('\r').unwrap_or(line);
+        let span = |from: usize, to: usize| Span::new(source, start + from..start + to);
+        if relation.columns.is_empty() {
+            if content != "()" {
+                let message = format!("`{}` has no columns; its only row is `()`", relation.name);
+                faults.push(Diagnostic::new(Code::InvalidFact, message).at(span(0, content.len()), "expected `()`"));
+            }
+        } else {
+            let mut parts = split(content, format);
+            let found = parts.len();
+            let last = format.columns.iter().max();
+            let complete = last.map_or(found == relation.arity(), |&last| last < found);
+            if complete && last.is_some() {
+                parts = format.columns.iter().map(|&column| parts[column].clone()).collect();
+            }
+            if !complete {
+                let message = if content.is_empty() {
+                    format!("an empty line where a row of `{}` was expected", relation.name)
+                } else if let Some(last) = last {
+                    format!("a row of {found} values where value {last} is read, counted from 0")
+                } else {
+                    let (name, arity) = (&relation.name, relation.arity());
+                    format!("a row of `{name}` has {arity} values, not {found}")
+                };
+                let fault = Diagnostic::new(Code::InvalidFact, message).at(span(0, content.len()), "");
+                faults.push(
+                    fault
+                        .also(relation.span, "declared here")
+                        .help(if format.delimiter == "\t" {
+                            "values are separated by single tabs".to_owned()
+                        } else {
+                            format!("values are separated by `{}`", format.delimiter)
+                        }),
+                );
+            } else {
+                for (column, part) in relation.columns.iter().zip(parts) {
+                    let value = &content[part.clone()];
+                    match parse(session, column, value, format) {
+                        Some(value) => rows.push(value),
+                        None => {
+                            let (what, label) = match column.base {
+                                BaseType::Unsigned => {
+                                    ("unsigned numbers", "not a 32-bit decimal number without a sign")
+                                }
+                                BaseType::Float => ("floats", "not a decimal number"),
+                                _ => ("numbers", "not a 32-bit decimal number"),
+                            };
+                            let message = format!("column `{}` of `{}` holds {what}", column.name, relation.name);
+                            let fault = Diagnostic::new(Code::InvalidFact, message);
+                            faults.push(fault.at(span(part.start, part.end), label));
+                        }
+                    }
+                }
+            }
+        }
+        count += 1;
+        start += line.len() + 1;
+    }
+    let mut faults = faults.finish();
+    if faults.is_empty() {
+        let noted = match relation.arity() {
+            0 => (0..count).try_for_each(|_| session.insert(rel, &[])),
+            arity => session.insert_all(rel, rows.chunks_exact(arity)),
+        };
+        if let Err(error) = noted {
+            faults.push(Diagnostic::new(Code::InvalidFact, error.to_string()));
+        }
+    }
+    if faults.is_empty() { Ok(count) } else { Err(faults) }
+}
+
+/// Where the values of a line stand.
+fn split(line: &str, format: &RowFormat) -> Vec<std::ops::Range<usize>> {
+    let mut parts = Vec::new();
+    let mut from = 0;
+    for (at, delimiter) in line.match_indices(format.delimiter.as_str()) {
+        // A delimiter between quotes is part of the text. A doubled quote opens and closes.
+        let quotes = || line[from..at].bytes().filter(|byte| *byte == b'"').count();
+        if !format.quoted || quotes() % 2 == 0 {
+            parts.push(from..at);
+            from = at + delimiter.len();
+        }
+    }
+    parts.push(from..line.len());
+    parts
+}
+
+fn parse(session: &mut Session, column: &Column, text: &str, format: &RowFormat) -> Option<Value> {
+    match column.base {
+        BaseType::Symbol => {
+            let inner = text.strip_prefix('"').and_then(|text| text.strip_suffix('"'));
+            match inner.filter(|_| format.quoted) {
+                Some(inner) => Some(session.intern(&inner.replace("\"\"", "\""))),
+                None => Some(session.intern(text)),
+            }
+        }
+        base => parse_value(base, text.trim_start_matches(' ')),
+    }
+}
+
+/// The rows of a relation as text, ordered by what is shown: numbers by value, symbols by text.
+pub fn print(session: &Session, rel: RelId) -> String {
+    let mut out = Vec::new();
+    write_rows(session, rel, &RowFormat::default(), &mut out).expect("writing to memory cannot fail");
+    String::from_utf8(out).expect("texts are written whole")
+}
+
+/// The names of the columns on a line, if the format has it.
+pub fn header(relation: &Relation, format: &RowFormat) -> String {
+    let names: Vec<&str> = relation.columns.iter().map(|column| column.name.as_str()).collect();
+    match format.headers {
+        true => names.join(&format.delimiter) + "\n",
+        false => String::new(),
+    }
+}
+
+/// The rows of a relation, ordered by what is shown: numbers by value, symbols by text.
+pub fn sorted(session: &Session, rel: RelId) -> Vec<&[Value]> {
+    let mut rows: Vec<&[Value]> = session.rows(rel).collect();
+    let Some(relation) = session.program().rules().relations.get(rel.index()) else {
+        return rows;
+    };
+    let text = |value: Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
+    rows.sort_by(|a, b| {
+        let mut columns = relation.columns.iter().zip(a.iter().zip(*b));
+        let order = columns.find_map(|(column, (a, b))| {
+            let order = match column.base {
+                BaseType::Symbol => text(*a).cmp(text(*b)),
+                BaseType::Number => a.as_number().cmp(&b.as_number()),
+                BaseType::Unsigned => a.cmp(b),
+                BaseType::Float => a.as_float().total_cmp(&b.as_float()),
+            };
+            order.is_ne().then_some(order)
+        });
+        order.unwrap_or(Ordering::Equal)
+    });
+    rows
+}
+
+/// A value as it stands in a file of rows.
+pub fn print_value(session: &Session, value: Value, base: BaseType) -> String {
+    match base {
+        BaseType::Symbol => session.symbols().text(Symbol(value.0)).unwrap_or_default().to_owned(),
+        BaseType::Number => value.as_number().to_string(),
+        BaseType::Unsigned => value.0.to_string(),
+        BaseType::Float => print_float(value.as_float()),
+    }
+}
+
+/// Writes what [`print()`] prints in any format, without the header. The text may be far larger than the session: a long symbol may
+/// be in many rows.
+pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut dyn Write) -> io::Result<()> {
+    let Some(relation) = session.program().rules().relations.get(rel.index()) else {
+        return Ok(());
+    };
+    let text = |value: Value| session.symbols().text(Symbol(value.0)).unwrap_or_default();
+    for row in sorted(session, rel) {
+        for (position, (column, value)) in relation.columns.iter().zip(row).enumerate() {
+            if position > 0 {
+                out.write_all(format.delimiter.as_bytes())?;
+            }
+            match column.base {
+                BaseType::Symbol if format.quoted => write!(out, "\"{}\"", text(*value).replace('"', "\"\""))?,
+                BaseType::Symbol => out.write_all(text(*value).as_bytes())?,
+                BaseType::Number => write!(out, "{}", value.as_number())?,
+                BaseType::Unsigned => write!(out, "{}", value.0)?,
+                BaseType::Float => out.write_all(print_float(value.as_float()).as_bytes())?,
+            }
+        }
+        if relation.columns.is_empty() {
+            out.write_all(b"()")?;
+        }
+        out.write_all(b"\n")?;
+    }
+    Ok(())
+}

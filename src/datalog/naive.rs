@@ -1,0 +1,189 @@
+//! The slow, obvious evaluator: what a program means.
+//!
+//! It tries every clause on every combination of rows until nothing new is derived, one stratum after the other. It shares no
+//! code with the real executor and is never made faster; tests compare the two.
+
+use crate::datalog::check::{Atom, Clause, Literal, RelId, Rules, Term};
+use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::datalog::value::{Patterns, Value};
+use crate::symbol::{Symbol, Symbols};
+use std::collections::BTreeSet;
+
+/// All rows that hold, by [`RelId`].
+pub type Database = Vec<BTreeSet<Vec<Value>>>;
+
+/// What each variable of a clause stands for, as far as it is known.
+type Binding = Vec<Option<Value>>;
+
+/// All that holds if `facts` do. `symbols` must know the symbols in rules and facts.
+pub fn evaluate(rules: &Rules, symbols: &Symbols, facts: impl IntoIterator<Item = (RelId, Vec<Value>)>) -> Database {
+    let mut database: Database = vec![BTreeSet::new(); rules.relations.len()];
+    for (relation, row) in facts {
+        database[relation.index()].insert(row);
+    }
+    for stratum in &rules.strata {
+        loop {
+            let mut changed = false;
+            for &clause in &stratum.clauses {
+                let clause = &rules.clauses[clause.index()];
+                for row in consequences(clause, symbols, &database) {
+                    changed |= database[clause.head.relation.index()].insert(row);
+                }
+            }
+            if !changed {
+                break;
+            }
+        }
+    }
+    database
+}
+
+/// The head rows that a clause derives from the database.
+pub fn consequences(clause: &Clause, symbols: &Symbols, database: &Database) -> BTreeSet<Vec<Value>> {
+    let mut bindings: Vec<Binding> = vec![vec![None; clause.variables.len()]];
+
+    // P(x, y): for each row of P that agrees with what is known.
+    for literal in &clause.body {
+        if let Literal::Positive(atom) | Literal::Guard(atom) = literal {
+            let rows = &database[atom.relation.index()];
+            bindings = bindings
+                .iter()
+                .flat_map(|known| rows.iter().filter_map(|row| unify(atom, row, known)))
+                .collect();
+        }
+    }
+
+    // x = y, x = y + 1, x = sum z : { P(y, z) }: what one side is, the other is. As often as there could be a chain of such
+    // literals.
+    for _ in &clause.body {
+        for known in &mut bindings {
+            for literal in &clause.body {
+                match literal {
+                    Literal::Compare {
+                        op: Comparison::Equal,
+                        left,
+                        right,
+                        ..
+                    } => {
+                        learn(left, value(right, known), known);
+                        learn(right, value(left, known), known);
+                    }
+                    Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => {
+                        learn(to, result(literal, known, database, symbols), known);
+                    }
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    // x < y, !P(x, _): now that everything is bound.
+    bindings.retain(|known| {
+        clause.body.iter().all(|literal| match literal {
+            Literal::Positive(_) | Literal::Guard(_) => true,
+            Literal::Negative(atom) => !database[atom.relation.index()]
+                .iter()
+                .any(|row| unify(atom, row, known).is_some()),
+            Literal::Compare {
+                op, left, right, base, ..
+            } => match (value(left, known), value(right, known)) {
+                (Some(left), Some(right)) => compare(*op, left, right, *base, symbols),
+                _ => false,
+            },
+            Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => {
+                value(to, known).is_some() && value(to, known) == result(literal, known, database, symbols)
+            }
+        })
+    });
+
+    // P(x, y) :- ...
+    let head = |known: &Binding| clause.head.terms.iter().map(|term| value(term, known)).collect();
+    bindings.iter().filter_map(head).collect()
+}
+
+/// What is known once the atom stands for the row; `None` if it cannot.
+fn unify(atom: &Atom, row: &[Value], known: &Binding) -> Option<Binding> {
+    let mut known = known.clone();
+    for (term, &found) in atom.terms.iter().zip(row) {
+        match *term {
+            Term::Wildcard => {}
+            Term::Constant(constant) if constant == found => {}
+            Term::Constant(_) => return None,
+            Term::Variable(variable) => {
+                if *known[variable.index()].get_or_insert(found) != found {
+                    return None;
+                }
+            }
+        }
+    }
+    Some(known)
+}
+
+/// If `to` is an unknown variable, it becomes what was found.
+fn learn(to: &Term, found: Option<Value>, known: &mut Binding) {
+    if let Term::Variable(variable) = to {
+        known[variable.index()] = known[variable.index()].or(found);
+    }
+}
+
+/// The value of an expression or aggregate, if it has one and all that it needs is known.
+fn result(literal: &Literal, known: &Binding, database: &Database, symbols: &Symbols) -> Option<Value> {
+    match literal {
+        Literal::Compute {
+            functor,
+            base,
+            arguments,
+            ..
+        } => {
+            let arguments: Option<Vec<Value>> = arguments.iter().map(|argument| value(argument, known)).collect();
+            functor.apply(*base, &arguments?, symbols)
+        }
+        Literal::Aggregate {
+            op, base, atom, column, ..
+        } => {
+            let ready = |term: &Term| *term == Term::Wildcard || value(term, known).is_some();
+            if !atom.terms.iter().all(ready) {
+                return None;
+            }
+            let rows = database[atom.relation.index()].iter();
+            let rows = rows.filter(|row| unify(atom, row, known).is_some());
+            op.of(
+                *base,
+                rows.map(|row| column.map_or(Value(0), |column| row[column])),
+                symbols,
+            )
+        }
+        _ => None,
+    }
+}
+
+fn value(term: &Term, known: &Binding) -> Option<Value> {
+    match *term {
+        Term::Constant(constant) => Some(constant),
+        Term::Variable(variable) => known[variable.index()],
+        Term::Wildcard => None,
+    }
+}
+
+fn compare(op: Comparison, left: Value, right: Value, base: BaseType, symbols: &Symbols) -> bool {
+    let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
+    let less = |left: Value, right: Value| match base {
+        BaseType::Number => left.as_number() < right.as_number(),
+        BaseType::Symbol => text(left) < text(right),
+        BaseType::Unsigned => left.0 < right.0,
+        BaseType::Float => left.as_float() < right.as_float(),
+    };
+    let nan = base == BaseType::Float && (left.as_float().is_nan() || right.as_float().is_nan());
+    match op {
+        Comparison::Equal => left == right,
+        Comparison::NotEqual => left != right,
+        Comparison::Less => less(left, right),
+        Comparison::LessEqual => !nan && !less(right, left),
+        Comparison::Greater => less(right, left),
+        Comparison::GreaterEqual => !nan && !less(left, right),
+        Comparison::Contains => text(right).contains(text(left)),
+        Comparison::NotContains => !text(right).contains(text(left)),
+        Comparison::Match => Patterns::default().matches(left, text(right), symbols),
+        Comparison::NotMatch => !Patterns::default().matches(left, text(right), symbols),
+    }
+}

@@ -1,0 +1,464 @@
+//! How much work plans do, judged by the sizes of relations. All of it is a function of the rows alone, so choices are the same in
+//! every run.
+//!
+//! Where a clause is planned for rows that are there, [`Size`] measures them and [`Flow`] follows a plan while it is made. Which
+//! of several plans a round of a recursion uses is asked so often that only a [`Shape`] is taken: it takes words for evenly spread,
+//! so that of `n` rows whose column has words between `a` and `b`, a word finds `n / (b - a + 1)`.
+
+use crate::datalog::check::VarId;
+use crate::datalog::plan::steps::{Indexes, Plan, Source, Step};
+use crate::datalog::row::{Row, gallop};
+use crate::datalog::syntax::ast::Comparison;
+
+/// How many rows there are and between which words each column lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Shape<const W: usize> {
+    rows: usize,
+    least: [u32; W],
+    most: [u32; W],
+}
+
+impl<const W: usize> Default for Shape<W> {
+    fn default() -> Self {
+        Shape {
+            rows: 0,
+            least: [u32::MAX; W],
+            most: [0; W],
+        }
+    }
+}
+
+impl<const W: usize> Shape<W> {
+    /// Rows that are looked at; so many say enough.
+    const SAMPLE: usize = 64;
+
+    /// Of these rows.
+    pub(crate) fn of(rows: &[Row<W>]) -> Self {
+        let mut shape = Shape {
+            rows: rows.len(),
+            ..Self::default()
+        };
+        let step = rows.len().div_ceil(Self::SAMPLE).max(1);
+        for row in rows.iter().step_by(step).chain(rows.last()) {
+            for column in 0..W {
+                shape.least[column] = shape.least[column].min(row.0[column].0);
+                shape.most[column] = shape.most[column].max(row.0[column].0);
+            }
+        }
+        shape
+    }
+
+    /// Of both.
+    pub(crate) fn with(mut self, other: Self) -> Self {
+        self.rows += other.rows;
+        for column in 0..W {
+            self.least[column] = self.least[column].min(other.least[column]);
+            self.most[column] = self.most[column].max(other.most[column]);
+        }
+        self
+    }
+
+    /// How many rows have given words in these columns.
+    pub(crate) fn found(&self, columns: &[u16]) -> f64 {
+        let spread =
+            |&column: &u16| f64::from(self.most[column as usize].saturating_sub(self.least[column as usize])) + 1.0;
+        self.rows as f64 / columns.iter().map(spread).product::<f64>()
+    }
+}
+
+/// The first plan, unless one of the others does clearly less.
+pub(crate) fn choose<'a, const W: usize>(
+    first: &'a Plan,
+    others: &'a [Plan],
+    indexes: &Indexes,
+    shape: &dyn Fn(Source) -> Shape<W>,
+) -> &'a Plan {
+    let mut best = (first, f64::INFINITY);
+    if !others.is_empty() {
+        best.1 = effort(first, indexes, shape) / 2.0;
+    }
+    for other in others {
+        let effort = effort(other, indexes, shape);
+        if effort < best.1 {
+            best = (other, effort);
+        }
+    }
+    best.0
+}
+
+/// About how many rows a plan looks at.
+fn effort<const W: usize>(plan: &Plan, indexes: &Indexes, shape: &dyn Fn(Source) -> Shape<W>) -> f64 {
+    let found = |source: Source, key: usize| shape(source).found(&indexes[source.index].columns[..key]);
+    follow(&plan.steps, &found).1
+}
+
+/// About how many rows a plan looks at and derives, if so many rows of a source begin with a key of so many columns.
+pub(crate) fn expected(plan: &Plan, found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
+    let (mut flow, mut effort) = (1.0, 0.0);
+    let mut at = 0;
+    while at < plan.steps.len() {
+        // Of a part for which one success is enough, no more is done.
+        let (end, enough) = match plan.enough[at] as usize {
+            0 => (at + 1, false),
+            end => (end, true),
+        };
+        let (successes, search) = follow(&plan.steps[at..end], found);
+        effort += flow * if enough { search / successes.max(1.0) } else { search };
+        flow *= if enough { successes.min(1.0) } else { successes };
+        at = end;
+    }
+    (effort, flow)
+}
+
+/// How many rows come to the end of the steps for one that comes to their beginning, and how many are looked at for it.
+fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
+    let (mut flow, mut effort) = (1.0, 0.0);
+    for step in steps {
+        effort += flow;
+        match step {
+            Step::Scan { source, key, .. } => {
+                flow *= found(*source, key.len());
+                effort += flow;
+            }
+            Step::Meet { lists, .. } => {
+                let found = lists.iter().map(|list| found(list.source, list.key.len()));
+                let least = found.fold(f64::INFINITY, f64::min);
+                effort += flow * least * lists.len() as f64;
+                flow *= least;
+            }
+            Step::Exists { source, key } => flow *= found(*source, key.len()).min(1.0),
+            Step::Absent { source, key } => flow *= 1.0 - found(*source, key.len()).min(0.9),
+            Step::Copy { .. } | Step::Compute { test: false, .. } => {}
+            Step::Aggregate { source, key, .. } => effort += flow * found(*source, key.len()),
+            Step::Compare {
+                op: Comparison::Equal, ..
+            }
+            | Step::Compute { test: true, .. } => flow *= Flow::EQUAL,
+            Step::Compare { .. } => flow *= Flow::COMPARED,
+        }
+    }
+    (flow, effort)
+}
+
+/// How many rows a relation has and how they are spread, measured on a sample.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Size {
+    pub(crate) rows: usize,
+    /// By column.
+    columns: Vec<Spread>,
+}
+
+/// How the words of a column are spread.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Spread {
+    /// About how many different words there are.
+    distinct: f64,
+    /// About how many rows have the word of a row, on average over rows: more than `rows / distinct` if some words are more
+    /// frequent than others.
+    often: f64,
+}
+
+impl Size {
+    /// Rows that are looked at; so many say enough.
+    const SAMPLE: usize = 128;
+
+    /// Of so many rows with words of `words` kinds, evenly spread.
+    pub(crate) fn even(rows: f64, arity: usize, words: f64) -> Self {
+        let spread = Spread {
+            distinct: words.min(rows),
+            often: (rows / words).max(1.0),
+        };
+        Size {
+            rows: rows as usize,
+            columns: vec![spread; arity],
+        }
+    }
+
+    /// Of sorted rows with so many columns.
+    pub(crate) fn of<const W: usize>(rows: &[Row<W>], arity: usize) -> Self {
+        let count = rows.len().min(Self::SAMPLE);
+        // One row of each of so many equal parts, not always the same one: words may come in periods.
+        let at = |number: usize| {
+            let (from, to) = (number * rows.len() / count, (number + 1) * rows.len() / count);
+            from + (number.wrapping_mul(0x9E37_79B9) >> 7) % (to - from)
+        };
+        let spread = |column: usize| match column {
+            _ if rows.is_empty() => Spread {
+                distinct: 0.0,
+                often: 0.0,
+            },
+            0 => {
+                let group = |number: usize| same_first(rows, at(number)) as f64;
+                let inverse: f64 = (0..count).map(|number| 1.0 / group(number)).sum();
+                Spread {
+                    distinct: (inverse / count as f64 * rows.len() as f64).max(1.0),
+                    often: (0..count).map(group).sum::<f64>() / count as f64,
+                }
+            }
+            _ => {
+                let mut words: Vec<u32> = (0..count).map(|number| rows[at(number)].0[column].0).collect();
+                Self::spread(&mut words, rows.len() as f64)
+            }
+        };
+        Size {
+            rows: rows.len(),
+            columns: (0..arity).map(spread).collect(),
+        }
+    }
+
+    /// How words are spread of which this is a sample.
+    fn spread(words: &mut [u32], rows: f64) -> Spread {
+        words.sort_unstable();
+        let count = words.len() as f64;
+        let (mut different, mut single, mut pairs) = (0.0, 0.0, 0.0);
+        for group in words.chunk_by(|a, b| a == b) {
+            let length = group.len() as f64;
+            different += 1.0;
+            single += f64::from(u8::from(group.len() == 1));
+            pairs += length * (length - 1.0);
+        }
+        if count == rows {
+            let often = pairs / count + 1.0;
+            return Spread {
+                distinct: different,
+                often,
+            };
+        }
+        // Words seen once stand for others that were not seen (the guaranteed-error estimator of Charikar et al., 2000); of evenly
+        // spread words, how often two agree says how many there are.
+        let agree = pairs / (count * (count - 1.0));
+        let by_single = (rows / count).sqrt() * single + (different - single);
+        let by_pairs = if agree > 0.0 { 1.0 / agree } else { rows };
+        let distinct = by_single.max(by_pairs).min(rows);
+        Spread {
+            distinct,
+            often: (rows * agree).max(rows / distinct),
+        }
+    }
+}
+
+/// How many rows begin with the same word as the one at a position.
+fn same_first<const W: usize>(rows: &[Row<W>], at: usize) -> usize {
+    let word = rows[at].0[0];
+    let before = rows[..at].partition_point(|row| row.0[0] < word);
+    at - before + gallop(&rows[at..], |row| row.0[0] == word)
+}
+
+/// A column with known words, and the variable that holds them; none for a constant.
+pub(crate) type Known = (u16, Option<VarId>);
+type Key = [Known];
+
+/// What is expected behind a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Reckoning {
+    /// Rows that come to the next step.
+    rows: f64,
+    /// Rows looked at by the steps so far.
+    effort: f64,
+}
+
+/// The rows that the steps of a plan look at, of which some parts are done only until they succeed; see [`Plan::enough`].
+pub(crate) fn effort_of_parts(trail: &[Reckoning], enough: &[u16]) -> f64 {
+    let (mut rows, mut effort, mut at) = (1.0, 0.0, 0);
+    let mut before = Reckoning { rows: 1.0, effort: 0.0 };
+    while at < trail.len() && before.rows > 0.0 {
+        let end = (enough[at] as usize).max(at + 1);
+        let after = trail[end - 1];
+        let successes = after.rows / before.rows;
+        let tries = if enough[at] > 0 { successes.max(1.0) } else { 1.0 };
+        effort += rows * (after.effort - before.effort) / before.rows / tries;
+        rows *= successes / tries;
+        (before, at) = (after, end);
+    }
+    effort
+}
+
+/// What is expected of a plan while it is made.
+#[derive(Clone, Debug)]
+pub(crate) struct Flow {
+    /// Rows that come to the next step.
+    rows: f64,
+    /// Rows looked at by the steps so far.
+    effort: f64,
+    /// By variable: how many different words it has; 0 if nothing is known about it.
+    words: Vec<f64>,
+}
+
+impl Flow {
+    /// The share of rows for which two words are equal, and for which another comparison holds: guesses.
+    pub(crate) const EQUAL: f64 = 0.1;
+    pub(crate) const COMPARED: f64 = 0.5;
+
+    /// At the beginning.
+    pub(crate) fn new(variables: usize) -> Self {
+        Flow {
+            rows: 1.0,
+            effort: 0.0,
+            words: vec![0.0; variables],
+        }
+    }
+
+    /// What is expected so far.
+    pub(crate) fn reckoning(&self) -> Reckoning {
+        Reckoning {
+            rows: self.rows,
+            effort: self.effort,
+        }
+    }
+
+    /// How many rows the key finds. Of the words of a variable that has more than the column, some find nothing.
+    pub(crate) fn found(&self, size: &Size, key: &Key) -> f64 {
+        let (mut combinations, mut misses) = (1.0, 1.0);
+        for &(column, variable) in key {
+            let distinct = size.columns[column as usize].distinct.max(1.0);
+            let words = variable.map_or(0.0, |variable| self.words[variable.index()]);
+            combinations *= distinct;
+            misses *= (words / distinct).max(1.0);
+        }
+        let rows = size.rows as f64;
+        rows / combinations.clamp(1.0, rows.max(1.0)) / misses
+    }
+
+    /// The same, if what is asked for is as unevenly spread as what is there.
+    pub(crate) fn found_often(&self, size: &Size, key: &Key) -> f64 {
+        let rows = size.rows.max(1) as f64;
+        let share = |&(column, _): &(u16, _)| size.columns[column as usize].often / rows;
+        (rows * key.iter().map(share).product::<f64>()).max(self.found(size, key))
+    }
+
+    /// Rows are scanned that the key finds; they bind variables.
+    pub(crate) fn scan(&mut self, size: &Size, key: &Key, bind: &[(u16, u16)]) {
+        self.effort += self.rows;
+        self.rows *= self.found(size, key);
+        self.effort += self.rows;
+        self.narrow(size, key);
+        for &(column, slot) in bind {
+            self.words[slot as usize] = size.columns[column as usize].distinct.min(self.rows.max(1.0));
+        }
+    }
+
+    /// A scan that runs once passes all rows, since it has no index for its key.
+    pub(crate) fn passes(&mut self, size: &Size) {
+        self.effort += size.rows as f64;
+    }
+
+    /// It is asked whether the key finds something.
+    pub(crate) fn exists(&mut self, size: &Size, key: &Key) {
+        self.effort += self.rows;
+        self.rows *= self.found(size, key).min(1.0);
+        self.narrow(size, key);
+    }
+
+    /// It is asked whether the key finds nothing.
+    pub(crate) fn absent(&mut self, size: &Size, key: &Key) {
+        self.effort += self.rows;
+        self.rows *= 1.0 - self.found(size, key).min(0.9);
+    }
+
+    /// A variable is bound to what all these have.
+    pub(crate) fn meet(&mut self, lists: &[(&Size, Vec<Known>)], variable: VarId) {
+        let found = lists.iter().map(|(size, key)| self.found(size, key));
+        let least = found.fold(f64::INFINITY, f64::min);
+        self.effort += self.rows * lists.len() as f64 * (1.0 + least);
+        self.rows *= least;
+        lists.iter().for_each(|(size, key)| self.narrow(size, key));
+        self.words[variable.index()] = self.rows.max(1.0);
+    }
+
+    /// A comparison lets a share of the rows pass.
+    pub(crate) fn filter(&mut self, share: f64) {
+        self.effort += self.rows;
+        self.rows *= share;
+    }
+
+    /// The variables of a key have no more words than its columns.
+    fn narrow(&mut self, size: &Size, key: &Key) {
+        for &(column, variable) in key {
+            if let Some(variable) = variable {
+                let words = &mut self.words[variable.index()];
+                let distinct = size.columns[column as usize].distinct;
+                *words = if *words > 0.0 { words.min(distinct) } else { distinct };
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::datalog::value::Value;
+
+    #[test]
+    fn sizes_tell_what_is_unique_repeated_and_skewed() {
+        let near = |value: f64, expected: f64, factor: f64| {
+            assert!(
+                (expected / factor..=expected * factor).contains(&value),
+                "{value}, not {expected}"
+            );
+        };
+        let size = |words: &dyn Fn(u32) -> [u32; 3]| {
+            let mut rows: Vec<Row<3>> = (0..10_000).map(|row| Row(words(row).map(Value))).collect();
+            rows.sort_unstable();
+            Size::of(&rows, 3)
+        };
+        // A key, ten words in no order, and 7.
+        let scattered = size(&|row| [row, row.wrapping_mul(2_654_435_761) >> 16 & 7, 7]);
+        for (spread, (distinct, often)) in scattered.columns.iter().zip([(1e4, 1.0), (8.0, 1_250.0), (1.0, 1e4)]) {
+            near(spread.distinct, distinct, 1.3);
+            near(spread.often, often, 1.3);
+        }
+        // Half of the rows have the same word, the others have words of their own.
+        let skewed = size(&|row| [row / 2 * (row % 2), 3 * (row.wrapping_mul(2_654_435_761) >> 16), row]);
+        near(skewed.columns[0].distinct, 5_000.0, 1.3);
+        near(skewed.columns[0].often, 2_500.0, 1.3);
+        near(skewed.columns[1].distinct, 1e4, 2.5);
+        // A few rows are counted.
+        let few: Vec<Row<2>> = (0..60).map(|row| Row([Value(row / 20), Value(row % 20)])).collect();
+        let few = Size::of(&few, 2);
+        let spreads = few.columns.iter().map(|spread| (spread.distinct.round(), spread.often));
+        assert!(spreads.eq([(3.0, 20.0), (20.0, 3.0)]));
+        assert_eq!(Size::of::<2>(&[], 2).columns[1].distinct, 0.0);
+    }
+
+    #[test]
+    fn a_flow_follows_the_words_of_variables() {
+        let rows: Vec<Row<2>> = (0..100).map(|row| Row([Value(row), Value(row % 20)])).collect();
+        let size = Size::of(&rows, 2);
+        let (x, y) = (VarId(0), VarId(1));
+        let mut flow = Flow::new(2);
+        flow.scan(&size, &[], &[(0, 0), (1, 1)]);
+        assert_eq!((flow.rows, flow.effort), (100.0, 101.0));
+        // Of 100 words, 20 are in the second column, five times each.
+        assert_eq!(flow.found(&size, &[(1, Some(x))]).round(), 1.0);
+        assert_eq!(flow.found(&size, &[(1, Some(y))]).round(), 5.0);
+        assert_eq!(flow.found(&size, &[(1, None)]).round(), 5.0);
+        flow.exists(&size, &[(1, Some(x))]);
+        assert_eq!((flow.rows.round(), flow.words[0].round()), (100.0, 20.0));
+        flow.filter(Flow::EQUAL);
+        assert_eq!(flow.rows.round(), 10.0);
+    }
+
+    #[test]
+    fn parts_end_at_their_first_success() {
+        let trail = [(100.0, 100.0), (1_000.0, 1_100.0), (500.0, 2_100.0), (500.0, 2_600.0)];
+        let trail = trail.map(|(rows, effort)| Reckoning { rows, effort });
+        assert_eq!(effort_of_parts(&trail, &[0, 0, 0, 0]), 2_600.0);
+        // The second and third step find five for each row.
+        assert_eq!(effort_of_parts(&trail, &[0, 3, 0, 0]), 100.0 + 2_000.0 / 5.0 + 100.0);
+        assert_eq!(effort_of_parts(&trail, &[0, 0, 4, 0]), 2_600.0);
+    }
+
+    #[test]
+    fn shapes_add_up() {
+        let rows: Vec<Row<2>> = (0..1000)
+            .map(|word| Row([Value(word / 10), Value(5 + word % 10)]))
+            .collect();
+        let shape = Shape::of(&rows);
+        assert_eq!((shape.rows, shape.least[0], shape.most[0]), (1000, 0, 99));
+        assert_eq!(shape.found(&[0]), 10.0);
+        let (front, back) = rows.split_at(300);
+        let both = Shape::of(front).with(Shape::of(back)).with(Shape::default());
+        assert_eq!((both.rows, both.least[0], both.most[0]), (1000, 0, 99));
+        assert_eq!(Shape::<2>::of(&[]).found(&[0]), 0.0);
+    }
+}

@@ -1,0 +1,181 @@
+//! Plans: in which order the literals of each clause are joined, and through which indexes.
+//!
+//! `steps` defines a plan, `planner` finds the order of the literals, `estimate` judges orders by the sizes of relations, and [`optimize`]
+//! simplifies clauses before they are planned.
+
+pub(crate) mod estimate;
+pub mod optimize;
+mod planner;
+pub(crate) mod steps;
+
+use std::sync::Arc;
+
+use crate::datalog::check::{Clause, ClauseId, Literal, RelId, Relation, Rules, Stratum};
+use crate::datalog::row::WIDTHS;
+use crate::diag::{Code, Diagnostic};
+use estimate::Size;
+use planner::{Order, is_maintainable, plan_changes, plan_clause, plan_complete};
+use steps::{Aim, ClausePlans, Indexes, StratumPlan};
+
+/// A program with its plans.
+#[derive(Debug)]
+pub(crate) struct Compiled {
+    pub(crate) rules: Rules,
+    /// The predicates and clauses that the optimizer added after those of the rules. Only the plans use them.
+    pub(crate) shared: (Vec<Relation>, Vec<Clause>),
+    /// Made from the text alone.
+    pub(crate) plans: Arc<Plans>,
+}
+
+impl Compiled {
+    /// A predicate of the rules or of the plans only.
+    pub(crate) fn relation(&self, relation: RelId) -> &Relation {
+        let own = self.rules.relations.len();
+        match relation.index().checked_sub(own) {
+            Some(further) => &self.shared.0[further],
+            None => &self.rules.relations[relation.index()],
+        }
+    }
+
+    /// Whether the stratum is one that the optimizer added.
+    pub(crate) fn is_shared(&self, stratum: &StratumPlan) -> bool {
+        let own = self.rules.relations.len();
+        stratum.members.first().is_some_and(|member| member.index() >= own)
+    }
+}
+
+/// Everything about a program that does not change while it runs.
+#[derive(Clone, Debug)]
+pub(crate) struct Plans {
+    /// By [`ClauseId`]: the clauses that were planned, which may be simpler than those of the text.
+    sources: Arc<[Clause]>,
+    /// By [`ClauseId`].
+    pub(crate) clauses: Vec<ClausePlans>,
+    pub(crate) indexes: Indexes,
+    /// By position in [`Rules::strata`].
+    pub(crate) strata: Vec<StratumPlan>,
+    /// By [`RelId`]: the position of a derived relation among the members of its stratum.
+    pub(crate) member: Vec<Option<usize>>,
+    /// One of [`WIDTHS`].
+    pub(crate) width: usize,
+}
+
+impl Plans {
+    /// Plans all clauses. Fails only if a clause or a relation is too large to evaluate, or is not safe, which checking
+    /// excludes.
+    pub(crate) fn new(rules: &Rules) -> Result<Plans, Diagnostic> {
+        let width_max = WIDTHS[WIDTHS.len() - 1];
+        if let Some(wide) = rules.relations.iter().find(|relation| relation.arity() > width_max) {
+            let message = format!(
+                "`{}` has {} columns; at most {width_max} are possible",
+                wide.name,
+                wide.arity()
+            );
+            return Err(Diagnostic::new(Code::LimitExceeded, message).at(wide.span, "declared here"));
+        }
+        let arity = rules
+            .relations
+            .iter()
+            .map(|relation| relation.arity())
+            .max()
+            .unwrap_or(0);
+        let width = WIDTHS.into_iter().find(|&width| width >= arity).unwrap_or(width_max);
+
+        let mut indexes = Indexes::new(rules.relations.iter().map(Relation::arity));
+
+        let strata: Vec<StratumPlan> = rules
+            .strata
+            .iter()
+            .map(|stratum| plan_stratum(rules, stratum))
+            .collect();
+        let mut member = vec![None; rules.relations.len()];
+        for (position, relation) in strata.iter().flat_map(|stratum| stratum.members.iter().enumerate()) {
+            member[relation.index()] = Some(position);
+        }
+        let mut computed_with: Vec<&[RelId]> = vec![&[]; rules.clauses.len()];
+        for stratum in &strata {
+            for &clause in &stratum.clauses {
+                computed_with[clause.index()] = &stratum.members;
+            }
+        }
+        let mut clauses = Vec::with_capacity(rules.clauses.len());
+        for (clause, stratum) in rules.clauses.iter().zip(computed_with) {
+            clauses.push(plan_clause(clause, stratum, &mut indexes)?);
+        }
+        Ok(Plans {
+            sources: rules.clauses.clone().into(),
+            clauses,
+            strata,
+            member,
+            indexes,
+            width,
+        })
+    }
+
+    /// The clause of the text to name when something is wrong with this one: of those that the optimiser added, behind the first
+    /// `own`, the first that reads what it derives.
+    pub(crate) fn reported(&self, clause: ClauseId, own: usize) -> ClauseId {
+        if clause.index() < own {
+            return clause;
+        }
+        let shared = self.sources[clause.index()].head.relation;
+        let reads = |clause: &Clause| {
+            clause
+                .body
+                .iter()
+                .filter_map(Literal::atom)
+                .any(|atom| atom.relation == shared)
+        };
+        let reader = self.sources[..own].iter().position(reads);
+        reader.map_or(clause, |reader| ClauseId(reader as u32))
+    }
+
+    /// Plans clauses again, for relations of these sizes: for a computation from scratch, as far as it is not done in rounds, or
+    /// for maintenance. There may be more indexes afterwards; those there are stay what they are.
+    pub(crate) fn adapt(&mut self, clauses: &[ClauseId], aim: Aim, sizes: &[Option<Size>]) {
+        let indexes = &mut self.indexes;
+        for &id in clauses {
+            let (clause, plans) = (&self.sources[id.index()], &mut self.clauses[id.index()]);
+            // What could be planned once can be planned again: which variables can be bound does not depend on the order.
+            match aim {
+                Aim::Recompute if plans.deltas.is_empty() => {
+                    if let Some((plan, _)) = plan_complete(clause, indexes, sizes) {
+                        plans.complete = plan;
+                    }
+                }
+                Aim::Recompute => {}
+                Aim::Maintain => {
+                    if let Ok((changes, check)) = plan_changes(clause, indexes, Order::Sizes(sizes)) {
+                        (plans.changes, plans.check) = (changes, check);
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn plan_stratum(rules: &Rules, stratum: &Stratum) -> StratumPlan {
+    let derived = |relation: &RelId| rules.relations[relation.index()].derived;
+    let head = |clause: &ClauseId| rules.clauses[clause.index()].head.relation;
+    let members: Vec<RelId> = stratum.relations.iter().copied().filter(derived).collect();
+    let clauses: Vec<ClauseId> = stratum
+        .clauses
+        .iter()
+        .copied()
+        .filter(|clause| derived(&head(clause)))
+        .collect();
+    let bodies = clauses.iter().flat_map(|clause| &rules.clauses[clause.index()].body);
+    let mut inputs: Vec<RelId> = bodies.filter_map(|literal| Some(literal.atom()?.relation)).collect();
+    inputs.sort_unstable();
+    let recursive = inputs.iter().any(|relation| members.contains(relation));
+    inputs.retain(|relation| !members.contains(relation));
+    inputs.dedup();
+    let small = |clause: &ClauseId| is_maintainable(&rules.clauses[clause.index()]);
+    StratumPlan {
+        recursive,
+        maintainable: clauses.iter().all(small),
+        members,
+        inputs,
+        clauses,
+    }
+}

@@ -1,0 +1,361 @@
+//! Simpler rules that mean the same.
+//!
+//! `optimize` gives, for every clause, a body that holds for the same values: literals that others imply are left out, a body that
+//! contradicts itself is stopped before it looks at a row, and a clause whose rows another one derives is not evaluated. A clause keeps
+//! its id, and [`crate::datalog::session::Session::fired`] still tells what it derives. [`lints`] tells the author what was found.
+//!
+//! Then `share` finds what several clauses have in common, and computes it once where that pays.
+//!
+//! `theory` knows what follows from a literal; `saturate` searches the forms of a body. What a body means is never looked at through
+//! derived predicates, so what holds here holds whatever the other clauses are. Promises are used only if the caller says so. Bounded and
+//! deterministic: no clock, no hash order.
+
+mod cover;
+mod saturate;
+mod share;
+mod theory;
+
+use crate::datalog::check::{Atom, Clause, ClauseId, Comparing, Constraint, Literal, Rules, Term, VarId};
+use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::datalog::syntax::quoted;
+use crate::datalog::value::Value;
+use crate::diag::{Code, Diagnostic};
+use crate::symbol::Symbol;
+use cover::is_covered;
+use saturate::Knowledge;
+use std::collections::{BTreeMap, BTreeSet};
+pub(crate) use theory::speaks_of;
+use theory::{Fact, Theory, covers, facts};
+
+/// Longer bodies are left as they are.
+const LITERALS_MAX: usize = 64;
+
+/// Something that need not be there.
+#[derive(Clone, Debug)]
+enum Finding {
+    /// The literal at `literal` holds wherever the one at `because` does; always, if there is none.
+    Redundant {
+        clause: ClauseId,
+        literal: usize,
+        because: Option<usize>,
+    },
+    /// The two literals never hold together.
+    Contradictory { clause: ClauseId, one: usize, other: usize },
+    /// The other clause derives all that this one does.
+    Subsumed { clause: ClauseId, by: ClauseId },
+}
+
+/// Rules with the same predicates, clauses (by id) and answers, and after them hidden ones for what several clauses share, in strata of
+/// their own. With `promises`, answers are the same for facts that keep them.
+pub(crate) fn optimize(rules: &Rules, promises: bool) -> Rules {
+    let mut better = rules.clone();
+    let constraints: Vec<Constraint> = rules.promises.iter().map(|promise| promise.constraint).collect();
+    let theory = Theory::new(if promises { constraints } else { Vec::new() });
+    let mut gone = vec![false; rules.clauses.len()];
+    let mut needless: BTreeMap<ClauseId, BTreeSet<usize>> = BTreeMap::new();
+    for finding in find(rules, &theory, true).findings {
+        match finding {
+            Finding::Redundant { clause, literal, .. } => _ = needless.entry(clause).or_default().insert(literal),
+            Finding::Contradictory { clause, .. } => {
+                let clause = &mut better.clauses[clause.index()];
+                let zero = Term::Constant(Value::number(0));
+                let never = Literal::Compare {
+                    op: Comparison::NotEqual,
+                    left: zero,
+                    right: zero,
+                    base: BaseType::Number,
+                    span: clause.span,
+                };
+                clause.body.insert(0, never);
+            }
+            Finding::Subsumed { clause, .. } => gone[clause.index()] = true,
+        }
+    }
+    for (clause, needless) in needless {
+        let mut position = 0;
+        better.clauses[clause.index()].body.retain(|_| {
+            position += 1;
+            !needless.contains(&(position - 1))
+        });
+    }
+    for stratum in &mut better.strata {
+        stratum.clauses.retain(|clause| !gone[clause.index()]);
+    }
+    share::share(&mut better);
+    better
+}
+
+/// What [`lints`] gives.
+#[derive(Clone, Debug)]
+pub struct Lints {
+    /// What could be simpler, in the order of the text.
+    pub diagnostics: Vec<Diagnostic>,
+    /// How many steps it took to look for clauses that others cover under the promises.
+    pub steps: usize,
+    /// What was not looked at since it would have taken too long, if anything.
+    pub unfinished: Vec<&'static str>,
+}
+
+/// What could be simpler, for the author: literals that others imply, bodies that contradict themselves, clauses that others cover
+/// under the promises, and what is said again and again.
+pub fn lints(rules: &Rules) -> Lints {
+    let theory = Theory::new(rules.promises.iter().map(|promise| promise.constraint));
+    let plain = Theory::new([]);
+    let mut lints = Vec::new();
+    // Loading has told what is covered without promises.
+    let found = find(rules, &theory, !rules.promises.is_empty());
+    for finding in &found.findings {
+        let named = |id: ClauseId| &rules.clauses[id.index()];
+        lints.extend(match *finding {
+            Finding::Subsumed { clause, by } if is_covered(&plain, named(by), named(clause)) => None,
+            Finding::Subsumed { clause, by } => Some(
+                Diagnostic::new(
+                    Code::SubsumedClause,
+                    "this clause derives nothing that another does not",
+                )
+                .at(named(clause).span, "")
+                .also(named(by).span, "whenever it fires, this one derives the same")
+                .note("under the promises about facts")
+                .help("remove it"),
+            ),
+            Finding::Contradictory { clause, one, other } => {
+                let clause = named(clause);
+                let (first, second) = (shown_literal(rules, clause, one), shown_literal(rules, clause, other));
+                let fault = Diagnostic::new(
+                    Code::ContradictoryBody,
+                    "this clause never fires: its body contradicts itself",
+                );
+                let span = span(&clause.body[other]);
+                Some(if one == other {
+                    fault.at(span, format!("`{second}` never holds"))
+                } else {
+                    fault
+                        .at(span, format!("`{second}` never holds together with `{first}`"))
+                        .also(self::span(&clause.body[one]), "the other one")
+                })
+            }
+            Finding::Redundant {
+                clause,
+                literal,
+                because,
+            } => redundant(rules, &theory, named(clause), literal, because),
+        });
+    }
+    let (parts, all_parts) = share::repeated(rules);
+    lints.extend(parts.iter().map(|uses| repeated(rules, uses)));
+    lints.sort_by_key(|lint| lint.primary.as_ref().map(|label| (label.span.source, label.span.start)));
+    let unfinished = [
+        (found.effort.complete, "clauses that others cover under the promises"),
+        (all_parts, "parts that several bodies share"),
+    ];
+    Lints {
+        diagnostics: lints,
+        steps: found.effort.steps,
+        unfinished: unfinished
+            .into_iter()
+            .filter(|(all, _)| !all)
+            .map(|(_, what)| what)
+            .collect(),
+    }
+}
+
+/// A part of several bodies that is worth a name.
+fn repeated(rules: &Rules, uses: &[share::Use]) -> Diagnostic {
+    let first = &uses[0];
+    let clause = &rules.clauses[first.clause];
+    let literals = first.positions.iter();
+    let body: Vec<String> = literals.map(|&index| shown_literal(rules, clause, index)).collect();
+    let body = body.join(", ");
+    let variables = first.outside(uses, clause);
+    let variables: Vec<&str> = (variables.iter())
+        .filter_map(|term| match term {
+            Term::Variable(VarId(id)) => Some(clause.variables[*id as usize].as_str()),
+            _ => None,
+        })
+        .collect();
+    let lint = Diagnostic::new(Code::RepeatedBody, format!("{} clauses ask for `{body}`", uses.len()))
+        .at(clause.span, "the first of them");
+    let others = uses[1..].iter().map(|one| rules.clauses[one.clause].span);
+    let lint = others.fold(lint, |lint, span| lint.also(span, "the same"));
+    lint.help(format!(
+        "give it a name, and ask for that: `Name({}) :- {body}.`",
+        variables.join(", ")
+    ))
+}
+
+fn redundant(
+    rules: &Rules,
+    theory: &Theory,
+    clause: &Clause,
+    literal: usize,
+    because: Option<usize>,
+) -> Option<Diagnostic> {
+    if matches!(clause.body[literal], Literal::Guard(_)) || rules.relations[clause.head.relation.index()].hidden {
+        return None;
+    }
+    let needless = shown_literal(rules, clause, literal);
+    let mut fault = Diagnostic::new(
+        Code::RedundantLiteral,
+        format!("`{needless}` says nothing that is not said already"),
+    )
+    .at(span(&clause.body[literal]), "");
+    fault = match because {
+        None => fault.note("it always holds"),
+        Some(other) if matches!(clause.body[other], Literal::Guard(_)) => fault.note("the scope says so"),
+        Some(other) => {
+            let reason = shown_literal(rules, clause, other);
+            fault.also(span(&clause.body[other]), format!("`{reason}` implies it"))
+        }
+    };
+    let kept = simplest(clause, theory)??;
+    let body: Vec<String> = (kept.iter())
+        .filter(|&&index| !matches!(clause.body[index], Literal::Guard(_)))
+        .map(|&index| shown_literal(rules, clause, index))
+        .collect();
+    let head = shown_atom(rules, clause, &clause.head);
+    Some(fault.help(format!("the same in fewer words: `{head} :- {}.`", body.join(", "))))
+}
+
+// --- finding
+
+/// The literals of a body with all that follows from each.
+struct Literals<'a> {
+    theory: &'a Theory,
+    facts: Vec<Fact>,
+    closures: Vec<Vec<Fact>>,
+}
+
+impl<'a> Literals<'a> {
+    fn new(theory: &'a Theory, facts: Vec<Fact>) -> Self {
+        let closures = facts.iter().map(|fact| theory.closure(fact)).collect();
+        Literals {
+            theory,
+            facts,
+            closures,
+        }
+    }
+}
+
+impl Knowledge for Literals<'_> {
+    fn implies(&self, a: usize, b: usize) -> bool {
+        self.closures[a].iter().any(|known| covers(known, &self.facts[b]))
+    }
+
+    fn exclude(&self, a: usize, b: usize) -> bool {
+        self.theory.contradict(&self.closures[a], &self.closures[b])
+    }
+
+    fn always(&self, a: usize) -> bool {
+        self.theory.always(&self.facts[a])
+    }
+}
+
+/// The positions of the literals that are needed; `None` inside if the body never holds, outside if it was not looked at.
+#[allow(clippy::option_option)]
+fn simplest(clause: &Clause, theory: &Theory) -> Option<Option<Vec<usize>>> {
+    if clause.body.is_empty() || clause.body.len() > LITERALS_MAX || !theory::speaks_of(clause) {
+        return None;
+    }
+    let literals = Literals::new(theory, facts(clause, true));
+    let mut kept = saturate::simplest(literals.facts.len(), &literals);
+    if let Some(kept) = &mut kept {
+        kept.sort_unstable();
+        // A body that always holds is still a body.
+        if kept.is_empty() {
+            return None;
+        }
+    }
+    Some(kept)
+}
+
+struct Found {
+    findings: Vec<Finding>,
+    /// What looking for covered clauses took.
+    effort: Comparing,
+}
+
+fn find(rules: &Rules, theory: &Theory, covered: bool) -> Found {
+    let mut findings = Vec::new();
+    for (index, clause) in rules.clauses.iter().enumerate() {
+        let id = ClauseId(index as u32);
+        let Some(kept) = simplest(clause, theory) else { continue };
+        let literals = Literals::new(theory, facts(clause, true));
+        let count = literals.facts.len();
+        match kept {
+            Some(kept) => {
+                for literal in (0..count).filter(|literal| !kept.contains(literal)) {
+                    let because = kept.iter().copied().find(|&other| literals.implies(other, literal));
+                    findings.push(Finding::Redundant {
+                        clause: id,
+                        literal,
+                        because,
+                    });
+                }
+            }
+            None => {
+                let pairs = (0..count).flat_map(|other| (0..=other).map(move |one| (one, other)));
+                // A literal that never holds is to blame before any pair.
+                let single = (0..count).map(|one| (one, one));
+                if let Some((one, other)) = single.chain(pairs).find(|&(one, other)| literals.exclude(one, other)) {
+                    findings.push(Finding::Contradictory { clause: id, one, other });
+                }
+            }
+        }
+    }
+    let effort = match covered {
+        true => cover::subsumed(rules, theory, &mut findings),
+        false => Comparing::default(),
+    };
+    Found { findings, effort }
+}
+
+// --- words
+
+fn span(literal: &Literal) -> crate::diag::Span {
+    match literal {
+        Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) | Literal::Aggregate { atom, .. } => {
+            atom.span
+        }
+        Literal::Compare { span, .. } | Literal::Compute { span, .. } => *span,
+    }
+}
+
+fn shown_literal(rules: &Rules, clause: &Clause, index: usize) -> String {
+    match &clause.body[index] {
+        Literal::Positive(atom) | Literal::Guard(atom) => shown_atom(rules, clause, atom),
+        Literal::Negative(atom) => format!("Not({})", shown_atom(rules, clause, atom)),
+        Literal::Compare {
+            op, left, right, base, ..
+        } => {
+            let term = |term| shown_term(rules, clause, term, *base);
+            format!("{} {op} {}", term(left), term(right))
+        }
+        // Clauses with them are left as they are, so nothing is said of them.
+        Literal::Compute { .. } | Literal::Aggregate { .. } => String::new(),
+    }
+}
+
+fn shown_atom(rules: &Rules, clause: &Clause, atom: &Atom) -> String {
+    let relation = &rules.relations[atom.relation.index()];
+    if relation.hidden {
+        return relation.doc.clone();
+    }
+    let columns = relation.columns.iter().zip(&atom.terms);
+    let terms: Vec<String> = columns
+        .map(|(column, term)| shown_term(rules, clause, term, column.base))
+        .collect();
+    format!("{}({})", relation.name, terms.join(", "))
+}
+
+fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> String {
+    match *term {
+        Term::Wildcard => "_".to_owned(),
+        Term::Variable(VarId(id)) => clause.variables[id as usize].clone(),
+        Term::Constant(value) => match base {
+            BaseType::Number => value.as_number().to_string(),
+            BaseType::Unsigned => value.0.to_string(),
+            BaseType::Float => crate::datalog::value::print_float(value.as_float()),
+            BaseType::Symbol => quoted(rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
+        },
+    }
+}

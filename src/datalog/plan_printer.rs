@@ -1,0 +1,313 @@
+//! Plans as text: what is scanned and tested in which order, by which columns, through which index.
+
+use crate::datalog::check::{Clause, ClauseId, RelId};
+use crate::datalog::plan::Compiled;
+use crate::datalog::plan::Plans;
+use crate::datalog::plan::steps::{IndexId, List, Plan, Slot, Source, Step, StratumPlan, Version};
+use crate::datalog::program::Program;
+use crate::datalog::session::Session;
+use crate::datalog::syntax::ast::BaseType;
+use crate::datalog::syntax::functor::Functor;
+use crate::datalog::syntax::{is_name, quoted};
+use crate::datalog::value::{Value, print_float};
+use crate::diag::Sources;
+use crate::symbol::Symbol;
+
+impl Program {
+    /// How every clause is evaluated, for people. The sources are those that the rules were loaded from.
+    ///
+    /// ```text
+    /// stratum 1: Path (recursive)
+    ///
+    ///   Path(x, z) :- Path(x, y), Edge(y, z).    path.dl:4:1
+    ///     for the new rows of Path
+    ///       scan   Path(x, y), new
+    ///       scan   Edge(y, z) by x
+    ///       derive Path(x, z)
+    /// ```
+    pub fn show_plans(&self, sources: &Sources) -> String {
+        let shown = Shown {
+            compiled: &self.0,
+            plans: &self.0.plans,
+            rows: None,
+        };
+        shown.all(sources)
+    }
+
+    /// A clause on one line, with its place.
+    pub fn show_clause(&self, id: ClauseId, sources: &Sources) -> String {
+        on_one_line(&self.0.rules.clauses[id.index()], sources)
+    }
+}
+
+/// The names of variables; one that holds the value of an expression, and is named by it, gets a letter that is free.
+fn readable(variables: &[String]) -> Vec<String> {
+    let mut letters = (0_u32..).flat_map(|round| {
+        ('a'..='z').map(move |letter| match round {
+            0 => letter.to_string(),
+            _ => format!("{letter}{round}"),
+        })
+    });
+    let mut free = || letters.find(|letter| !variables.contains(letter)).unwrap_or_default();
+    (variables.iter())
+        .map(|name| {
+            if is_name(name) || name == "_" {
+                name.clone()
+            } else {
+                free()
+            }
+        })
+        .collect()
+}
+
+fn on_one_line(clause: &Clause, sources: &Sources) -> String {
+    let words: Vec<&str> = sources.slice(clause.span).split_whitespace().collect();
+    format!("{}    {}", words.join(" "), sources.locate(clause.span))
+}
+
+impl Session {
+    /// How the last commit evaluated every clause that it computed from scratch, with the numbers of rows of the relations it
+    /// reads; see [`Program::show_plans`].
+    pub fn show_plans(&self, sources: &Sources) -> String {
+        let shown = Shown {
+            compiled: &self.program.0,
+            plans: self.store.plans(),
+            rows: Some(&|relation| self.store.len(relation)),
+        };
+        shown.all(sources)
+    }
+}
+
+/// Plans to be shown.
+struct Shown<'a> {
+    compiled: &'a Compiled,
+    plans: &'a Plans,
+    /// How many rows a relation has, if there are any.
+    rows: Option<&'a dyn Fn(RelId) -> usize>,
+}
+
+impl Shown<'_> {
+    fn all(&self, sources: &Sources) -> String {
+        let (rules, plans) = (&self.compiled.rules, self.plans);
+        let mut out = String::new();
+        let mut number = 0;
+        for stratum in &plans.strata {
+            if self.compiled.is_shared(stratum) {
+                self.show_shared(&mut out, stratum);
+                continue;
+            }
+            number += 1;
+            if stratum.clauses.is_empty() {
+                continue;
+            }
+            let names: Vec<&str> = stratum.members.iter().map(|&member| self.name(member)).collect();
+            let recursive = if stratum.recursive { " (recursive)" } else { "" };
+            out += &format!("stratum {number}: {}{recursive}\n", names.join(", "));
+            if let Some(rows) = self.rows {
+                let size = |&input: &RelId| format!("{} {}", self.name(input), rows(input));
+                let sizes: Vec<String> = stratum.inputs.iter().map(size).collect();
+                out += &format!("  over {}\n", sizes.join(", "));
+            }
+            for &id in &stratum.clauses {
+                let clause = &rules.clauses[id.index()];
+                let plans = &plans.clauses[id.index()];
+                out += &format!("\n  {}\n", on_one_line(clause, sources));
+                if plans.deltas.is_empty() {
+                    out += "    once\n";
+                    self.show_steps(&mut out, clause, &plans.complete);
+                }
+                for ((over, plan), detours) in plans.deltas.iter().zip(&plans.detours) {
+                    out += &format!("    for the new rows of {}\n", self.name(*over));
+                    self.show_steps(&mut out, clause, plan);
+                    for detour in detours {
+                        out += "    or, in a round where that looks at less\n";
+                        self.show_steps(&mut out, clause, detour);
+                    }
+                }
+            }
+            out.push('\n');
+        }
+        out
+    }
+
+    fn name(&self, relation: RelId) -> &str {
+        &self.compiled.relation(relation).name
+    }
+
+    /// How a part of bodies is computed that several clauses share.
+    fn show_shared(&self, out: &mut String, stratum: &StratumPlan) {
+        let own = self.compiled.rules.clauses.len();
+        for &id in &stratum.clauses {
+            let clause = &self.compiled.shared.1[id.index() - own];
+            let plan = &self.plans.clauses[id.index()].complete;
+            *out += &format!(
+                "{}: shared by several clauses\n\n    once\n",
+                self.name(clause.head.relation)
+            );
+            self.show_steps(out, clause, plan);
+            out.push('\n');
+        }
+    }
+
+    fn show_steps(&self, out: &mut String, clause: &Clause, plan: &Plan) {
+        let names = readable(&clause.variables);
+        let value = |slot: Slot, base: BaseType| {
+            let name = names.get(slot as usize).cloned();
+            name.unwrap_or_else(|| self.show_value(plan.slots[slot as usize], base))
+        };
+        // Where the part ends of which was told that one match is enough.
+        let mut told = 0;
+        for (position, step) in plan.steps.iter().enumerate() {
+            match plan.enough[position] as usize {
+                0 => {}
+                _ if position < told => {}
+                end if end == plan.steps.len() => {
+                    told = end;
+                    if position > 0 {
+                        *out += "      the head is known: one match of the rest is enough\n";
+                    }
+                }
+                end => {
+                    told = end;
+                    let steps = match end - position {
+                        1 => "step".to_owned(),
+                        count => format!("{count} steps"),
+                    };
+                    *out += &format!("      one match of the next {steps} is enough\n");
+                }
+            }
+            let line = match step {
+                Step::Scan {
+                    source,
+                    key,
+                    bind,
+                    check,
+                    ..
+                } => {
+                    let found = key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot));
+                    let terms: Vec<(u16, Slot)> = found.chain(bind.iter().chain(check).copied()).collect();
+                    format!("scan   {}", self.show_lookup(*source, &terms, key.len(), &value))
+                }
+                Step::Exists { source, key } | Step::Absent { source, key } => {
+                    let terms: Vec<(u16, Slot)> =
+                        key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot)).collect();
+                    let what = if matches!(step, Step::Exists { .. }) {
+                        "exists"
+                    } else {
+                        "absent"
+                    };
+                    format!("{what} {}", self.show_lookup(*source, &terms, key.len(), &value))
+                }
+                Step::Meet { lists, to } => {
+                    let list = |list: &List| {
+                        let found = list.key.iter().chain([to]).zip(0_u16..);
+                        let terms: Vec<(u16, Slot)> = found.map(|(&slot, column)| (column, slot)).collect();
+                        self.show_lookup(list.source, &terms, list.key.len(), &value)
+                    };
+                    let lists: Vec<String> = lists.iter().map(list).collect();
+                    format!("meet   {}", lists.join("\n         and "))
+                }
+                Step::Copy { to, from } => {
+                    let name = |slot: Slot| value(slot, BaseType::Number);
+                    format!("let    {} = {}", name(*to), name(*from))
+                }
+                Step::Compare { op, left, right, base } => {
+                    format!("test   {} {op} {}", value(*left, *base), value(*right, *base))
+                }
+                Step::Compute {
+                    functor,
+                    base,
+                    arguments,
+                    to,
+                    test,
+                } => {
+                    // Of the arguments of `substr` only the first is a text.
+                    let base_of = |position: usize| match (functor, position) {
+                        (Functor::Substring, 1..) => BaseType::Number,
+                        _ => *base,
+                    };
+                    let arguments: Vec<String> = arguments
+                        .iter()
+                        .enumerate()
+                        .map(|(position, &slot)| value(slot, base_of(position)))
+                        .collect();
+                    let name = functor.name();
+                    let expression = match arguments.as_slice() {
+                        [left, right] if !matches!(functor, Functor::Min | Functor::Max | Functor::Cat) => {
+                            format!("{left} {name} {right}")
+                        }
+                        many => format!("{name}({})", many.join(", ")),
+                    };
+                    let what = if *test { "test" } else { "let " };
+                    format!("{what}   {} = {expression}", value(*to, *base))
+                }
+                Step::Aggregate {
+                    source,
+                    key,
+                    op,
+                    base,
+                    to,
+                    test,
+                    ..
+                } => {
+                    let terms: Vec<(u16, Slot)> =
+                        key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot)).collect();
+                    let rows = self.show_lookup(*source, &terms, key.len(), &value);
+                    let what = if *test { "test" } else { "let " };
+                    format!("{what}   {} = {} : {{ {rows} }}", value(*to, *base), op.name())
+                }
+            };
+            *out += &format!("      {line}\n");
+        }
+        let relation = self.compiled.relation(plan.head);
+        let terms = relation.columns.iter().zip(&plan.output);
+        let terms: Vec<String> = terms.map(|(column, &slot)| value(slot, column.base)).collect();
+        *out += &format!("      derive {}({})\n", relation.name, terms.join(", "));
+    }
+
+    /// The atom, the columns by which it is looked up, the index if it is not the relation's own order, and which rows are meant.
+    fn show_lookup(
+        &self,
+        source: Source,
+        terms: &[(u16, Slot)],
+        key: usize,
+        value: &dyn Fn(Slot, BaseType) -> String,
+    ) -> String {
+        let order = &self.plans.indexes[source.index];
+        let relation = self.compiled.relation(order.relation);
+        let mut atom = vec!["_".to_owned(); relation.arity()];
+        for &(column, slot) in terms {
+            let column = order.columns[column as usize] as usize;
+            atom[column] = value(slot, relation.columns[column].base);
+        }
+        let columns = |range: &[u16]| {
+            let names = range
+                .iter()
+                .map(|&column| relation.columns[column as usize].name.as_str());
+            names.collect::<Vec<_>>().join(", ")
+        };
+        let mut text = format!("{}({})", relation.name, atom.join(", "));
+        if key > 0 {
+            text += &format!(" by {}", columns(&order.columns[..key]));
+        }
+        if source.index != IndexId(order.relation.0) {
+            text += &format!(", index ({})", columns(&order.columns));
+        }
+        text += match source.version {
+            Version::Complete => "",
+            Version::All => ", old and new",
+            Version::Old => ", old",
+            Version::New => ", new",
+        };
+        text
+    }
+
+    fn show_value(&self, value: Value, base: BaseType) -> String {
+        match base {
+            BaseType::Symbol => quoted(self.compiled.rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
+            BaseType::Number => value.as_number().to_string(),
+            BaseType::Unsigned => value.0.to_string(),
+            BaseType::Float => print_float(value.as_float()),
+        }
+    }
+}

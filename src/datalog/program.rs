@@ -1,0 +1,102 @@
+//! Rules with a plan for every clause.
+
+use std::sync::Arc;
+
+use crate::datalog::check::{Inputs, RelId, Relation, Rules};
+use crate::datalog::plan::{Compiled, Plans, optimize};
+use crate::datalog::session::RowError;
+use crate::datalog::workspace;
+use crate::diag::{Diagnostic, SourceId, Sources};
+use crate::files::ReadFile;
+
+/// Rules with a plan for every clause. Cheap to clone; many sessions can run one program.
+#[derive(Clone, Debug)]
+pub struct Program(pub(super) Arc<Compiled>);
+
+/// How to prepare a program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// Simplify clauses before they are planned.
+    pub optimize: bool,
+    /// Rely on [`Rules::promises`]. Where facts break a promise, answers may then be wrong; [`promise::broken`] tells.
+    pub promises: bool,
+}
+
+impl Default for Options {
+    /// Optimised, relying on no promise.
+    fn default() -> Self {
+        Options {
+            optimize: true,
+            promises: false,
+        }
+    }
+}
+
+impl Program {
+    /// Loads the rules of `entry`, a text of `sources`, with [`load`](crate::datalog::load) and plans them. Beside the program stand all errors
+    /// and warnings; there is none if one of them is an error.
+    pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) -> (Option<Program>, Vec<Diagnostic>) {
+        Program::load_with(sources, entry, read, Inputs::Given)
+    }
+
+    /// As [`Program::load`], with a choice of what an `.input` is.
+    pub fn load_with(
+        sources: &mut Sources,
+        entry: SourceId,
+        read: &dyn ReadFile,
+        inputs: Inputs,
+    ) -> (Option<Program>, Vec<Diagnostic>) {
+        let mut loaded = workspace::load_with(sources, entry, read, inputs);
+        let program = loaded
+            .rules
+            .and_then(|rules| Program::new(rules).map_err(|fault| loaded.diagnostics.push(fault)).ok());
+        (program, loaded.diagnostics)
+    }
+
+    /// Plans the evaluation of checked rules. Fails only if a predicate has more than 32 columns or a clause more than 128
+    /// variables or literals.
+    pub fn new(rules: Rules) -> Result<Program, Diagnostic> {
+        Program::with(rules, Options::default())
+    }
+
+    /// As [`Program::new`], with a choice of what to rely on. The answers are the same.
+    pub fn with(rules: Rules, options: Options) -> Result<Program, Diagnostic> {
+        let (plans, shared) = if options.optimize {
+            let mut better = optimize::optimize(&rules, options.promises);
+            let plans = Plans::new(&better)?;
+            let relations = better.relations.split_off(rules.relations.len());
+            (plans, (relations, better.clauses.split_off(rules.clauses.len())))
+        } else {
+            (Plans::new(&rules)?, Default::default())
+        };
+        let plans = Arc::new(plans);
+        Ok(Program(Arc::new(Compiled { rules, shared, plans })))
+    }
+
+    /// The rules.
+    pub fn rules(&self) -> &Rules {
+        &self.0.rules
+    }
+
+    /// The predicate of that name.
+    pub fn relation(&self, name: &str) -> Option<RelId> {
+        self.0.rules.relation(name)
+    }
+
+    /// The relation, if rows of it can be set.
+    pub(super) fn base(&self, rel: RelId) -> Result<&Relation, RowError> {
+        let relation = self.rules().relations.get(rel.index());
+        let relation = relation.ok_or(RowError::UnknownRelation)?;
+        if relation.derived && relation.given.is_none() {
+            return Err(RowError::Derived {
+                relation: relation.name.clone(),
+            });
+        }
+        Ok(relation)
+    }
+
+    /// How many parts of bodies are computed once for several clauses. They are in no answer; [`Work::shared`] tells what they took.
+    pub fn shared_bodies(&self) -> usize {
+        self.0.shared.1.len()
+    }
+}

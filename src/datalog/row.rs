@@ -1,0 +1,264 @@
+//! Rows of a width fixed at compile time, and sorted lists of them.
+//!
+//! A program learns the arities of its predicates at run time, while fast sorting, merging and searching want them at compile
+//! time. So everything that touches rows is generic over one width `W`, the program's largest arity rounded up to one of
+//! [`WIDTHS`]; narrower rows are padded with zeros. A set of rows is a sorted slice without repetitions.
+
+use crate::datalog::value::Value;
+use std::cmp::Ordering;
+
+/// The widths there is code for, in words. An arity beyond the last is refused when a program is made.
+pub(crate) const WIDTHS: [usize; 6] = [2, 3, 4, 8, 16, 32];
+
+/// A row of `W` words, ordered from the first word on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Row<const W: usize>(pub(crate) [Value; W]);
+
+impl<const W: usize> Row<W> {
+    /// A row of zeros.
+    pub(crate) const ZERO: Self = Row([Value(0); W]);
+
+    /// The values, padded. There must be at most `W`.
+    #[inline]
+    pub(crate) fn new(values: &[Value]) -> Self {
+        let mut row = Self::ZERO;
+        // Shorter than a call to copy so few.
+        for (to, &from) in row.0.iter_mut().zip(values) {
+            *to = from;
+        }
+        row
+    }
+
+    /// The values of the given columns, padded.
+    pub(crate) fn project(&self, columns: &[u16]) -> Self {
+        let mut row = Self::ZERO;
+        for (to, &from) in row.0.iter_mut().zip(columns) {
+            *to = self.0[from as usize];
+        }
+        row
+    }
+}
+
+/// Rows of some width.
+pub(crate) trait RowList: Send + Sync {
+    /// The row at a position below the number of rows, padded.
+    fn row(&self, position: usize) -> &[Value];
+}
+
+impl<const W: usize> RowList for Vec<Row<W>> {
+    fn row(&self, position: usize) -> &[Value] {
+        &self[position].0
+    }
+}
+
+impl<const W: usize> Ord for Row<W> {
+    /// Lexicographic, two words at a time: sorting spends its time here.
+    #[inline]
+    fn cmp(&self, other: &Self) -> Ordering {
+        let pair = |row: &Self, i: usize| u64::from(row.0[i].0) << 32 | u64::from(row.0[i + 1].0);
+        let mut i = 0;
+        while i + 1 < W {
+            let (a, b) = (pair(self, i), pair(other, i));
+            if i + 2 >= W || a != b {
+                return a.cmp(&b);
+            }
+            i += 2;
+        }
+        self.0[W - 1].cmp(&other.0[W - 1])
+    }
+}
+
+impl<const W: usize> PartialOrd for Row<W> {
+    #[inline]
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// How many elements from the front satisfy `before`, which holds for a prefix of the slice. Fast if they are few.
+pub(crate) fn gallop<T>(slice: &[T], mut before: impl FnMut(&T) -> bool) -> usize {
+    let mut step = 1;
+    let mut low = 0;
+    // Everything in front of `low` is before.
+    while low + step <= slice.len() && before(&slice[low + step - 1]) {
+        low += step;
+        step *= 2;
+    }
+    let high = (low + step).min(slice.len());
+    low + slice[low..high].partition_point(before)
+}
+
+/// The union of two disjoint or overlapping sets.
+pub(crate) fn merge<const W: usize>(a: &[Row<W>], b: &[Row<W>]) -> Vec<Row<W>> {
+    let mut out = Vec::with_capacity(a.len() + b.len());
+    let (mut a, mut b) = (a, b);
+    while let (Some(x), Some(y)) = (a.first(), b.first()) {
+        match x.cmp(y) {
+            Ordering::Less => {
+                out.push(*x);
+                a = &a[1..];
+            }
+            Ordering::Greater => {
+                out.push(*y);
+                b = &b[1..];
+            }
+            Ordering::Equal => a = &a[1..],
+        }
+    }
+    out.extend_from_slice(a);
+    out.extend_from_slice(b);
+    out
+}
+
+/// The elements of `a` that are not in `b`.
+pub(crate) fn difference<const W: usize>(a: &[Row<W>], b: &[Row<W>]) -> Vec<Row<W>> {
+    let mut out = Vec::new();
+    let mut b = b;
+    for row in a {
+        b = &b[gallop(b, |other| other < row)..];
+        if b.first() != Some(row) {
+            out.push(*row);
+        }
+    }
+    out
+}
+
+/// Sorts and removes repetitions.
+pub(crate) fn normalise<const W: usize>(rows: &mut Vec<Row<W>>) {
+    if !rows.is_sorted_by(|a, b| a < b) {
+        rows.sort_unstable();
+        rows.dedup();
+    }
+}
+
+/// A sorted list of rows that can be searched by a prefix.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Batch<'a, const W: usize> {
+    pub(crate) rows: &'a [Row<W>],
+    /// `starts[v]` is the position of the first row that begins with `v` or more; empty if there is no such directory.
+    pub(crate) starts: &'a [u32],
+}
+
+impl<'a, const W: usize> Batch<'a, W> {
+    /// A batch without a directory.
+    pub(crate) fn plain(rows: &'a [Row<W>]) -> Self {
+        Batch { rows, starts: &[] }
+    }
+
+    /// The rows that begin with `key`.
+    #[inline]
+    pub(crate) fn range(&self, key: &[Value]) -> &'a [Row<W>] {
+        match key {
+            [] => self.rows,
+            [first] => self.group(*first),
+            [first, second] => pick(self.group(*first), *second),
+            [first, rest @ ..] => narrow(self.group(*first), rest),
+        }
+    }
+
+    /// Whether a row begins with `key`.
+    #[inline]
+    pub(crate) fn holds(&self, key: &[Value]) -> bool {
+        match key {
+            [first] if !self.starts.is_empty() => {
+                let at = first.0 as usize;
+                matches!(self.starts.get(at..at.saturating_add(2)), Some(&[start, end]) if start < end)
+            }
+            [first, second] => {
+                let rows = self.group(*first);
+                match rows.len() {
+                    0..=GROUP_SMALL => rows.iter().any(|row| row.0[1] == *second),
+                    _ => !pick(rows, *second).is_empty(),
+                }
+            }
+            _ => !self.range(key).is_empty(),
+        }
+    }
+
+    /// The rows that begin with a word.
+    #[inline]
+    fn group(&self, first: Value) -> &'a [Row<W>] {
+        if self.starts.is_empty() {
+            let start = self.rows.partition_point(|row| row.0[0] < first);
+            let rows = &self.rows[start..];
+            return &rows[..gallop(rows, |row| row.0[0] == first)];
+        }
+        let at = first.0 as usize;
+        match self.starts.get(at..at.saturating_add(2)) {
+            Some(&[start, end]) => &self.rows[start as usize..end as usize],
+            _ => &[],
+        }
+    }
+}
+
+/// So many rows are looked through one by one.
+const GROUP_SMALL: usize = 32;
+
+/// Of rows that agree in the first column, those with a word in the second.
+#[inline]
+fn pick<const W: usize>(rows: &[Row<W>], second: Value) -> &[Row<W>] {
+    let start = match rows.len() {
+        0..=GROUP_SMALL => rows.iter().filter(|row| row.0[1] < second).count(),
+        _ => rows.partition_point(|row| row.0[1] < second),
+    };
+    let rows = &rows[start..];
+    match rows {
+        [row, next, ..] if row.0[1] == second && next.0[1] == second => &rows[..gallop(rows, |row| row.0[1] == second)],
+        [row, ..] if row.0[1] == second => &rows[..1],
+        _ => &[],
+    }
+}
+
+/// Of rows that agree in the first column, those whose next columns are `rest`.
+fn narrow<'a, const W: usize>(rows: &'a [Row<W>], rest: &[Value]) -> &'a [Row<W>] {
+    let key = |row: &Row<W>| row.0[1..=rest.len()].cmp(rest);
+    let start = rows.partition_point(|row| key(row).is_lt());
+    let rows = &rows[start..];
+    &rows[..gallop(rows, |row| key(row).is_eq())]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rows<const W: usize>(words: &[[u32; W]]) -> Vec<Row<W>> {
+        words.iter().map(|row| Row(row.map(Value))).collect()
+    }
+
+    #[test]
+    fn rows_are_ordered_as_their_words() {
+        fn check<const W: usize>() {
+            let samples: Vec<[u32; W]> = (0..200u32)
+                .map(|i| std::array::from_fn(|column| i.wrapping_mul(2_654_435_761 + column as u32) >> 30))
+                .collect();
+            for a in &samples {
+                for b in &samples {
+                    assert_eq!(Row(a.map(Value)).cmp(&Row(b.map(Value))), a.cmp(b));
+                }
+            }
+        }
+        check::<2>();
+        check::<3>();
+        check::<4>();
+        check::<8>();
+    }
+
+    #[test]
+    fn gallop_counts_a_prefix() {
+        for len in 0..40 {
+            let list: Vec<usize> = (0..len).collect();
+            for prefix in 0..=len {
+                assert_eq!(gallop(&list, |&x| x < prefix), prefix);
+            }
+        }
+    }
+
+    #[test]
+    fn sets_merge_and_subtract() {
+        let a = rows(&[[1, 1], [2, 2], [5, 0]]);
+        let b = rows(&[[0, 9], [2, 2], [7, 7]]);
+        assert_eq!(merge(&a, &b), rows(&[[0, 9], [1, 1], [2, 2], [5, 0], [7, 7]]));
+        assert_eq!(difference(&a, &b), rows(&[[1, 1], [5, 0]]));
+        assert_eq!(difference(&b, &a), rows(&[[0, 9], [7, 7]]));
+    }
+}

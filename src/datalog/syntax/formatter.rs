@@ -1,0 +1,391 @@
+//! One layout for every rule file.
+//!
+//! The formatter moves tokens and comments and changes none: no literal is rewritten, nothing is sorted, every comment stays between
+//! the tokens it stood between. So what a file means cannot change.
+//!
+//! - Every directive and clause begins a line; facts that share a line may go on doing so.
+//! - One blank line may separate them, never more.
+//! - A clause that fits stands on one line. A longer one goes on below its `:-`, indented; there the author's line breaks between
+//!   literals are kept, and more are made where a line would be too long.
+//! - A comment behind code stays behind it, in its column if there is room; a comment on a line of its own keeps one.
+
+use crate::diag::{Diagnostic, Faults, SourceId, Sources};
+
+use crate::datalog::syntax::lexer;
+use crate::datalog::syntax::lexer::{Kind, Lexed, Token};
+use crate::datalog::syntax::parser;
+
+/// Longer lines are broken where that is possible.
+const WIDTH: usize = 120;
+
+const INDENT: usize = 4;
+
+/// The text of a rule file in the layout that all share.
+///
+/// # Errors
+/// All faults of a text that does not parse.
+pub fn format(sources: &Sources, id: SourceId) -> Result<String, Vec<Diagnostic>> {
+    let text = sources.text(id);
+    let mut faults = Faults::default();
+    let lexed = lexer::lex(id, text, &mut faults);
+    let (_, starts) = parser::parse_tokens(id, text, &lexed, &mut faults);
+    if faults.failed() {
+        return Err(faults.finish());
+    }
+    let mut layout = Layout {
+        text,
+        lexed: &lexed,
+        out: String::new(),
+        next_comment: 0,
+        last: 0,
+    };
+    layout.file(&starts);
+    let formatted = layout.out;
+    let again = lexer::lex(id, &formatted, &mut faults);
+    debug_assert!(
+        same(text, &lexed, &formatted, &again),
+        "a token or a comment was changed:\n{formatted}"
+    );
+    Ok(if same(text, &lexed, &formatted, &again) {
+        formatted
+    } else {
+        text.to_owned()
+    })
+}
+
+/// Whether two texts have the same tokens and comments.
+fn same(a: &str, one: &Lexed, b: &str, other: &Lexed) -> bool {
+    fn words<'t>(text: &'t str, lexed: &Lexed) -> Vec<&'t str> {
+        lexed
+            .tokens
+            .iter()
+            .map(|token| &text[token.start as usize..token.end as usize])
+            .collect()
+    }
+    fn comments(text: &str, lexed: &Lexed) -> Vec<(u32, String)> {
+        let word = |comment: &lexer::Comment| {
+            let text = &text[comment.start as usize..comment.end as usize];
+            let lines: Vec<&str> = text.lines().map(str::trim_end).collect();
+            (comment.before, lines.join("\n"))
+        };
+        lexed.comments.iter().map(word).collect()
+    }
+    words(a, one) == words(b, other) && comments(a, one) == comments(b, other)
+}
+
+struct Layout<'a> {
+    text: &'a str,
+    lexed: &'a Lexed,
+    out: String,
+    next_comment: usize,
+    /// Where the last thing written ends in the text.
+    last: usize,
+}
+
+/// A token or a comment within an item.
+#[derive(Clone, Copy)]
+enum Part {
+    Token(Token),
+    /// Its bytes.
+    Comment(usize, usize),
+}
+
+impl Layout<'_> {
+    fn file(&mut self, starts: &[usize]) {
+        let end = self.lexed.tokens.len() - 1;
+        for (index, &start) in starts.iter().enumerate() {
+            let next = starts.get(index + 1).copied().unwrap_or(end);
+            self.comments(start);
+            self.item(start, next, index > 0 && self.is_fact(starts[index - 1], start));
+        }
+        self.comments(end);
+        let length = self.out.trim_end().len();
+        self.out.truncate(length);
+        if length > 0 {
+            self.out.push('\n');
+        }
+    }
+
+    /// Whether the item has neither a dot before nor an `:-` in it.
+    fn is_fact(&self, start: usize, end: usize) -> bool {
+        self.lexed.tokens[start].kind == Kind::Ident
+            && !self.lexed.tokens[start..end].iter().any(|token| token.kind == Kind::If)
+    }
+
+    /// Line breaks in the text between two places.
+    fn breaks(&self, from: usize, to: usize) -> usize {
+        self.text[from..to].bytes().filter(|&byte| byte == b'\n').count()
+    }
+
+    /// Begins a line, after a blank one if there was one here.
+    fn line(&mut self, from: usize) {
+        if self.out.is_empty() {
+            return;
+        }
+        if !self.out.ends_with('\n') {
+            self.out.push('\n');
+        }
+        if self.breaks(self.last, from) > 1 && !self.out.ends_with("\n\n") {
+            self.out.push('\n');
+        }
+    }
+
+    /// The comments before a token that begins an item, or before the end.
+    fn comments(&mut self, before: usize) {
+        while let Some(comment) = self.lexed.comments.get(self.next_comment).copied()
+            && comment.before as usize <= before
+        {
+            self.next_comment += 1;
+            let (start, end) = (comment.start as usize, comment.end as usize);
+            if !self.out.is_empty() && self.breaks(self.last, start) == 0 && !self.out.ends_with('\n') {
+                let column = self.column(start);
+                let comment = self.comment(start, end);
+                trail(&mut self.out, column, &comment);
+            } else {
+                self.line(start);
+                self.out += &self.comment(start, end);
+            }
+            self.last = end;
+        }
+    }
+
+    /// A comment without what trails its lines.
+    fn comment(&self, start: usize, end: usize) -> String {
+        let lines: Vec<&str> = self.text[start..end].lines().map(str::trim_end).collect();
+        lines.join("\n")
+    }
+
+    /// How many characters stand before a place on its line.
+    fn column(&self, at: usize) -> usize {
+        let line = self.text[..at].rfind('\n').map_or(0, |newline| newline + 1);
+        self.text[line..at].chars().count()
+    }
+
+    fn item(&mut self, start: usize, next: usize, after_fact: bool) {
+        let tokens = &self.lexed.tokens[start..next];
+        let (from, to) = (tokens[0].start as usize, tokens[tokens.len() - 1].end as usize);
+        let mut parts: Vec<Part> = Vec::new();
+        for (offset, &token) in tokens.iter().enumerate() {
+            while let Some(comment) = self.lexed.comments.get(self.next_comment)
+                && comment.before as usize <= start + offset
+            {
+                self.next_comment += 1;
+                parts.push(Part::Comment(comment.start as usize, comment.end as usize));
+            }
+            parts.push(Part::Token(token));
+        }
+        let flat = self.flat(&parts);
+        let line_start = self.out.rfind('\n').map_or(0, |newline| newline + 1);
+        let width = self.out[line_start..].chars().count();
+        match flat {
+            Some(flat) if flat.chars().count() <= WIDTH => {
+                let joins = after_fact
+                    && self.is_fact(start, next)
+                    && self.breaks(self.last, from) == 0
+                    && !self.out.is_empty()
+                    && !self.out.ends_with('\n')
+                    && !self.ends_in_comment(from)
+                    && width + 1 + flat.chars().count() <= WIDTH;
+                if joins {
+                    self.out.push(' ');
+                } else {
+                    self.line(from);
+                }
+                self.out += &flat;
+            }
+            _ => {
+                self.line(from);
+                self.broken(&parts);
+            }
+        }
+        self.last = to;
+    }
+
+    /// Whether a comment was the last thing before a place.
+    fn ends_in_comment(&self, from: usize) -> bool {
+        let before = self
+            .next_comment
+            .checked_sub(1)
+            .and_then(|index| self.lexed.comments.get(index));
+        before.is_some_and(|comment| comment.end as usize == self.last && self.last <= from)
+    }
+
+    /// The item on one line, unless a comment in it needs a line's end.
+    fn flat(&self, parts: &[Part]) -> Option<String> {
+        let mut line = String::new();
+        let mut before: Option<Token> = None;
+        let mut binary = false;
+        let mut last = None;
+        for part in parts {
+            match *part {
+                Part::Comment(start, end) => {
+                    let comment = &self.text[start..end];
+                    if comment.starts_with("//")
+                        || comment.contains('\n')
+                        || last.is_some_and(|at| self.breaks(at, start) > 0)
+                    {
+                        return None;
+                    }
+                    line.push(' ');
+                    line += comment;
+                    before = None;
+                    last = Some(end);
+                }
+                Part::Token(token) => {
+                    if before.is_none() && !line.is_empty()
+                        || before.is_some_and(|other| self.space(other, token, binary))
+                    {
+                        line.push(' ');
+                    }
+                    binary = self.is_binary(before, token);
+                    line += self.word(token);
+                    before = Some(token);
+                    last = Some(token.end as usize);
+                }
+            }
+        }
+        Some(line)
+    }
+
+    fn word(&self, token: Token) -> &str {
+        &self.text[token.start as usize..token.end as usize]
+    }
+
+    /// Whether a sign stands between two values.
+    fn is_binary(&self, before: Option<Token>, token: Token) -> bool {
+        matches!(token.kind, Kind::Minus | Kind::Operator)
+            && before.is_some_and(|before| {
+                matches!(
+                    before.kind,
+                    Kind::Ident
+                        | Kind::Number
+                        | Kind::Float
+                        | Kind::Unsigned
+                        | Kind::Text
+                        | Kind::RParen
+                        | Kind::RBracket
+                )
+            })
+    }
+
+    /// Whether a space separates two tokens. `binary`: the first is a sign between two values.
+    fn space(&self, left: Token, right: Token, binary: bool) -> bool {
+        use Kind::*;
+        match (left.kind, right.kind) {
+            (_, Comma | Semicolon | RParen | RBracket | Colon) => false,
+            // The dot of a directive touches what follows; a full stop what stands before.
+            (Dot, Ident) => left.end != right.start,
+            (_, Dot) => false,
+            (LParen | LBracket | Bang | Dollar | At | Hash, _) => false,
+            (Ident, LParen) => self.word(left) == "not",
+            (RParen, LParen) => false,
+            (_, Minus | Operator) if self.is_binary(Some(left), right) => true,
+            (Minus | Operator, _) => binary,
+            _ => true,
+        }
+    }
+
+    /// The item over several lines.
+    fn broken(&mut self, parts: &[Part]) {
+        let is_directive = matches!(parts.first(), Some(Part::Token(token)) if token.kind == Kind::Dot);
+        let allowed = usize::from(is_directive);
+        let mut line = String::new();
+        // Written before, and the part of `line` that may not be broken.
+        let mut chunk = String::new();
+        let mut before: Option<Token> = None;
+        let mut binary = false;
+        let mut depth = 0_usize;
+        let mut last: Option<usize> = None;
+        for part in parts {
+            match *part {
+                Part::Comment(start, end) => {
+                    let comment = self.comment(start, end);
+                    let own_line = last.is_some_and(|at| self.breaks(at, start) > 0);
+                    join(&mut self.out, &mut line, &mut chunk);
+                    if own_line {
+                        end_line(&mut self.out, &mut line);
+                        line = " ".repeat(INDENT) + &comment;
+                        end_line(&mut self.out, &mut line);
+                    } else if comment.starts_with("//") {
+                        trail(&mut line, self.column(start), &comment);
+                        end_line(&mut self.out, &mut line);
+                    } else {
+                        if !line.trim().is_empty() {
+                            line.push(' ');
+                        }
+                        line += &comment;
+                        line.push(' ');
+                        if comment.contains('\n') {
+                            end_line(&mut self.out, &mut line);
+                        }
+                    }
+                    before = None;
+                    last = Some(end);
+                }
+                Part::Token(token) => {
+                    let may_break = before.is_some_and(|before| {
+                        before.kind == Kind::If
+                            || matches!(before.kind, Kind::Comma | Kind::Semicolon) && depth <= allowed
+                    });
+                    if may_break {
+                        let author = last.is_some_and(|at| self.breaks(at, token.start as usize) > 0);
+                        let after_if = before.is_some_and(|before| before.kind == Kind::If);
+                        join(&mut self.out, &mut line, &mut chunk);
+                        if author || after_if {
+                            end_line(&mut self.out, &mut line);
+                        }
+                    } else if before.is_some_and(|other| self.space(other, token, binary)) {
+                        chunk.push(' ');
+                    }
+                    binary = self.is_binary(before, token);
+                    match token.kind {
+                        Kind::LParen | Kind::LBracket | Kind::LBrace => depth += 1,
+                        Kind::RParen | Kind::RBracket | Kind::RBrace => depth = depth.saturating_sub(1),
+                        _ => {}
+                    }
+                    chunk += self.word(token);
+                    before = Some(token);
+                    last = Some(token.end as usize);
+                }
+            }
+        }
+        join(&mut self.out, &mut line, &mut chunk);
+        self.out += line.trim_end();
+    }
+}
+
+/// Puts a chunk behind a line, or on the next one if it would be too long. Lines but an item's first are indented.
+fn join(out: &mut String, line: &mut String, chunk: &mut String) {
+    if chunk.is_empty() {
+        return;
+    }
+    let gap = usize::from(!line.is_empty() && !line.ends_with(' '));
+    if !line.trim().is_empty() && line.chars().count() + gap + chunk.chars().count() > WIDTH {
+        end_line(out, line);
+    }
+    if !line.is_empty() && !line.ends_with(' ') {
+        line.push(' ');
+    }
+    line.push_str(chunk);
+    chunk.clear();
+}
+
+/// Ends a line and indents the next.
+fn end_line(out: &mut String, line: &mut String) {
+    let text = line.trim_end();
+    if !text.is_empty() {
+        out.push_str(text);
+        out.push('\n');
+    }
+    *line = " ".repeat(INDENT);
+}
+
+/// Puts a comment behind code, in its column if there is room.
+fn trail(line: &mut String, column: usize, comment: &str) {
+    let start = line.rfind('\n').map_or(0, |newline| newline + 1);
+    let length = line.trim_end().len();
+    line.truncate(length);
+    let width = line[start.min(length)..].chars().count();
+    line.push_str(&" ".repeat(column.saturating_sub(width).max(1)));
+    line.push_str(comment);
+}

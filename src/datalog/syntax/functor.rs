@@ -1,0 +1,217 @@
+//! The operators, functions and aggregates of expressions: names, precedence, and the types they take.
+//!
+//! [`super::super::value`] evaluates them.
+
+use super::ast::BaseType;
+
+/// An operator or function of expressions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[allow(missing_docs, reason = "the names are those of the language; see `Functor::name`")]
+pub enum Functor {
+    Negate,
+    BitNot,
+    Not,
+    Add,
+    Subtract,
+    Multiply,
+    Divide,
+    Remainder,
+    Power,
+    BitAnd,
+    BitOr,
+    BitXor,
+    ShiftLeft,
+    ShiftRight,
+    ShiftRightUnsigned,
+    And,
+    Or,
+    Xor,
+    Min,
+    Max,
+    Cat,
+    Length,
+    Substring,
+    Ordinal,
+    ToNumber,
+    ToText,
+    ToFloat,
+    ToUnsigned,
+    /// `as(x, T)`: the same bits, of another type.
+    Cast,
+    /// It has many values; checking takes it apart, so nobody applies it. See `range`.
+    Range,
+}
+
+use Functor::*;
+
+/// What a functor takes and gives.
+pub(crate) enum Shape {
+    /// Any number of arguments of one base type, which is that of the result.
+    Same(&'static [BaseType]),
+    /// An argument of one of these, and a result of another base type.
+    Convert(&'static [BaseType], BaseType),
+    /// Arguments and result as listed.
+    Fixed(&'static [BaseType], BaseType),
+}
+
+const NUMERIC: &[BaseType] = &[BaseType::Number, BaseType::Unsigned, BaseType::Float];
+const INTEGER: &[BaseType] = &[BaseType::Number, BaseType::Unsigned];
+const SIGNED: &[BaseType] = &[BaseType::Number, BaseType::Float];
+const ANY: &[BaseType] = &[BaseType::Number, BaseType::Unsigned, BaseType::Float, BaseType::Symbol];
+
+impl Functor {
+    /// The operators and functions, as they are written.
+    const NAMES: &'static [(Functor, &'static str)] = &[
+        (Negate, "-"),
+        (BitNot, "bnot"),
+        (Not, "lnot"),
+        (Add, "+"),
+        (Subtract, "-"),
+        (Multiply, "*"),
+        (Divide, "/"),
+        (Remainder, "%"),
+        (Power, "^"),
+        (BitAnd, "band"),
+        (BitOr, "bor"),
+        (BitXor, "bxor"),
+        (ShiftLeft, "bshl"),
+        (ShiftRight, "bshr"),
+        (ShiftRightUnsigned, "bshru"),
+        (And, "land"),
+        (Or, "lor"),
+        (Xor, "lxor"),
+        (Min, "min"),
+        (Max, "max"),
+        (Cat, "cat"),
+        (Length, "strlen"),
+        (Substring, "substr"),
+        (Ordinal, "ord"),
+        (ToNumber, "to_number"),
+        (ToText, "to_string"),
+        (ToFloat, "to_float"),
+        (ToUnsigned, "to_unsigned"),
+        (Cast, "as"),
+        (Range, "range"),
+    ];
+
+    /// How it is written.
+    pub fn name(self) -> &'static str {
+        let found = Self::NAMES.iter().find(|(functor, _)| *functor == self);
+        found.map_or("", |(_, name)| name)
+    }
+
+    /// The function of that name, such as `cat`.
+    pub(crate) fn function(name: &str) -> Option<Functor> {
+        let named = |functor: &Functor| functor.precedence().is_none() && *functor != Cast;
+        let mut all = Self::NAMES.iter().filter(|(functor, _)| named(functor));
+        all.find(|(_, other)| *other == name).map(|(functor, _)| *functor)
+    }
+
+    /// The operator between two operands that is written so.
+    pub(crate) fn infix(text: &str) -> Option<Functor> {
+        let infix = |functor: &Functor| !functor.is_prefix() && functor.precedence().is_some();
+        let mut all = Self::NAMES.iter().filter(|(functor, _)| infix(functor));
+        all.find(|(_, other)| *other == text).map(|(functor, _)| *functor)
+    }
+
+    /// Whether it stands before its only operand.
+    pub(crate) fn is_prefix(self) -> bool {
+        matches!(self, Negate | BitNot | Not)
+    }
+
+    /// Whether its values may be texts that were not there.
+    pub fn makes_text(self) -> bool {
+        matches!(self, Cat | Substring | ToText)
+    }
+
+    /// How tightly an operator binds; `None` for functions.
+    pub(crate) fn precedence(self) -> Option<u8> {
+        Some(match self {
+            Or => 1,
+            Xor => 2,
+            And => 3,
+            BitOr => 4,
+            BitXor => 5,
+            BitAnd => 6,
+            ShiftLeft | ShiftRight | ShiftRightUnsigned => 7,
+            Add | Subtract => 8,
+            Multiply | Divide | Remainder => 9,
+            Negate | BitNot | Not => 10,
+            Power => 11,
+            _ => return None,
+        })
+    }
+
+    /// The least and the greatest number of arguments.
+    pub(crate) fn arity(self) -> (usize, usize) {
+        match self {
+            Min | Max | Cat => (2, 64),
+            Substring => (3, 3),
+            Range => (2, 3),
+            Length | Ordinal | ToNumber | ToText | ToFloat | ToUnsigned | Cast => (1, 1),
+            _ if self.is_prefix() => (1, 1),
+            _ => (2, 2),
+        }
+    }
+
+    pub(crate) fn shape(self) -> Shape {
+        use BaseType::{Float, Number, Symbol, Unsigned};
+        match self {
+            Negate => Shape::Same(SIGNED),
+            Subtract | Multiply | Divide | Power | Range => Shape::Same(NUMERIC),
+            Add | Min | Max => Shape::Same(ANY),
+            BitNot | Not | Remainder | BitAnd | BitOr | BitXor | ShiftLeft | ShiftRight | ShiftRightUnsigned | And
+            | Or | Xor => Shape::Same(INTEGER),
+            Cat => Shape::Same(&[Symbol]),
+            Length => Shape::Fixed(&[Symbol], Number),
+            Substring => Shape::Fixed(&[Symbol, Number, Number], Symbol),
+            Ordinal => Shape::Fixed(&[Symbol], Number),
+            ToNumber => Shape::Convert(ANY, Number),
+            ToText => Shape::Convert(ANY, Symbol),
+            ToFloat => Shape::Convert(ANY, Float),
+            ToUnsigned => Shape::Convert(ANY, Unsigned),
+            // The result's base is that of the type it names.
+            Cast => Shape::Convert(ANY, Number),
+        }
+    }
+}
+
+/// A function of the values of all rows that an aggregate looks at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[allow(missing_docs, reason = "the names are those of the language")]
+pub enum AggregateOp {
+    Count,
+    Sum,
+    Min,
+    Max,
+    Mean,
+}
+
+impl AggregateOp {
+    pub(crate) const ALL: [AggregateOp; 5] = [
+        AggregateOp::Count,
+        AggregateOp::Sum,
+        AggregateOp::Min,
+        AggregateOp::Max,
+        AggregateOp::Mean,
+    ];
+
+    /// How it is written.
+    pub fn name(self) -> &'static str {
+        match self {
+            AggregateOp::Count => "count",
+            AggregateOp::Sum => "sum",
+            AggregateOp::Min => "min",
+            AggregateOp::Max => "max",
+            AggregateOp::Mean => "mean",
+        }
+    }
+
+    /// The base types it takes.
+    pub(crate) fn takes(self) -> &'static [BaseType] {
+        match self {
+            AggregateOp::Min | AggregateOp::Max => ANY,
+            _ => NUMERIC,
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! Follows `.include`: the texts of a program become one list of items, in the order in which they would be read aloud.
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
+use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalise};
+
+use crate::datalog::syntax::ast::{File, Include, Item};
+use crate::datalog::syntax::parser;
+
+/// A larger text is refused.
+const MAX_TEXT_BYTES: usize = 64 << 20;
+
+/// What names of rule files end with.
+const ENDING: &str = "dl";
+
+/// A longer chain of includes is refused.
+const MAX_DEPTH: usize = 64;
+
+/// The items of all texts.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Gathered {
+    /// No [`Item::Include`] is left among them.
+    pub items: Vec<Item>,
+    /// Whether an included text was not there, so that names may be unknown only because their declaration was not read.
+    pub incomplete: bool,
+    /// The normal paths of all texts so far. It is only asked, never walked.
+    seen: HashSet<PathBuf>,
+}
+
+/// Adds the items of a text and of all it includes; a text that is there already is not read again.
+pub(crate) fn gather(
+    gathered: &mut Gathered,
+    sources: &mut Sources,
+    entry: SourceId,
+    read: &dyn ReadFile,
+    faults: &mut Faults,
+) {
+    let key = normalise(Path::new(sources.name(entry)));
+    if gathered.seen.insert(key.clone()) {
+        let mut walk = Walk {
+            sources,
+            read,
+            faults,
+            open: vec![(key, None)],
+            gathered,
+        };
+        walk.text(entry);
+    }
+}
+
+pub(crate) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) -> File {
+    let text = sources.text(id);
+    if text.len() > MAX_TEXT_BYTES {
+        let fault = Diagnostic::new(Code::LimitExceeded, "rule file too large")
+            .at(Span::new(id, 0..0), "")
+            .note(format!(
+                "a rule file has at most {} MiB; facts can be given as `.facts` files",
+                MAX_TEXT_BYTES >> 20
+            ));
+        faults.push(fault);
+        return File::default();
+    }
+    parser::parse(id, text, faults)
+}
+
+struct Walk<'a> {
+    sources: &'a mut Sources,
+    read: &'a dyn ReadFile,
+    faults: &'a mut Faults,
+    /// The texts being read, outermost first: normal path, and the include that led to it.
+    open: Vec<(PathBuf, Option<Span>)>,
+    gathered: &'a mut Gathered,
+}
+
+impl Walk<'_> {
+    fn text(&mut self, id: SourceId) {
+        for item in parse_one(self.sources, id, self.faults).items {
+            match item {
+                Item::Include(include) => self.include(id, &include),
+                other => self.gathered.items.push(other),
+            }
+        }
+    }
+
+    fn include(&mut self, from: SourceId, include: &Include) {
+        let span = include.place.0;
+        let beside = Path::new(self.sources.name(from))
+            .parent()
+            .unwrap_or(Path::new(""))
+            .join(&include.path);
+        let builtin = Path::new(BUILTIN_FOLDER).join(&include.path);
+        let mut error = ReadError::NotFound;
+        for path in [&beside, &builtin] {
+            let key = normalise(path);
+            if let Some(position) = self.open.iter().position(|(open, _)| *open == key) {
+                return self.cycle(position, span);
+            }
+            if self.gathered.seen.contains(&key) {
+                return;
+            }
+            if path.as_os_str() == builtin.as_os_str() && !builtin.starts_with(BUILTIN_FOLDER) {
+                continue; // an absolute path
+            }
+            match self.read.read(path) {
+                Ok(text) => return self.open(path, key, text, span),
+                Err(ReadError::NotFound) => {}
+                Err(other) => {
+                    error = other;
+                    break;
+                }
+            }
+        }
+        self.gathered.incomplete = true;
+        let path = beside.display();
+        let fault = match error {
+            ReadError::NotFound => {
+                let fault = Diagnostic::new(Code::MissingInclude, format!("no file `{}` to include", include.path))
+                    .at(span, "")
+                    .note(format!("looked for `{path}` and for a built-in rule file of that name"));
+                match self.similar(from, &include.path) {
+                    Some(near) => fault.help(format!("did you mean `{near}`?")),
+                    None => fault,
+                }
+            }
+            ReadError::NotText { .. } => {
+                Diagnostic::new(Code::NotText, format!("`{path}` is {error}")).at(span, "included here")
+            }
+            ReadError::TooLarge => {
+                Diagnostic::new(Code::LimitExceeded, format!("`{path}` is {error}")).at(span, "included here")
+            }
+            ReadError::Io(_) => Diagnostic::new(Code::MissingInclude, format!("cannot read `{path}`: {error}"))
+                .at(span, "included here"),
+        };
+        self.faults.push(fault);
+    }
+
+    /// A name like this one that could have been included: with the usual ending, or of a built-in file.
+    fn similar(&self, from: SourceId, path: &str) -> Option<String> {
+        let folder = Path::new(self.sources.name(from)).parent().unwrap_or(Path::new(""));
+        let is_there = |path: &Path| self.read.read(path).is_ok();
+        let ended = format!("{path}.{ENDING}");
+        let builtin = |name: &str| is_there(&Path::new(BUILTIN_FOLDER).join(name));
+        if is_there(&folder.join(&ended)) || builtin(&ended) {
+            return Some(ended);
+        }
+        let known = self.read.builtin_paths();
+        let names = known.iter().filter_map(|known| known.strip_prefix("rules/"));
+        let near = did_you_mean(path, names.clone()).or_else(|| did_you_mean(&ended, names))?;
+        builtin(near).then(|| near.to_owned())
+    }
+
+    fn open(&mut self, path: &Path, key: PathBuf, text: String, span: Span) {
+        if self.open.len() >= MAX_DEPTH {
+            self.gathered.incomplete = true;
+            let fault = Diagnostic::new(Code::LimitExceeded, "includes nested too deeply")
+                .at(span, "")
+                .note(format!("a chain of includes has at most {MAX_DEPTH} files"));
+            self.faults.push(fault);
+            return;
+        }
+        let id = self.sources.add(path.display().to_string(), text);
+        self.gathered.seen.insert(key.clone());
+        self.open.push((key, Some(span)));
+        self.text(id);
+        self.open.pop();
+    }
+
+    /// `span` includes the open text number `position`.
+    fn cycle(&mut self, position: usize, span: Span) {
+        let name = self.sources.name(span.source).to_owned();
+        let on_cycle: Vec<Span> = self.open[position + 1..]
+            .iter()
+            .filter_map(|(_, include)| *include)
+            .collect();
+        let mut fault = match on_cycle.as_slice() {
+            [] => Diagnostic::new(Code::IncludeCycle, format!("`{name}` includes itself")).at(span, ""),
+            _ => Diagnostic::new(Code::IncludeCycle, "files include each other in a circle")
+                .at(span, "this include closes the circle"),
+        };
+        for step in on_cycle {
+            fault = fault.also(step, "on the circle");
+        }
+        self.faults
+            .push(fault.help("move what both need into a file of its own, and include that"));
+    }
+}

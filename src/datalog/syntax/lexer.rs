@@ -1,0 +1,463 @@
+//! Text to tokens. One pass, no look-back; faults are reported and lexing goes on.
+
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Span};
+
+/// Longer names are refused, so that they can be shown and compared.
+pub(crate) const MAX_NAME_BYTES: usize = 255;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    Ident,
+    Underscore,
+    Number,
+    Float,
+    Unsigned,
+    /// Digits and letters that make no number, or too long a name; reported.
+    Faulty,
+    /// A text with both quotes.
+    Text,
+    /// A text whose closing quote is missing; reported.
+    OpenText,
+    LParen,
+    RParen,
+    LBracket,
+    RBracket,
+    LBrace,
+    RBrace,
+    Comma,
+    Dot,
+    Colon,
+    Semicolon,
+    /// `:-`
+    If,
+    Bang,
+    Equal,
+    NotEqual,
+    Less,
+    LessEqual,
+    Greater,
+    GreaterEqual,
+    /// `<:`
+    Subtype,
+    Pipe,
+    /// `+ * / % ^`
+    Operator,
+    Minus,
+    Dollar,
+    At,
+    Hash,
+    End,
+}
+
+/// What other languages write, the token that stands for it here, and how that is written.
+const FOREIGN: &[(&str, Kind, &str)] = &[
+    ("\\+", Kind::Bang, NEGATION),
+    ("=\\=", Kind::NotEqual, "inequality is written `!=`"),
+    ("\\=", Kind::NotEqual, "inequality is written `!=`"),
+    ("<>", Kind::NotEqual, "inequality is written `!=`"),
+    ("\u{2260}", Kind::NotEqual, "inequality is written `!=`"),
+    ("=:=", Kind::Equal, "equality is written `=`"),
+    ("==", Kind::Equal, "equality is written `=`"),
+    ("=<", Kind::LessEqual, "\"at most\" is written `<=`"),
+    ("\u{2264}", Kind::LessEqual, "\"at most\" is written `<=`"),
+    ("\u{2265}", Kind::GreaterEqual, "\"at least\" is written `>=`"),
+    ("&&", Kind::Comma, CONJUNCTION),
+    ("&", Kind::Comma, CONJUNCTION),
+    ("\u{2227}", Kind::Comma, CONJUNCTION),
+    ("||", Kind::Semicolon, DISJUNCTION),
+    ("\u{2228}", Kind::Semicolon, DISJUNCTION),
+    ("~", Kind::Bang, NEGATION),
+    ("\u{ac}", Kind::Bang, NEGATION),
+    ("\u{2190}", Kind::If, IMPLICATION),
+];
+
+/// The words of the C preprocessor: what begins with `#` and another word is a comment in other languages.
+const PREPROCESSOR: &[&str] = &[
+    "include", "define", "undef", "if", "ifdef", "ifndef", "elif", "else", "endif", "error", "warning", "line",
+    "pragma",
+];
+
+pub(crate) const COMMENT: &str = "comments begin with `//`, or stand between `/*` and `*/`";
+pub(crate) const NEGATION: &str = "negation is written `Not(P(X))`, `not P(X)` or `!P(X)`";
+pub(crate) const CONJUNCTION: &str = "literals are separated by commas, which mean \"and\"";
+pub(crate) const DISJUNCTION: &str = "alternatives are separated by `;`";
+pub(crate) const IMPLICATION: &str = "head and body are separated by `:-`";
+
+/// A token: what it is and its bytes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Token {
+    pub kind: Kind,
+    pub start: u32,
+    pub end: u32,
+    /// Whether no other token stands before it on its line.
+    pub first_on_line: bool,
+}
+
+/// A line of doc comment, without the slashes, and the number of the token that follows it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DocLine {
+    pub before: u32,
+    pub start: u32,
+    pub end: u32,
+}
+
+/// A comment of any kind, with its slashes, and the number of the token that follows it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Comment {
+    pub before: u32,
+    pub start: u32,
+    pub end: u32,
+}
+
+#[derive(Debug)]
+pub(crate) struct Lexed {
+    /// The last one is [`Kind::End`].
+    pub tokens: Vec<Token>,
+    pub docs: Vec<DocLine>,
+    /// All comments, doc comments too: what a formatter must keep.
+    pub comments: Vec<Comment>,
+}
+
+pub(crate) fn is_name_start(byte: u8) -> bool {
+    byte.is_ascii_alphabetic() || byte == b'_' || byte == b'?'
+}
+
+pub(crate) fn is_name_part(byte: u8) -> bool {
+    byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'?'
+}
+
+/// Whether a text can be the name of a predicate or a type.
+pub fn is_name(text: &str) -> bool {
+    let mut bytes = text.bytes();
+    text.len() <= MAX_NAME_BYTES
+        && bytes.next().is_some_and(is_name_start)
+        && bytes.all(is_name_part)
+        && !matches!(text, "_" | "Not" | "not")
+}
+
+/// `text` must be shorter than 4 GiB.
+pub(crate) fn lex(source: SourceId, text: &str, faults: &mut Faults) -> Lexed {
+    let mut lexer = Lexer {
+        source,
+        text,
+        bytes: text.as_bytes(),
+        at: if text.starts_with('\u{feff}') {
+            '\u{feff}'.len_utf8()
+        } else {
+            0
+        },
+        fresh_line: true,
+        foreign_comments: Vec::new(),
+        lexed: Lexed {
+            tokens: Vec::new(),
+            docs: Vec::new(),
+            comments: Vec::new(),
+        },
+        faults,
+    };
+    lexer.run();
+    lexer.lexed
+}
+
+struct Lexer<'a> {
+    source: SourceId,
+    text: &'a str,
+    bytes: &'a [u8],
+    at: usize,
+    fresh_line: bool,
+    /// Where comments of other languages begin.
+    foreign_comments: Vec<Span>,
+    lexed: Lexed,
+    faults: &'a mut Faults,
+}
+
+impl Lexer<'_> {
+    fn run(&mut self) {
+        while let Some(&byte) = self.bytes.get(self.at) {
+            match byte {
+                b'\n' => {
+                    self.fresh_line = true;
+                    self.at += 1;
+                }
+                b' ' | b'\t' | b'\r' | 0x0b | 0x0c => self.at += 1,
+                b'/' if self.peek(1) == Some(b'/') => self.line_comment(),
+                b'/' if self.peek(1) == Some(b'*') => self.block_comment(),
+                b'"' => self.text_constant(),
+                b'0'..=b'9' => self.number(),
+                _ if is_name_start(byte) => self.name(),
+                _ => self.punctuation(byte),
+            }
+        }
+        self.push(Kind::End, 0);
+        self.report_foreign_comments();
+    }
+
+    fn peek(&self, ahead: usize) -> Option<u8> {
+        self.bytes.get(self.at + ahead).copied()
+    }
+
+    fn span(&self, start: usize, end: usize) -> Span {
+        Span::new(self.source, start..end)
+    }
+
+    fn push(&mut self, kind: Kind, length: usize) {
+        let end = self.at + length;
+        let narrow = |byte: usize| u32::try_from(byte).unwrap_or(u32::MAX);
+        self.lexed.tokens.push(Token {
+            kind,
+            start: narrow(self.at),
+            end: narrow(end),
+            first_on_line: self.fresh_line,
+        });
+        self.fresh_line = false;
+        self.at = end;
+    }
+
+    fn count_while(&self, from: usize, keep: impl Fn(u8) -> bool) -> usize {
+        self.bytes[from..].iter().take_while(|&&byte| keep(byte)).count()
+    }
+
+    fn comment(&mut self, end: usize) {
+        let narrow = |byte: usize| u32::try_from(byte).unwrap_or(u32::MAX);
+        self.lexed.comments.push(Comment {
+            before: narrow(self.lexed.tokens.len()),
+            start: narrow(self.at),
+            end: narrow(end),
+        });
+    }
+
+    fn line_comment(&mut self) {
+        let length = self.count_while(self.at, |byte| byte != b'\n');
+        let end = self.at + length;
+        // As in Rust, `///` documents and `////` is a ruler.
+        if self.peek(2) == Some(b'/') && self.peek(3) != Some(b'/') {
+            let narrow = |byte: usize| u32::try_from(byte).unwrap_or(u32::MAX);
+            self.lexed.docs.push(DocLine {
+                before: narrow(self.lexed.tokens.len()),
+                start: narrow(self.at + 3),
+                end: narrow(end),
+            });
+        }
+        self.comment(end);
+        self.at = end;
+    }
+
+    fn block_comment(&mut self) {
+        match self.text[self.at + 2..].find("*/") {
+            Some(length) => {
+                let end = self.at + 2 + length + 2;
+                self.fresh_line |= self.bytes[self.at..end].contains(&b'\n');
+                self.comment(end);
+                self.at = end;
+            }
+            None => {
+                self.faults.push(
+                    Diagnostic::new(Code::Syntax, "comment without an end")
+                        .at(self.span(self.at, self.at + 2), "this `/*` has no `*/`"),
+                );
+                self.at = self.bytes.len();
+            }
+        }
+    }
+
+    fn text_constant(&mut self) {
+        let mut length = 1;
+        loop {
+            match self.peek(length) {
+                Some(b'"') => return self.push(Kind::Text, length + 1),
+                Some(b'\\') if !matches!(self.peek(length + 1), None | Some(b'\n')) => length += 2,
+                None | Some(b'\n') => break,
+                Some(_) => length += 1,
+            }
+        }
+        self.faults.push(
+            Diagnostic::new(Code::Syntax, "text without a closing quote")
+                .at(self.span(self.at, self.at + 1), "it begins here")
+                .note("a text ends on the line it begins; write a line break as `\\n`"),
+        );
+        self.push(Kind::OpenText, length);
+    }
+
+    fn number(&mut self) {
+        let length = self.count_while(self.at, |byte| byte.is_ascii_alphanumeric() || byte == b'_');
+        let word = &self.bytes[self.at..self.at + length];
+        let (digits, suffix) = match word.split_last() {
+            Some((b'u', digits)) => (digits, Kind::Unsigned),
+            _ => (word, Kind::Number),
+        };
+        let good = match digits {
+            [b'0', b'x', hexadecimal @ ..] => !hexadecimal.is_empty() && hexadecimal.iter().all(u8::is_ascii_hexdigit),
+            [b'0', b'b', bits @ ..] => !bits.is_empty() && bits.iter().all(|bit| matches!(bit, b'0' | b'1')),
+            decimal => decimal.iter().all(u8::is_ascii_digit),
+        };
+        if let Some(float) = self.float() {
+            return self.push(Kind::Float, float);
+        }
+        if good {
+            return self.push(suffix, length);
+        }
+        self.faults.push(
+            Diagnostic::new(Code::Syntax, "not a number")
+                .at(self.span(self.at, self.at + length), "")
+                .help(
+                    "a number is written in decimal, or as `0x` or `0b` and digits; a name does not begin with a digit",
+                ),
+        );
+        self.push(Kind::Faulty, length);
+    }
+
+    /// The length of a floating-point number: digits, and a fraction or an exponent or both.
+    fn float(&self) -> Option<usize> {
+        let digits = |from: usize| self.count_while(self.at + from, |byte| byte.is_ascii_digit());
+        let whole = digits(0);
+        let mut length = whole;
+        if self.peek(length) == Some(b'.') && digits(length + 1) > 0 {
+            length += 1 + digits(length + 1);
+        }
+        if matches!(self.peek(length), Some(b'e' | b'E')) {
+            let sign = usize::from(matches!(self.peek(length + 1), Some(b'+' | b'-')));
+            let exponent = digits(length + 1 + sign);
+            if exponent > 0 {
+                length += 1 + sign + exponent;
+            }
+        }
+        let ends = !self.peek(length).is_some_and(is_name_part);
+        (length > whole && ends).then_some(length)
+    }
+
+    fn name(&mut self) {
+        let length = self.count_while(self.at, is_name_part);
+        if length > MAX_NAME_BYTES {
+            self.faults.push(
+                Diagnostic::new(Code::LimitExceeded, format!("name of {length} characters"))
+                    .at(self.span(self.at, self.at + 1), "it begins here")
+                    .note(format!("a name has at most {MAX_NAME_BYTES}")),
+            );
+            return self.push(Kind::Faulty, length);
+        }
+        let kind = match &self.bytes[self.at..self.at + length] {
+            b"_" => Kind::Underscore,
+            _ => Kind::Ident,
+        };
+        self.push(kind, length);
+    }
+
+    /// Reports a spelling of other languages and goes on with what it stands for. `None` if there is none here.
+    fn foreign(&mut self) -> Option<()> {
+        let rest = &self.bytes[self.at..];
+        let (written, kind, help) = FOREIGN
+            .iter()
+            .find(|(written, ..)| rest.starts_with(written.as_bytes()))?;
+        // `T<>` is a lattice of Soufflé's, which the parser knows.
+        if *written == "<>" && matches!(rest.get(2), Some(b')' | b',')) {
+            return None;
+        }
+        let fault = Diagnostic::new(Code::Syntax, format!("`{written}` has no meaning here"))
+            .at(self.span(self.at, self.at + written.len()), "")
+            .help(*help);
+        self.faults.push(fault);
+        self.push(*kind, written.len());
+        Some(())
+    }
+
+    /// Skips a comment as other languages have it, where nothing else can be meant. Whether there was one.
+    fn foreign_comment(&mut self) -> bool {
+        let rest = &self.text[self.at..];
+        let after_item = (self.lexed.tokens.last()).is_none_or(|token| token.kind == Kind::Dot);
+        let word = |text: &str| {
+            text.trim_start()
+                .split(|c: char| !c.is_ascii_alphabetic())
+                .next()
+                .map(str::to_owned)
+        };
+        let length = match rest.strip_prefix('#') {
+            Some(rest) if !word(rest).is_some_and(|word| PREPROCESSOR.contains(&word.as_str())) => 1,
+            None if after_item && rest.starts_with('%') => 1,
+            None if after_item && rest.starts_with("--") => 2,
+            _ => return false,
+        };
+        self.foreign_comments.push(self.span(self.at, self.at + length));
+        self.at += self.count_while(self.at, |byte| byte != b'\n');
+        true
+    }
+
+    /// One fault for all of them: who writes one writes many.
+    fn report_foreign_comments(&mut self) {
+        let Some((&first, others)) = self.foreign_comments.split_first() else {
+            return;
+        };
+        let written = &self.text[first.start as usize..first.end as usize];
+        let mut fault = Diagnostic::new(Code::Syntax, format!("`{written}` does not begin a comment"))
+            .at(first, "")
+            .help(COMMENT);
+        if !others.is_empty() {
+            fault = fault.note(format!("there are {} more such lines", others.len()));
+        }
+        self.faults.push(fault);
+    }
+
+    fn punctuation(&mut self, byte: u8) {
+        if self.foreign_comment() || self.foreign().is_some() {
+            return;
+        }
+        let (kind, length) = match (byte, self.peek(1)) {
+            (b':', Some(b'-')) => (Kind::If, 2),
+            (b'!', Some(b'=')) => (Kind::NotEqual, 2),
+            (b'<', Some(b'=')) => (Kind::LessEqual, 2),
+            (b'<', Some(b':')) => (Kind::Subtype, 2),
+            (b'>', Some(b'=')) => (Kind::GreaterEqual, 2),
+            (b'(', _) => (Kind::LParen, 1),
+            (b')', _) => (Kind::RParen, 1),
+            (b'[', _) => (Kind::LBracket, 1),
+            (b']', _) => (Kind::RBracket, 1),
+            (b'{', _) => (Kind::LBrace, 1),
+            (b'}', _) => (Kind::RBrace, 1),
+            (b',', _) => (Kind::Comma, 1),
+            (b'.', _) => (Kind::Dot, 1),
+            (b':', _) => (Kind::Colon, 1),
+            (b';', _) => (Kind::Semicolon, 1),
+            (b'!', _) => (Kind::Bang, 1),
+            (b'=', _) => (Kind::Equal, 1),
+            (b'<', _) => (Kind::Less, 1),
+            (b'>', _) => (Kind::Greater, 1),
+            (b'|', _) => (Kind::Pipe, 1),
+            (b'-', _) => (Kind::Minus, 1),
+            (b'+' | b'*' | b'/' | b'%' | b'^', _) => (Kind::Operator, 1),
+            (b'$', _) => (Kind::Dollar, 1),
+            (b'@', _) => (Kind::At, 1),
+            (b'#', _) => (Kind::Hash, 1),
+            _ => return self.strange_characters(),
+        };
+        self.push(kind, length);
+    }
+
+    /// Reports a run of characters that begin no token as one fault.
+    fn strange_characters(&mut self) {
+        let start = self.at;
+        let strange = |byte: u8| {
+            !byte.is_ascii_whitespace()
+                && !is_name_part(byte)
+                && !b"\"()[]{},.:;!=<>|-+*/%^&$@#".contains(&byte)
+                && byte != 0x0b
+        };
+        let length = self.count_while(start, strange);
+        let first = self.text[start..].chars().next().unwrap_or('\u{fffd}');
+        let message = if first.is_control() {
+            format!("unexpected character U+{:04X}", u32::from(first))
+        } else {
+            format!("unexpected character `{first}`")
+        };
+        let mut fault = Diagnostic::new(Code::Syntax, message).at(self.span(start, start + length), "");
+        fault = match first {
+            '\'' | '\u{2018}' | '\u{2019}' | '\u{201c}' | '\u{201d}' => {
+                fault.help("texts are written in double quotes: `\"...\"`")
+            }
+            _ if first.is_alphabetic() => fault.help(
+                "names are made of the letters a-z and A-Z, digits, `_` and `?`; other letters stand in texts only",
+            ),
+            _ => fault,
+        };
+        self.faults.push(fault);
+        self.at += length;
+    }
+}

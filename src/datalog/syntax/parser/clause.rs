@@ -1,0 +1,360 @@
+//! Clauses and questions: heads, atoms, comparisons, and how they are joined and negated.
+
+use crate::datalog::syntax::ast::Comparison;
+use crate::datalog::syntax::ast::{Atom, Clause, Literal, Place, TermKind};
+use crate::datalog::syntax::lexer::{CONJUNCTION, DISJUNCTION, IMPLICATION, Kind, NEGATION, Token};
+use crate::diag::{Code, Diagnostic};
+
+use crate::datalog::syntax::parser::{Parse, Parser, Reported};
+
+impl Parser<'_> {
+    /// The present tokens are `?-`.
+    fn at_question(&self) -> bool {
+        self.kind() == Kind::Ident && self.slice(self.token()) == "?" && self.ahead(1).kind == Kind::Minus
+    }
+
+    pub(super) fn question(&mut self) -> Parse<(Vec<Literal>, Place)> {
+        if self.at_question() {
+            self.bump();
+            self.bump();
+        }
+        let start = self.token();
+        let body = self.disjunction()?;
+        let place = self.place_from(start);
+        self.eat(Kind::Dot);
+        match self.kind() {
+            Kind::End => Ok((body, place)),
+            _ => Err(self.expected("`,` or `.`")),
+        }
+    }
+
+    pub(super) fn clause(&mut self, doc: String) -> Parse<Clause> {
+        let start = self.token();
+        if matches!(self.slice(start), "Not" | "not") {
+            return Err(self.expected_item(" (a head cannot be negated)"));
+        }
+        if self.at_question() {
+            let help = "mark a predicate as a result with `.output`, or ask it in `logicity repl`";
+            return Err(self.unsupported(self.span(start), "queries (`?-`) are", help));
+        }
+        let mut heads = vec![self.atom("the arguments of the head: `(`")?];
+        while self.eat(Kind::Comma) {
+            heads.push(self.atom("the arguments of the head: `(`")?);
+        }
+        let mut body = Vec::new();
+        match self.kind() {
+            Kind::LessEqual => {
+                let span = self.span(self.token());
+                return Err(self.unsupported(span, "subsumption (`<=` between heads) is", IMPLICATION));
+            }
+            kind if kind == Kind::If || self.goes_on_after(IMPLICATION, "`:-`") => {
+                self.eat(Kind::If);
+                body = self.disjunction()?;
+                if body.is_empty() {
+                    // `A(x) :- true.` is no fact.
+                    body.push(Literal::Any(vec![Vec::new()]));
+                }
+                self.full_stop("`,` or `.`", start)?;
+            }
+            _ => self.full_stop("`:-` or `.`", start)?,
+        }
+        Ok(Clause {
+            heads,
+            body,
+            doc,
+            place: self.place_from(start),
+        })
+    }
+
+    /// A full stop. If only that seems to be missing, the clause that began at `start` is whole and is kept.
+    fn full_stop(&mut self, what: &str, start: Token) -> Parse<()> {
+        let token = self.token();
+        // A line further in is more likely a literal after a forgotten comma.
+        let next_clause = token.kind == Kind::Ident && token.first_on_line && self.indent(token) <= self.indent(start);
+        if self.at_known_directive() || token.kind == Kind::End || next_clause {
+            self.expected_with(what, Some("a clause ends with a full stop"));
+            return Ok(());
+        }
+        if self.eat(Kind::Dot) {
+            return Ok(());
+        }
+        Err(self.expected(what))
+    }
+
+    pub(super) fn atom(&mut self, open: &str) -> Parse<Atom> {
+        let start = self.token();
+        let predicate = self.name("a predicate")?;
+        if !self.eat(Kind::LParen) {
+            return Err(self.expected(open));
+        }
+        let mut terms = Vec::new();
+        if !self.eat(Kind::RParen) {
+            loop {
+                terms.push(self.term()?);
+                if self.eat(Kind::RParen) {
+                    break;
+                }
+                if !self.eat(Kind::Comma) {
+                    return Err(self.expected("`,` or `)`"));
+                }
+            }
+        }
+        Ok(Atom {
+            predicate,
+            terms,
+            place: self.place_from(start),
+        })
+    }
+
+    /// `A(x), B(x); C(x)`
+    pub(super) fn disjunction(&mut self) -> Parse<Vec<Literal>> {
+        let mut alternatives = vec![self.conjunction()?];
+        while self.eat(Kind::Semicolon) || self.goes_on_after(DISJUNCTION, "`;`") {
+            alternatives.push(self.conjunction()?);
+        }
+        Ok(match alternatives.pop() {
+            Some(only) if alternatives.is_empty() => only,
+            last => {
+                alternatives.extend(last);
+                vec![Literal::Any(alternatives)]
+            }
+        })
+    }
+
+    fn conjunction(&mut self) -> Parse<Vec<Literal>> {
+        let mut all = self.literals()?;
+        while self.eat(Kind::Comma) || self.goes_on_after(CONJUNCTION, "`,`") {
+            all.append(&mut self.literals()?);
+        }
+        Ok(all)
+    }
+
+    /// A literal, or what stands in parentheses, perhaps negated.
+    fn literals(&mut self) -> Parse<Vec<Literal>> {
+        let outside = self.nesting;
+        let mut negated = false;
+        loop {
+            let token = self.token();
+            if self.is_cut() {
+                self.unsupported(self.span(token), "the cut `!` is", CUT);
+                self.bump();
+                return Ok(Vec::new());
+            }
+            match token.kind {
+                Kind::Bang => negated = !negated,
+                Kind::Ident if matches!(self.slice(token), "Not" | "not") => negated = !negated,
+                Kind::Ident if self.is_loud_negation() => {
+                    self.expected_with("a literal", Some(NEGATION));
+                    negated = !negated;
+                }
+                _ => break,
+            }
+            self.deeper()?;
+            self.bump();
+        }
+        let all = if self.kind() == Kind::LParen && !self.is_operand_in_parentheses(0) {
+            self.deeper()?;
+            self.bump();
+            let all = self.disjunction()?;
+            if !self.eat(Kind::RParen) {
+                return Err(self.expected("`)`"));
+            }
+            all
+        } else {
+            self.atom_or_comparison()?
+        };
+        self.nesting = outside;
+        Ok(if negated { negate(all) } else { all })
+    }
+
+    /// A `!` with nothing to negate, as Prolog has it.
+    fn is_cut(&self) -> bool {
+        let ends = matches!(
+            self.ahead(1).kind,
+            Kind::Comma | Kind::Semicolon | Kind::Dot | Kind::End
+        );
+        self.kind() == Kind::Bang && ends
+    }
+
+    /// `NOT A(x)` or `NOT(A(x))`
+    fn is_loud_negation(&self) -> bool {
+        let [next, second, third] = [1, 2, 3].map(|count| self.ahead(count).kind);
+        let atom_follows = match next {
+            Kind::Ident => second == Kind::LParen,
+            Kind::LParen => second == Kind::Ident && third == Kind::LParen,
+            _ => false,
+        };
+        self.slice(self.token()) == "NOT" && atom_follows
+    }
+
+    /// The token after the `)` that closes the parenthesis so many tokens ahead, if the clause goes on until there.
+    pub(super) fn after_parenthesis(&self, ahead: usize) -> Option<Token> {
+        let mut depth = 0_usize;
+        for (at, &token) in self.tokens.iter().enumerate().skip(self.at + ahead) {
+            match token.kind {
+                Kind::LParen => depth += 1,
+                Kind::RParen => depth = depth.checked_sub(1)?,
+                // No clause ends and no body begins within parentheses.
+                Kind::Dot | Kind::If | Kind::End => return None,
+                _ => {}
+            }
+            if depth == 0 {
+                return self.tokens.get(at + 1).copied();
+            }
+        }
+        None
+    }
+
+    /// Whether what stands in the parenthesis so many tokens ahead is an operand of something.
+    pub(super) fn is_operand_in_parentheses(&self, ahead: usize) -> bool {
+        self.after_parenthesis(ahead)
+            .is_some_and(|after| comparison(after.kind).is_some() || self.infix(after).is_some())
+    }
+
+    fn atom_or_comparison(&mut self) -> Parse<Vec<Literal>> {
+        let (start, next) = (self.token(), self.ahead(1));
+        if start.kind == Kind::Ident && next.kind == Kind::LParen && !self.is_term_with_parentheses() {
+            return Ok(vec![self.atom_or_text_test()?]);
+        }
+        let is_alone = comparison(next.kind).is_none() && self.infix(next).is_none();
+        match self.slice(start) {
+            "true" if is_alone => {
+                self.bump();
+                return Ok(Vec::new());
+            }
+            "false" if is_alone => {
+                self.bump();
+                return Ok(vec![Literal::Any(Vec::new())]);
+            }
+            _ => {}
+        }
+        if let Some(part) = self.component() {
+            self.at += 3;
+            let span = self.span(start).to(self.span(part));
+            return Err(self.unsupported(span, "names with a dot (components) are", ""));
+        }
+        Ok(vec![self.comparison()?])
+    }
+
+    /// `A(x)`, `match(x, y)`
+    fn atom_or_text_test(&mut self) -> Parse<Literal> {
+        let op = match self.slice(self.token()) {
+            "match" => Some(Comparison::Match),
+            "contains" => Some(Comparison::Contains),
+            _ => None,
+        };
+        let mut atom = self.atom("`(`")?;
+        let Some(op) = op else {
+            let after = self.token();
+            if comparison(after.kind).is_some() || self.infix(after).is_some() {
+                return Err(self.unsupported(
+                    atom.place.0,
+                    &format!("the functor `{}` is", atom.predicate.text),
+                    "an atom has no value that could be compared",
+                ));
+            }
+            return Ok(Literal::Atom { negated: false, atom });
+        };
+        let (Some(right), Some(left), 0) = (atom.terms.pop(), atom.terms.pop(), atom.terms.len()) else {
+            let message = format!("`{}` takes 2 arguments", atom.predicate.text);
+            let fault = Diagnostic::new(Code::ArityMismatch, message).at(atom.place.0, "a pattern or part, and a text");
+            self.faults.push(fault);
+            return Err(Reported);
+        };
+        let place = atom.place;
+        Ok(Literal::Compare { op, left, right, place })
+    }
+
+    /// The second part of a name with a dot, if an atom with such a name begins here.
+    fn component(&self) -> Option<Token> {
+        let (start, dot, part) = (self.token(), self.ahead(1), self.ahead(2));
+        let is_name = start.kind == Kind::Ident && dot.kind == Kind::Dot && part.kind == Kind::Ident;
+        let is_one_word = start.end == dot.start && dot.end == part.start && !dot.first_on_line;
+        (is_name && is_one_word && self.ahead(3).kind == Kind::LParen).then_some(part)
+    }
+
+    /// `x < y + 1`
+    fn comparison(&mut self) -> Parse<Literal> {
+        let start = self.token();
+        let begins = matches!(
+            start.kind,
+            Kind::Dollar | Kind::At | Kind::LBracket | Kind::Faulty | Kind::OpenText
+        );
+        if !begins && !self.begins_operand(start) && start.kind != Kind::Ident {
+            return Err(self.expected("a literal"));
+        }
+        let left = self.term()?;
+        let Some(op) = comparison(self.kind()) else {
+            return Err(match left.kind {
+                TermKind::Variable(_) => self.lonely_name(start),
+                _ => self.expected("a comparison operator"),
+            });
+        };
+        self.bump();
+        let right = self.term()?;
+        let place = self.place_from(start);
+        Ok(Literal::Compare { op, left, right, place })
+    }
+
+    /// Reports a name, just read, that is neither an atom nor compared.
+    fn lonely_name(&mut self, name: Token) -> Reported {
+        let text = self.slice(name);
+        let next = self.token();
+        let help = match next.kind {
+            _ if self.habit().is_some() => self.habit().unwrap_or_default().to_owned(),
+            Kind::Ident | Kind::Underscore => {
+                format!("arguments stand in parentheses: `{text}({})`", self.slice(next))
+            }
+            _ => format!("a predicate without arguments is written `{text}()`"),
+        };
+        let fault = Diagnostic::new(Code::Syntax, format!("`{text}` is not a literal"))
+            .at(self.span(name), "expected an atom or a comparison")
+            .help(help);
+        self.faults.push(fault);
+        Reported
+    }
+}
+
+/// What to do without a cut.
+const CUT: &str = "all answers are wanted, and the order of clauses says nothing; to leave out what another clause covers, \
+                   negate it: `Not(A(x))`";
+
+fn comparison(kind: Kind) -> Option<Comparison> {
+    Some(match kind {
+        Kind::Equal => Comparison::Equal,
+        Kind::NotEqual => Comparison::NotEqual,
+        Kind::Less => Comparison::Less,
+        Kind::LessEqual => Comparison::LessEqual,
+        Kind::Greater => Comparison::Greater,
+        Kind::GreaterEqual => Comparison::GreaterEqual,
+        _ => return None,
+    })
+}
+
+/// What holds if not all of these do.
+pub(crate) fn negate(mut all: Vec<Literal>) -> Vec<Literal> {
+    match all.pop() {
+        Some(only) if all.is_empty() => negate_one(only),
+        Some(last) => {
+            all.push(last);
+            vec![Literal::Any(all.into_iter().map(negate_one).collect())]
+        }
+        None => vec![Literal::Any(Vec::new())],
+    }
+}
+
+fn negate_one(literal: Literal) -> Vec<Literal> {
+    match literal {
+        Literal::Atom { negated, atom } => vec![Literal::Atom {
+            negated: !negated,
+            atom,
+        }],
+        Literal::Compare { op, left, right, place } => vec![Literal::Compare {
+            op: op.opposite(),
+            left,
+            right,
+            place,
+        }],
+        Literal::Any(alternatives) => alternatives.into_iter().flat_map(negate).collect(),
+    }
+}

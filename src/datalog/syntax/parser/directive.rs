@@ -1,0 +1,386 @@
+//! Directives: declarations, types, marks of predicates, promises, and what else begins with a full stop.
+
+use crate::datalog::syntax::ast::BaseType;
+use crate::datalog::syntax::ast::{
+    ColumnDecl, Decl, DirectiveOption, Include, Item, Mark, MarkKind, Name, Place, Plan, Pragma, Promise, PromiseKind,
+    Scope, TypeDecl, TypeDefinition,
+};
+use crate::datalog::syntax::lexer::{Kind, Token};
+use crate::diag::{Code, Diagnostic, did_you_mean};
+
+use crate::datalog::syntax::parser::{DIRECTIVES, FOREIGN_DIRECTIVES, MAX_NESTING, OLD_TYPES, Parse, Parser, Reported};
+
+/// What Soufflé allows after the columns of a declaration and this language reads.
+const QUALIFIERS: &[&str] = &[
+    "inline",
+    "no_inline",
+    "magic",
+    "no_magic",
+    "brie",
+    "btree",
+    "overridable",
+    "input",
+    "output",
+    "printsize",
+];
+
+/// `.decl A(x: number) output` is Soufflé's old way to write `.output A`.
+fn mark_of(qualifier: &str) -> Option<MarkKind> {
+    match qualifier {
+        "input" => Some(MarkKind::Input),
+        "output" => Some(MarkKind::Output),
+        "printsize" => Some(MarkKind::PrintSize),
+        _ => None,
+    }
+}
+
+impl Parser<'_> {
+    pub(super) fn directive(&mut self, name: &str, doc: String) -> Parse<Option<Item>> {
+        let dot = self.bump();
+        let word = self.bump();
+        let span = self.span(dot).to(self.span(word));
+        match name {
+            "decl" => self.decl(doc).map(|decl| Some(Item::Decl(decl))),
+            "type" => self.type_decl(doc, None).map(|decl| Some(Item::Type(decl))),
+            "input" => self.mark(MarkKind::Input).map(|mark| Some(Item::Mark(mark))),
+            "output" => self.mark(MarkKind::Output).map(|mark| Some(Item::Mark(mark))),
+            "printsize" => self.mark(MarkKind::PrintSize).map(|mark| Some(Item::Mark(mark))),
+            "disjoint" => self.promise(PromiseKind::Disjoint, dot),
+            "implies" => self.promise(PromiseKind::Implies, dot),
+            "irreflexive" => self.promise(PromiseKind::Irreflexive, dot),
+            "symmetric" => self.promise(PromiseKind::Symmetric, dot),
+            "include" => {
+                if !matches!(self.kind(), Kind::Text | Kind::OpenText) {
+                    return Err(self.expected("the file's name in quotes"));
+                }
+                let token = self.bump();
+                let path = self.unescape(token);
+                Ok(Some(Item::Include(Include {
+                    path,
+                    place: Place(self.span(token)),
+                })))
+            }
+            "once" => {
+                let fault = Diagnostic::new(Code::Ignored, "`.once` has no effect")
+                    .at(span, "")
+                    .note("every file is read once");
+                self.faults.push(fault.help("remove it"));
+                Ok(None)
+            }
+            "pragma" => {
+                let mut words = Vec::new();
+                while matches!(self.kind(), Kind::Text | Kind::OpenText) {
+                    let token = self.bump();
+                    words.push(self.unescape(token));
+                }
+                if words.is_empty() {
+                    return Err(self.expected("a text in quotes"));
+                }
+                Ok(Some(Item::Pragma(Pragma {
+                    words,
+                    place: Place(span),
+                })))
+            }
+            "plan" => {
+                let orders = self.join_orders()?;
+                let place = self.place_from(dot);
+                Ok(Some(Item::Plan(Plan { orders, place })))
+            }
+            "scope" => {
+                let named = self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen;
+                let predicate = if named { Some(self.name("a predicate")?) } else { None };
+                let place = Place(predicate.as_ref().map_or(span, |name| span.to(name.place.0)));
+                Ok(Some(Item::Scope(Scope { predicate, place })))
+            }
+            _ => {
+                if let Some(&(_, base)) = OLD_TYPES.iter().find(|(old, _)| *old == name) {
+                    return self.type_decl(doc, Some(base)).map(|decl| Some(Item::Type(decl)));
+                }
+                if let Some((_, what)) = FOREIGN_DIRECTIVES.iter().find(|(foreign, _)| *foreign == name) {
+                    let verb = if what.contains('(') { "are" } else { "is" };
+                    let help = match name {
+                        "limitsize" => "remove it; a query stops by itself when it derives too many rows",
+                        _ => "",
+                    };
+                    let reported = self.unsupported(span, &format!("{what} {verb}"), help);
+                    self.skip_braces();
+                    return Err(reported);
+                }
+                let mut fault = Diagnostic::new(Code::Syntax, format!("unknown directive `.{name}`")).at(span, "");
+                fault = match did_you_mean(name, DIRECTIVES.iter().copied()) {
+                    Some(near) => fault.help(format!("did you mean `.{near}`?")),
+                    None => fault.note(format!("the directives are {}", listed(DIRECTIVES))),
+                };
+                self.faults.push(fault);
+                Err(Reported)
+            }
+        }
+    }
+
+    /// `0:(1,2), 1:(2,1)`
+    fn join_orders(&mut self) -> Parse<Vec<(i64, Vec<i64>)>> {
+        let mut orders = Vec::new();
+        loop {
+            let version = self.wanted(Kind::Number, "the number of a version")?;
+            let version = self.number(version);
+            self.wanted(Kind::Colon, "`:`")?;
+            self.wanted(Kind::LParen, "`(`")?;
+            let mut order = Vec::new();
+            while self.kind() == Kind::Number {
+                let atom = self.bump();
+                order.push(self.number(atom));
+                if !self.eat(Kind::Comma) {
+                    break;
+                }
+            }
+            self.wanted(Kind::RParen, "`)`")?;
+            orders.push((version, order));
+            if !self.eat(Kind::Comma) {
+                return Ok(orders);
+            }
+        }
+    }
+
+    /// Skips `name ... { ... }`, the block of a component, if one follows on the same line.
+    fn skip_braces(&mut self) {
+        let mut ahead = 0;
+        while !self.ahead(ahead).first_on_line && !matches!(self.ahead(ahead).kind, Kind::LBrace | Kind::End) {
+            ahead += 1;
+            if ahead > MAX_NESTING {
+                return;
+            }
+        }
+        if self.ahead(ahead).kind != Kind::LBrace {
+            return;
+        }
+        let mut depth = 0_usize;
+        while self.kind() != Kind::End {
+            match self.bump().kind {
+                Kind::LBrace => depth += 1,
+                Kind::RBrace => {
+                    depth = depth.saturating_sub(1);
+                    if depth == 0 {
+                        return;
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn mark(&mut self, kind: MarkKind) -> Parse<Mark> {
+        let names = self.names("a predicate")?;
+        let mut options = Vec::new();
+        if self.eat(Kind::LParen) && !self.eat(Kind::RParen) {
+            loop {
+                options.push(self.option()?);
+                if self.eat(Kind::RParen) {
+                    break;
+                }
+                if !self.eat(Kind::Comma) {
+                    return Err(self.expected("`,` or `)`"));
+                }
+            }
+        }
+        Ok(Mark { kind, names, options })
+    }
+
+    fn option(&mut self) -> Parse<DirectiveOption> {
+        let key = self.name("an option: `name=value`")?;
+        if !self.eat(Kind::Equal) {
+            return Err(self.expected("`=` and the option's value"));
+        }
+        let token = self.token();
+        let value = match token.kind {
+            Kind::Text | Kind::OpenText => self.unescape(token),
+            Kind::Ident | Kind::Number => self.slice(token).to_owned(),
+            _ => return Err(self.expected("the option's value")),
+        };
+        self.bump();
+        Ok(DirectiveOption {
+            key,
+            value,
+            place: Place(self.span(token)),
+        })
+    }
+
+    /// Names with or without commas between them; a name before a parenthesis begins a clause.
+    fn promise(&mut self, kind: PromiseKind, dot: Token) -> Parse<Option<Item>> {
+        let mut names = vec![self.name("a predicate")?];
+        while self.eat(Kind::Comma) || (self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen) {
+            names.push(self.name("a predicate")?);
+        }
+        let place = self.place_from(dot);
+        let (good, wanted) = match kind {
+            PromiseKind::Disjoint => (names.len() >= 2, "two predicates or more"),
+            PromiseKind::Implies => (names.len() == 2, "two predicates: what holds, and what then holds too"),
+            PromiseKind::Irreflexive | PromiseKind::Symmetric => (true, ""),
+        };
+        if !good {
+            let message = format!("`.{}` names {wanted}", kind.name());
+            self.faults
+                .push(Diagnostic::new(Code::Syntax, message).at(place.0, format!("{} here", names.len())));
+            return Ok(None);
+        }
+        Ok(Some(Item::Promise(Promise { kind, names, place })))
+    }
+
+    fn decl(&mut self, doc: String) -> Parse<Decl> {
+        let names = self.names("the predicate's name")?;
+        let start = self.at - 1;
+        let columns = match self.columns() {
+            Ok(columns) => Some(columns),
+            Err(Reported) => {
+                self.recover(start);
+                None
+            }
+        };
+        if let Some(name) = names
+            .iter()
+            .find(|name| matches!(name.text.as_str(), "match" | "contains"))
+        {
+            let fault = Diagnostic::new(Code::Syntax, format!("`{}` is not a predicate's name", name.text))
+                .at(name.place.0, "")
+                .note("it is a comparison of texts");
+            self.faults.push(fault);
+        }
+        let mut qualifiers = Vec::new();
+        if columns.is_some() {
+            while self.kind() == Kind::Ident
+                && QUALIFIERS.contains(&self.slice(self.token()))
+                && self.ahead(1).kind != Kind::LParen
+            {
+                let word = self.name("a qualifier")?;
+                match mark_of(&word.text) {
+                    Some(kind) => self.marks.push(Item::Mark(Mark {
+                        kind,
+                        names: names.clone(),
+                        options: Vec::new(),
+                    })),
+                    None => qualifiers.push(word),
+                }
+            }
+            self.foreign_qualifiers();
+        }
+        Ok(Decl {
+            names,
+            columns,
+            qualifiers,
+            doc,
+        })
+    }
+
+    fn columns(&mut self) -> Parse<Vec<ColumnDecl>> {
+        let mut columns = Vec::new();
+        if !self.eat(Kind::LParen) {
+            return Err(self.expected("`(` and the columns"));
+        }
+        if self.eat(Kind::RParen) {
+            return Ok(columns);
+        }
+        loop {
+            let name = self.name("a column's name")?;
+            if !self.eat(Kind::Colon) {
+                return Err(self.expected("`:` and the column's type"));
+            }
+            let ty = self.name("a type")?;
+            if self.kind() == Kind::Less {
+                return Err(self.unsupported(self.span(self.token()), "lattices (`<>`) are", ""));
+            }
+            columns.push(ColumnDecl { name, ty });
+            if self.eat(Kind::RParen) {
+                return Ok(columns);
+            }
+            if !self.eat(Kind::Comma) {
+                return Err(self.expected("`,` or `)`"));
+            }
+        }
+    }
+
+    /// What Soufflé allows after the columns and this language does not: `eqrel`, `choice-domain ...`.
+    fn foreign_qualifiers(&mut self) {
+        let first = self.token();
+        let known = matches!(
+            self.slice(first),
+            "btree_delete" | "provenance" | "eqrel" | "override" | "choice"
+        );
+        let clause_follows = self.ahead(1).kind == Kind::LParen;
+        if first.kind != Kind::Ident || !known || clause_follows {
+            return;
+        }
+        while !self.token().first_on_line && !matches!(self.kind(), Kind::End | Kind::Dot) {
+            self.bump();
+        }
+        if self.previous().start < first.start {
+            self.bump();
+        }
+        let word = match self.slice(first) {
+            "choice" => "choice-domain".to_owned(),
+            word => word.to_owned(),
+        };
+        let span = self.span(first);
+        self.unsupported(span, &format!("the qualifier `{word}` is"), "remove it");
+    }
+
+    /// What follows `.type`, or one of its old forms that say themselves of what base the type is.
+    fn type_decl(&mut self, doc: String, old: Option<BaseType>) -> Parse<TypeDecl> {
+        let name = self.name("the type's name")?;
+        let start = self.at - 1;
+        let ends = self.token().first_on_line || self.kind() == Kind::End;
+        let old = old.or(ends.then_some(BaseType::Symbol));
+        let definition = match old {
+            Some(base) => Ok(self.old_type(&name, base)),
+            None => self.type_definition(),
+        };
+        let definition = match definition {
+            Ok(definition) => definition,
+            Err(Reported) => {
+                self.recover(start);
+                TypeDefinition::Faulty
+            }
+        };
+        Ok(TypeDecl { name, definition, doc })
+    }
+
+    fn old_type(&mut self, name: &Name, base: BaseType) -> TypeDefinition {
+        let fault = Diagnostic::new(Code::OldForm, "an old form of `.type`")
+            .at(name.place.0, "")
+            .help(format!("write `.type {} <: {}`", name.text, base.name()));
+        self.faults.push(fault);
+        TypeDefinition::Subtype(Name {
+            text: base.name().to_owned(),
+            place: name.place,
+        })
+    }
+
+    fn type_definition(&mut self) -> Parse<TypeDefinition> {
+        if self.eat(Kind::Subtype) {
+            return Ok(TypeDefinition::Subtype(self.name("a type")?));
+        }
+        if !self.eat(Kind::Equal) {
+            return Err(self.expected("`<:` or `=` and a type"));
+        }
+        let token = self.token();
+        if token.kind == Kind::LBracket {
+            return Err(self.unsupported(self.span(token), "record types are", ""));
+        }
+        let other = self.name("a type")?;
+        let next = self.token();
+        match next.kind {
+            Kind::LBrace => Err(self.unsupported(self.span(next), "algebraic data types are", "")),
+            Kind::Pipe => {
+                let mut members = vec![other];
+                while self.eat(Kind::Pipe) {
+                    members.push(self.name("a type")?);
+                }
+                Ok(TypeDefinition::Union(members))
+            }
+            _ => Ok(TypeDefinition::Alias(other)),
+        }
+    }
+}
+
+fn listed(names: &[&str]) -> String {
+    let quoted: Vec<String> = names.iter().map(|name| format!("`.{name}`")).collect();
+    quoted.join(", ")
+}

@@ -1,0 +1,360 @@
+//! Expressions: operators by precedence, functions, casts, aggregates, constants.
+
+use crate::datalog::syntax::ast::{Aggregate, Literal, Term, TermKind};
+use crate::datalog::syntax::functor::{AggregateOp, Functor};
+use crate::datalog::syntax::lexer::{Kind, Token};
+use crate::diag::{Code, Diagnostic};
+
+use crate::datalog::syntax::parser::{Parse, Parser, Reported};
+
+/// Higher expressions are refused: an operator or function is one higher than its highest operand.
+const MAX_HEIGHT: usize = 256;
+
+impl Parser<'_> {
+    /// The operator that stands between two operands.
+    pub(super) fn infix(&self, token: Token) -> Option<Functor> {
+        match token.kind {
+            Kind::Operator | Kind::Minus | Kind::Ident => Functor::infix(self.slice(token)),
+            _ => None,
+        }
+    }
+
+    pub(super) fn term(&mut self) -> Parse<Term> {
+        self.expression(0).map(|(term, _)| term)
+    }
+
+    /// An expression of operators that bind at least so tightly, and its height.
+    fn expression(&mut self, least: u8) -> Parse<(Term, usize)> {
+        let start = self.token();
+        let (mut left, mut height) = self.operand()?;
+        while let Some(functor) = self.infix(self.token())
+            && let Some(own) = functor.precedence()
+            && own >= least
+        {
+            self.bump();
+            let outside = self.nesting;
+            if functor == Functor::Power {
+                self.deeper()?;
+            }
+            // `^` groups to the right, all others to the left.
+            let (right, right_height) = self.expression(own + u8::from(functor != Functor::Power))?;
+            self.nesting = outside;
+            height = self.higher(start, height.max(right_height))?;
+            left = Term {
+                kind: TermKind::Functor(functor, vec![left, right]),
+                place: self.place_from(start),
+            };
+        }
+        Ok((left, height))
+    }
+
+    fn higher(&mut self, start: Token, height: usize) -> Parse<usize> {
+        if height < MAX_HEIGHT {
+            return Ok(height + 1);
+        }
+        let fault = Diagnostic::new(Code::LimitExceeded, "expression with too many operators")
+            .at(self.span(start), "it begins here")
+            .note(format!("an expression is at most {MAX_HEIGHT} operators high"));
+        self.faults.push(fault);
+        Err(Reported)
+    }
+
+    /// Whether a term begins here that has parentheses: a function, or an aggregate of something in parentheses.
+    pub(super) fn is_term_with_parentheses(&self) -> bool {
+        let word = self.slice(self.token());
+        let is_function = word == "as" || Functor::function(word).is_some();
+        self.is_aggregate() || (is_function && self.is_operand_in_parentheses(1)) || self.is_prefix_operator()
+    }
+
+    fn is_prefix_operator(&self) -> bool {
+        matches!(self.slice(self.token()), "bnot" | "lnot") && self.begins_operand(self.ahead(1))
+    }
+
+    pub(super) fn begins_operand(&self, token: Token) -> bool {
+        match token.kind {
+            Kind::Number | Kind::Float | Kind::Unsigned | Kind::Text | Kind::LParen | Kind::Minus => true,
+            Kind::Ident | Kind::Underscore => self.infix(token).is_none(),
+            _ => false,
+        }
+    }
+
+    fn is_aggregate(&self) -> bool {
+        let next = self.ahead(1);
+        match self.slice(self.token()) {
+            "count" => matches!(next.kind, Kind::Colon | Kind::LBrace),
+            "sum" | "mean" => next.kind != Kind::Minus && self.begins_operand(next),
+            "min" | "max" if next.kind == Kind::LParen => {
+                (self.after_parenthesis(1)).is_some_and(|after| after.kind == Kind::Colon)
+            }
+            "min" | "max" => next.kind != Kind::Minus && self.begins_operand(next),
+            _ => false,
+        }
+    }
+
+    /// What operators stand between, and its height.
+    fn operand(&mut self) -> Parse<(Term, usize)> {
+        let start = self.token();
+        let prefix = match start.kind {
+            Kind::Minus => Some(Functor::Negate),
+            Kind::Ident if self.is_prefix_operator() && self.slice(start) == "bnot" => Some(Functor::BitNot),
+            Kind::Ident if self.is_prefix_operator() => Some(Functor::Not),
+            _ => None,
+        };
+        let (kind, height) = match (prefix, start.kind) {
+            (Some(functor), _) => self.prefixed(functor)?,
+            (None, Kind::LParen) => return self.parenthesis(),
+            (None, Kind::Ident) => self.word()?,
+            (None, _) => (self.constant()?, 0),
+        };
+        let place = self.place_from(start);
+        Ok((Term { kind, place }, height))
+    }
+
+    /// `-x`, `-1`, `bnot x`
+    fn prefixed(&mut self, functor: Functor) -> Parse<(TermKind, usize)> {
+        let outside = self.nesting;
+        let start = self.bump();
+        let number = self.token();
+        let powered = self.infix(self.ahead(1)) == Some(Functor::Power);
+        if functor == Functor::Negate && !powered {
+            let negative = match number.kind {
+                Kind::Number => Some(TermKind::Number(-self.number(number))),
+                Kind::Float => Some(TermKind::Float(format!("-{}", self.slice(number)))),
+                _ => None,
+            };
+            if let Some(kind) = negative {
+                self.bump();
+                return Ok((kind, 0));
+            }
+        }
+        self.deeper()?;
+        // An operand may have a sign of its own; only `^` binds more tightly.
+        let tighter = Functor::Power.precedence().unwrap_or(0);
+        let (operand, height) = self.expression(tighter)?;
+        self.nesting = outside;
+        let height = self.higher(start, height)?;
+        Ok((TermKind::Functor(functor, vec![operand]), height))
+    }
+
+    /// `(x + y)`
+    fn parenthesis(&mut self) -> Parse<(Term, usize)> {
+        let outside = self.nesting;
+        self.deeper()?;
+        self.bump();
+        let inner = self.expression(0)?;
+        if !self.eat(Kind::RParen) {
+            return Err(self.expected("`)`"));
+        }
+        self.nesting = outside;
+        Ok(inner)
+    }
+
+    /// `x`, `cat(x, y)`, `count : { .. }`
+    fn word(&mut self) -> Parse<(TermKind, usize)> {
+        let start = self.token();
+        let word = self.slice(start);
+        let applied = self.ahead(1).kind == Kind::LParen;
+        if self.is_aggregate() {
+            return Ok((self.aggregate()?, 0));
+        }
+        if word == "nil" || self.ahead(1).kind == Kind::LBracket {
+            let what = if word == "nil" { "nil" } else { "[...]" };
+            return Err(self.unsupported(self.span(start), &format!("records (`{what}`) are"), ""));
+        }
+        if !applied {
+            self.bump();
+            return Ok((TermKind::Variable(word.to_owned()), 0));
+        }
+        if word == "as" {
+            return self.cast();
+        }
+        match Functor::function(word) {
+            Some(functor) => self.function(functor),
+            None => Err(self.unknown_function(start)),
+        }
+    }
+
+    /// Reports a word before `(` that is no function.
+    fn unknown_function(&mut self, name: Token) -> Reported {
+        let word = self.slice(name);
+        if let Some(op) = AggregateOp::ALL.into_iter().find(|op| op.name() == word) {
+            return self.applied_aggregate(op, name);
+        }
+        let help = match word {
+            "autoinc" => "",
+            _ => "an argument is a variable, a constant, `_` or an expression of the functors listed in the reference",
+        };
+        self.unsupported(self.span(name), &format!("the functor `{word}` is"), help)
+    }
+
+    /// Reports `count(x)`, `sum(x : A(x))`.
+    fn applied_aggregate(&mut self, op: AggregateOp, name: Token) -> Reported {
+        let word = op.name();
+        let of = if op == AggregateOp::Count { "" } else { " y" };
+        let fault = Diagnostic::new(Code::Syntax, format!("`{word}` is no function"))
+            .at(self.span(name), "")
+            .help(format!(
+                "it stands before a body of its own: `n = {word}{of} : {{ A(x, y) }}`"
+            ));
+        self.faults.push(fault);
+        Reported
+    }
+
+    /// `_`, `1`, `"text"`
+    fn constant(&mut self) -> Parse<TermKind> {
+        let token = self.token();
+        let foreign = match token.kind {
+            Kind::LBracket => "records (`[...]`) are",
+            Kind::Dollar => "algebraic data types and counters (`$`) are",
+            Kind::At => "user-defined functors (`@`) are",
+            _ => "",
+        };
+        if !foreign.is_empty() {
+            return Err(self.unsupported(self.span(token), foreign, ""));
+        }
+        let kind = match token.kind {
+            Kind::Underscore => TermKind::Wildcard,
+            Kind::Number => TermKind::Number(self.number(token)),
+            Kind::Unsigned => TermKind::Unsigned(u32::try_from(self.number(token)).unwrap_or(0)),
+            Kind::Float => TermKind::Float(self.slice(token).to_owned()),
+            Kind::Text | Kind::OpenText => TermKind::Text(self.unescape(token)),
+            // Reported by the lexer.
+            Kind::Faulty => return Err(Reported),
+            _ => return Err(self.expected("an argument: a variable, a constant, `_` or an expression")),
+        };
+        self.bump();
+        Ok(kind)
+    }
+
+    /// `cat(x, y)`
+    fn function(&mut self, functor: Functor) -> Parse<(TermKind, usize)> {
+        let start = self.token();
+        let outside = self.nesting;
+        self.deeper()?;
+        self.bump();
+        self.bump();
+        let mut arguments = Vec::new();
+        let mut height = 0;
+        if !self.eat(Kind::RParen) {
+            loop {
+                let (argument, own) = self.expression(0)?;
+                arguments.push(argument);
+                height = height.max(own);
+                if self.eat(Kind::RParen) {
+                    break;
+                }
+                if self.kind() == Kind::Colon
+                    && let Some(op) = AggregateOp::ALL.into_iter().find(|op| op.name() == functor.name())
+                {
+                    return Err(self.applied_aggregate(op, start));
+                }
+                if !self.eat(Kind::Comma) {
+                    return Err(self.expected("`,` or `)`"));
+                }
+            }
+        }
+        self.nesting = outside;
+        let (least, most) = functor.arity();
+        if arguments.len() < least || arguments.len() > most {
+            let wanted = match (least, most) {
+                (1, 1) => "1 argument".to_owned(),
+                (least, most) if least == most => format!("{least} arguments"),
+                (least, most) => format!("{least} to {most} arguments"),
+            };
+            let message = format!("`{}` takes {wanted}, not {}", functor.name(), arguments.len());
+            let place = self.place_from(start).0;
+            self.faults
+                .push(Diagnostic::new(Code::ArityMismatch, message).at(place, ""));
+            return Err(Reported);
+        }
+        let height = self.higher(start, height)?;
+        Ok((TermKind::Functor(functor, arguments), height))
+    }
+
+    /// `as(x, type)`
+    fn cast(&mut self) -> Parse<(TermKind, usize)> {
+        let start = self.token();
+        let outside = self.nesting;
+        self.deeper()?;
+        self.bump();
+        self.bump();
+        let (term, height) = self.expression(0)?;
+        if !self.eat(Kind::Comma) {
+            return Err(self.expected("`,` and a type"));
+        }
+        let ty = self.name("a type")?;
+        if !self.eat(Kind::RParen) {
+            return Err(self.expected("`)`"));
+        }
+        self.nesting = outside;
+        let height = self.higher(start, height)?;
+        Ok((TermKind::Cast(Box::new(term), ty), height))
+    }
+
+    /// `sum x : { A(x) }`, `count : A(_)`
+    fn aggregate(&mut self) -> Parse<TermKind> {
+        let outside = self.nesting;
+        self.deeper()?;
+        let word = self.bump();
+        let op = AggregateOp::ALL.into_iter().find(|op| op.name() == self.slice(word));
+        let op = op.unwrap_or(AggregateOp::Count);
+        let is_applied = |after: Token| after.kind != Kind::Colon && self.infix(after).is_none();
+        if op != AggregateOp::Count && self.kind() == Kind::LParen && self.after_parenthesis(0).is_some_and(is_applied)
+        {
+            return Err(self.applied_aggregate(op, word));
+        }
+        let target = if op == AggregateOp::Count {
+            None
+        } else {
+            Some(self.term()?)
+        };
+        if !self.eat(Kind::Colon) {
+            return Err(self.expected("`:` and what to aggregate over: `{ ... }`"));
+        }
+        let body = if self.eat(Kind::LBrace) {
+            let body = self.disjunction()?;
+            if !self.eat(Kind::RBrace) {
+                return Err(self.expected("`,`, `;` or `}`"));
+            }
+            body
+        } else {
+            vec![Literal::Atom {
+                negated: false,
+                atom: self.atom("`(`")?,
+            }]
+        };
+        self.nesting = outside;
+        Ok(TermKind::Aggregate(Box::new(Aggregate { op, target, body })))
+    }
+
+    /// The value of a number; one that no type has is reported and becomes 0.
+    pub(super) fn number(&mut self, token: Token) -> i64 {
+        let text = self.slice(token);
+        let text = text.strip_suffix('u').unwrap_or(text);
+        let (digits, radix) = match text.get(..2) {
+            Some("0x") => (&text[2..], 16),
+            Some("0b") => (&text[2..], 2),
+            _ => (text, 10),
+        };
+        let mut value: i64 = 0;
+        for digit in digits.chars() {
+            match digit.to_digit(radix) {
+                Some(digit) => value = (value * i64::from(radix) + i64::from(digit)).min(1 << 40),
+                None => return 0, // the lexer has reported it
+            }
+        }
+        if value > i64::from(u32::MAX) {
+            let fault = Diagnostic::new(Code::LimitExceeded, "number out of range")
+                .at(self.span(token), "")
+                .note(format!(
+                    "numbers go from {} to {}, unsigned ones to {}",
+                    i32::MIN,
+                    i32::MAX,
+                    u32::MAX
+                ));
+            self.faults.push(fault);
+            return 0;
+        }
+        value
+    }
+}

@@ -1,0 +1,493 @@
+//! Tokens to a syntax tree.
+//!
+//! The parser never fails: a fault is reported, the faulty clause or directive is left out (or kept as far as it is
+//! understood, so that its name is not reported as unknown) and reading goes on at the next one. Recursion is as deep as
+//! parentheses and braces are nested, and that is bounded, as is the height of an expression: no text can exhaust the stack.
+//! Each token is looked at a bounded number of times.
+
+use crate::diag::{Code, Diagnostic, Faults, SourceId, Span};
+
+use crate::datalog::syntax::ast::BaseType;
+use crate::datalog::syntax::ast::{File, Include, Item, Literal, Name, Place};
+use crate::datalog::syntax::lexer;
+use crate::datalog::syntax::lexer::{COMMENT, CONJUNCTION, DISJUNCTION, DocLine, IMPLICATION, Kind, Lexed, Token};
+
+mod clause;
+mod directive;
+mod expression;
+
+pub(crate) use clause::negate;
+
+/// More negations, parentheses and braces than this around anything are refused.
+const MAX_NESTING: usize = 64;
+
+/// The words of all directives.
+pub const DIRECTIVES: &[&str] = &[
+    "decl",
+    "type",
+    "symbol_type",
+    "number_type",
+    "input",
+    "output",
+    "printsize",
+    "pragma",
+    "plan",
+    "include",
+    "once",
+    "scope",
+    "disjoint",
+    "implies",
+    "irreflexive",
+    "symmetric",
+];
+
+/// Soufflé's directives that this language does not have.
+const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
+    ("comp", "components (`.comp`)"),
+    ("init", "components (`.init`)"),
+    ("override", "components (`.override`)"),
+    ("functor", "user-defined functors (`.functor`)"),
+    ("lattice", "lattices (`.lattice`)"),
+    ("limitsize", "`.limitsize`"),
+];
+
+/// How older versions of Soufflé declare a type, and what it is a subtype of.
+const OLD_TYPES: &[(&str, BaseType)] = &[("symbol_type", BaseType::Symbol), ("number_type", BaseType::Number)];
+
+/// The tree of one text.
+pub(crate) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
+    let lexed = lexer::lex(source, text, faults);
+    parse_tokens(source, text, &lexed, faults).0
+}
+
+/// The tree of a text that is lexed already, and the number of each item's first token.
+pub(crate) fn parse_tokens(source: SourceId, text: &str, lexed: &Lexed, faults: &mut Faults) -> (File, Vec<usize>) {
+    let mut parser = Parser::new(source, text, lexed, faults);
+    let file = parser.file();
+    (file, parser.starts)
+}
+
+/// The body of a question: `?- A(x), x > 1.`; what is not in doubt, `?-` and the full stop, may be missing.
+pub(crate) fn parse_question(source: SourceId, text: &str, faults: &mut Faults) -> Option<(Vec<Literal>, Place)> {
+    let lexed = lexer::lex(source, text, faults);
+    let mut parser = Parser::new(source, text, &lexed, faults);
+    parser.question().ok()
+}
+
+/// The fault has been reported; the caller leaves what it was reading.
+struct Reported;
+
+type Parse<T> = Result<T, Reported>;
+
+struct Parser<'a> {
+    source: SourceId,
+    text: &'a str,
+    tokens: &'a [Token],
+    docs: &'a [DocLine],
+    next_doc: usize,
+    at: usize,
+    /// Where items begin.
+    starts: Vec<usize>,
+    /// Parentheses, braces and negations around what is being read.
+    nesting: usize,
+    /// What the qualifiers of the declaration just read mark its predicates as.
+    marks: Vec<Item>,
+    faults: &'a mut Faults,
+}
+
+impl<'a> Parser<'a> {
+    fn new(source: SourceId, text: &'a str, lexed: &'a Lexed, faults: &'a mut Faults) -> Self {
+        Parser {
+            source,
+            text,
+            tokens: &lexed.tokens,
+            docs: &lexed.docs,
+            next_doc: 0,
+            at: 0,
+            starts: Vec::new(),
+            nesting: 0,
+            marks: Vec::new(),
+            faults,
+        }
+    }
+
+    // --- looking at tokens
+
+    fn token(&self) -> Token {
+        self.ahead(0)
+    }
+
+    fn kind(&self) -> Kind {
+        self.token().kind
+    }
+
+    fn ahead(&self, count: usize) -> Token {
+        self.tokens[(self.at + count).min(self.tokens.len() - 1)]
+    }
+
+    fn bump(&mut self) -> Token {
+        let token = self.token();
+        self.at = (self.at + 1).min(self.tokens.len() - 1);
+        token
+    }
+
+    fn eat(&mut self, kind: Kind) -> bool {
+        let found = self.kind() == kind;
+        if found {
+            self.bump();
+        }
+        found
+    }
+
+    fn slice(&self, token: Token) -> &'a str {
+        &self.text[token.start as usize..token.end as usize]
+    }
+
+    fn span(&self, token: Token) -> Span {
+        Span::new(self.source, token.start as usize..token.end as usize)
+    }
+
+    fn previous(&self) -> Token {
+        self.tokens[self.at.saturating_sub(1)]
+    }
+
+    /// From the first byte of `start` to the last byte read.
+    fn place_from(&self, start: Token) -> Place {
+        Place(self.span(start).to(self.span(self.previous())))
+    }
+
+    fn indent(&self, token: Token) -> usize {
+        let before = &self.text[..token.start as usize];
+        before.len() - before.rfind('\n').map_or(0, |newline| newline + 1)
+    }
+
+    /// The name after a `.` that touches it.
+    fn directive_ahead(&self) -> Option<&'a str> {
+        let (dot, name) = (self.token(), self.ahead(1));
+        (dot.kind == Kind::Dot && name.kind == Kind::Ident && dot.end == name.start).then(|| self.slice(name))
+    }
+
+    /// Whether a directive begins here rather than a full stop ends something.
+    fn at_known_directive(&self) -> bool {
+        self.token().first_on_line
+            && self.directive_ahead().is_some_and(|name| {
+                DIRECTIVES.contains(&name)
+                    || FOREIGN_DIRECTIVES.iter().any(|(foreign, _)| *foreign == name)
+                    || OLD_TYPES.iter().any(|(old, _)| *old == name)
+            })
+    }
+
+    // --- reporting
+
+    fn describe(&self, token: Token) -> String {
+        if token.kind == Kind::End {
+            return "the end of the file".into();
+        }
+        let mut text = self.slice(token);
+        if token.start == self.token().start && self.at_known_directive() {
+            text = self.slice(Token {
+                end: self.ahead(1).end,
+                ..token
+            });
+        }
+        match text.char_indices().nth(40) {
+            Some((cut, _)) => format!("`{}...`", &text[..cut]),
+            None => format!("`{text}`"),
+        }
+    }
+
+    /// Something is missing before the present token.
+    fn expected(&mut self, what: &str) -> Reported {
+        let help = self.habit();
+        self.expected_with(what, help)
+    }
+
+    /// As [`Parser::expected`], with what to do.
+    fn expected_with(&mut self, what: &str, help: Option<&str>) -> Reported {
+        let token = self.token();
+        if token.kind == Kind::Faulty {
+            return Reported;
+        }
+        let message = format!("expected {what}, found {}", self.describe(token));
+        // When the line is over, the fault is where something should have followed.
+        let span = if self.at > 0 && (token.first_on_line || token.kind == Kind::End) {
+            let end = self.previous().end as usize;
+            Span::new(self.source, end..end)
+        } else {
+            self.span(token)
+        };
+        let mut fault = Diagnostic::new(Code::Syntax, message).at(span, format!("expected {what}"));
+        if let Some(help) = help {
+            fault = fault.help(help);
+        }
+        self.faults.push(fault);
+        Reported
+    }
+
+    /// What to write instead of a present token that other languages have at such a place.
+    fn habit(&self) -> Option<&'static str> {
+        let (token, next) = (self.token(), self.ahead(1));
+        match (self.slice(token), next.kind) {
+            ("and" | "And" | "AND", _) => Some(CONJUNCTION),
+            ("or" | "Or" | "OR" | "|", _) => Some(DISJUNCTION),
+            ("if" | "If" | "IF", _) | ("<" | ":", Kind::Minus) | (":", Kind::Equal) | ("-", Kind::Greater) => {
+                Some(IMPLICATION)
+            }
+            ("=", Kind::Greater) => Some("the head of a clause comes first: `A(x) :- B(x).`"),
+            (">", _) if self.at > 0 && self.previous().kind == Kind::Equal => Some("\"at least\" is written `>=`"),
+            ("is", _) => Some("equality is written `=`"),
+            _ => None,
+        }
+    }
+
+    /// Reports one of these words, so many tokens long, where `what` is expected, and goes on behind it.
+    fn goes_on_after(&mut self, help: &str, what: &str) -> bool {
+        let token = self.token();
+        // On a line of its own a name with arguments begins a clause.
+        let is_atom = token.first_on_line && self.ahead(1).kind == Kind::LParen;
+        if self.habit() != Some(help) || is_atom {
+            return false;
+        }
+        self.expected(what);
+        self.bump();
+        if token.kind != Kind::Ident && token.kind != Kind::Pipe {
+            self.bump();
+        }
+        true
+    }
+
+    /// The present token cannot begin a clause or directive.
+    fn expected_item(&mut self, why: &str) -> Reported {
+        let token = self.token();
+        if token.kind == Kind::Faulty {
+            return Reported;
+        }
+        let message = format!("expected a clause or a directive{why}, found {}", self.describe(token));
+        let mut fault = Diagnostic::new(Code::Syntax, message).at(self.span(token), "");
+        if matches!((self.slice(token), self.ahead(1).kind), ("%", _) | ("-", Kind::Minus)) {
+            fault = fault.help(COMMENT);
+        }
+        self.faults.push(fault);
+        Reported
+    }
+
+    fn unsupported(&mut self, span: Span, what: &str, help: &str) -> Reported {
+        let mut fault = Diagnostic::new(Code::Unsupported, format!("{what} not supported")).at(span, "");
+        if !help.is_empty() {
+            fault = fault.help(help);
+        }
+        self.faults.push(fault);
+        Reported
+    }
+
+    // --- items
+
+    fn file(&mut self) -> File {
+        let mut file = File::default();
+        while self.kind() != Kind::End && !self.faults.full() {
+            let start = self.at;
+            self.starts.push(start);
+            self.nesting = 0;
+            match self.item() {
+                Ok(item) => {
+                    file.items.extend(item);
+                    file.items.append(&mut self.marks);
+                }
+                Err(Reported) => self.recover(start),
+            }
+            debug_assert!(self.at > start || self.kind() == Kind::End, "every item reads a token");
+        }
+        file
+    }
+
+    /// Skips to where the next item seems to begin.
+    fn recover(&mut self, start: usize) {
+        loop {
+            let token = self.token();
+            match token.kind {
+                Kind::End => return,
+                Kind::Dot if self.at > start && token.first_on_line && self.directive_ahead().is_some() => return,
+                Kind::Dot => {
+                    self.bump();
+                    return;
+                }
+                Kind::Ident
+                    if self.at > start
+                        && token.first_on_line
+                        && self.ahead(1).kind == Kind::LParen
+                        && self.indent(token) <= self.indent(self.tokens[start])
+                        && !matches!(self.previous().kind, Kind::Comma | Kind::If | Kind::Bang | Kind::LParen) =>
+                {
+                    return;
+                }
+                _ => {
+                    self.bump();
+                }
+            }
+        }
+    }
+
+    /// The doc comment that ends where the present token begins. Those before earlier tokens are dropped.
+    fn doc(&mut self) -> String {
+        let mut text = String::new();
+        while let Some(line) = self.docs.get(self.next_doc)
+            && line.before as usize <= self.at
+        {
+            self.next_doc += 1;
+            if line.before as usize == self.at {
+                let line = self.text[line.start as usize..line.end as usize].trim_end();
+                if !text.is_empty() {
+                    text.push('\n');
+                }
+                text.push_str(line.strip_prefix(' ').unwrap_or(line));
+            }
+        }
+        text.truncate(text.trim_end().len());
+        text
+    }
+
+    fn item(&mut self) -> Parse<Option<Item>> {
+        let doc = self.doc();
+        let token = self.token();
+        match token.kind {
+            Kind::Dot => match self.directive_ahead() {
+                Some(name) => self.directive(name, doc),
+                None => {
+                    self.bump();
+                    let fault = Diagnostic::new(Code::Syntax, "full stop without a clause")
+                        .at(self.span(token), "")
+                        .note("only clauses end with a full stop; directives such as `.decl` do not");
+                    self.faults.push(fault);
+                    Ok(None)
+                }
+            },
+            Kind::Ident => self.clause(doc).map(|clause| Some(Item::Clause(clause))),
+            Kind::Bang => Err(self.expected_item(" (a head cannot be negated)")),
+            Kind::Hash if self.slice(self.ahead(1)) == "include" && self.ahead(2).kind == Kind::Text => {
+                self.bump();
+                self.bump();
+                let file = self.bump();
+                Ok(Some(Item::Include(Include {
+                    path: self.unescape(file),
+                    place: Place(self.span(file)),
+                })))
+            }
+            Kind::Hash => {
+                self.bump();
+                while self.kind() != Kind::End && !self.token().first_on_line {
+                    self.bump();
+                }
+                let span = self.place_from(token).0;
+                self.unsupported(
+                    span,
+                    "the C preprocessor is",
+                    "include a file with `.include \"name.dl\"`",
+                );
+                Ok(None)
+            }
+            _ => {
+                let reported = self.expected_item("");
+                self.bump();
+                Err(reported)
+            }
+        }
+    }
+
+    fn wanted(&mut self, kind: Kind, what: &str) -> Parse<Token> {
+        if self.kind() == kind {
+            Ok(self.bump())
+        } else {
+            Err(self.expected(what))
+        }
+    }
+
+    fn name(&mut self, what: &str) -> Parse<Name> {
+        let token = self.token();
+        if token.kind != Kind::Ident {
+            return Err(self.expected(what));
+        }
+        if matches!(self.slice(token), "Not" | "not") {
+            let fault = Diagnostic::new(Code::Syntax, format!("`{}` is not a name", self.slice(token)))
+                .at(self.span(token), "")
+                .note("`Not` and `not` write negation");
+            self.faults.push(fault);
+            return Err(Reported);
+        }
+        self.bump();
+        let (dot, part) = (self.token(), self.ahead(1));
+        let qualified = dot.kind == Kind::Dot
+            && part.kind == Kind::Ident
+            && token.end == dot.start
+            && dot.end == part.start
+            && !part.first_on_line
+            && !DIRECTIVES.contains(&self.slice(part));
+        if qualified && self.ahead(2).kind == Kind::LParen {
+            let span = self.span(token).to(self.span(part));
+            self.bump();
+            self.bump();
+            return Err(self.unsupported(span, "names with a dot (components) are", ""));
+        }
+        Ok(Name {
+            text: self.slice(token).to_owned(),
+            place: Place(self.span(token)),
+        })
+    }
+
+    fn names(&mut self, what: &str) -> Parse<Vec<Name>> {
+        let mut names = vec![self.name(what)?];
+        while self.eat(Kind::Comma) {
+            names.push(self.name(what)?);
+        }
+        Ok(names)
+    }
+
+    /// One more parenthesis or brace around what follows.
+    fn deeper(&mut self) -> Parse<()> {
+        self.nesting += 1;
+        if self.nesting <= MAX_NESTING {
+            return Ok(());
+        }
+        let fault = Diagnostic::new(Code::LimitExceeded, "nested too deeply")
+            .at(self.span(self.token()), "")
+            .note(format!(
+                "at most {MAX_NESTING} negations, parentheses and braces may stand around anything"
+            ));
+        self.faults.push(fault);
+        Err(Reported)
+    }
+
+    /// The text between the quotes with its escapes replaced.
+    fn unescape(&mut self, token: Token) -> String {
+        let quoted = self.slice(token);
+        let inner = &quoted[1..quoted.len() - usize::from(token.kind == Kind::Text)];
+        if !inner.contains('\\') {
+            return inner.to_owned();
+        }
+        let mut out = String::with_capacity(inner.len());
+        let mut bad = Vec::new();
+        let mut chars = inner.char_indices();
+        while let Some((at, c)) = chars.next() {
+            if c != '\\' {
+                out.push(c);
+                continue;
+            }
+            match chars.next() {
+                Some((_, 'n')) => out.push('\n'),
+                Some((_, 'r')) => out.push('\r'),
+                Some((_, 't')) => out.push('\t'),
+                Some((_, '0')) => out.push('\0'),
+                Some((_, c @ ('"' | '\'' | '\\'))) => out.push(c),
+                Some((_, c)) => bad.push((at, c)),
+                None => {}
+            }
+        }
+        for (at, c) in bad {
+            let start = token.start as usize + 1 + at;
+            let fault = Diagnostic::new(Code::Syntax, "unknown escape in a text")
+                .at(Span::new(self.source, start..start + 1 + c.len_utf8()), "")
+                .note("the escapes are `\\n`, `\\r`, `\\t`, `\\0`, `\\\"`, `\\'` and `\\\\`");
+            self.faults.push(fault);
+        }
+        out
+    }
+}

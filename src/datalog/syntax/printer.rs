@@ -1,0 +1,323 @@
+//! A syntax tree as text that parses to the same tree.
+
+use std::fmt::{self, Display, Write};
+
+use crate::datalog::syntax::ast::Comparison;
+use crate::datalog::syntax::ast::{Atom, Clause, File, Item, Literal, Term, TermKind, TypeDefinition};
+use crate::datalog::syntax::functor::Functor;
+
+/// The text of a tree. Ordinary comments and spacing are not in the tree and so not in the text. A declaration that was
+/// reported as faulty is left out.
+pub fn print(file: &File) -> String {
+    file.to_string()
+}
+
+impl Display for File {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.items.iter().try_for_each(|item| write!(f, "{item}"))
+    }
+}
+
+impl Display for Item {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Item::Include(include) => writeln!(f, ".include {}", Quoted(&include.path)),
+            Item::Type(decl) => {
+                let doc = Doc(&decl.doc);
+                match &decl.definition {
+                    TypeDefinition::Subtype(parent) => writeln!(f, "{doc}.type {} <: {}", decl.name.text, parent.text),
+                    TypeDefinition::Alias(other) => writeln!(f, "{doc}.type {} = {}", decl.name.text, other.text),
+                    TypeDefinition::Union(members) => {
+                        let members: Vec<&str> = members.iter().map(|member| member.text.as_str()).collect();
+                        writeln!(f, "{doc}.type {} = {}", decl.name.text, members.join(" | "))
+                    }
+                    TypeDefinition::Faulty => Ok(()),
+                }
+            }
+            Item::Decl(decl) => {
+                let Some(columns) = &decl.columns else { return Ok(()) };
+                write!(f, "{}.decl ", Doc(&decl.doc))?;
+                separated(f, &decl.names, |f, name| f.write_str(&name.text))?;
+                f.write_char('(')?;
+                separated(f, columns, |f, column| {
+                    write!(f, "{}: {}", column.name.text, column.ty.text)
+                })?;
+                f.write_char(')')?;
+                decl.qualifiers
+                    .iter()
+                    .try_for_each(|word| write!(f, " {}", word.text))?;
+                writeln!(f)
+            }
+            Item::Mark(mark) => {
+                write!(f, ".{} ", mark.kind.name())?;
+                separated(f, &mark.names, |f, name| f.write_str(&name.text))?;
+                if !mark.options.is_empty() {
+                    f.write_char('(')?;
+                    separated(f, &mark.options, |f, option| {
+                        write!(f, "{}={}", option.key.text, Quoted(&option.value))
+                    })?;
+                    f.write_char(')')?;
+                }
+                writeln!(f)
+            }
+            Item::Pragma(pragma) => {
+                f.write_str(".pragma")?;
+                pragma
+                    .words
+                    .iter()
+                    .try_for_each(|word| write!(f, " {}", Quoted(word)))?;
+                writeln!(f)
+            }
+            Item::Plan(plan) => {
+                f.write_str(".plan ")?;
+                separated(f, &plan.orders, |f, (version, order)| {
+                    write!(f, "{version}:(")?;
+                    separated(f, order, |f, atom| write!(f, "{atom}"))?;
+                    f.write_char(')')
+                })?;
+                writeln!(f)
+            }
+            Item::Promise(promise) => {
+                write!(f, ".{} ", promise.kind.name())?;
+                separated(f, &promise.names, |f, name| f.write_str(&name.text))?;
+                writeln!(f)
+            }
+            Item::Scope(scope) => match &scope.predicate {
+                Some(predicate) => writeln!(f, ".scope {}", predicate.text),
+                None => writeln!(f, ".scope"),
+            },
+            Item::Clause(clause) => writeln!(f, "{clause}"),
+        }
+    }
+}
+
+impl Display for Clause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", Doc(&self.doc))?;
+        separated(f, &self.heads, |f, head| write!(f, "{head}"))?;
+        match self.body.as_slice() {
+            [] => {}
+            [Literal::Any(alternatives)] if !alternatives.is_empty() => {
+                f.write_str(" :- ")?;
+                write_alternatives(f, alternatives)?;
+            }
+            body => {
+                f.write_str(" :- ")?;
+                write_all(f, body)?;
+            }
+        }
+        f.write_char('.')
+    }
+}
+
+/// Literals that all hold.
+fn write_all(f: &mut fmt::Formatter<'_>, literals: &[Literal]) -> fmt::Result {
+    if literals.is_empty() {
+        return f.write_str("true");
+    }
+    separated(f, literals, |f, literal| write!(f, "{literal}"))
+}
+
+fn write_alternatives(f: &mut fmt::Formatter<'_>, alternatives: &[Vec<Literal>]) -> fmt::Result {
+    for (index, alternative) in alternatives.iter().enumerate() {
+        if index > 0 {
+            f.write_str("; ")?;
+        }
+        write_all(f, alternative)?;
+    }
+    Ok(())
+}
+
+impl Display for Literal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Literal::Atom { negated, atom } => write!(f, "{}{atom}", if *negated { "!" } else { "" }),
+            Literal::Compare { op, left, right, .. } => match op {
+                Comparison::Match | Comparison::Contains => write!(f, "{op}({left}, {right})"),
+                Comparison::NotMatch | Comparison::NotContains => write!(f, "!{}({left}, {right})", op.opposite()),
+                _ => write!(f, "{left} {op} {right}"),
+            },
+            Literal::Any(alternatives) if alternatives.is_empty() => f.write_str("false"),
+            Literal::Any(alternatives) => {
+                f.write_char('(')?;
+                write_alternatives(f, alternatives)?;
+                f.write_char(')')
+            }
+        }
+    }
+}
+
+impl Display for Atom {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}(", self.predicate.text)?;
+        separated(f, &self.terms, |f, term| write!(f, "{term}"))?;
+        f.write_char(')')
+    }
+}
+
+impl Display for Term {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.kind {
+            TermKind::Variable(name) => f.write_str(name),
+            TermKind::Wildcard => f.write_char('_'),
+            TermKind::Number(number) => write!(f, "{number}"),
+            TermKind::Unsigned(number) => write!(f, "{number}u"),
+            TermKind::Float(number) => f.write_str(number),
+            TermKind::Text(text) => write!(f, "{}", Quoted(text)),
+            TermKind::Functor(functor, arguments) => write_functor(f, *functor, arguments),
+            TermKind::Cast(term, ty) => write!(f, "as({term}, {})", ty.text),
+            TermKind::Aggregate(aggregate) => {
+                f.write_str(aggregate.op.name())?;
+                if let Some(target) = &aggregate.target {
+                    write!(f, " {}", Operand(target, u8::MAX))?;
+                }
+                f.write_str(" : { ")?;
+                match aggregate.body.as_slice() {
+                    [Literal::Any(alternatives)] if !alternatives.is_empty() => write_alternatives(f, alternatives)?,
+                    body => write_all(f, body)?,
+                }
+                f.write_str(" }")
+            }
+        }
+    }
+}
+
+fn write_functor(f: &mut fmt::Formatter<'_>, functor: Functor, arguments: &[Term]) -> fmt::Result {
+    match (functor.precedence(), arguments) {
+        // Else it would be read as the number.
+        (_, [number])
+            if functor == Functor::Negate && matches!(number.kind, TermKind::Number(_) | TermKind::Float(_)) =>
+        {
+            write!(f, "-({number})")
+        }
+        // A sign before a sign needs no parentheses, which would nest deeper than what was read.
+        (Some(_), [operand]) if is_prefixed(operand) => write!(f, "{} {operand}", functor.name()),
+        (Some(own), [operand]) => {
+            let space = if functor == Functor::Negate { "" } else { " " };
+            write!(
+                f,
+                "{}{space}{}",
+                functor.name(),
+                Operand(operand, own.saturating_add(1))
+            )
+        }
+        (Some(own), [left, right]) => {
+            // `^` groups to the right, all others to the left.
+            let (for_left, for_right) = if functor == Functor::Power {
+                (own + 1, own)
+            } else {
+                (own, own + 1)
+            };
+            write!(
+                f,
+                "{} {} {}",
+                Operand(left, for_left),
+                functor.name(),
+                Operand(right, for_right)
+            )
+        }
+        _ => {
+            write!(f, "{}(", functor.name())?;
+            separated(f, arguments, |f, argument| write!(f, "{argument}"))?;
+            f.write_char(')')
+        }
+    }
+}
+
+/// Whether the term begins with an operator before its only operand.
+fn is_prefixed(term: &Term) -> bool {
+    matches!(&term.kind, TermKind::Functor(functor, arguments) if arguments.len() == 1 && functor.precedence().is_some())
+}
+
+/// An operand of something that binds so tightly; in parentheses if it binds less.
+struct Operand<'a>(&'a Term, u8);
+
+impl Display for Operand<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Operand(term, tightness) = self;
+        let own = match &term.kind {
+            TermKind::Functor(functor, _) => functor.precedence().unwrap_or(u8::MAX),
+            // As its minus sign does.
+            TermKind::Number(..0) => 10,
+            TermKind::Float(text) if text.starts_with('-') => 10,
+            TermKind::Aggregate(_) => 0,
+            _ => u8::MAX,
+        };
+        if own < *tightness {
+            write!(f, "({term})")
+        } else {
+            write!(f, "{term}")
+        }
+    }
+}
+
+impl Display for Comparison {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Comparison::Equal => "=",
+            Comparison::NotEqual => "!=",
+            Comparison::Less => "<",
+            Comparison::LessEqual => "<=",
+            Comparison::Greater => ">",
+            Comparison::GreaterEqual => ">=",
+            Comparison::Match => "match",
+            Comparison::NotMatch => "!match",
+            Comparison::Contains => "contains",
+            Comparison::NotContains => "!contains",
+        })
+    }
+}
+
+fn separated<T>(
+    f: &mut fmt::Formatter<'_>,
+    list: &[T],
+    mut each: impl FnMut(&mut fmt::Formatter<'_>, &T) -> fmt::Result,
+) -> fmt::Result {
+    for (index, one) in list.iter().enumerate() {
+        if index > 0 {
+            f.write_str(", ")?;
+        }
+        each(f, one)?;
+    }
+    Ok(())
+}
+
+/// A text as it is written in rules: in double quotes, with escapes.
+pub fn quoted(text: &str) -> String {
+    Quoted(text).to_string()
+}
+
+/// A text constant, quoted and escaped.
+struct Quoted<'a>(&'a str);
+
+impl Display for Quoted<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_char('"')?;
+        for c in self.0.chars() {
+            match c {
+                '\n' => f.write_str("\\n")?,
+                '\r' => f.write_str("\\r")?,
+                '\t' => f.write_str("\\t")?,
+                '\0' => f.write_str("\\0")?,
+                '"' | '\\' => write!(f, "\\{c}")?,
+                _ => f.write_char(c)?,
+            }
+        }
+        f.write_char('"')
+    }
+}
+
+/// A doc comment, a line for each line of its text.
+struct Doc<'a>(&'a str);
+
+impl Display for Doc<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.lines().try_for_each(|line| {
+            if line.is_empty() {
+                writeln!(f, "///")
+            } else {
+                writeln!(f, "/// {line}")
+            }
+        })
+    }
+}

@@ -1,0 +1,322 @@
+//! Values, and the evaluation of functors and aggregates on them.
+//!
+//! A functor applied to values either has a value or has none (`1 / 0`, `to_number("x")`); the literal that contains it then does
+//! not hold. So an expression never fails, and what a program derives does not depend on the order of evaluation.
+//!
+//! Words are 32 bits: `number` and `unsigned` wrap around, `float` has single precision.
+
+use std::collections::HashMap;
+
+use crate::datalog::syntax::ast::BaseType;
+use crate::datalog::syntax::functor::{AggregateOp, Functor, Functor::*};
+use crate::symbol::{Symbol, Symbols};
+
+/// One 32-bit word of a row. A column of base type `symbol` holds the number of a [`crate::symbol::Symbol`], one of base type
+/// `number` the bits of an `i32`, of `unsigned` a `u32`, of `float` the bits of an `f32`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Value(pub u32);
+
+impl Value {
+    /// The word for a number.
+    pub fn number(n: i32) -> Self {
+        Value(n.cast_unsigned())
+    }
+
+    /// The number that the word holds, if its column is of base type `number`.
+    pub fn as_number(self) -> i32 {
+        self.0.cast_signed()
+    }
+
+    /// The word for a float. There is one zero and one "not a number", so floats are equal if their words are.
+    pub fn float(x: f32) -> Self {
+        Value(if x.is_nan() { f32::NAN } else { x + 0.0 }.to_bits())
+    }
+
+    /// The float that the word holds, if its column is of base type `float`.
+    pub fn as_float(self) -> f32 {
+        f32::from_bits(self.0)
+    }
+}
+
+impl Functor {
+    /// The value for arguments of base type `base` (of the first, where they differ). `None`: it has none.
+    pub fn apply(self, base: BaseType, arguments: &[Value], symbols: &Symbols) -> Option<Value> {
+        let text = |value: &Value| symbols.text(Symbol(value.0)).unwrap_or_default();
+        let made = |text: &str| Some(Value(symbols.intern(text).0));
+        match (self, arguments) {
+            (Cast, [value]) => return Some(*value),
+            (Ordinal, [value]) => return Some(*value),
+            (Add, parts) if base == BaseType::Symbol => return made(&parts.iter().map(text).collect::<String>()),
+            (Cat, parts) => return made(&parts.iter().map(text).collect::<String>()),
+            (Length, [value]) => {
+                return i32::try_from(text(value).chars().count()).ok().map(Value::number);
+            }
+            (Substring, [value, from, length]) => {
+                let (from, length) = (from.as_number(), length.as_number());
+                let (Ok(from), Ok(length)) = (usize::try_from(from), usize::try_from(length)) else {
+                    return made("");
+                };
+                return made(&text(value).chars().skip(from).take(length).collect::<String>());
+            }
+            (ToText, [value]) => {
+                return match base {
+                    BaseType::Symbol => Some(*value),
+                    BaseType::Number => made(&value.as_number().to_string()),
+                    BaseType::Unsigned => made(&value.0.to_string()),
+                    BaseType::Float => made(&format!("{:.6}", value.as_float())),
+                };
+            }
+            (ToNumber | ToFloat | ToUnsigned, [value]) => return self.convert(base, *value, text(value)),
+            _ => {}
+        }
+        match base {
+            BaseType::Symbol => {
+                let texts = arguments.iter();
+                match self {
+                    Min => texts.min_by_key(|value| text(value)).copied(),
+                    Max => texts.max_by_key(|value| text(value)).copied(),
+                    _ => None,
+                }
+            }
+            BaseType::Number => {
+                fold(arguments, |value| value.as_number(), |operands| self.numbers(operands)).map(Value::number)
+            }
+            BaseType::Unsigned => fold(arguments, |value| value.0, |operands| self.unsigned(operands)).map(Value),
+            BaseType::Float => {
+                fold(arguments, |value| value.as_float(), |operands| self.floats(operands)).map(Value::float)
+            }
+        }
+    }
+
+    fn convert(self, base: BaseType, value: Value, text: &str) -> Option<Value> {
+        #[allow(
+            clippy::cast_possible_truncation,
+            clippy::cast_precision_loss,
+            clippy::cast_sign_loss
+        )]
+        Some(match (self, base) {
+            (ToNumber, BaseType::Number) | (ToUnsigned, BaseType::Unsigned) | (ToFloat, BaseType::Float) => value,
+            (ToNumber, BaseType::Unsigned) | (ToUnsigned, BaseType::Number) => value,
+            (ToNumber, BaseType::Float) => Value::number(value.as_float() as i32),
+            (ToUnsigned, BaseType::Float) => Value(value.as_float() as u32),
+            (ToFloat, BaseType::Number) => Value::float(value.as_number() as f32),
+            (ToFloat, BaseType::Unsigned) => Value::float(value.0 as f32),
+            (ToNumber, BaseType::Symbol) => parse(BaseType::Number, text)?,
+            (ToUnsigned, BaseType::Symbol) => parse(BaseType::Unsigned, text)?,
+            (ToFloat, BaseType::Symbol) => parse(BaseType::Float, text)?,
+            _ => return None,
+        })
+    }
+
+    fn numbers(self, operands: &[i32]) -> Option<i32> {
+        Some(match (self, operands) {
+            (Negate, &[a]) => a.wrapping_neg(),
+            (BitNot, &[a]) => !a,
+            (Not, &[a]) => i32::from(a == 0),
+            (Add, &[a, b]) => a.wrapping_add(b),
+            (Subtract, &[a, b]) => a.wrapping_sub(b),
+            (Multiply, &[a, b]) => a.wrapping_mul(b),
+            (Divide, &[a, b]) => (b != 0).then(|| a.wrapping_div(b))?,
+            (Remainder, &[a, b]) => (b != 0).then(|| a.wrapping_rem(b))?,
+            (Power, &[a, b]) => match (a, u32::try_from(b)) {
+                (a, Ok(exponent)) => a.wrapping_pow(exponent),
+                (1, _) => 1,
+                (-1, _) => 1 - 2 * (b & 1),
+                // One over zero.
+                (0, _) => return None,
+                _ => 0,
+            },
+            (BitAnd, &[a, b]) => a & b,
+            (BitOr, &[a, b]) => a | b,
+            (BitXor, &[a, b]) => a ^ b,
+            (ShiftLeft, &[a, b]) => a.wrapping_shl(b.cast_unsigned()),
+            (ShiftRight, &[a, b]) => a.wrapping_shr(b.cast_unsigned()),
+            (ShiftRightUnsigned, &[a, b]) => a.cast_unsigned().wrapping_shr(b.cast_unsigned()).cast_signed(),
+            (And, &[a, b]) => i32::from(a != 0 && b != 0),
+            (Or, &[a, b]) => i32::from(a != 0 || b != 0),
+            (Xor, &[a, b]) => i32::from((a != 0) != (b != 0)),
+            (Min, all) => all.iter().copied().min()?,
+            (Max, all) => all.iter().copied().max()?,
+            _ => return None,
+        })
+    }
+
+    fn unsigned(self, operands: &[u32]) -> Option<u32> {
+        Some(match (self, operands) {
+            (BitNot, &[a]) => !a,
+            (Not, &[a]) => u32::from(a == 0),
+            (Add, &[a, b]) => a.wrapping_add(b),
+            (Subtract, &[a, b]) => a.wrapping_sub(b),
+            (Multiply, &[a, b]) => a.wrapping_mul(b),
+            (Divide, &[a, b]) => a.checked_div(b)?,
+            (Remainder, &[a, b]) => a.checked_rem(b)?,
+            (Power, &[a, b]) => a.wrapping_pow(b),
+            (BitAnd, &[a, b]) => a & b,
+            (BitOr, &[a, b]) => a | b,
+            (BitXor, &[a, b]) => a ^ b,
+            (ShiftLeft, &[a, b]) => a.wrapping_shl(b),
+            (ShiftRight | ShiftRightUnsigned, &[a, b]) => a.wrapping_shr(b),
+            (And, &[a, b]) => u32::from(a != 0 && b != 0),
+            (Or, &[a, b]) => u32::from(a != 0 || b != 0),
+            (Xor, &[a, b]) => u32::from((a != 0) != (b != 0)),
+            (Min, all) => all.iter().copied().min()?,
+            (Max, all) => all.iter().copied().max()?,
+            _ => return None,
+        })
+    }
+
+    fn floats(self, operands: &[f32]) -> Option<f32> {
+        Some(match (self, operands) {
+            (Negate, &[a]) => -a,
+            (Add, &[a, b]) => a + b,
+            (Subtract, &[a, b]) => a - b,
+            (Multiply, &[a, b]) => a * b,
+            (Divide, &[a, b]) => a / b,
+            (Power, &[a, b]) => a.powf(b),
+            (Min, all) => all.iter().copied().reduce(f32::min)?,
+            (Max, all) => all.iter().copied().reduce(f32::max)?,
+            _ => return None,
+        })
+    }
+}
+
+/// Most functors have one or two operands: no allocation for these.
+fn fold<T: Copy + Default>(
+    arguments: &[Value],
+    read: impl Fn(&Value) -> T,
+    apply: impl Fn(&[T]) -> Option<T>,
+) -> Option<T> {
+    match arguments {
+        [a] => apply(&[read(a)]),
+        [a, b] => apply(&[read(a), read(b)]),
+        many => apply(&many.iter().map(read).collect::<Vec<T>>()),
+    }
+}
+
+/// The value that a text writes: decimal, or `0x` and `0b` for whole numbers.
+pub fn parse(base: BaseType, text: &str) -> Option<Value> {
+    let radix = |text: &str| {
+        let (sign, digits) = match text.strip_prefix('-') {
+            Some(digits) => (-1, digits),
+            None => (1, text),
+        };
+        let (digits, radix) = match digits.get(..2) {
+            Some("0x") => (&digits[2..], 16),
+            Some("0b") => (&digits[2..], 2),
+            _ => return None,
+        };
+        if digits.starts_with(['+', '-']) {
+            return None;
+        }
+        i64::from_str_radix(digits, radix).ok().map(|value| sign * value)
+    };
+    match base {
+        BaseType::Symbol => None,
+        BaseType::Number => match radix(text) {
+            Some(value) => i32::try_from(value).ok().map(Value::number),
+            None => text.parse().ok().map(Value::number),
+        },
+        BaseType::Unsigned => match radix(text) {
+            Some(value) => u32::try_from(value).ok().map(Value),
+            None => text.strip_suffix('u').unwrap_or(text).parse().ok().map(Value),
+        },
+        BaseType::Float => text.parse().ok().map(Value::float),
+    }
+}
+
+impl AggregateOp {
+    /// The value for these values of base type `base`; for [`AggregateOp::Count`] any value stands for a row. `None`: it has
+    /// none, as the least of nothing. The order of the values does not matter, not even for floats.
+    pub fn of(self, base: BaseType, values: impl Iterator<Item = Value>, symbols: &Symbols) -> Option<Value> {
+        let text = |value: &Value| symbols.text(Symbol(value.0)).unwrap_or_default();
+        match (self, base) {
+            (AggregateOp::Count, _) => i32::try_from(values.count()).ok().map(Value::number),
+            (AggregateOp::Sum, BaseType::Float) => {
+                let values: Vec<f64> = values.map(|value| f64::from(value.as_float())).collect();
+                Some(Value::float(narrow(total(values))))
+            }
+            // Wrapping addition is the same for signed and unsigned words.
+            (AggregateOp::Sum, _) => Some(Value(values.fold(0, |sum: u32, value| sum.wrapping_add(value.0)))),
+            (AggregateOp::Mean, _) => {
+                let values: Vec<f64> = values.map(|value| double(base, value)).collect();
+                let count = u32::try_from(values.len()).ok().filter(|&count| count > 0)?;
+                Some(Value::float(narrow(total(values) / f64::from(count))))
+            }
+            (AggregateOp::Min, BaseType::Symbol) => values.min_by(|a, b| text(a).cmp(text(b))),
+            (AggregateOp::Max, BaseType::Symbol) => values.max_by(|a, b| text(a).cmp(text(b))),
+            (AggregateOp::Min, BaseType::Number) => values.min_by_key(|value| value.as_number()),
+            (AggregateOp::Max, BaseType::Number) => values.max_by_key(|value| value.as_number()),
+            (AggregateOp::Min, BaseType::Unsigned) => values.min(),
+            (AggregateOp::Max, BaseType::Unsigned) => values.max(),
+            (AggregateOp::Min, BaseType::Float) => values.min_by(|a, b| a.as_float().total_cmp(&b.as_float())),
+            (AggregateOp::Max, BaseType::Float) => values.max_by(|a, b| a.as_float().total_cmp(&b.as_float())),
+        }
+    }
+}
+
+fn double(base: BaseType, value: Value) -> f64 {
+    match base {
+        BaseType::Float => f64::from(value.as_float()),
+        BaseType::Unsigned => f64::from(value.0),
+        _ => f64::from(value.as_number()),
+    }
+}
+
+/// The sum in one order, whatever order the values came in.
+fn total(mut values: Vec<f64>) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    values.into_iter().sum()
+}
+
+#[allow(clippy::cast_possible_truncation)]
+fn narrow(value: f64) -> f32 {
+    value as f32
+}
+
+/// Regular expressions that were needed so far, by symbol; a faulty one matches nothing.
+#[derive(Debug, Default)]
+pub struct Patterns(HashMap<Value, Option<regex::Regex>>);
+
+impl Patterns {
+    /// Whether the whole of `text` matches `pattern`.
+    pub fn matches(&mut self, pattern: Value, text: &str, symbols: &Symbols) -> bool {
+        let compiled = self.0.entry(pattern).or_insert_with(|| {
+            let pattern = symbols.text(Symbol(pattern.0)).unwrap_or_default();
+            let whole = format!("^(?:{pattern})$");
+            regex::RegexBuilder::new(&whole).size_limit(1 << 20).build().ok()
+        });
+        compiled.as_ref().is_some_and(|compiled| compiled.is_match(text))
+    }
+}
+
+/// A float as text: nine significant digits without trailing zeros, which is enough to read the same float back; an exponent where the
+/// number is very small or large.
+pub fn print_float(x: f32) -> String {
+    const DIGITS: i32 = 9;
+    if !x.is_finite() {
+        return if x.is_nan() {
+            "nan"
+        } else if x > 0.0 {
+            "inf"
+        } else {
+            "-inf"
+        }
+        .to_owned();
+    }
+    let scientific = format!("{:.*e}", (DIGITS - 1) as usize, x);
+    let Some((mantissa, exponent)) = scientific.split_once('e') else {
+        return scientific;
+    };
+    let exponent: i32 = exponent.parse().unwrap_or_default();
+    let trim = |digits: &str| match digits.contains('.') {
+        true => digits.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => digits.to_owned(),
+    };
+    if (-4..DIGITS).contains(&exponent) {
+        let decimals = usize::try_from(DIGITS - 1 - exponent).unwrap_or_default();
+        trim(&format!("{x:.decimals$}"))
+    } else {
+        let sign = if exponent < 0 { '-' } else { '+' };
+        format!("{}e{sign}{:02}", trim(mantissa), exponent.abs())
+    }
+}
