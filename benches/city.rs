@@ -5,9 +5,11 @@ mod shipped_world;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use logicity::builtin::BuiltinFiles;
+use logicity::city::{AgentKind, Speed, Split};
 use logicity::city::{CityMap, Places, Router, Surroundings, advance, place_agents};
-use logicity::config::{AgentKind, Located, Speed, Split, load_scenario};
+use logicity::config::load_scenario;
 use logicity::datalog::dense::{BitFacts, Counting, Frame, has};
+use logicity::diag::Located;
 use logicity::diag::Sources;
 use logicity::files::read_text;
 use logicity::rng::{Purpose, Seed};
@@ -135,7 +137,7 @@ fn route(criterion: &mut Criterion) {
             group.bench_function(format!("{config}/{}", kind.name()), |bencher| {
                 bencher.iter(|| {
                     draw += 1;
-                    let mut stream = Seed(1).stream(Purpose::Goal, 0, draw);
+                    let mut stream = Seed(1).stream(Purpose::GOAL, 0, draw);
                     let route = places.draw_route(&router, kind, at, &mut stream).expect("a way");
                     at = route.goal();
                     route

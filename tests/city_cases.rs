@@ -8,7 +8,8 @@ use logicity::city::{
     Agent, Cell, CityMap, Ground, Heading, Lane, Places, Reason, Rest, Route, Router, Surroundings, advance,
     field_of_view, possible_cells, speed_cells,
 };
-use logicity::config::{AgentConfig, AgentKind, AgentName, Building, Routing, Speed, load_map};
+use logicity::city::{AgentConfig, AgentKind, AgentName, Building, Routing, Speed};
+use logicity::config::load_map;
 use logicity::diag::Sources;
 use logicity::rng::Seed;
 use ndarray::{Array2, Array3, Axis};

@@ -6,10 +6,9 @@ use logicity::city::{
     Agent, Cell, CityMap, Ground, Heading, Junction, Lane, Layout, NoRoute, Places, Reason, Route, Router,
     Surroundings, advance, place_agents, possible_cells,
 };
-use logicity::config::{
-    AgentGroup, AgentKind, AgentSet, Building, Buildings, Located, MapConfig, Routing, Speed, Split, Widths, load_map,
-    load_scenario,
-};
+use logicity::city::{AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Speed, Split, Widths};
+use logicity::config::{load_map, load_scenario};
+use logicity::diag::Located;
 use logicity::diag::{Code, Sources, Span};
 use logicity::rng::Seed;
 use ndarray::Array2;
@@ -400,7 +399,7 @@ proptest! {
         match CityMap::generate(&config(blocks, widths, buildings)) {
             Ok(map) => prop_assert!(map.rows().max(map.cols()) <= 1 << 20),
             Err(diagnostic) => {
-                prop_assert!(matches!(diagnostic.code, Code::InvalidMap | Code::LimitExceeded));
+                prop_assert!(matches!(diagnostic.code, Code::INVALID_MAP | Code::LIMIT_EXCEEDED));
                 prop_assert!(diagnostic.primary.is_some() && !diagnostic.help.is_empty());
             }
         }
@@ -573,7 +572,7 @@ proptest! {
             Ok(agents) => agents,
             // Pedestrians go to another block: there is none, or the trip is too short.
             Err(diagnostic) => {
-                prop_assert_eq!(diagnostic.code, Code::NoRoute);
+                prop_assert_eq!(diagnostic.code, Code::NO_ROUTE);
                 return Ok(());
             }
         };
@@ -631,15 +630,15 @@ fn too_many_agents_for_a_region_are_told() {
     assert_eq!(place(&agent_set(40, 0, None)).map(|agents| agents.len()), Ok(40));
     assert_eq!(
         place(&agent_set(41, 0, None)).map(|agents| agents.len()),
-        Err(Code::NoStartCell)
+        Err(Code::NO_START_CELL)
     );
     assert_eq!(
         place(&agent_set(1, 0, Some(5))).map(|agents| agents.len()),
-        Err(Code::NoStartCell)
+        Err(Code::NO_START_CELL)
     );
     assert_eq!(
         place(&agent_set(0, 1, None)).map(|agents| agents.len()),
-        Err(Code::NoRoute)
+        Err(Code::NO_ROUTE)
     );
     assert_eq!(place(&agent_set(0, 0, Some(5))).map(|agents| agents.len()), Ok(0));
 }
@@ -668,7 +667,7 @@ fn agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
     let map = CityMap::generate(&scenario.map).expect("a valid map");
     assert_eq!((map.rows(), map.cols()), (28_301, 28_301));
     // As layers it would take 24 GiB.
-    assert_eq!(map.semantic(&[]).unwrap_err().code, Code::LimitExceeded);
+    assert_eq!(map.semantic(&[]).unwrap_err().code, Code::LIMIT_EXCEEDED);
     let router = Router::new(Arc::new(map), scenario.routing);
     let trip = set.trip.map(|trip| trip.value);
     let places = Places::new(&router, None, trip);

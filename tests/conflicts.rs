@@ -3,7 +3,7 @@
 mod shipped_world;
 mod written_program;
 
-use logicity::config::Speed;
+use logicity::city::Speed;
 use logicity::datalog::Program;
 use logicity::datalog::{RelId, Value};
 use logicity::sim::{Cut, ENTITIES_MAX, Example, Finding, conflicts};

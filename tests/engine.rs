@@ -949,7 +949,7 @@ fn a_product_that_derives_nothing_is_stopped() {
         }
     );
     let fault = error.diagnostic(program(&text).rules());
-    assert_eq!((fault.code, fault.secondary.len()), (Code::LimitExceeded, 1));
+    assert_eq!((fault.code, fault.secondary.len()), (Code::LIMIT_EXCEEDED, 1));
     // An aggregate looks at rows, too.
     let counted = facts_of("A", 2_000)
         + ".decl A(x: number)
@@ -1053,19 +1053,19 @@ fn what_is_too_large_to_plan_is_refused() {
     let mut rules = program(COPY).rules().clone();
     let literal = rules.clauses[0].body[0].clone();
     rules.clauses[0].body = vec![literal; 1_000];
-    assert_eq!(Program::new(rules.clone()).unwrap_err().code, Code::LimitExceeded);
+    assert_eq!(Program::new(rules.clone()).unwrap_err().code, Code::LIMIT_EXCEEDED);
     rules.clauses[0].body.truncate(100);
     assert!(Program::new(rules.clone()).is_ok());
     let column = rules.relations[0].columns[0].clone();
     rules.relations[1].columns = vec![column; 33];
-    assert_eq!(Program::new(rules.clone()).unwrap_err().code, Code::LimitExceeded);
+    assert_eq!(Program::new(rules.clone()).unwrap_err().code, Code::LIMIT_EXCEEDED);
 }
 
 #[test]
 fn an_unsafe_clause_is_refused() {
     let mut rules = program(COPY).rules().clone();
     rules.clauses[0].body.clear();
-    assert_eq!(Program::new(rules).unwrap_err().code, Code::UnboundVariable);
+    assert_eq!(Program::new(rules).unwrap_err().code, Code::UNBOUND_VARIABLE);
 }
 
 #[test]
@@ -1099,7 +1099,7 @@ fn load(session: &mut Session, relation: &str, text: &str) -> Result<usize, Vec<
                 return fault.message.clone();
             };
             let position = sources.position(label.span);
-            assert_eq!(fault.code, Code::InvalidFact);
+            assert_eq!(fault.code, Code::INVALID_FACT);
             format!("{}:{} {}", position.line, position.column, fault.message)
         };
         faults.iter().map(place).collect()
@@ -1220,7 +1220,7 @@ proptest! {
         );
         let read = |_: &std::path::Path| unreachable!("nothing is included");
         let loaded = datalog::load_with(&mut sources, entry, &read, Inputs::Extended);
-        prop_assert!(loaded.diagnostics.iter().all(|fault| fault.code == Code::ExtendedInput));
+        prop_assert!(loaded.diagnostics.iter().all(|fault| fault.code == Code::EXTENDED_INPUT));
         let rules = loaded.rules.unwrap();
         let program = Program::new(rules.clone()).unwrap();
         let edge = program.relation("Edge").unwrap();

@@ -6,7 +6,7 @@ mod shipped_world;
 mod written_program;
 
 use logicity::builtin::BuiltinFiles;
-use logicity::config::{Speed, Split};
+use logicity::city::{Speed, Split};
 use logicity::datalog::explain::{
     ExplainError, Explainer, Explanation, FailureKind, Node, Obstacle, Origin, Premise, Reason, Teller,
 };

@@ -466,7 +466,7 @@ fn what_is_repeated_is_told() {
     let found = three("IsClose(X, Y), IsOld(Y), NextTo(Y, X)");
     assert_eq!(
         found.iter().map(|lint| lint.code).collect::<Vec<_>>(),
-        [Code::RepeatedBody]
+        [Code::REPEATED_BODY]
     );
     assert!(
         found[0].help[0].contains("`Name(X) :- IsClose(X, Y), IsOld(Y), NextTo(Y, X).`"),
@@ -482,7 +482,7 @@ fn contradictions_are_found_and_cost_nothing() {
     let found = lints(&text);
     assert_eq!(
         found.iter().map(|lint| lint.code).collect::<Vec<_>>(),
-        [Code::ContradictoryBody; 2]
+        [Code::CONTRADICTORY_BODY; 2]
     );
     let (_, rules) = rules(&text);
     let program = Program::with(
@@ -509,7 +509,7 @@ fn clauses_that_others_cover_under_the_promises_are_told_and_not_run() {
     let found = lints(&text);
     assert_eq!(
         found.iter().map(|lint| lint.code).collect::<Vec<_>>(),
-        [Code::SubsumedClause]
+        [Code::SUBSUMED_CLAUSE]
     );
 
     let (_, rules) = rules(&text);
@@ -562,7 +562,7 @@ fn the_shipped_rules_contradict_nowhere() {
     ] {
         let found = lints(&std::fs::read_to_string(format!("{}/rules/{name}.dl", env!("CARGO_MANIFEST_DIR"))).unwrap());
         assert!(
-            found.iter().all(|lint| lint.code == Code::RedundantLiteral),
+            found.iter().all(|lint| lint.code == Code::REDUNDANT_LITERAL),
             "{name}: {found:?}"
         );
     }
@@ -585,7 +585,7 @@ fn twice_the_clauses_take_little_more_than_twice_the_steps() {
         let covered = lints
             .diagnostics
             .iter()
-            .filter(|lint| lint.code == Code::SubsumedClause);
+            .filter(|lint| lint.code == Code::SUBSUMED_CLAUSE);
         assert_eq!(covered.count(), count / 2, "a bus is a car, who is old is a pedestrian");
         assert_eq!(lints.unfinished, [""; 0]);
         lints.steps

@@ -3,14 +3,14 @@
 use base64::Engine as _;
 use flate2::read::ZlibDecoder;
 use logicity::city::Cell;
-use logicity::config::{Speed, Split};
+use logicity::city::{Speed, Split};
 use logicity::datalog::explain::{Explainer, Teller};
 use logicity::diag::{Code, Sources};
 use logicity::page::Page;
 use logicity::render::Icons;
 use logicity::rng::Seed;
 use logicity::sim::{Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World, hash_sources};
-use logicity::task::path::{Egos, Env, Origin, PathTask, RecordError, record};
+use logicity::task::spf::{Egos, Env, Origin, PathTask, RecordError, record};
 use serde_json::{Value, json};
 use std::io::Read;
 use std::process::Command;
@@ -97,7 +97,7 @@ fn drive(config: &str, seed: u64, action: Speed) -> (Run, Vec<Value>) {
     let Err(RecordError::Fault(fault)) = write(&actions) else {
         panic!("the episode has ended")
     };
-    assert_eq!(fault.code, Code::InvalidValue);
+    assert_eq!(fault.code, Code::INVALID_VALUE);
     let run = Run {
         trace: String::from_utf8(trace).unwrap(),
         ways: Vec::new(),
@@ -348,18 +348,18 @@ fn ticks_come_one_after_the_other() {
     push(&mut gap, &mut replay, &ticks[0]).unwrap();
     assert_eq!(
         push(&mut gap, &mut replay, &ticks[2]).unwrap_err().code,
-        Code::InvalidTrace
+        Code::INVALID_TRACE
     );
     assert_eq!(
         push(&mut gap, &mut replay, &ticks[0]).unwrap_err().code,
-        Code::InvalidTrace
+        Code::INVALID_TRACE
     );
     push(&mut gap, &mut replay, &ticks[1]).unwrap();
     let mut last = ticks[0].clone();
     last.tick = u64::MAX;
     assert_eq!(
         push(&mut page(&replay), &mut replay, &last).unwrap_err().code,
-        Code::InvalidTrace
+        Code::INVALID_TRACE
     );
 }
 
@@ -378,7 +378,7 @@ fn too_long_a_run_is_refused() {
     }
     tick.tick = 2;
     let fault = page.push(&replay, &tick, &run.sources).unwrap_err();
-    assert_eq!(fault.code, Code::LimitExceeded);
+    assert_eq!(fault.code, Code::LIMIT_EXCEEDED);
 }
 
 /// A trace and a page tell of the driven car what the task knew of it in every step, and of everything else what the rules say.
@@ -496,6 +496,6 @@ fn a_driver_that_cannot_be_is_refused() {
         replay.set(&tick).unwrap();
         let mut page = Page::new(&replay, &run.header(), &Icons::default(), &run.sources);
         let fault = page.push(&replay, &tick, &run.sources).unwrap_err();
-        assert_eq!(fault.code, Code::InvalidTrace, "{key}");
+        assert_eq!(fault.code, Code::INVALID_TRACE, "{key}");
     }
 }

@@ -6,12 +6,12 @@ mod shipped_world;
 use flate2::read::GzDecoder;
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Agent, Cell, Heading, field_of_view};
-use logicity::config::{AgentConfig, AgentKind, Speed, Split};
+use logicity::city::{AgentConfig, AgentKind, Speed, Split};
 use logicity::datalog::{ClauseId, Literal, Rules, Term};
 use logicity::diag::{Code, Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Chance, Entity, Facts, Observer, Settings, Simulation, World, ground};
-use logicity::task::path::{
+use logicity::task::spf::{
     Baseline, Egos, Env, EpisodeSet, Exam, PathTask, Policy, RANDOM_RUNS, Rollout, Score, describe, rollout,
 };
 use proptest::prelude::*;
@@ -449,7 +449,7 @@ fn random_clauses_are_judged_as_defined() {
     let n = shipped.oracle().entities();
     let (mut several, mut chains, mut broke) = (0, 0, [0; 4]);
     for case in 0..CASES {
-        let text = random_clauses(&mut Seed(case).stream(Purpose::Scene, 0, 0));
+        let text = random_clauses(&mut Seed(case).stream(Purpose::SCENE, 0, 0));
         let once = task("expert", Some(&text));
         let others = [apart(&text), relational(&text)].map(|text| task("expert", Some(&text)));
         let rules = once.world().program.rules();
@@ -534,7 +534,7 @@ fn exact_observations_agree_with_the_definitions() {
         let unary = (task.world().vocabulary.predicates.iter()).filter(|predicate| predicate.arity == 1);
         assert_eq!([room, width], [points, 8 + unary.count()]);
         let mut env = Env::new(Arc::clone(&task), Split::Test, Egos::Cars).unwrap();
-        let mut random = Seed(5).stream(Purpose::Policy, 0, 0);
+        let mut random = Seed(5).stream(Purpose::POLICY, 0, 0);
         for seed in 0..3 {
             env.reset(seed).unwrap();
             let mut episode = env.episode().clone();
@@ -829,18 +829,18 @@ fn fault_of(text: &str) -> Diagnostic {
 #[test]
 fn faulty_tasks_are_told() {
     let fault = |task: &str| fault_of(&format!("base: configs/expert.yaml\ntask: {task}\n"));
-    assert_eq!(fault("~").code, Code::MissingKey);
-    assert_eq!(fault("{entities: 0}").code, Code::InvalidValue);
-    assert_eq!(fault("{reward: {violation: .nan}}").code, Code::InvalidValue);
-    assert_eq!(fault("{reward: {violations_per: rule}}").code, Code::InvalidValue);
-    assert_eq!(fault("{horison: 3}").code, Code::UnknownKey);
-    assert_eq!(fault("{ego: {concepts: [{weight: 0}]}}").code, Code::InvalidValue);
+    assert_eq!(fault("~").code, Code::MISSING_KEY);
+    assert_eq!(fault("{entities: 0}").code, Code::INVALID_VALUE);
+    assert_eq!(fault("{reward: {violation: .nan}}").code, Code::INVALID_VALUE);
+    assert_eq!(fault("{reward: {violations_per: rule}}").code, Code::INVALID_VALUE);
+    assert_eq!(fault("{horison: 3}").code, Code::UNKNOWN_KEY);
+    assert_eq!(fault("{ego: {concepts: [{weight: 0}]}}").code, Code::INVALID_VALUE);
     assert_eq!(
         fault("{ego: {concepts: [{weight: 1, concepts: [old]}]}}").code,
-        Code::InvalidValue
+        Code::INVALID_VALUE
     );
     let unknown = fault("{reward: {clauses: {S17: -1}}}");
-    assert_eq!(unknown.code, Code::InvalidValue);
+    assert_eq!(unknown.code, Code::INVALID_VALUE);
     assert!(
         unknown.primary.is_some() && unknown.help[0].contains("S1"),
         "{unknown:?}"
@@ -880,7 +880,7 @@ fn agents_of_episodes_are_what_predicates_can_tell() {
     let walker = (0..).find(|&agent| kind(agent) == AgentKind::Pedestrian).unwrap();
     assert_eq!(
         begun(car, &["ambulance", "old"]).unwrap_err().code,
-        Code::InvalidEpisode
+        Code::INVALID_EPISODE
     );
     for (agent, good) in [
         (car, &["ambulance"][..]),
@@ -899,7 +899,7 @@ fn agents_of_episodes_are_what_predicates_can_tell() {
     ];
     for (agent, concepts, message, help) in bad {
         let fault = begun(agent, concepts).unwrap_err();
-        assert_eq!(fault.code, Code::InvalidEpisode, "{concepts:?}");
+        assert_eq!(fault.code, Code::INVALID_EPISODE, "{concepts:?}");
         assert!(fault.message.contains(message), "{fault:?}");
         assert!(
             fault.message.contains(&episode.agents[agent].name.to_string()),
@@ -941,7 +941,7 @@ fn faulty_episodes_are_told() {
     ];
     for text in bad {
         let fault = set_of(&text).expect_err(&text);
-        assert_eq!(fault.code, Code::InvalidEpisode, "{text}");
+        assert_eq!(fault.code, Code::INVALID_EPISODE, "{text}");
         assert!(fault.primary.is_some(), "{text}");
     }
 }
@@ -977,7 +977,7 @@ fn unknown_keys_of_episodes_are_told() {
     ] {
         let quoted = format!("\"{key}\"");
         let (at, fault) = fault_of(line, &quoted, &format!("\"x{key}\"")).unwrap_err();
-        assert_eq!((fault.code, at), (Code::InvalidEpisode, line + 1), "{fault:?}");
+        assert_eq!((fault.code, at), (Code::INVALID_EPISODE, line + 1), "{fault:?}");
         assert!(fault.message.contains(&format!("unknown field `x{key}`")), "{fault:?}");
         assert!(!fault.message.contains("line 1"), "{fault:?}");
     }

@@ -2,7 +2,7 @@
 
 mod shipped_world;
 
-use logicity::config::Split;
+use logicity::city::Split;
 use logicity::rng::Seed;
 use logicity::sim::{Settings, Simulation};
 use serde_json::{Value, json};

@@ -3,8 +3,9 @@
 
 mod shipped_world;
 
+use logicity::city::{AgentKind, Building, Buildings, MapConfig, Speed, Split, Widths};
 use logicity::city::{Cell, CityMap};
-use logicity::config::{AgentKind, Building, Buildings, Located, MapConfig, Speed, Split, Widths};
+use logicity::diag::Located;
 use logicity::diag::{Sources, Span};
 use logicity::render::{
     Animation, Class, Difficulty, Facing, Icons, Mode, Overview, Pack, Picture, PixelBox, Renderer, Scale, Sprite,
@@ -391,7 +392,7 @@ fn classes_are_told_apart_the_better_the_cleaner_they_are() {
 #[test]
 fn pictures_are_the_same_on_any_number_of_threads() {
     let view = View::new(Cell::new(0, 0), 35, 63, Scale::pixels(6).unwrap()).unwrap();
-    let mut stream = Seed(5).stream(Purpose::Scene, 0, 0);
+    let mut stream = Seed(5).stream(Purpose::SCENE, 0, 0);
     let states: Vec<Vec<Agent>> = (0..8)
         .map(|_| {
             let agent = |_| Agent {

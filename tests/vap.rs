@@ -1,7 +1,8 @@
 //! Visual Action Prediction: worlds, tables, pictures, and data sets that are ended early, made in parts, or tampered with.
 
 use logicity::builtin::BuiltinFiles;
-use logicity::config::{AgentKind, Split, load_scenario};
+use logicity::city::{AgentKind, Split};
+use logicity::config::load_scenario;
 use logicity::datalog;
 use logicity::datalog::Program;
 use logicity::diag::Sources;
@@ -437,7 +438,7 @@ fn killed_or_not_and_on_any_threads_pictures_are_the_same() {
     let expected = contents(&whole);
     assert_eq!(expected.len(), 2 * (89 + 3) + 2);
 
-    let mut stream = Seed(5).stream(Purpose::Scene, 0, 0);
+    let mut stream = Seed(5).stream(Purpose::SCENE, 0, 0);
     for round in 0..5 {
         let mut process = make(&killed, if round % 2 == 0 { "2" } else { "1" }).spawn().unwrap();
         // Somewhere in what it writes; what an earlier round left does not count.

@@ -2,10 +2,10 @@
 
 mod shipped_world;
 
-use logicity::config::{Speed, Split};
+use logicity::city::{Speed, Split};
 use logicity::diag::Code;
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::task::path::{Autoreset, Begin, Egos, Env, EpisodeSource, Info, VectorEnv, View};
+use logicity::task::spf::{Autoreset, Begin, Egos, Env, EpisodeSource, Info, VectorEnv, View};
 use shipped_world::task;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -52,7 +52,7 @@ fn compare(config: &str, split: Split, view: View, autoreset: Autoreset, threads
     let mut shown = vec![0.5; COUNT * width];
     batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();
     alone.iter_mut().for_each(|one| one.begin(view));
-    let (mut ended, mut random) = (0, Seed(1).stream(Purpose::Policy, 0, 0));
+    let (mut ended, mut random) = (0, Seed(1).stream(Purpose::POLICY, 0, 0));
     for step in 0..steps / COUNT {
         if autoreset == Autoreset::Disabled && alone.iter().any(|one| one.over) {
             let begin: Vec<Option<Begin>> = alone.iter().map(|one| one.over.then_some(Begin::Next)).collect();
@@ -171,7 +171,7 @@ fn a_batch_is_given_up_when_it_is_told_to() {
         batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();
         left.store(3, Ordering::Relaxed);
         let fault = batch.step(&[Speed::Stop; COUNT], &mut shown).unwrap_err();
-        assert_eq!(fault.code, Code::LimitExceeded);
+        assert_eq!(fault.code, Code::LIMIT_EXCEEDED);
         left.store(i64::MAX, Ordering::Relaxed);
         let gone: Vec<bool> = batch.members().iter().map(|member| member.env().steps() == 1).collect();
         let reached = gone.iter().filter(|gone| **gone).count();

@@ -3,8 +3,8 @@
 use crate::episode::{PyEpisode, read_episode};
 use crate::task::{PyTask, speed, split_named, view_named};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
-use logicity::config::Speed;
-use logicity::task::path::{Egos, Env, EpisodeSource, Info, View, describe};
+use logicity::city::Speed;
+use logicity::task::spf::{Egos, Env, EpisodeSource, Info, View, describe};
 use numpy::{PyArray3, PyReadwriteArrayDyn};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;

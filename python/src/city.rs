@@ -3,9 +3,11 @@
 use crate::{Shared, Signals, input_error, read_error, to_python};
 use logicity::builtin::read_or_builtin;
 use logicity::city::{Agent, Cell, Heading, Reason};
-use logicity::config::{Located, Scenario, Speed, Split, load_scenario};
+use logicity::city::{Speed, Split};
+use logicity::config::{Scenario, load_scenario};
 use logicity::datalog::Program;
 use logicity::datalog::explain::Teller;
+use logicity::diag::Located;
 use logicity::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use logicity::files::{Output, ReadError, read_text};
 use logicity::rng::Seed;
@@ -115,7 +117,7 @@ impl Loaded {
             Err(faults) => {
                 return Err(match faults.as_slice() {
                     // The file named by the caller: it has no place in any text.
-                    [fault] if fault.code == Code::MissingFile && fault.primary.is_none() => {
+                    [fault] if fault.code == Code::MISSING_FILE && fault.primary.is_none() => {
                         let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
                         Unloaded::Missing(fault.message.clone() + &help)
                     }
@@ -467,7 +469,7 @@ fn run(
 
 fn too_many(agents: usize, what: &str) -> Diagnostic {
     let message = format!("{what} of {agents} agents; the limit is {MAX_ENTITIES} agents");
-    Diagnostic::new(Code::LimitExceeded, message)
+    Diagnostic::new(Code::LIMIT_EXCEEDED, message)
 }
 
 /// Rows and columns of cells.

@@ -1,9 +1,9 @@
 //! How an episode begins, as Python says and is told it.
 
 use logicity::city::Cell;
-use logicity::config::{AgentName, Speed};
+use logicity::city::{AgentName, Speed};
 use logicity::diag::{Code, Diagnostic, did_you_mean};
-use logicity::task::path::{Env, Episode, EpisodeAgent, OracleRun};
+use logicity::task::spf::{Env, Episode, EpisodeAgent, OracleRun};
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyInt, PyMapping};
@@ -169,7 +169,7 @@ impl<'a, 'py> Part<'a, 'py> {
 }
 
 fn invalid(message: String) -> Diagnostic {
-    Diagnostic::new(Code::InvalidEpisode, message)
+    Diagnostic::new(Code::INVALID_EPISODE, message)
 }
 
 /// With the name that was meant, or else all there are.

@@ -3,8 +3,8 @@
 use crate::episode::PyEpisode;
 use crate::task::{PyTask, speed, split_named, view_named};
 use crate::{Signals, slice_of, to_python};
-use logicity::config::{Speed, Split};
-use logicity::task::path::{Baseline, Egos, Env, EpisodeSet, Exam, RANDOM_RUNS, Rollout, Summary, View, summarise};
+use logicity::city::{Speed, Split};
+use logicity::task::spf::{Baseline, Egos, Env, EpisodeSet, Exam, RANDOM_RUNS, Rollout, Summary, View, summarise};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;

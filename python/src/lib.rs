@@ -44,7 +44,7 @@ fn input_error(py: Python<'_>, faults: &[Diagnostic], sources: &Sources) -> PyEr
         Ok(diagnostics) => (render(faults, sources, false), diagnostics.unbind()),
         Err(error) => return error,
     };
-    match faults.iter().any(|fault| fault.code == Code::LimitExceeded) {
+    match faults.iter().any(|fault| fault.code == Code::LIMIT_EXCEEDED) {
         true => LimitError::new_err(arguments),
         false => InputError::new_err(arguments),
     }
@@ -55,7 +55,7 @@ fn read_error(py: Python<'_>, path: &Path, error: &ReadError) -> PyErr {
     let message = format!("cannot read `{}`: {error}", path.display());
     match error {
         ReadError::NotFound => PyFileNotFoundError::new_err(message),
-        ReadError::NotText { .. } => input_error(py, &[Diagnostic::new(Code::NotText, message)], &Sources::new()),
+        ReadError::NotText { .. } => input_error(py, &[Diagnostic::new(Code::NOT_TEXT, message)], &Sources::new()),
         ReadError::TooLarge | ReadError::Io(_) => PyOSError::new_err(message),
     }
 }

@@ -4,12 +4,12 @@ use crate::city::{Loaded, one_of};
 use crate::episode::read_episode;
 use crate::{Signals, held, input_error};
 use logicity::builtin::BuiltinFiles;
-use logicity::config::{Speed, Split};
+use logicity::city::{Speed, Split};
 use logicity::diag::{Diagnostic, SourceId, Sources};
 use logicity::files::Output;
 use logicity::render::{Icons, Marked, Overview, Sprite};
 use logicity::sim::World;
-use logicity::task::path::{
+use logicity::task::spf::{
     Egos, Env, Episode, EpisodeSet, Info, Origin, PathTask, RecordError, Rider, View, explain, record,
 };
 use numpy::{IntoPyArray, PyArray3, PyArrayMethods};

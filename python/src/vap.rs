@@ -2,7 +2,7 @@
 
 use crate::{input_error, slice_of};
 use logicity::city::Heading;
-use logicity::config::Speed;
+use logicity::city::Speed;
 use logicity::diag::{Code, Diagnostic, Sources};
 use logicity::render::{PixelBox, read_png_into};
 use logicity::task::vap::SIDE;
@@ -52,7 +52,7 @@ impl Unread {
 }
 
 fn faulty(message: impl Into<String>) -> Unread {
-    Unread::Faulty(Diagnostic::new(Code::InvalidDataSet, message))
+    Unread::Faulty(Diagnostic::new(Code::INVALID_DATA_SET, message))
 }
 
 /// What the two tables of a world hold, row by row.

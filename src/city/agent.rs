@@ -1,11 +1,16 @@
 //! Agents, and where they start and want to go.
 
+use crate::city::{AgentConfig, AgentKind, AgentName, AgentSet};
 use crate::city::{Cell, Heading, Places, Route, Router};
-use crate::config::{AgentConfig, AgentKind, AgentName, AgentSet};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+
+impl Purpose {
+    /// First start and goal; index: agent.
+    pub const PLACEMENT: Purpose = Purpose::new(2);
+}
 
 /// An agent on its way.
 #[derive(Clone, Debug)]
@@ -184,7 +189,7 @@ pub fn place_agents_until(
         if stop() {
             return Err(Diagnostic::interrupted());
         }
-        let mut stream = seed.stream(Purpose::Placement, index as u64, 0);
+        let mut stream = seed.stream(Purpose::PLACEMENT, index as u64, 0);
         let free = &mut free[name.kind as usize];
         let drawn = free.take(stream.random_range(0..free.count));
         let start = places.nth(name.kind, drawn).expect("a place that was free");
@@ -240,7 +245,7 @@ fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Di
         0 | 1 => format!("fewer {plural}"),
         _ => "a smaller `repeat`".to_owned(),
     };
-    Err(Diagnostic::new(Code::NoStartCell, message)
+    Err(Diagnostic::new(Code::NO_START_CELL, message)
         .at(span, "too small for these agents")
         .note(beside)
         .help(format!("take a larger {larger}, or {fewer}")))
@@ -262,7 +267,7 @@ fn nowhere(set: &AgentSet, name: AgentName, Cell { row, col }: Cell) -> Diagnost
         (None, None) => (set.span, String::new(), "region or map"),
     };
     let message = format!("{name} has nowhere to go from [{row}, {col}]{near} {}", within(set));
-    Diagnostic::new(Code::NoRoute, message)
+    Diagnostic::new(Code::NO_ROUTE, message)
         .at(span, "no goal that can be reached")
         .help(format!("{goal}: take a larger {larger}"))
 }
@@ -301,7 +306,7 @@ mod tests {
     fn numbers_are_taken_as_from_a_list() {
         let mut list: Vec<usize> = (0..40).collect();
         let mut free = Free::new(list.len());
-        let mut stream = Seed(1).stream(Purpose::Placement, 0, 0);
+        let mut stream = Seed(1).stream(Purpose::PLACEMENT, 0, 0);
         while !list.is_empty() {
             assert_eq!(free.count, list.len());
             let place = stream.random_range(0..list.len());

@@ -3,10 +3,16 @@
 //! A city of n x m blocks has n + 1 streets across and m + 1 streets down, so that streets also run along all four edges of
 //! the world. Where two streets meet is an intersection, except at the four corners of the world.
 
+use crate::city::{Building, Buildings, MapConfig, Widths};
 use crate::city::{CityMap, Layout};
-use crate::config::{Building, Buildings, Located, MapConfig, Widths};
+use crate::diag::Located;
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
+
+impl Purpose {
+    /// Building types of a generated map; index: block.
+    pub const BUILDINGS: Purpose = Purpose::new(1);
+}
 
 /// The longest side of a map in cells.
 const MAX_SIDE: u64 = 1 << 20;
@@ -29,12 +35,12 @@ impl CityMap {
 /// The layout, if the sizes make sense.
 fn check_layout(blocks: &Located<[u32; 2]>, widths: &Located<Widths>) -> Result<Layout, Diagnostic> {
     let invalid = |message: String, label: &str, help: &str| {
-        Err(Diagnostic::new(Code::InvalidMap, message)
+        Err(Diagnostic::new(Code::INVALID_MAP, message)
             .at(widths.span, label)
             .help(help))
     };
     if blocks.value.contains(&0) {
-        return Err(Diagnostic::new(Code::InvalidMap, "a city needs at least one block")
+        return Err(Diagnostic::new(Code::INVALID_MAP, "a city needs at least one block")
             .at(blocks.span, "no block in one of the two directions")
             .help("give two numbers, each at least 1: rows and columns of blocks"));
     }
@@ -78,7 +84,7 @@ fn check_layout(blocks: &Located<[u32; 2]>, widths: &Located<Widths>) -> Result<
     let count = u64::from(blocks.value[0]) * u64::from(blocks.value[1]);
     if rows.max(cols) > u128::from(MAX_SIDE) || count > MAX_BLOCKS {
         return Err(Diagnostic::new(
-            Code::LimitExceeded,
+            Code::LIMIT_EXCEEDED,
             format!("a map of {rows} x {cols} cells and {count} blocks is too large"),
         )
         .at(blocks.span, "this many blocks")
@@ -100,7 +106,7 @@ fn choose_buildings(
     match &buildings.value {
         Buildings::Fixed(table) => {
             let wrong = |what: String| {
-                Err(Diagnostic::new(Code::InvalidMap, what)
+                Err(Diagnostic::new(Code::INVALID_MAP, what)
                     .at(buildings.span, format!("{rows} rows of {cols} buildings are needed"))
                     .also(blocks.span, format!("{block_rows} x {block_cols} blocks"))
                     .help("a block has four buildings: give two rows of two buildings for each block"))
@@ -132,7 +138,7 @@ fn choose_buildings(
             if weights.iter().any(|&(_, weight)| weight.is_nan() || weight < 0.0) || !(total > 0.0 && total.is_finite())
             {
                 return Err(
-                    Diagnostic::new(Code::InvalidMap, "weights that no building can be drawn from")
+                    Diagnostic::new(Code::INVALID_MAP, "weights that no building can be drawn from")
                         .at(buildings.span, "here")
                         .help("give numbers that are not negative and not all zero; they need not sum to one"),
                 );
@@ -140,7 +146,7 @@ fn choose_buildings(
             let blocks = 1..=(block_rows * block_cols) as u64;
             Ok(blocks
                 .map(|block| {
-                    let mut stream = Seed(*seed).stream(Purpose::Buildings, block, 0);
+                    let mut stream = Seed(*seed).stream(Purpose::BUILDINGS, block, 0);
                     std::array::from_fn(|_| draw(weights, total * stream.random::<f64>()))
                 })
                 .collect())
@@ -209,21 +215,21 @@ pub(super) mod tests {
             generate([2, 2], widths, houses()).map(|map| (map.rows(), map.cols()))
         };
         assert_eq!(widths(|_| ()), Ok((103, 103)));
-        assert_eq!(widths(|widths| widths.street = 1), Err(Code::InvalidMap));
-        assert_eq!(widths(|widths| widths.street = 10), Err(Code::InvalidMap));
-        assert_eq!(widths(|widths| widths.street = u32::MAX), Err(Code::LimitExceeded));
-        assert_eq!(widths(|widths| widths.sidewalk = 0), Err(Code::InvalidMap));
-        assert_eq!(widths(|widths| widths.building = 0), Err(Code::InvalidMap));
+        assert_eq!(widths(|widths| widths.street = 1), Err(Code::INVALID_MAP));
+        assert_eq!(widths(|widths| widths.street = 10), Err(Code::INVALID_MAP));
+        assert_eq!(widths(|widths| widths.street = u32::MAX), Err(Code::LIMIT_EXCEEDED));
+        assert_eq!(widths(|widths| widths.sidewalk = 0), Err(Code::INVALID_MAP));
+        assert_eq!(widths(|widths| widths.building = 0), Err(Code::INVALID_MAP));
         assert_eq!(
             widths(|widths| widths.building = 1_000_000_000),
-            Err(Code::LimitExceeded)
+            Err(Code::LIMIT_EXCEEDED)
         );
         assert_eq!(widths(|widths| widths.inner_sidewalk = 0), Ok((93, 93)));
 
         let blocks = |blocks| generate(blocks, WIDTHS, houses()).map(|map| (map.rows(), map.cols()));
-        assert_eq!(blocks([0, 1]), Err(Code::InvalidMap));
-        assert_eq!(blocks([1, 1_000_000_000]), Err(Code::LimitExceeded));
-        assert_eq!(blocks([u32::MAX, u32::MAX]), Err(Code::LimitExceeded));
+        assert_eq!(blocks([0, 1]), Err(Code::INVALID_MAP));
+        assert_eq!(blocks([1, 1_000_000_000]), Err(Code::LIMIT_EXCEEDED));
+        assert_eq!(blocks([u32::MAX, u32::MAX]), Err(Code::LIMIT_EXCEEDED));
         assert_eq!(blocks([1, 3]), Ok((57, 149)));
     }
 
@@ -232,8 +238,8 @@ pub(super) mod tests {
         let map = |buildings| generate([1, 2], WIDTHS, buildings).map(|map| map.buildings().to_vec());
         let row = |length| vec![Building::Office; length];
         assert!(map(Buildings::Fixed(vec![row(4), row(4)])).is_ok());
-        assert_eq!(map(Buildings::Fixed(vec![row(4)])), Err(Code::InvalidMap));
-        assert_eq!(map(Buildings::Fixed(vec![row(4), row(3)])), Err(Code::InvalidMap));
+        assert_eq!(map(Buildings::Fixed(vec![row(4)])), Err(Code::INVALID_MAP));
+        assert_eq!(map(Buildings::Fixed(vec![row(4), row(3)])), Err(Code::INVALID_MAP));
 
         let house = Building::House;
         for weights in [
@@ -243,7 +249,7 @@ pub(super) mod tests {
             &[(house, f64::NAN)],
             &[(house, f64::INFINITY)],
         ] {
-            assert_eq!(map(random(weights)), Err(Code::InvalidMap));
+            assert_eq!(map(random(weights)), Err(Code::INVALID_MAP));
         }
         assert_eq!(
             map(random(&[(Building::Store, 0.0), (house, 2.0)])),

@@ -6,9 +6,11 @@
 //! This module refuses to know what a rule or a predicate is.
 
 mod agent;
+mod codes;
 mod generate;
 mod grid;
 mod map;
+mod model;
 mod motion;
 mod places;
 mod roads;
@@ -17,8 +19,13 @@ mod view;
 mod walk;
 
 pub use agent::{Agent, Rest, place_agents, place_agents_until};
+pub use codes::CODES;
 pub use grid::{Cell, Heading};
 pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
+pub use model::{
+    AgentConfig, AgentGroup, AgentKind, AgentName, AgentSet, Building, Buildings, MapConfig, Routing, Speed, Split,
+    Widths,
+};
 pub use motion::{Moved, Reason, Surroundings, advance, possible_cells, speed_cells};
 pub use places::Places;
 pub use roads::{Lane, NoRoute, Router};

@@ -1,8 +1,16 @@
 //! From a decision to a move.
 
 use crate::city::{Agent, Cell, Places, Rest, Router};
-use crate::config::{AgentKind, Speed};
+use crate::city::{AgentKind, Speed};
 use crate::rng::{Purpose, RngExt, Seed};
+
+impl Purpose {
+    /// New goals; index: agent.
+    pub const GOAL: Purpose = Purpose::new(3);
+
+    /// A choice among several possible moves; index: agent.
+    pub const MOVE: Purpose = Purpose::new(4);
+}
 
 /// Most cells a car moves in one tick.
 const CAR_REACH: usize = 3;
@@ -118,7 +126,7 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Speed, surroundings: &S
 /// Sets out for a new goal. Whether there is one that can be reached.
 #[inline(never)]
 fn replan(agent: &mut Agent, index: usize, surroundings: &Surroundings<'_>) -> bool {
-    let mut stream = (surroundings.seed).stream(Purpose::Goal, index as u64, surroundings.tick);
+    let mut stream = (surroundings.seed).stream(Purpose::GOAL, index as u64, surroundings.tick);
     let route = (surroundings.places).draw_route(surroundings.router, agent.kind, agent.cell, &mut stream);
     route.map(|route| agent.set_out(route)).is_ok()
 }
@@ -126,7 +134,7 @@ fn replan(agent: &mut Agent, index: usize, surroundings: &Surroundings<'_>) -> b
 /// Draws a number of cells from 1 to `most`.
 #[inline(never)]
 fn draw_cells(most: usize, index: usize, surroundings: &Surroundings<'_>) -> usize {
-    let mut stream = (surroundings.seed).stream(Purpose::Move, index as u64, surroundings.tick);
+    let mut stream = (surroundings.seed).stream(Purpose::MOVE, index as u64, surroundings.tick);
     stream.random_range(1..=most)
 }
 
@@ -148,7 +156,7 @@ fn choose(agent: &Agent, decided: Speed, draw: impl FnOnce(usize) -> usize) -> (
 mod tests {
     use super::*;
     use crate::city::generate::tests::square;
-    use crate::config::{AgentConfig, AgentName, Routing};
+    use crate::city::{AgentConfig, AgentName, Routing};
     use std::sync::Arc;
 
     /// A car that leaves the kerb, stops at the node where its lane ends, and turns right behind it.

@@ -4,8 +4,8 @@
 //! pattern is cut into bands of equal rows; with the number of places in every band of every row of blocks, the place of a
 //! given number is found by its place among those.
 
+use crate::city::{AgentKind, Building};
 use crate::city::{Cell, CityMap, Layout, NoRoute, Route, Router};
-use crate::config::{AgentKind, Building};
 use crate::rng::{Rng, RngExt};
 use std::ops::Range;
 use std::sync::Arc;

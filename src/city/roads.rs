@@ -12,8 +12,8 @@
 use crate::city::map::Zone;
 use crate::city::route::{Way, steps};
 use crate::city::walk::{search, walk};
+use crate::city::{AgentKind, Routing};
 use crate::city::{Cell, CityMap, Heading, Layout, Route};
-use crate::config::{AgentKind, Routing};
 use pathfinding::directed::astar::astar;
 use pathfinding::directed::bfs::bfs_bidirectional;
 use pathfinding::directed::dijkstra::dijkstra;

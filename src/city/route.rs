@@ -1,7 +1,7 @@
 //! Routes: ways over the map, held as straight pieces.
 
+use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
-use crate::config::AgentKind;
 
 /// A way from a start to a goal.
 ///

@@ -13,6 +13,11 @@ use crate::city::{Cell, CityMap, Heading, Layout};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use std::collections::HashMap;
 
+impl Purpose {
+    /// Which of the shortest ways pedestrians take; index: the start, tick: the goal.
+    pub const WALK: Purpose = Purpose::new(16);
+}
+
 /// The corners of a way, in order; the end is not told.
 #[derive(Clone, Copy)]
 struct Corners {
@@ -90,7 +95,7 @@ impl Line {
     fn stroll(&self, layout: &Layout, way: &mut Way<'_>) {
         let points = &self.points[..self.count];
         let number = |cell: Cell| u64::from(cell.row.cast_unsigned()) << 32 | u64::from(cell.col.cast_unsigned());
-        let mut stream = Seed(0).stream(Purpose::Walk, number(points[0]), number(points[self.count - 1]));
+        let mut stream = Seed(0).stream(Purpose::WALK, number(points[0]), number(points[self.count - 1]));
         // How much of the next leg is done early, and what of the last one is left, in its direction.
         let (mut early, mut left) = (0, None);
         for (place, leg) in points.windows(2).enumerate() {

@@ -1,8 +1,9 @@
 //! `logicity bench`: how fast rules are evaluated and cities go, on this machine.
 
 use crate::city::{Agent, Cell};
+use crate::city::{AgentSet, Building, Buildings, MapConfig, Speed, Split};
 use crate::cli::{Failure, load_city, one_of, threads};
-use crate::config::{AgentSet, Building, Buildings, MapConfig, Scenario, Speed, Split};
+use crate::config::Scenario;
 use crate::datalog::Program;
 use crate::datalog::dense::{BitFacts, Counting, Dense, Frame};
 use crate::diag::{Code, Diagnostic, Sources};
@@ -12,7 +13,7 @@ use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{
     CROWD_MAX, Executor, Facts, Inference, Phase, Settings, Simulation, WHOLE_MAX, Width, World, in_words,
 };
-use crate::task::path::{Egos, Env, PathTask};
+use crate::task::spf::{Egos, Env, PathTask};
 use serde_json::{Value, json};
 use std::hint::black_box;
 use std::io::{self, Write};
@@ -379,7 +380,7 @@ impl<'a> Bench<'a> {
         let task = Arc::new(PathTask::new(Arc::clone(&self.world), sources)?);
         let mut observation = vec![0.0; task.observation_width()];
         let mut env = Env::new(task, self.arguments.split, Egos::First)?;
-        let mut stream = Seed(self.arguments.seed).stream(Purpose::Policy, 0, 0);
+        let mut stream = Seed(self.arguments.seed).stream(Purpose::POLICY, 0, 0);
         let timed = Timed::run(self.arguments.seconds, |times| {
             for _ in 0..times {
                 if !env.riders()[0].is_running() {
@@ -666,7 +667,7 @@ fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, pat
                 return Ok(scene);
             }
             let message = format!("line {number} of `{from}` has {count} entities, the limit is {SCENE_MAX}");
-            Err(vec![Diagnostic::new(Code::LimitExceeded, message)])
+            Err(vec![Diagnostic::new(Code::LIMIT_EXCEEDED, message)])
         });
         scenes.push(scene.map_err(|faults| {
             super::report(&faults, &sources);
@@ -674,7 +675,7 @@ fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, pat
         })?);
     }
     let Some(most) = scenes.iter().map(|scene| scene.names.len()).max() else {
-        return Err(Diagnostic::new(Code::InvalidScene, format!("there is no scene in `{from}`")).into());
+        return Err(Diagnostic::new(Code::INVALID_SCENE, format!("there is no scene in `{from}`")).into());
     };
     let moments: Vec<BitFacts<1>> = (scenes.iter())
         .map(|scene| scene.facts.to_bits(inference.vocabulary(), &dense, most))

@@ -112,7 +112,7 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
     };
     let lints = optimize::lints(program.rules());
     // What is needless may be there for the reader.
-    let shown = |lint: &Diagnostic| arguments.lints || lint.code == Code::ContradictoryBody;
+    let shown = |lint: &Diagnostic| arguments.lints || lint.code == Code::CONTRADICTORY_BODY;
     report.found.extend(lints.diagnostics.into_iter().filter(shown));
     if arguments.lints {
         report.unfinished.extend(lints.unfinished);
@@ -283,7 +283,7 @@ fn measure(arguments: &Arguments, trace: &Path, rules: &Path, sources: &mut Sour
     while let Some(tick) = trace.tick()? {
         replay.set(&tick).map_err(|fault| trace.placed(fault))?;
         let added = coverage.add(replay.session());
-        added.map_err(|error| trace.placed(Diagnostic::new(Code::LimitExceeded, error.to_string())))?;
+        added.map_err(|error| trace.placed(Diagnostic::new(Code::LIMIT_EXCEEDED, error.to_string())))?;
     }
     Ok(coverage)
 }

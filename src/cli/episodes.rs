@@ -1,13 +1,13 @@
 //! `logicity episodes`
 
 use crate::builtin::BuiltinFiles;
+use crate::city::Split;
 use crate::cli::{Failure, load_city, one_of, progress};
-use crate::config::Split;
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files;
 use crate::files::Output;
 use crate::sim::World;
-use crate::task::path::{
+use crate::task::spf::{
     Baseline, Egos, Env, Episode, EpisodeSet, PathTask, Policy, RANDOM_RUNS, Rollout, constrained_by_name,
     make_episodes, rollout, summarise,
 };
@@ -132,7 +132,7 @@ impl Which {
             }
             let done = rollout(&mut env, Policy::Oracle)?;
             if let Some(difference) = differs(episode, &done) {
-                faults.push(of(Diagnostic::new(Code::InvalidEpisode, difference)));
+                faults.push(of(Diagnostic::new(Code::INVALID_EPISODE, difference)));
             }
         }
         if !faults.is_empty() {
@@ -256,7 +256,7 @@ impl Show {
             "policy", "TSR", "DSR", "Score", "return", "steps"
         )?;
         for (name, summary) in [("oracle", &wanted), ("random", &drawn)] {
-            let rate = |rate: crate::task::path::Rate| format!("{:.2} [{:.2}, {:.2}]", rate.value, rate.low, rate.high);
+            let rate = |rate: crate::task::spf::Rate| format!("{:.2} [{:.2}, {:.2}]", rate.value, rate.low, rate.high);
             let score = summary.score.map_or_else(String::new, |score| {
                 format!("{:.2} [{:.2}, {:.2}]", score.value, score.low, score.high)
             });

@@ -1,9 +1,9 @@
 //! `logicity explain`
 
 use crate::city::Cell;
+use crate::city::Speed;
 use crate::cli::Failure;
 use crate::cli::trace::TraceReader;
-use crate::config::Speed;
 use crate::datalog::explain::Teller;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
 use crate::sim::{Decision, Driven, Replay, TraceTick, World};
@@ -58,7 +58,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 
     let derived = replay.derived(position);
     let Some(state) = tick.agents.get(position) else {
-        return Err(trace.placed(Diagnostic::new(Code::InvalidTrace, "an agent is missing")));
+        return Err(trace.placed(Diagnostic::new(Code::INVALID_TRACE, "an agent is missing")));
     };
     if !derived.iter().map(|speed| speed.name()).eq(state.derived.iter()) {
         let found: Vec<&str> = derived.iter().map(|speed| speed.name()).collect();
@@ -69,7 +69,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             found.join(", "),
             state.derived.join(", ")
         );
-        return Err(trace.placed(Diagnostic::new(Code::TraceMismatch, message)));
+        return Err(trace.placed(Diagnostic::new(Code::TRACE_MISMATCH, message)));
     }
     tell(arguments, &replay, &tick, position, sources)
 }
@@ -138,7 +138,7 @@ fn steering(driven: &Driven, world: &World, sources: &Sources) -> Result<String,
     let label = |&broken: &usize| {
         let message = || format!("there is no clause {broken}");
         let clause = world.clauses().nth(broken);
-        (clause.map(|clause| teller.label(clause))).ok_or_else(|| Diagnostic::new(Code::InvalidTrace, message()))
+        (clause.map(|clause| teller.label(clause))).ok_or_else(|| Diagnostic::new(Code::INVALID_TRACE, message()))
     };
     let broken: Vec<String> = driven.broken.iter().map(label).collect::<Result<_, _>>()?;
     let judged = match broken.is_empty() {

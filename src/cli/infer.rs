@@ -118,7 +118,7 @@ fn answer_all(
         let answer = if bytes.len() as u64 == MAX_SCENE && !bytes.ends_with(b"\n") {
             scenes.skip_until(b'\n').map_err(unreadable)?;
             fault(
-                Code::LimitExceeded,
+                Code::LIMIT_EXCEEDED,
                 &format!("too long a scene: the limit is {} MiB", MAX_SCENE >> 20),
             )
         } else {
@@ -129,7 +129,7 @@ fn answer_all(
                     inference.answer(&sources, source)
                 }
                 Err(ReadError::NotText { column, .. }) => fault(
-                    Code::NotText,
+                    Code::NOT_TEXT,
                     &format!("not UTF-8 text (first bad byte in column {column})"),
                 ),
                 Err(error) => return Err(Failure::file("read", path, error)),

@@ -23,9 +23,11 @@ mod view;
 mod why;
 
 use crate::builtin::{BuiltinFiles, read_or_builtin};
-use crate::config::{Located, MapConfig, Scenario, load_map, load_scenario};
+use crate::city::MapConfig;
+use crate::config::{Scenario, load_map, load_scenario};
 use crate::datalog::{EvalError, Limits, Program};
 use crate::datalog::{Inputs, Rules, Workspace};
+use crate::diag::Located;
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, render};
 use crate::files::ReadError;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -226,7 +228,7 @@ fn one_of<T: Copy + Send + Sync + 'static>(
 /// Reads a file that the user named on the command line.
 fn read(path: &Path) -> Result<String, Failure> {
     read_or_builtin(path).map_err(|error| match error {
-        ReadError::NotText { .. } => Diagnostic::new(Code::NotText, format!("`{}` is {error}", path.display()))
+        ReadError::NotText { .. } => Diagnostic::new(Code::NOT_TEXT, format!("`{}` is {error}", path.display()))
             .help("save the file as UTF-8")
             .into(),
         error => Failure::file("read", path, error),
@@ -378,7 +380,7 @@ fn find_map(sources: &mut Sources, name: &str) -> Result<MapConfig, Failure> {
 /// A file that the user named on the command line and that cannot be read has no place in any text: that is wrong usage.
 fn missing_is_usage(faults: Vec<Diagnostic>) -> Failure {
     match faults.as_slice() {
-        [fault] if fault.code == Code::MissingFile && fault.primary.is_none() => {
+        [fault] if fault.code == Code::MISSING_FILE && fault.primary.is_none() => {
             let help = fault.help.iter().map(|help| format!("\nhelp: {help}"));
             Failure::Usage(fault.message.clone() + &help.collect::<String>())
         }

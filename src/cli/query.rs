@@ -286,7 +286,7 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
             // What else is wrong with the file is told all the same.
             faults.extend(not_text.map(|first| {
                 let place = Span::new(source, first..first + char::REPLACEMENT_CHARACTER.len_utf8());
-                Diagnostic::new(Code::NotText, format!("`{}` is not UTF-8 text", path.display()))
+                Diagnostic::new(Code::NOT_TEXT, format!("`{}` is not UTF-8 text", path.display()))
                     .at(place, "the first bytes that are none")
                     .help("save the file as UTF-8")
             }));

@@ -1,7 +1,7 @@
 //! `logicity questions`
 
+use crate::city::Split;
 use crate::cli::{Failure, load_city, one_of, progress};
-use crate::config::Split;
 use crate::diag::Sources;
 use crate::files::Output;
 use crate::sim::{World, hash_sources};

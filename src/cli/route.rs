@@ -1,8 +1,8 @@
 //! `logicity route`
 
+use crate::city::{AgentKind, Routing};
 use crate::city::{Cell, CityMap, NoRoute, Router};
 use crate::cli::{Failure, find_map, one_of};
-use crate::config::{AgentKind, Routing};
 use crate::diag::{Code, Diagnostic, Sources};
 use std::io::{self, BufWriter, Write};
 use std::sync::Arc;
@@ -70,7 +70,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
                 (message.to_owned(), None)
             }
         };
-        let fault = Diagnostic::new(Code::NoRoute, format!("{message} on `{}`", map.name));
+        let fault = Diagnostic::new(Code::NO_ROUTE, format!("{message} on `{}`", map.name));
         match cell {
             Some(cell) => fault.help(outside(cell).unwrap_or_else(|| rule.to_owned())),
             None => fault,

@@ -1,8 +1,8 @@
 //! `logicity run`
 
+use crate::city::{AgentKind, Speed, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{Failure, load_city, make_folder, one_of};
-use crate::config::{AgentKind, Speed, Split};
 use crate::datalog::constraints;
 use crate::datalog::explain::Teller;
 use crate::datalog::{Clause, ClauseId};
@@ -108,7 +108,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if !arguments.no_trace && simulation.agents().len() > MAX_ENTITIES {
         let agents = simulation.agents().len();
         let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
-        let fault = Diagnostic::new(Code::LimitExceeded, message);
+        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
         return Err(fault
             .help("`--no-trace` runs the city and prints the summary only")
             .into());
@@ -116,7 +116,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let decisions = ticks.saturating_mul(simulation.agents().len() as u64);
     if arguments.html.is_some() && decisions > DECISIONS_MAX as u64 {
         let message = format!("a page of {decisions} decisions would be slow to open; the limit is {DECISIONS_MAX}");
-        let fault = Diagnostic::new(Code::LimitExceeded, message);
+        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
         return Err(fault
             .help("leave out `--html` and make a page of some ticks: `logicity view TRACE --from N --ticks N`")
             .into());
@@ -212,7 +212,7 @@ impl Record {
                 simulation.world().map(),
                 Arc::new(arguments.icons.load(simulation.seed())?),
             )
-            .map_err(|error| Diagnostic::new(Code::InvalidMap, error.to_string()))?;
+            .map_err(|error| Diagnostic::new(Code::INVALID_MAP, error.to_string()))?;
             let first = overview.draw(0, &sprites(simulation, &names));
             let animation = create("city.gif")
                 .and_then(|file| Animation::new(file, &first, FRAME_DELAY))

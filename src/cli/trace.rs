@@ -29,7 +29,7 @@ impl TraceReader {
         let (mut number, mut read) = (0, 0);
         let Some(line) = next_line(&mut lines, path, &mut number, &mut read)? else {
             let message = format!("`{}` is empty", path.display());
-            return Err(Diagnostic::new(Code::InvalidTrace, message).into());
+            return Err(Diagnostic::new(Code::INVALID_TRACE, message).into());
         };
         Ok(TraceReader {
             header: TraceHeader::read(&line).map_err(|fault| placed(fault, path, number))?,
@@ -105,7 +105,7 @@ fn next_line(
         *read += found as u64;
         *number += 1;
         let line = String::from_utf8(bytes).map_err(|_| {
-            let fault = Diagnostic::new(Code::NotText, "not UTF-8 text");
+            let fault = Diagnostic::new(Code::NOT_TEXT, "not UTF-8 text");
             placed(fault, path, *number)
         })?;
         if !line.trim().is_empty() {
@@ -142,7 +142,7 @@ fn matching(what: &str, path: &Path, [found, wanted]: [&String; 2], trace: &Path
         short(found),
         short(wanted)
     );
-    Err(Diagnostic::new(Code::TraceMismatch, message)
+    Err(Diagnostic::new(Code::TRACE_MISMATCH, message)
         .note(note)
         .help(format!("give the file as it was with {option}, or run again"))
         .into())

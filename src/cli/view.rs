@@ -95,7 +95,7 @@ pub fn write(
     match last {
         None => {
             let message = format!("`{}` has no ticks", trace.display());
-            return Err(Diagnostic::new(Code::InvalidTrace, message).into());
+            return Err(Diagnostic::new(Code::INVALID_TRACE, message).into());
         }
         Some(last) if shown == 0 => {
             return Err(Failure::Usage(format!(

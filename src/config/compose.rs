@@ -131,7 +131,7 @@ impl<'a> Composer<'a> {
         if text.len() > yaml::MAX_BYTES {
             let (length, limit) = (text.len(), yaml::MAX_BYTES);
             let message = format!("`{}` has {length} bytes, the limit is {limit}", path.display());
-            self.faults.push(Diagnostic::new(Code::LimitExceeded, message));
+            self.faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
             return None;
         }
         let id = self.sources.add(path.display().to_string(), text);
@@ -169,11 +169,11 @@ impl<'a> Composer<'a> {
         if chain.contains(&path) || chain.len() == MAX_CHAIN {
             let fault = if chain.len() == MAX_CHAIN {
                 Diagnostic::new(
-                    Code::LimitExceeded,
+                    Code::LIMIT_EXCEEDED,
                     format!("more than {MAX_CHAIN} files build on each other"),
                 )
             } else {
-                Diagnostic::new(Code::IncludeCycle, format!("`{}` builds on itself", path.display()))
+                Diagnostic::new(Code::INCLUDE_CYCLE, format!("`{}` builds on itself", path.display()))
             };
             self.faults.push(fault.at(node.span, ""));
             return None;
@@ -228,9 +228,9 @@ fn merge(base: &mut Node, over: Node) {
 
 fn unreadable(path: &Path, error: &ReadError) -> Diagnostic {
     let code = match error {
-        ReadError::NotText { .. } => Code::NotText,
-        ReadError::TooLarge => Code::LimitExceeded,
-        ReadError::NotFound | ReadError::Io(_) => Code::MissingFile,
+        ReadError::NotText { .. } => Code::NOT_TEXT,
+        ReadError::TooLarge => Code::LIMIT_EXCEEDED,
+        ReadError::NotFound | ReadError::Io(_) => Code::MISSING_FILE,
     };
     Diagnostic::new(code, format!("`{}` cannot be read: {error}", path.display()))
 }

@@ -3,12 +3,13 @@
 //! `configs/README.md` tells the same to users, key by key. Whether a city can be built from the values, for example whether a
 //! street has room for its lanes, is asked of the city.
 
+use crate::city::{AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Speed, Split, Widths};
 use crate::config::compose::{Composer, Read};
 use crate::config::model::*;
 use crate::config::read::{Fields, choice, entries, integer, invalid, is_name, list, name, number, text};
 use crate::config::task;
 use crate::config::yaml::{Node, Value};
-use crate::diag::{Code, Diagnostic, Faults, MAX_FAULTS, Sources, Span, did_you_mean};
+use crate::diag::{Code, Diagnostic, Faults, Located, MAX_FAULTS, Sources, Span, did_you_mean};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::path::Path;
@@ -198,7 +199,7 @@ fn buildings(node: &Node, blocks: Option<[u32; 2]>, faults: &mut Vec<Diagnostic>
                     2 * wanted
                 );
                 let message = format!("expected {expected}, found {}", rows.len());
-                faults.push(Diagnostic::new(Code::InvalidValue, message).at(node.span, ""));
+                faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
                 return None;
             }
             rows.into_iter().collect::<Option<_>>().map(Buildings::Fixed)
@@ -217,7 +218,7 @@ fn building_row(node: &Node, wanted: Option<usize>, faults: &mut Vec<Diagnostic>
     for (byte, letter) in row.char_indices().filter(|(_, letter)| !letter.is_whitespace()) {
         let Some((_, _, building)) = BUILDINGS.iter().find(|(_, known, _)| *known == letter) else {
             let letters = BUILDINGS.map(|(name, letter, _)| format!("{letter} {name}")).join(", ");
-            let fault = Diagnostic::new(Code::InvalidValue, format!("`{letter}` is no letter of a building"));
+            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("`{letter}` is no letter of a building"));
             let span = inside(node, row, byte..byte + letter.len_utf8());
             faults.push(fault.at(span, "").note(format!("the letters are: {letters}")));
             return None;
@@ -230,7 +231,7 @@ fn building_row(node: &Node, wanted: Option<usize>, faults: &mut Vec<Diagnostic>
                 "expected {wanted} buildings, two for each block of the row, found {}",
                 buildings.len()
             );
-            faults.push(Diagnostic::new(Code::InvalidValue, message).at(node.span, ""));
+            faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
             None
         }
         _ => Some(buildings),
@@ -292,7 +293,7 @@ fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
             "{} predicates are defined, the limit is {MAX_PREDICATES}",
             entries.len()
         );
-        faults.push(Diagnostic::new(Code::LimitExceeded, message).at(define?.span, ""));
+        faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(define?.span, ""));
         return None;
     }
     let mut defined = Vec::new();
@@ -308,7 +309,7 @@ fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
             None
         };
         if let Some(message) = fault {
-            faults.push(Diagnostic::new(Code::InvalidValue, message).at(key.span, ""));
+            faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(key.span, ""));
             continue;
         }
         let name = Located {
@@ -344,7 +345,7 @@ fn selected(node: &Node, defined: &[PredicateConfig], faults: &mut Vec<Diagnosti
             continue;
         };
         if let Some(first) = used.iter().find(|predicate| predicate.name.value == wanted) {
-            let fault = Diagnostic::new(Code::InvalidValue, format!("`{wanted}` is used twice"));
+            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("`{wanted}` is used twice"));
             faults.push(
                 fault
                     .at(item.span, "used again")
@@ -361,7 +362,7 @@ fn selected(node: &Node, defined: &[PredicateConfig], faults: &mut Vec<Diagnosti
                 definition: predicate.definition.clone(),
             }),
             None => {
-                let mut fault = Diagnostic::new(Code::InvalidValue, format!("no predicate `{wanted}` is defined"));
+                let mut fault = Diagnostic::new(Code::INVALID_VALUE, format!("no predicate `{wanted}` is defined"));
                 let names = defined.iter().map(|predicate| predicate.name.value.as_str());
                 if wanted == SEES {
                     fault = fault.help(format!("remove it: `{SEES}` is always there"));
@@ -446,7 +447,7 @@ fn distance(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
     let empty = match (above.or(at_least), below.or(at_most)) {
         (None, None) => {
             let message = "expected at least one of `above`, `at_least`, `below`, `at_most`, found none";
-            faults.push(Diagnostic::new(Code::InvalidValue, message).at(node.span, ""));
+            faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
             return None;
         }
         (low, high) => {
@@ -456,7 +457,7 @@ fn distance(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
         }
     };
     if empty {
-        let fault = Diagnostic::new(Code::InvalidValue, "no distance lies within these bounds");
+        let fault = Diagnostic::new(Code::INVALID_VALUE, "no distance lies within these bounds");
         faults.push(fault.at(node.span, ""));
         return None;
     }
@@ -527,7 +528,7 @@ fn splits(
     fields.close(faults);
     if splits.is_empty() && faults.len() == before {
         let fault = Diagnostic::new(
-            Code::InvalidValue,
+            Code::INVALID_VALUE,
             "expected at least one of `train`, `val`, `test`, found none",
         );
         faults.push(fault.at(node.span, ""));
@@ -560,17 +561,17 @@ impl<'p> Concepts<'p> {
         let carried = |predicate: &&PredicateConfig| matches!(&predicate.definition, Definition::Concept { of, concept: defined } if *of == kind && defined == concept);
         let fault = if kinds.is_some() {
             let other = if kind == AgentKind::Car { "pedestrians" } else { "cars" };
-            Diagnostic::new(Code::InvalidValue, format!("`{concept}` is a concept of {other} only")).at(span, "")
+            Diagnostic::new(Code::INVALID_VALUE, format!("`{concept}` is a concept of {other} only")).at(span, "")
         } else if let Some(unused) = self.predicates.defined.iter().find(carried) {
             let predicate = &unused.name.value;
             Diagnostic::new(
-                Code::InvalidValue,
+                Code::INVALID_VALUE,
                 format!("no predicate in use tells whether an agent is `{concept}`"),
             )
             .at(span, "")
             .help(format!("add `{predicate}` to the predicates' `use`"))
         } else {
-            let fault = Diagnostic::new(Code::InvalidValue, format!("unknown concept `{concept}`")).at(span, "");
+            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("unknown concept `{concept}`")).at(span, "");
             let mut known: Vec<_> = self
                 .used
                 .iter()
@@ -625,7 +626,7 @@ fn agents(
     fields.close(faults);
     if cars.is_empty() && pedestrians.is_empty() && faults.len() == before {
         let message = format!("the split `{}` has no agents", split.name());
-        let fault = Diagnostic::new(Code::InvalidValue, message).at(node.span, "");
+        let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, "");
         faults.push(fault.help("give it `cars` or `pedestrians`"));
     }
     let set = AgentSet {
@@ -640,7 +641,7 @@ fn agents(
         && set.len() > MAX_REPEATED as usize
     {
         let message = format!("{} agents in a split, the limit is {MAX_REPEATED}", set.len());
-        faults.push(Diagnostic::new(Code::LimitExceeded, message).at(node.span, "too often"));
+        faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(node.span, "too often"));
         return None;
     }
     Some(set)
@@ -679,7 +680,7 @@ fn group(
         .and_then(|each| each.checked_mul(count));
     let Some(left) = needed.and_then(|needed| room.checked_sub(needed)) else {
         let message = format!("more than {MAX_AGENTS} agents and concepts they carry in a split");
-        faults.push(Diagnostic::new(Code::LimitExceeded, message).at(node.span, "too many here"));
+        faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(node.span, "too many here"));
         return None;
     };
     *room = left;
@@ -700,7 +701,7 @@ pub(super) fn carried(
     let items = list(node, "concepts", faults)?;
     if items.len() > MAX_PREDICATES {
         let message = format!("{} concepts, the limit is {MAX_PREDICATES}", items.len());
-        faults.push(Diagnostic::new(Code::LimitExceeded, message).at(node.span, ""));
+        faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(node.span, ""));
         return None;
     }
     let mut concepts: Vec<Located<String>> = Vec::new();
@@ -709,7 +710,7 @@ pub(super) fn carried(
             continue;
         };
         if let Some(first) = concepts.iter().find(|given| given.value == concept) {
-            let fault = Diagnostic::new(Code::InvalidValue, format!("the concept `{concept}` is given twice"));
+            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("the concept `{concept}` is given twice"));
             faults.push(fault.at(item.span, "given again").also(first.span, "first given here"));
             continue;
         }
@@ -733,7 +734,7 @@ fn actions(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<ActionsConfig> {
         sorted.sort_unstable();
         if sorted != Speed::ALL {
             let message = "expected each of `Slow`, `Normal`, `Fast`, `Stop` exactly once";
-            faults.push(Diagnostic::new(Code::InvalidValue, message).at(node.span, ""));
+            faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
             return None;
         }
         Some(order)

@@ -8,6 +8,7 @@
 //! through a function of the caller and, where it finds none, from those built into the program. This module knows neither
 //! what a rule says nor whether a map has room for its agents.
 
+mod codes;
 mod compose;
 mod load;
 mod model;
@@ -15,6 +16,7 @@ mod read;
 mod task;
 mod yaml;
 
+pub use codes::CODES;
 pub use compose::Read;
 pub use load::{load_map, load_scenario};
 pub use model::*;

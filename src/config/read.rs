@@ -11,7 +11,7 @@ use std::ops::RangeInclusive;
 /// Says that a value is not what was expected.
 pub(super) fn invalid(node: &Node, expected: impl Display, faults: &mut Vec<Diagnostic>) {
     let message = format!("expected {expected}, found {}", node.describe());
-    faults.push(Diagnostic::new(Code::InvalidValue, message).at(node.span, ""));
+    faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
 }
 
 /// A mapping whose keys are asked for one by one.
@@ -52,7 +52,7 @@ impl<'n> Fields<'n> {
             Some((_, node)) if matches!(node.value, Value::Absent) => {}
             Some((given, _)) => {
                 let message = format!("the key `{key}` has no value in {}", self.what);
-                faults.push(Diagnostic::new(Code::MissingKey, message).at(given.span, ""));
+                faults.push(Diagnostic::new(Code::MISSING_KEY, message).at(given.span, ""));
             }
         }
         None
@@ -75,7 +75,7 @@ impl<'n> Fields<'n> {
             let subject = if self.missing.len() == 1 { "the key" } else { "the keys" };
             let verb = if self.missing.len() == 1 { "is" } else { "are" };
             let message = format!("{subject} {quoted} {verb} missing in {}", self.what);
-            let mut fault = Diagnostic::new(Code::MissingKey, message).at(self.span, "");
+            let mut fault = Diagnostic::new(Code::MISSING_KEY, message).at(self.span, "");
             fault.help.extend(help.map(str::to_owned));
             faults.push(fault);
         }
@@ -83,9 +83,12 @@ impl<'n> Fields<'n> {
             if self.allowed.contains(&key.text.as_str()) {
                 continue;
             }
-            let mut fault = Diagnostic::new(Code::UnknownKey, format!("unknown key `{}` in {}", key.text, self.what))
-                .at(key.span, "")
-                .note(format!("keys allowed here: {}", self.allowed.join(", ")));
+            let mut fault = Diagnostic::new(
+                Code::UNKNOWN_KEY,
+                format!("unknown key `{}` in {}", key.text, self.what),
+            )
+            .at(key.span, "")
+            .note(format!("keys allowed here: {}", self.allowed.join(", ")));
             if let Some(near) = did_you_mean(&key.text, self.allowed.iter().copied()) {
                 fault = fault.help(format!("did you mean `{near}`?"));
             }

@@ -1,11 +1,12 @@
 //! The task of a run configuration: Safe Path Following.
 
+use crate::city::{AgentKind, Speed, Split};
 use crate::config::compose::Composer;
 use crate::config::load::{Concepts, Predicates, carried};
 use crate::config::model::*;
 use crate::config::read::{Fields, choice, entries, integer, invalid, list, number};
 use crate::config::yaml::{Node, Value};
-use crate::diag::Diagnostic;
+use crate::diag::{Diagnostic, Located};
 use std::sync::Arc;
 
 /// The most entities that are observed.

@@ -152,7 +152,7 @@ pub(super) fn parse(
                 let span = builder.one_character(at);
                 Err(Box::new(match error.kind() {
                     ErrorKind::RecursionLimitExceeded => too_deep(span),
-                    kind => Diagnostic::new(Code::YamlSyntax, kind.to_string()).at(span, ""),
+                    kind => Diagnostic::new(Code::YAML_SYNTAX, kind.to_string()).at(span, ""),
                 }))
             }
         };
@@ -162,7 +162,7 @@ pub(super) fn parse(
         }
     }
     if builder.root.is_none() {
-        let fault = Diagnostic::new(Code::InvalidValue, "the file is empty, a mapping of keys was expected");
+        let fault = Diagnostic::new(Code::INVALID_VALUE, "the file is empty, a mapping of keys was expected");
         builder.faults.push(fault.at(start, ""));
     }
     builder.root
@@ -170,7 +170,7 @@ pub(super) fn parse(
 
 fn too_deep(span: Span) -> Diagnostic {
     let message = format!("lists and mappings are nested more than {MAX_DEPTH} deep");
-    Diagnostic::new(Code::LimitExceeded, message).at(span, "")
+    Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(span, "")
 }
 
 impl Builder<'_> {
@@ -198,7 +198,7 @@ impl Builder<'_> {
     fn spend(&mut self, nodes: usize, span: Span) -> Step {
         *self.nodes_left = self.nodes_left.checked_sub(nodes).ok_or_else(|| {
             let message = format!("more than {MAX_NODES} values in one configuration");
-            Box::new(Diagnostic::new(Code::LimitExceeded, message).at(span, "the limit is passed here"))
+            Box::new(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(span, "the limit is passed here"))
         })?;
         Ok(())
     }
@@ -207,7 +207,7 @@ impl Builder<'_> {
         let span = self.span(mark);
         if let Some(tag) = event.tag() {
             let fault = Diagnostic::new(
-                Code::InvalidValue,
+                Code::INVALID_VALUE,
                 format!("tags such as `{}` have no meaning here", tag.original()),
             );
             let tag_span = mark.tag_span().map_or(span, |mark| self.span(&mark));
@@ -236,7 +236,7 @@ impl Builder<'_> {
             }
             Event::Alias(anchor) => {
                 let Some(Anchored { node, extent }) = self.anchors.get(&anchor) else {
-                    let fault = Diagnostic::new(Code::YamlSyntax, "an alias stands inside what it refers to");
+                    let fault = Diagnostic::new(Code::YAML_SYNTAX, "an alias stands inside what it refers to");
                     return Err(Box::new(fault.at(span, "")));
                 };
                 if self.open.len() + extent.depth > MAX_DEPTH {
@@ -247,7 +247,7 @@ impl Builder<'_> {
                 self.finished(node, 0)?;
             }
             Event::DocumentStart(..) if self.root.is_some() => {
-                let fault = Diagnostic::new(Code::YamlSyntax, "a second document in one file");
+                let fault = Diagnostic::new(Code::YAML_SYNTAX, "a second document in one file");
                 return Err(Box::new(fault.at(span, "the file must end before this")));
             }
             _ => {}
@@ -300,7 +300,7 @@ impl Builder<'_> {
                     parent.key = Some(match node.value {
                         Value::Scalar { text, .. } => Some(Key { text, span }),
                         _ => {
-                            let fault = Diagnostic::new(Code::InvalidValue, "a key must be a single word");
+                            let fault = Diagnostic::new(Code::INVALID_VALUE, "a key must be a single word");
                             self.faults.push(fault.at(span, format!("this is {}", node.describe())));
                             None
                         }
@@ -324,7 +324,7 @@ fn drop_duplicates(entries: &mut Vec<(Key, Node)>, faults: &mut Vec<Diagnostic>)
             true
         }
         Some(&earlier) => {
-            let fault = Diagnostic::new(Code::DuplicateKey, format!("the key `{}` is given twice", key.text));
+            let fault = Diagnostic::new(Code::DUPLICATE_KEY, format!("the key `{}` is given twice", key.text));
             faults.push(fault.at(key.span, "given again").also(earlier, "first given here"));
             false
         }

@@ -35,7 +35,7 @@ pub fn load_as(
     let program = session.program().clone();
     let Some(relation) = program.rules().relations.get(rel.index()) else {
         return Err(vec![Diagnostic::new(
-            Code::InvalidFact,
+            Code::INVALID_FACT,
             "the program has no such relation",
         )]);
     };
@@ -60,7 +60,7 @@ pub fn load_as(
         if relation.columns.is_empty() {
             if content != "()" {
                 let message = format!("`{}` has no columns; its only row is `()`", relation.name);
-                faults.push(Diagnostic::new(Code::InvalidFact, message).at(span(0, content.len()), "expected `()`"));
+                faults.push(Diagnostic::new(Code::INVALID_FACT, message).at(span(0, content.len()), "expected `()`"));
             }
         } else {
             let mut parts = split(content, format);
@@ -79,7 +79,7 @@ pub fn load_as(
                     let (name, arity) = (&relation.name, relation.arity());
                     format!("a row of `{name}` has {arity} values, not {found}")
                 };
-                let fault = Diagnostic::new(Code::InvalidFact, message).at(span(0, content.len()), "");
+                let fault = Diagnostic::new(Code::INVALID_FACT, message).at(span(0, content.len()), "");
                 faults.push(
                     fault
                         .also(relation.span, "declared here")
@@ -103,7 +103,7 @@ pub fn load_as(
                                 _ => ("numbers", "not a 32-bit decimal number"),
                             };
                             let message = format!("column `{}` of `{}` holds {what}", column.name, relation.name);
-                            let fault = Diagnostic::new(Code::InvalidFact, message);
+                            let fault = Diagnostic::new(Code::INVALID_FACT, message);
                             faults.push(fault.at(span(part.start, part.end), label));
                         }
                     }
@@ -120,7 +120,7 @@ pub fn load_as(
             arity => session.insert_all(rel, rows.chunks_exact(arity)),
         };
         if let Err(error) = noted {
-            faults.push(Diagnostic::new(Code::InvalidFact, error.to_string()));
+            faults.push(Diagnostic::new(Code::INVALID_FACT, error.to_string()));
         }
     }
     if faults.is_empty() { Ok(count) } else { Err(faults) }

@@ -18,6 +18,7 @@
 
 mod analysis;
 mod check;
+mod codes;
 pub mod dense;
 mod eval;
 pub mod explain;
@@ -37,6 +38,7 @@ pub use check::{
     Atom, Clause, ClauseId, Column, Comparing, Constraint, Directive, Inputs, Literal, Promise, RelId, Relation,
     RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
+pub use codes::CODES;
 pub use eval::delta::{Change, Delta, Rows};
 pub use eval::limits::{EvalError, Limits};
 pub use eval::stats::{Moment, RuleWork, Strategy, StratumWork, Work, WorkLog};

@@ -178,7 +178,7 @@ impl Workspace {
             return Err(faults.finish());
         };
         let [Literal::Atom { negated: false, atom }] = body.as_slice() else {
-            let fault = Diagnostic::new(Code::InvalidFact, "this is not one fact");
+            let fault = Diagnostic::new(Code::INVALID_FACT, "this is not one fact");
             return Err(vec![fault.at(place.0, "expected a predicate and its values")]);
         };
         for term in &atom.terms {
@@ -187,7 +187,7 @@ impl Workspace {
                 variable.get_or_insert(name);
             });
             if let Some(name) = variable {
-                let fault = Diagnostic::new(Code::InvalidFact, format!("`{name}` is a variable, not a value"));
+                let fault = Diagnostic::new(Code::INVALID_FACT, format!("`{name}` is a variable, not a value"));
                 let help = format!("texts stand in double quotes: `\"{name}\"`; `_` is any value");
                 faults.push(fault.at(term.place.0, "").help(help));
             }
@@ -207,7 +207,7 @@ impl Workspace {
                 values: constants(atom, &rules, symbols).collect(),
             }),
             _ => {
-                let fault = Diagnostic::new(Code::InvalidFact, "a fact has constants only");
+                let fault = Diagnostic::new(Code::INVALID_FACT, "a fact has constants only");
                 Err(vec![fault.at(place.0, "").help("write the value of the expression")])
             }
         }

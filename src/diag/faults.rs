@@ -54,7 +54,7 @@ impl Faults {
         if full {
             // Whoever collects may have stopped here, so how many more there are is not known.
             list.push(Diagnostic::new(
-                Code::LimitExceeded,
+                Code::LIMIT_EXCEEDED,
                 format!("{MAX_FAULTS} errors; further ones are not shown"),
             ));
         }

@@ -11,10 +11,10 @@ mod faults;
 mod render;
 mod source;
 
-pub use code::Code;
+pub use code::{CODES, Code};
 pub use faults::{Faults, MAX_FAULTS};
 pub use render::{render, to_json};
-pub use source::{Position, SourceId, Sources, Span};
+pub use source::{Located, Position, SourceId, Sources, Span};
 
 /// How bad a [`Diagnostic`] is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -66,7 +66,7 @@ impl Diagnostic {
 
     /// That work was given up because whoever wanted it would not wait longer.
     pub fn interrupted() -> Self {
-        Diagnostic::new(Code::LimitExceeded, "the work was interrupted")
+        Diagnostic::new(Code::LIMIT_EXCEEDED, "the work was interrupted")
     }
 
     /// Sets the primary place and what to say there.

@@ -186,7 +186,7 @@ mod tests {
     use std::ops::Range;
 
     fn fault(source: SourceId, range: Range<usize>) -> Diagnostic {
-        Diagnostic::new(Code::Syntax, "wrong").at(Span::new(source, range), "here")
+        Diagnostic::new(Code::SYNTAX, "wrong").at(Span::new(source, range), "here")
     }
 
     #[test]

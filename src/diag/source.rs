@@ -173,6 +173,15 @@ fn floor_char(text: &str, byte: usize) -> usize {
     byte
 }
 
+/// A value and where it stands in its file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Located<T> {
+    /// The value.
+    pub value: T,
+    /// Where it stands.
+    pub span: Span,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -10,8 +10,8 @@
 
 mod proofs;
 
+use crate::city::{AgentKind, Speed};
 use crate::city::{Cell, Heading, Route, field_of_view};
-use crate::config::{AgentKind, Speed};
 use crate::datalog::explain::{Explainer, Teller};
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic, Sources};
@@ -247,7 +247,7 @@ impl Page {
     pub fn push(&mut self, replay: &Replay, tick: &TraceTick, sources: &Sources) -> Result<(), Diagnostic> {
         if (self.ticks.len() + 1) * self.agents.len() > self.most {
             let message = format!("a page of more than {} decisions would be slow to open", self.most);
-            return Err(Diagnostic::new(Code::LimitExceeded, message).help("choose ticks with `--from` and `--ticks`"));
+            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("choose ticks with `--from` and `--ticks`"));
         }
         let expected = match self.ticks.len() {
             0 => tick.tick,
@@ -258,7 +258,7 @@ impl Page {
                 true => format!("tick {} is too large a number", tick.tick),
                 false => format!("tick {} stands where tick {expected} should", tick.tick),
             };
-            return Err(Diagnostic::new(Code::InvalidTrace, message));
+            return Err(Diagnostic::new(Code::INVALID_TRACE, message));
         }
         if self.ticks.is_empty() {
             self.first = tick.tick;
@@ -354,7 +354,7 @@ impl Page {
             return Ok(());
         };
         let message = format!("there is no clause {clause}: the rules have {}", self.counted);
-        Err(Diagnostic::new(Code::InvalidTrace, message))
+        Err(Diagnostic::new(Code::INVALID_TRACE, message))
     }
 
     /// Why each agent did each action or did not.
@@ -443,7 +443,7 @@ impl Page {
 /// The agents of those names.
 fn positions(replay: &Replay, names: &[String]) -> Result<Vec<usize>, Diagnostic> {
     let position = |name: &String| {
-        let unknown = || Diagnostic::new(Code::InvalidTrace, format!("there is no agent `{name}`"));
+        let unknown = || Diagnostic::new(Code::INVALID_TRACE, format!("there is no agent `{name}`"));
         replay.position(name).ok_or_else(unknown)
     };
     names.iter().map(position).collect()

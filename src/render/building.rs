@@ -1,6 +1,6 @@
 //! Buildings on their lots, drawn by parameters: a front with what is around it, in a square of side 1 around the origin.
 
-use crate::config::Building;
+use crate::city::Building;
 use crate::render::sketch::{Dice, Edges, Ink, Sketch};
 use crate::rng::Rng;
 

@@ -1,7 +1,7 @@
 //! What an icon shows, and where it faces.
 
 use crate::city::Heading;
-use crate::config::{AgentKind, Building};
+use crate::city::{AgentKind, Building};
 use crate::render::car;
 use crate::render::pedestrian;
 use std::fmt;

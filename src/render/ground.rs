@@ -2,13 +2,18 @@
 //!
 //! What a pixel of the ground is depends on its place on the map only, never on the part of the map that is shown.
 
+use crate::city::Building;
 use crate::city::{Cell, CityMap, Ground, Heading};
-use crate::config::Building;
 use crate::render::class::{Class, Facing};
 use crate::render::icon::Icons;
 use crate::render::picture::{Picture, Rgb};
 use crate::render::view::{Scale, View};
 use crate::rng::{Purpose, RngExt, Seed};
+
+impl Purpose {
+    /// The texture of the ground.
+    pub const TEXTURE: Purpose = Purpose::new(11);
+}
 
 /// The mid line, in every picture.
 pub(super) const MID_LINE: Rgb = [255, 215, 0];
@@ -36,7 +41,7 @@ impl Look {
     pub(super) fn drawn(seed: Seed) -> Look {
         Look {
             seed,
-            first_building: seed.stream(Purpose::Texture, 1, 0).random(),
+            first_building: seed.stream(Purpose::TEXTURE, 1, 0).random(),
         }
     }
 }
@@ -108,7 +113,7 @@ fn walks_along_row(map: &CityMap, cell: Cell) -> bool {
 impl Texture {
     /// The texture of a seed, as uneven as the difficulty says (0..=1).
     pub(super) fn new(seed: Seed, difficulty: f32) -> Texture {
-        let mut stream = seed.stream(Purpose::Texture, 0, 0);
+        let mut stream = seed.stream(Purpose::TEXTURE, 0, 0);
         let mut tone = |rgb: Rgb, spread: i32| {
             let light = stream.random_range(-spread..=spread);
             rgb.map(|channel| (i32::from(channel) + light + stream.random_range(-4..=4)).clamp(0, 255) as u8)

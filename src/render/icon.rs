@@ -1,6 +1,6 @@
 //! Icons: from a class, an instance, a facing and a size to pixels.
 
-use crate::config::AgentKind;
+use crate::city::AgentKind;
 use crate::render::class::{Class, Facing, Subject};
 use crate::render::pack::{Mode, Pack, shrunk};
 use crate::render::sketch::{Dice, Ink, Sketch, byte};
@@ -9,6 +9,11 @@ use crate::rng::{Purpose, Rng, Seed};
 use resvg::tiny_skia::{FilterQuality, Pixmap, PixmapPaint, Transform};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+impl Purpose {
+    /// What an icon looks like; index: its class, tick: the instance.
+    pub const ICON: Purpose = Purpose::new(10);
+}
 
 /// How hard icons are to tell apart, in percent: 0 is clean; the higher, the more their colours, light, sharpness and markings vary and
 /// the more lies on and around them.
@@ -230,7 +235,7 @@ impl Icons {
         let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
             (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
         });
-        let mut dice = Dice(self.seed.stream(Purpose::Icon, hash, instance.into()));
+        let mut dice = Dice(self.seed.stream(Purpose::ICON, hash, instance.into()));
         let noise = self.difficulty.share();
         let drawing = match (&class.0, self.art(class).get(instance as usize)) {
             (Subject::Agent(AgentKind::Car, _), Some(art)) => Drawing::CarArt(art),
@@ -588,7 +593,7 @@ mod tests {
     fn outlines_are_those_of_what_is_drawn() {
         let concepts = ["bus", "tiro", "ambulance", "taxi", "old", "young", "police", "reckless"].map(str::to_owned);
         for case in 0..60 {
-            let mut stream = Seed(3).stream(Purpose::Scene, case, 0);
+            let mut stream = Seed(3).stream(Purpose::SCENE, case, 0);
             let difficulty = Difficulty::percent(stream.random_range(0..=100)).expect("a percentage");
             let files = ["car/a.svg", "old/a.svg"].map(|name| (name.to_owned(), ART.as_bytes().to_vec()));
             let pack = Pack::new(Mode::Extend, files.to_vec()).unwrap_or_else(|faults| panic!("{faults:?}"));

@@ -1,7 +1,7 @@
 //! What stands beside and above the map: the legend and the line that says what happens.
 
 use crate::city::CityMap;
-use crate::config::{AgentKind, Building, Speed};
+use crate::city::{AgentKind, Building, Speed};
 use crate::render::class::{Class, Facing};
 use crate::render::ground::{MID_LINE, PAINT, Texture, roof};
 use crate::render::icon::{Icons, PixelBox};

@@ -1,7 +1,7 @@
 //! The whole city on one picture, with rulers, a legend and labels.
 
+use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
-use crate::config::AgentKind;
 use crate::render::icon::{Icons, PixelBox};
 use crate::render::label;
 use crate::render::label::PAPER;

@@ -1,7 +1,7 @@
 //! Pictures of one view of a map: the ground once, the agents every time.
 
+use crate::city::AgentKind;
 use crate::city::CityMap;
-use crate::config::AgentKind;
 use crate::render::ground;
 use crate::render::ground::Look;
 use crate::render::icon::{Icons, PixelBox, Stamp};
@@ -162,7 +162,8 @@ impl Renderer {
 mod tests {
     use super::*;
     use crate::city::Cell;
-    use crate::config::{Building, Buildings, Located, MapConfig, Widths};
+    use crate::city::{Building, Buildings, MapConfig, Widths};
+    use crate::diag::Located;
     use crate::diag::{Sources, Span};
     use crate::render::{Class, Difficulty, Facing, Scale};
     use crate::rng::{Purpose, RngExt, Seed};
@@ -243,7 +244,7 @@ mod tests {
         let map = map();
         let concepts = ["bus", "tiro", "ambulance", "taxi", "old", "young"].map(str::to_owned);
         for case in 0..6 {
-            let mut stream = Seed(9).stream(Purpose::Scene, case, 0);
+            let mut stream = Seed(9).stream(Purpose::SCENE, case, 0);
             let percent = stream.random_range(0..=100);
             let icons = || Icons::new(Seed(case), Difficulty::percent(percent).expect("a percentage"));
             let corner = Cell::new(stream.random_range(-3..20), stream.random_range(-3..20));

@@ -1,6 +1,6 @@
 //! A contact sheet: some instances of every class, with names.
 
-use crate::config::AgentKind;
+use crate::city::AgentKind;
 use crate::render::class::{Class, Facing, Subject};
 use crate::render::icon::{Icons, PixelBox, Stamp};
 use crate::render::picture::Picture;

@@ -1,7 +1,7 @@
 //! What a picture is told of an agent.
 
 use crate::city::{Agent, Cell};
-use crate::config::{AgentKind, Speed};
+use crate::city::{AgentKind, Speed};
 use crate::render::class::{Class, Facing};
 
 /// What a picture shows of an agent.

@@ -7,7 +7,7 @@
 //! aggregates, `match` or `contains`, and with values other than symbols, are left out. What is found is true; what is not found may exist
 //! all the same.
 
-use crate::config::Speed;
+use crate::city::Speed;
 use crate::datalog::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Relation, Rules, Term, Value};
 use crate::datalog::{Limits, Program, Session};
 use crate::symbol::Symbol;

@@ -4,7 +4,7 @@
 //! counts, not one proof: an agent moves again only when all of them are gone. So if agents that do not move wait for each other in a
 //! circle, none of them will move before somebody else does something for them: a deadlock.
 
-use crate::config::Speed;
+use crate::city::Speed;
 use crate::datalog::explain::{ExplainError, Explainer};
 use crate::datalog::{BaseType, Clause, ClauseId, Literal, Rules, Term};
 use crate::sim::simulation::Moment;

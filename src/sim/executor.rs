@@ -1,7 +1,7 @@
 //! Deciding for all agents at once: densely, in one window or in many.
 
+use crate::city::Speed;
 use crate::city::{Agent, Cell, CityMap};
-use crate::config::Speed;
 use crate::datalog::dense::{BitFacts, Counting, Dense, Set, choose, has, members};
 use crate::datalog::{ClauseId, RelId, Rules};
 use crate::diag::{Code, Diagnostic};
@@ -79,7 +79,7 @@ pub(super) enum Choice<T> {
 /// That the dense executor cannot evaluate rules. `reason` goes after "because".
 fn not_dense(reason: &str) -> Diagnostic {
     let message = format!("the dense executor cannot evaluate these rules, because {reason}");
-    Diagnostic::new(Code::LimitExceeded, message)
+    Diagnostic::new(Code::LIMIT_EXCEEDED, message)
 }
 
 /// What the agents decided in a tick, before the default.
@@ -605,7 +605,7 @@ impl Tiles {
             None => {
                 let (many, Cell { row, col }) = (found.len(), tile.first);
                 let message = format!("{many} agents around the cell [{row}, {col}], the limit is {CROWD_MAX}");
-                return Err(Diagnostic::new(Code::LimitExceeded, message).help("take a larger map or fewer agents"));
+                return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("take a larger map or fewer agents"));
             }
         }
         Ok(())

@@ -2,8 +2,9 @@
 //!
 //! This is the definition of every base predicate, written to be read.
 
+use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading, field_of_view};
-use crate::config::{AgentKind, Definition};
+use crate::config::Definition;
 use crate::sim::vocabulary::{Predicate, Vocabulary};
 
 /// What the predicates can see of an agent.

@@ -1,7 +1,8 @@
 //! Inference: what the rules decide in one scene.
 
 use crate::city::CityMap;
-use crate::config::{Definition, Scenario, Speed, load_map};
+use crate::city::Speed;
+use crate::config::{Definition, Scenario, load_map};
 use crate::datalog::dense::{BitFacts, Counting, Dense, Frame, Pairs, Set, has};
 use crate::datalog::{EvalError, Program, Session, constraints};
 use crate::datalog::{RelId, Value};
@@ -18,6 +19,11 @@ use std::cell::Cell;
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
+
+impl Purpose {
+    /// Predicates that hold with a probability; index: the pair of agents, see `sim::ground`.
+    pub const PREDICATE: Purpose = Purpose::new(5);
+}
 
 /// How a map file that a scene asks for is read.
 type Reader = dyn ReadFile + Send + Sync;
@@ -263,7 +269,7 @@ impl Inference {
             }
             // The texts of the map are not those of the scene, so its faults are told in words.
             Err(faults) => {
-                let fault = Diagnostic::new(Code::InvalidScene, format!("the map `{}` cannot be used", scene.map));
+                let fault = Diagnostic::new(Code::INVALID_SCENE, format!("the map `{}` cannot be used", scene.map));
                 Err(faults
                     .iter()
                     .fold(fault.at(scene.map_span, "asked for here"), |fault, cause| {
@@ -304,7 +310,7 @@ impl Inference {
         let count = scene.names.len();
         if count > MAX_ENTITIES {
             let message = format!("{count} entities; the limit is {MAX_ENTITIES}");
-            return Err(Diagnostic::new(Code::LimitExceeded, message));
+            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
         }
         self.decide(scene, &|| false)
     }
@@ -338,7 +344,7 @@ impl Inference {
             // The rules are another text than the scene, so where it was promised is not pointed at.
             let mut broken = constraints::broken(state.session()).into_iter();
             if let Some(first) = broken.next() {
-                let fault = Diagnostic::new(Code::BrokenPromise, first.message);
+                let fault = Diagnostic::new(Code::BROKEN_PROMISE, first.message);
                 return Err(broken.fold(fault, |fault, other| fault.note(other.message)));
             }
         }
@@ -472,7 +478,7 @@ impl Chance for Draws {
     fn happens(&self, predicate: usize, first: usize, second: usize, probability: f64) -> bool {
         // 16 bits of predicate and 24 bits for each entity: a scene has fewer of either.
         let index = (predicate as u64) << 48 | (first as u64) << 24 | second as u64;
-        let mut stream = self.seed.stream(Purpose::Predicate, index, self.time);
+        let mut stream = self.seed.stream(Purpose::PREDICATE, index, self.time);
         stream.random::<f64>() < probability
     }
 }

@@ -5,7 +5,7 @@
 //! is judged, with the actions in all bodies replaced by inputs.
 
 use crate::city::Agent;
-use crate::config::Speed;
+use crate::city::Speed;
 use crate::datalog;
 use crate::datalog::Program;
 use crate::datalog::dense::{Axis, Counting, Dense, Frame, Input, List, Pairs, Set, first, has, members};

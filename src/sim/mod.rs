@@ -5,6 +5,7 @@
 //! those of the tick before. One action is taken of those derived ([`Vocabulary::decide`]). [`Inference`] does the same for single scenes
 //! that come from outside.
 
+mod codes;
 mod conflict;
 mod coverage;
 mod deadlock;
@@ -23,6 +24,7 @@ mod width;
 mod window;
 mod world;
 
+pub use codes::CODES;
 pub use conflict::{Cut, ENTITIES_MAX, Example, Finding, Overlap, SCENES_MAX, conflicts};
 pub use coverage::{ClauseCoverage, Coverage};
 pub use deadlock::{LOOK_TICKS, STUCK_TICKS, Standstill, Wait, standstill, waits};

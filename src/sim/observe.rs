@@ -7,8 +7,9 @@
 //! when an action is judged: of the four action predicates just this one holds, of the ego, in the bodies of all clauses. What the
 //! others do next nobody can observe, so no action holds of them there.
 
+use crate::city::{AgentKind, Speed};
 use crate::city::{Cell, View};
-use crate::config::{AgentKind, Definition, Speed};
+use crate::config::Definition;
 use crate::datalog::Session;
 use crate::datalog::Value;
 use crate::datalog::dense::members;
@@ -445,7 +446,7 @@ mod tests {
 
     #[test]
     fn bits_are_spread_in_order() {
-        let mut random = Seed(1).stream(Purpose::Scene, 0, 0);
+        let mut random = Seed(1).stream(Purpose::SCENE, 0, 0);
         for width in 0..=OBSERVED_MAX {
             let bits: u64 = random.random();
             let mut numbers = vec![0.5; width];

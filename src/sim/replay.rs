@@ -1,7 +1,7 @@
 //! A trace read again: the state of every tick, as facts of a session.
 
+use crate::city::{AgentKind, Speed};
 use crate::city::{Cell, Heading};
-use crate::config::{AgentKind, Speed};
 use crate::datalog::Session;
 use crate::datalog::Value;
 use crate::diag::{Code, Diagnostic};
@@ -123,7 +123,7 @@ fn action_named(name: &str) -> Result<Speed, Diagnostic> {
 }
 
 fn invalid(message: impl Into<String>) -> Diagnostic {
-    Diagnostic::new(Code::InvalidTrace, message)
+    Diagnostic::new(Code::INVALID_TRACE, message)
 }
 
 impl TraceHeader {
@@ -242,7 +242,7 @@ impl Replay {
             facts.rows[index].sort_unstable();
             facts.rows[index].dedup();
         }
-        (self.state.set(&facts)).map_err(|error| Diagnostic::new(Code::LimitExceeded, error.to_string()))?;
+        (self.state.set(&facts)).map_err(|error| Diagnostic::new(Code::LIMIT_EXCEEDED, error.to_string()))?;
         self.facts = facts;
         Ok(())
     }

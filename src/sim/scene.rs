@@ -1,7 +1,7 @@
 //! Scenes: one state of a city, or of something more abstract, as a line of JSON. `configs/README.md` documents the format.
 
+use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
-use crate::config::AgentKind;
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Sources, Span, did_you_mean};
 use indexmap::IndexMap;
 use indexmap::map::Entry;
@@ -332,7 +332,7 @@ impl<'a> Reader<'a> {
             None => Ok(()),
             Some(first) => {
                 let message = format!("a scene with {} {what}, the limit is {MAX_ENTITIES}", list.len());
-                let fault = Diagnostic::new(Code::LimitExceeded, message);
+                let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
                 Err(vec![fault.at(self.span(first), "the first that is too many")])
             }
         }
@@ -345,7 +345,7 @@ impl<'a> Reader<'a> {
         let mut faults = Vec::new();
         for (index, (name, span)) in list.enumerate() {
             if let Some(first) = names.insert(name.to_owned(), index) {
-                let fault = Diagnostic::new(Code::InvalidScene, format!("the name `{name}` is given twice"));
+                let fault = Diagnostic::new(Code::INVALID_SCENE, format!("the name `{name}` is given twice"));
                 faults.push(fault.at(span, "again here").also(spans[first], "first here"));
             }
             spans.push(span);
@@ -369,7 +369,7 @@ impl<'a> Reader<'a> {
         all(entries.into_iter().map(|(name, raw)| {
             let Some(&(_, arity)) = self.terms.predicates.iter().find(|(known, _)| *known == name) else {
                 let message = format!("`{name}` is not a base predicate");
-                let fault = Diagnostic::new(Code::InvalidScene, message).at(self.key_span(raw), "unknown predicate");
+                let fault = Diagnostic::new(Code::INVALID_SCENE, message).at(self.key_span(raw), "unknown predicate");
                 let known = self.terms.predicates.iter().map(|(known, _)| *known);
                 return Err(vec![match did_you_mean(&name, known.clone()) {
                     Some(known) => fault.help(format!("did you mean `{known}`?")),
@@ -416,7 +416,7 @@ impl<'a> Reader<'a> {
             } else {
                 start..start + 1
             };
-            let fault = Diagnostic::new(Code::InvalidScene, format!("not a scene: {text}"));
+            let fault = Diagnostic::new(Code::INVALID_SCENE, format!("not a scene: {text}"));
             vec![fault.at(Span::new(self.source, span), "").help(HELP)]
         })
     }
@@ -440,7 +440,7 @@ impl<'a> Reader<'a> {
     }
 
     fn fault(&self, raw: &RawValue, message: String, label: &str) -> Diagnostic {
-        Diagnostic::new(Code::InvalidScene, message).at(self.span(raw), label)
+        Diagnostic::new(Code::INVALID_SCENE, message).at(self.span(raw), label)
     }
 }
 
@@ -458,7 +458,7 @@ impl GeometricScene {
             .map(|agent| {
                 let message = format!("`{}` is not on the map `{}`", agent.id, map.name);
                 let (rows, cols) = (map.rows() - 1, map.cols() - 1);
-                Diagnostic::new(Code::InvalidScene, message)
+                Diagnostic::new(Code::INVALID_SCENE, message)
                     .at(agent.span, format!("at [{}, {}]", agent.at.row, agent.at.col))
                     .help(format!("rows are 0 to {rows}, columns 0 to {cols}"))
             })

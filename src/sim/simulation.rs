@@ -1,7 +1,7 @@
 //! The tick: all agents decide on the same state, then all move.
 
 use crate::city::{Agent, Cell, Heading, Moved, Places, Reason, Surroundings, advance, place_agents_until};
-use crate::config::{Speed, Split};
+use crate::city::{Speed, Split};
 use crate::datalog::Session;
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic};
@@ -163,7 +163,7 @@ impl Simulation {
         let set = scenario.agent_set(split).ok_or_else(|| {
             let message = format!("the configuration `{}` has no split `{}`", scenario.name, split.name());
             let known: Vec<&str> = scenario.splits.iter().map(|(split, _)| split.name()).collect();
-            Diagnostic::new(Code::UnknownSplit, message).help(format!("it has: {}", known.join(", ")))
+            Diagnostic::new(Code::UNKNOWN_SPLIT, message).help(format!("it has: {}", known.join(", ")))
         })?;
         let places = world.places(split, set);
         let mut agents = Vec::with_capacity(set.len());
@@ -187,7 +187,7 @@ impl Simulation {
                 "{} agents, the limit of the relational executor is {MAX_ENTITIES}",
                 agents.len()
             );
-            let fault = Diagnostic::new(Code::LimitExceeded, message).at(set.span, "in this agent set");
+            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(set.span, "in this agent set");
             return Err(match fallback {
                 None => fault.help("let the executor be chosen: `--executor auto`"),
                 Some(reason) => fault
@@ -366,7 +366,7 @@ impl Simulation {
         let count = self.agents.len();
         if let Some((position, _)) = controls.iter().find(|(position, _)| *position >= count) {
             let message = format!("there is no agent {position} to control: there are {count}, counted from 0");
-            return Err(Diagnostic::new(Code::InvalidValue, message));
+            return Err(Diagnostic::new(Code::INVALID_VALUE, message));
         }
         let draws = Draws {
             seed: self.seed,
@@ -500,7 +500,7 @@ impl Simulation {
                     "facts about pairs of {} agents; the limit is {MAX_ENTITIES} agents",
                     self.agents.len()
                 );
-                return Err(Diagnostic::new(Code::LimitExceeded, message));
+                return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
             }
             let facts = self.facts_until(|index| self.world.vocabulary.is_read(index), self.stop())?;
             let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
@@ -577,7 +577,7 @@ pub(crate) fn start_threads(threads: usize) -> Result<Option<ThreadPool>, Diagno
     let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build());
     pool.transpose().map_err(|error| {
         let message = format!("{threads} threads cannot be started: {error}");
-        Diagnostic::new(Code::LimitExceeded, message).help("take fewer")
+        Diagnostic::new(Code::LIMIT_EXCEEDED, message).help("take fewer")
     })
 }
 

@@ -1,7 +1,8 @@
 //! The trace of a run: JSON lines, the first a header, then one a tick. README documents the format.
 
+use crate::city::Speed;
 use crate::city::{Heading, Moved};
-use crate::config::{Definition, Speed};
+use crate::config::Definition;
 use crate::diag::{SourceId, Sources};
 use crate::sim::simulation::Simulation;
 use serde::{Deserialize, Serialize};

@@ -1,6 +1,7 @@
 //! What the rules can read and what they can decide: the base predicates and actions of a scenario, bound to a program.
 
-use crate::config::{ActionsConfig, Definition, PredicateConfig, Scenario, Speed};
+use crate::city::Speed;
+use crate::config::{ActionsConfig, Definition, PredicateConfig, Scenario};
 use crate::datalog::Program;
 use crate::datalog::{BaseType, Literal, RelId, Relation};
 use crate::diag::{Code, Diagnostic, did_you_mean};
@@ -98,7 +99,7 @@ impl Vocabulary {
                 relation.input
                     && fits(relation, arity, &mut faults, || {
                         Diagnostic::new(
-                            Code::RuleMismatch,
+                            Code::RULE_MISMATCH,
                             format!(
                                 "`{}` is declared otherwise than the configuration defines it",
                                 name.value
@@ -126,7 +127,7 @@ impl Vocabulary {
             program.relation(speed.name()).filter(|&relation| {
                 fits(&rules.relations[relation.index()], 1, &mut faults, || {
                     Diagnostic::new(
-                        Code::RuleMismatch,
+                        Code::RULE_MISMATCH,
                         format!("the action `{}` is not a predicate over one agent", speed.name()),
                     )
                 })
@@ -135,7 +136,7 @@ impl Vocabulary {
         if faults.is_empty() && actions.iter().all(Option::is_none) {
             faults.push(
                 Diagnostic::new(
-                    Code::RuleMismatch,
+                    Code::RULE_MISMATCH,
                     "the rules have none of the actions Slow, Normal, Fast, Stop",
                 )
                 .at(scenario.rules.span, "these rules")
@@ -234,7 +235,7 @@ fn undefined(scenario: &Scenario, unknown: &[&Relation], predicates: &[Predicate
         names.join(", "),
         scenario.name
     );
-    let mut fault = Diagnostic::new(Code::RuleMismatch, message).at(first.span, "declared as input here");
+    let mut fault = Diagnostic::new(Code::RULE_MISMATCH, message).at(first.span, "declared as input here");
     for relation in rest {
         fault = fault.also(relation.span, "and here");
     }
@@ -261,7 +262,7 @@ fn unfilled(scenario: &Scenario, program: &Program) -> Vec<Diagnostic> {
         if !relation.input && !filled {
             let message = format!("`{}` is never filled: it is declared, but not as input", name.value);
             faults.push(
-                Diagnostic::new(Code::RuleMismatch, message)
+                Diagnostic::new(Code::RULE_MISMATCH, message)
                     .at(relation.span, "declared here")
                     .also(name.span, "the configuration computes it")
                     .help(format!("write `.input {}` after the declaration", name.value)),

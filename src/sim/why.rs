@@ -1,7 +1,7 @@
 //! Why an agent did what it did in a tick.
 
+use crate::city::Speed;
 use crate::city::{Cell, Heading};
-use crate::config::Speed;
 use crate::datalog::Session;
 use crate::datalog::Value;
 use crate::datalog::explain::{ExplainError, Explainer, Explanation, Teller};

@@ -1,8 +1,9 @@
 //! Some entities of a city and what relates them, as bits for the dense executor. Facts about pairs are computed where a rule asks
 //! for them, from whole numbers; [`super::ground`] has the definitions, and tests compare the two.
 
+use crate::city::AgentKind;
 use crate::city::{Agent, Cell, CityMap, Heading, Junction, View, view_reach};
-use crate::config::{AgentKind, Definition};
+use crate::config::Definition;
 use crate::datalog::dense::{Axis, Dense, Frame, Input, List, Pairs, Set, and, first, is_empty, members, without};
 use crate::sim::ground::{Chance, Entity, binary, is_far_enough, is_near_enough, side, side_of};
 use crate::sim::infer::Draws;
@@ -791,7 +792,7 @@ mod tests {
             .map(|(place, definition)| Relation::new(place, definition))
             .collect();
         let views = views(6);
-        let mut random = Seed(1).stream(Purpose::Scene, 0, 0);
+        let mut random = Seed(1).stream(Purpose::SCENE, 0, 0);
         let mut found = vec![0; relations.len()];
         for _ in 0..400 {
             let count = random.random_range(1..=9);

@@ -1,7 +1,8 @@
 //! What does not change during a run: the scenario, its map, roads and rules.
 
+use crate::city::{AgentSet, Split};
 use crate::city::{CityMap, Places, Router};
-use crate::config::{AgentSet, Scenario, Split};
+use crate::config::Scenario;
 use crate::datalog::ClauseId;
 use crate::datalog::Program;
 use crate::datalog::dense::{Counting, Dense};

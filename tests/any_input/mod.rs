@@ -166,6 +166,7 @@ pub fn config(bytes: &[u8]) {
     let text = String::from_utf8_lossy(bytes);
     let read = |path: &Path| match path == Path::new("any.yaml") {
         true => Ok(text.to_string()),
+        false if path.starts_with(BUILTIN_FOLDER) => read_or_builtin(path),
         false => Err(ReadError::NotFound),
     };
     let mut sources = Sources::new();
@@ -188,7 +189,7 @@ pub fn scene(bytes: &[u8]) {
         }
         Err(faults) => {
             assert!(!faults.is_empty());
-            let of_a_scene = |fault: &Diagnostic| matches!(fault.code, Code::InvalidScene | Code::LimitExceeded);
+            let of_a_scene = |fault: &Diagnostic| matches!(fault.code, Code::INVALID_SCENE | Code::LIMIT_EXCEEDED);
             assert!(faults.iter().all(of_a_scene), "{}", render(&faults, &sources, false));
             draw(&faults, &sources);
         }
@@ -251,11 +252,11 @@ pub fn rows(bytes: &[u8]) {
             assert!(!faults.is_empty());
             // The last of a great many says that there are more.
             let told = &faults[..faults.len().min(MAX_FAULTS)];
-            assert!(told.iter().all(|fault| fault.code == Code::InvalidFact));
+            assert!(told.iter().all(|fault| fault.code == Code::INVALID_FACT));
             assert!(
                 faults[told.len()..]
                     .iter()
-                    .all(|fault| fault.code == Code::LimitExceeded)
+                    .all(|fault| fault.code == Code::LIMIT_EXCEEDED)
             );
             draw(&faults, &sources);
         }

@@ -6,9 +6,9 @@ use logicity::builtin::read_or_builtin;
 use logicity::config::{Scenario, load_scenario};
 use logicity::datalog::Program;
 use logicity::diag::{Diagnostic, Sources};
-use logicity::files::{ReadError, ReadFile};
+use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile};
 use logicity::sim::World;
-use logicity::task::path::PathTask;
+use logicity::task::spf::PathTask;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -48,6 +48,7 @@ pub fn task(config: &str, text: Option<&str>) -> Arc<PathTask> {
 pub fn task_of(config: &str) -> Result<PathTask, Vec<Diagnostic>> {
     let read = |path: &Path| match path.to_str() {
         Some("mine.yaml") => Ok(config.to_owned()),
+        _ if path.starts_with(BUILTIN_FOLDER) => BuiltinFiles.read(path),
         _ => Err(ReadError::NotFound),
     };
     let (world, sources) = load("mine.yaml", &read, None, |_| ())?;

@@ -49,7 +49,7 @@ impl Analysis {
         if let Some(rules) = loaded.rules {
             for lint in optimize::lints(&rules).diagnostics {
                 match lint.code {
-                    crate::diag::Code::ContradictoryBody => diagnostics.push(lint),
+                    crate::diag::Code::CONTRADICTORY_BODY => diagnostics.push(lint),
                     _ => hints.push(lint),
                 }
             }

@@ -132,7 +132,7 @@ impl<'t> Typed<'t> {
         if !self.argument().is_empty() {
             return Ok(());
         }
-        let fault = Diagnostic::new(Code::Syntax, format!("expected {what}"));
+        let fault = Diagnostic::new(Code::SYNTAX, format!("expected {what}"));
         Err(fault
             .at(Span::new(self.id, self.start..self.start), "after this")
             .into())
@@ -143,7 +143,7 @@ impl<'t> Typed<'t> {
         if self.argument().trim_end_matches('.').is_empty() {
             return Ok(());
         }
-        let fault = Diagnostic::new(Code::Syntax, format!("`.{name}` stands alone"));
+        let fault = Diagnostic::new(Code::SYNTAX, format!("`.{name}` stands alone"));
         Err(fault.at(self.place(), "").into())
     }
 }
@@ -220,7 +220,7 @@ fn unknown(sources: &Sources, id: SourceId, text: &str) -> Option<Diagnostic> {
     let start = text.len() - text.trim_start().len();
     let fault = |length: usize| {
         let span = Span::new(id, start..start + length);
-        Diagnostic::new(Code::Syntax, format!("no command `{}`", sources.slice(span))).at(span, "")
+        Diagnostic::new(Code::SYNTAX, format!("no command `{}`", sources.slice(span))).at(span, "")
     };
     if let Some((written, meant)) = foreign(text) {
         return Some(fault(written.len()).help(format!("type `{meant}`")));

@@ -83,7 +83,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let text = match lines.next(&bench)? {
             Line::Text(text) => text,
             Line::NotText => {
-                let fault = Diagnostic::new(Code::NotText, "the input is not UTF-8 text");
+                let fault = Diagnostic::new(Code::NOT_TEXT, "the input is not UTF-8 text");
                 report(&[fault], bench.sources);
                 faulty = true;
                 continue;
@@ -211,7 +211,7 @@ impl<W: Write> Repl<W> {
                     self.relation(bench, id)?
                 }
                 _ => {
-                    let fault = Diagnostic::new(Code::UnknownPredicate, format!("no predicate `{name}` is declared"));
+                    let fault = Diagnostic::new(Code::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared"));
                     return Err(fault.at(span, "").help("`.relations` names them").into());
                 }
             },

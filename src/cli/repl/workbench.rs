@@ -156,14 +156,14 @@ impl<'s> Workbench<'s> {
         let mut places = HashSet::new();
         for item in &parsed.file.items {
             let ast::Item::Clause(clause) = item else {
-                let fault = Diagnostic::new(Code::Unsupported, "only facts and clauses can be retracted");
+                let fault = Diagnostic::new(Code::UNSUPPORTED, "only facts and clauses can be retracted");
                 let whole = Span::new(id, 0..self.sources.text(id).len());
                 let help = "take it out of the file, and `.reload`";
                 return Err(fault.at(whole, "").help(help).into());
             };
             let found = self.texts.find(clause);
             if found.is_empty() {
-                let fault = Diagnostic::new(Code::InvalidFact, "there is no such clause");
+                let fault = Diagnostic::new(Code::INVALID_FACT, "there is no such clause");
                 let help = "`.show` shows the clauses of a predicate; the names of variables do not matter";
                 return Err(fault.at(clause.place.0, "").help(help).into());
             }
@@ -188,13 +188,13 @@ impl<'s> Workbench<'s> {
             let Relation { name, derived, .. } = &rules.relations[relation.index()];
             if *derived {
                 let message = format!("`{name}` is derived by rules, and no text states this fact");
-                let fault = Diagnostic::new(Code::InvalidFact, message).at(whole, "");
+                let fault = Diagnostic::new(Code::INVALID_FACT, message).at(whole, "");
                 return Err(fault.help("`explain` tells what it follows from, if it holds").into());
             }
             if self.session.contains(*relation, row) {
                 given.push((*relation, row));
             } else {
-                let fault = Diagnostic::new(Code::InvalidFact, "this fact does not hold");
+                let fault = Diagnostic::new(Code::INVALID_FACT, "this fact does not hold");
                 return Err(fault.at(whole, "").into());
             }
         }
@@ -287,7 +287,7 @@ impl<'s> Workbench<'s> {
         let new: HashSet<SourceId> = self.sources.ids().skip(first_new).collect();
         let is_told = |warning: &Diagnostic| {
             // What has no rows yet may be given some.
-            warning.code != Code::DeadClause
+            warning.code != Code::DEAD_CLAUSE
                 && (warning.primary.as_ref()).is_none_or(|label| new.contains(&label.span.source))
         };
         let outcome = Outcome {
@@ -452,7 +452,7 @@ impl<'s> Workbench<'s> {
 }
 
 fn not_taken(error: RowError) -> Failure {
-    Diagnostic::new(Code::InvalidFact, error.to_string()).into()
+    Diagnostic::new(Code::INVALID_FACT, error.to_string()).into()
 }
 
 /// The row of a fact in the text.

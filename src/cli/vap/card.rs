@@ -1,8 +1,8 @@
 //! What README of a data set says.
 
+use crate::city::Speed;
 use crate::cli::vap::folder::{Manifest, Settings};
 use crate::cli::vap::{Mode, percent};
-use crate::config::Speed;
 use crate::task::vap::table::{ENTITY_NAMES, ENTITY_NUMBERS, PAIR_NAMES};
 use crate::task::vap::{FIRST_TICK, SIDE, TICKS, Worlds};
 use std::fmt::Write as _;

@@ -223,13 +223,13 @@ fn read_tables(
     mut files: BTreeMap<&str, Vec<u8>>,
 ) -> Result<(Table, Vec<Sample>), Diagnostic> {
     let mut table = |name: &str| {
-        let missing = || Diagnostic::new(Code::InvalidDataSet, format!("there is no `{name}`"));
+        let missing = || Diagnostic::new(Code::INVALID_DATA_SET, format!("there is no `{name}`"));
         Table::read(files.remove(name).ok_or_else(missing)?)
     };
     let (entities, pairs) = (table(ENTITIES)?, table(PAIRS)?);
     if let Some((name, _)) = files.first_key_value() {
         return Err(Diagnostic::new(
-            Code::InvalidDataSet,
+            Code::INVALID_DATA_SET,
             format!("`{name}` is neither a table nor a picture"),
         ));
     }
@@ -259,7 +259,7 @@ fn check_sample(inference: &Inference, sample: &Sample) -> Result<[u64; 4], Diag
                 label.name(),
                 answer.action.name()
             );
-            return Err(Diagnostic::new(Code::InvalidDataSet, message));
+            return Err(Diagnostic::new(Code::INVALID_DATA_SET, message));
         }
         actions[label as usize] += 1;
     }

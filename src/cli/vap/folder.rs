@@ -58,7 +58,7 @@ pub(super) struct Record {
     /// Of the city.
     pub(super) seed: u64,
     pub(super) frames: usize,
-    /// Labels of cars, in the order of [`Speed::ALL`](crate::config::Speed::ALL).
+    /// Labels of cars, in the order of [`Speed::ALL`](crate::city::Speed::ALL).
     pub(super) actions: [u64; 4],
     /// Agents of all frames.
     pub(super) agents: u64,
@@ -128,7 +128,7 @@ pub(super) fn add(left: [u64; 4], right: [u64; 4]) -> [u64; 4] {
 }
 
 pub(super) fn wrong(path: &Path, message: impl std::fmt::Display) -> Diagnostic {
-    Diagnostic::new(Code::InvalidDataSet, format!("`{}`: {message}", path.display()))
+    Diagnostic::new(Code::INVALID_DATA_SET, format!("`{}`: {message}", path.display()))
 }
 
 pub(super) fn file_record(bytes: &[u8]) -> FileRecord {

@@ -6,9 +6,10 @@ mod card;
 mod check;
 mod folder;
 
+use crate::city::{Speed, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{Failure, load_city, make_folder, one_of, progress};
-use crate::config::{Scenario, Speed, Split};
+use crate::config::Scenario;
 use crate::datalog::Program;
 use crate::diag::Sources;
 use crate::render::{Picture, write_png};

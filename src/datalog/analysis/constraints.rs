@@ -39,7 +39,7 @@ pub fn broken(session: &Session) -> Vec<Diagnostic> {
         if let Some(message) = found
             && faults.len() < BROKEN_MAX
         {
-            let fault = Diagnostic::new(Code::BrokenPromise, message).at(promise.span, "promised here");
+            let fault = Diagnostic::new(Code::BROKEN_PROMISE, message).at(promise.span, "promised here");
             faults.push(fault.help("correct the facts, or take the promise back"));
         }
     }

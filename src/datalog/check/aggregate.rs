@@ -245,7 +245,7 @@ impl<'c> Check<'_, 'c> {
                 match *term {
                     Term::Wildcard if in_view && negated => {
                         let fault = Diagnostic::new(
-                            Code::Unsupported,
+                            Code::UNSUPPORTED,
                             "`_` in a negated atom of an aggregate under a scope is not supported",
                         )
                         .at(atom.span, "")
@@ -275,7 +275,7 @@ impl<'c> Check<'_, 'c> {
         let ego = match ego {
             Some(Term::Variable(id)) if scope::fits(finish.variables[id.index()].ty, guard.ego, self.names) => id,
             _ => {
-                let fault = Diagnostic::new(Code::InvalidScope, "cannot guard this aggregate")
+                let fault = Diagnostic::new(Code::INVALID_SCOPE, "cannot guard this aggregate")
                     .at(head.span, "")
                     .also(guard.span, "the scope")
                     .note("what an aggregate counts under a scope is what the head's first argument sees")

@@ -112,7 +112,7 @@ fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Fault
             sorted.sort_unstable();
             if !sorted.into_iter().eq(1..=count as i64) {
                 let fault = Diagnostic::new(
-                    Code::Syntax,
+                    Code::SYNTAX,
                     format!("version {version} is no order of the clause's atoms"),
                 )
                 .at(plan.place.0, "")
@@ -125,7 +125,7 @@ fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Fault
             }
         }
     }
-    let fault = Diagnostic::new(Code::Ignored, "`.plan` has no effect").at(plan.place.0, "");
+    let fault = Diagnostic::new(Code::IGNORED, "`.plan` has no effect").at(plan.place.0, "");
     faults.push(fault.help("remove it; the order of literals is chosen by itself"));
 }
 
@@ -161,7 +161,7 @@ fn give(id: RelId, names: &mut Names, out: &mut Clauses) {
 fn one(clause: &ast::Clause, scopes: &mut scope::Scopes, names: &mut Names, out: &mut Clauses, faults: &mut Faults) {
     let alternatives = count(&clause.body);
     let too_many = |message: String, note: String| {
-        Diagnostic::new(Code::LimitExceeded, message)
+        Diagnostic::new(Code::LIMIT_EXCEEDED, message)
             .at(clause.heads[0].place.0, "")
             .note(note)
     };
@@ -330,7 +330,7 @@ fn lone_variables(clause: &ast::Clause, variables: &[body::Known], guarded: &[bo
             continue;
         }
         let fault = Diagnostic::new(
-            Code::SingletonVariable,
+            Code::SINGLETON_VARIABLE,
             format!("the variable `{}` occurs only once", variable.name),
         )
         .at(variable.first, "")

@@ -126,7 +126,7 @@ fn declared(items: &[Item]) -> HashMap<&str, Span> {
 
 fn refused(name: &Name, why: &str) -> Diagnostic {
     Diagnostic::new(
-        Code::Unsupported,
+        Code::UNSUPPORTED,
         format!("`{}` {why}: this is not supported", name.text),
     )
     .at(name.place.0, "")

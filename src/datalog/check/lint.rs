@@ -64,7 +64,7 @@ pub(crate) fn dead(all: &Clauses, names: &Names, faults: &mut Faults) {
             written.unwrap_or(clause.head.span)
         };
         let mut fault = Diagnostic::new(
-            Code::DeadClause,
+            Code::DEAD_CLAUSE,
             format!("this clause never fires: `{name}` is always empty"),
         )
         .at(place(clauses[0]), "");
@@ -145,7 +145,7 @@ pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
         if *sound && clause.body.is_empty() {
             let row = (clause.head.relation, clause.head.terms.as_slice());
             if let Some(&first) = facts.get(&row) {
-                report(Code::DuplicateClause, clause.span, first, faults);
+                report(Code::DUPLICATE_CLAUSE, clause.span, first, faults);
             } else {
                 facts.insert(row, clause.span);
             }
@@ -157,7 +157,7 @@ pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
         let known = !(clause.body.iter()).any(|literal| matches!(literal, Literal::Aggregate { .. }));
         if *sound && known && !clause.body.is_empty() {
             if let Some(&fact) = facts.get(&(clause.head.relation, clause.head.terms.as_slice())) {
-                report(Code::SubsumedClause, clause.span, fact, faults);
+                report(Code::SUBSUMED_CLAUSE, clause.span, fact, faults);
             } else {
                 let group = by_head.entry(clause.head.relation).or_default();
                 group.push(Pattern::new(clause));
@@ -205,7 +205,7 @@ fn without_copies(group: Vec<Pattern>, faults: &mut Faults) -> Vec<Pattern> {
     for pattern in group {
         match first.entry((pattern.head.clone(), pattern.literals.clone())) {
             Entry::Occupied(other) if *other.get() == pattern.span => {}
-            Entry::Occupied(other) => report(Code::DuplicateClause, pattern.span, *other.get(), faults),
+            Entry::Occupied(other) => report(Code::DUPLICATE_CLAUSE, pattern.span, *other.get(), faults),
             Entry::Vacant(place) => {
                 place.insert(pattern.span);
                 kept.push(pattern);
@@ -217,7 +217,7 @@ fn without_copies(group: Vec<Pattern>, faults: &mut Faults) -> Vec<Pattern> {
 
 fn report(code: Code, span: Span, other: Span, faults: &mut Faults) {
     let (message, label) = match code {
-        Code::DuplicateClause => (
+        Code::DUPLICATE_CLAUSE => (
             "this clause stands here already",
             "the same, up to the names of variables and order",
         ),
@@ -245,10 +245,10 @@ fn makes_redundant(group: &[Pattern], general: usize, special: usize, budget: &m
             return None;
         }
         if one.literals.len() == two.literals.len() && Match::exists(one, two, true, budget) {
-            return Some(Code::DuplicateClause);
+            return Some(Code::DUPLICATE_CLAUSE);
         }
     }
-    Some(Code::SubsumedClause)
+    Some(Code::SUBSUMED_CLAUSE)
 }
 
 /// A clause made ready for comparison: literals are unique and in a normal form.

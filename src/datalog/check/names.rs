@@ -87,7 +87,7 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: Inputs, faults: &m
         match item {
             Item::Mark(mark) => names.mark(mark, faults),
             Item::Pragma(pragma) => faults.push(
-                Diagnostic::new(Code::Ignored, "`.pragma` has no effect")
+                Diagnostic::new(Code::IGNORED, "`.pragma` has no effect")
                     .at(pragma.place.0, "")
                     .help("remove it"),
             ),
@@ -224,12 +224,12 @@ impl Names {
             let Item::Type(decl) = item else { continue };
             let name = decl.name.text.as_str();
             if self.type_by_name.contains_key(name) {
-                let fault = Diagnostic::new(Code::DuplicateDeclaration, format!("the type `{name}` is built in"))
+                let fault = Diagnostic::new(Code::DUPLICATE_DECLARATION, format!("the type `{name}` is built in"))
                     .at(decl.name.place.0, "");
                 faults.push(fault);
             } else if let Some(earlier) = first.get(name) {
                 let fault = Diagnostic::new(
-                    Code::DuplicateDeclaration,
+                    Code::DUPLICATE_DECLARATION,
                     format!("the type `{name}` is declared twice"),
                 )
                 .at(decl.name.place.0, "declared again here")
@@ -330,11 +330,11 @@ impl Names {
             at = match first.get(other.text.as_str()) {
                 Some(next) if std::ptr::eq(*next, decl) => {
                     let message = format!("the type `{}` is declared by way of itself", decl.name.text);
-                    faults.push(Diagnostic::new(Code::CyclicType, message).at(decl.name.place.0, ""));
+                    faults.push(Diagnostic::new(Code::CYCLIC_TYPE, message).at(decl.name.place.0, ""));
                     return None;
                 }
                 Some(_) if steps > MAX_TYPE_DEPTH => {
-                    let fault = Diagnostic::new(Code::LimitExceeded, "too long a chain of types")
+                    let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too long a chain of types")
                         .at(decl.name.place.0, "")
                         .note(format!("at most {MAX_TYPE_DEPTH} names may stand for each other"));
                     faults.push(fault);
@@ -359,7 +359,7 @@ impl Names {
             {
                 faulty[id.0 as usize] = true;
                 let message = format!("`{}` is a subtype of the union `{}`", decl.name.text, parent.text);
-                let fault = Diagnostic::new(Code::TypeMismatch, message)
+                let fault = Diagnostic::new(Code::TYPE_MISMATCH, message)
                     .at(parent.place.0, "")
                     .also(*union, "the union")
                     .help("make it a subtype of a member");
@@ -389,7 +389,7 @@ impl Names {
             if cyclic {
                 let cycle = &path[path.iter().position(|&id| id == at).unwrap_or(0)..];
                 let name = &self.types[at].name;
-                let mut fault = Diagnostic::new(Code::CyclicType, format!("the type `{name}` is a subtype of itself"));
+                let mut fault = Diagnostic::new(Code::CYCLIC_TYPE, format!("the type `{name}` is a subtype of itself"));
                 for (index, &id) in cycle.iter().enumerate() {
                     let Some(span) = self.type_spans[id] else { continue };
                     fault = if index == 0 {
@@ -410,7 +410,7 @@ impl Names {
                 self.types[id].base = self.types[parent].base;
                 if depth[id] > MAX_TYPE_DEPTH {
                     faulty[id] = true;
-                    let mut fault = Diagnostic::new(Code::LimitExceeded, "too long a chain of subtypes")
+                    let mut fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too long a chain of subtypes")
                         .note(format!("a type has at most {MAX_TYPE_DEPTH} ancestors"));
                     if let Some(span) = self.type_spans[id] {
                         fault = fault.at(span, "");
@@ -458,7 +458,7 @@ impl Names {
             let base = self.base(id);
             let other = members.iter().position(|&member| self.base(member) != base);
             if seen.len() > MAX_MEMBERS {
-                let fault = Diagnostic::new(Code::LimitExceeded, "union of too many types")
+                let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "union of too many types")
                     .at(decl.name.place.0, "")
                     .note(format!(
                         "a union has at most {MAX_MEMBERS} members, those of its members included"
@@ -466,14 +466,14 @@ impl Names {
                 faults.push(fault);
             } else if seen.contains(&id) {
                 let message = format!("the type `{name}` is a part of itself");
-                faults.push(Diagnostic::new(Code::CyclicType, message).at(decl.name.place.0, ""));
+                faults.push(Diagnostic::new(Code::CYCLIC_TYPE, message).at(decl.name.place.0, ""));
             } else if let Some(other) = other {
                 let message = format!(
                     "the union `{name}` has values of type `{}` and of type `{}`",
                     base.name(),
                     self.base(members[other]).name()
                 );
-                let fault = Diagnostic::new(Code::TypeMismatch, message).at(written[other].place.0, "");
+                let fault = Diagnostic::new(Code::TYPE_MISMATCH, message).at(written[other].place.0, "");
                 faults.push(fault.also(written[0].place.0, format!("`{}` here", base.name())));
             } else {
                 self.types[at].parent = Some(Self::base_type(base));
@@ -510,7 +510,7 @@ impl Names {
             let span = column.name.place.0;
             if let Some(&first) = seen.get(column.name.text.as_str()) {
                 let message = format!("two columns are named `{}`", column.name.text);
-                let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
+                let fault = Diagnostic::new(Code::DUPLICATE_DECLARATION, message)
                     .at(span, "named again here")
                     .also(first, "first named here");
                 faults.push(fault);
@@ -526,7 +526,7 @@ impl Names {
             });
         }
         if columns.len() > MAX_COLUMNS {
-            let fault = Diagnostic::new(Code::LimitExceeded, format!("{} columns", columns.len()))
+            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, format!("{} columns", columns.len()))
                 .at(decl.names[0].place.0, "")
                 .note(format!("a predicate has at most {MAX_COLUMNS}"));
             faults.push(fault);
@@ -536,7 +536,7 @@ impl Names {
             let span = name.place.0;
             if let Some(&earlier) = self.declared_types.get(&name.text) {
                 let message = format!("`{}` is a type and a predicate", name.text);
-                let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
+                let fault = Diagnostic::new(Code::DUPLICATE_DECLARATION, message)
                     .at(span, "declared as a predicate here")
                     .also(earlier, "declared as a type here")
                     .help("give one of them another name");
@@ -544,7 +544,7 @@ impl Names {
             }
             if let Some(&earlier) = self.relation_by_name.get(&name.text) {
                 let message = format!("the predicate `{}` is declared twice", name.text);
-                let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
+                let fault = Diagnostic::new(Code::DUPLICATE_DECLARATION, message)
                     .at(span, "declared again here")
                     .also(self.relation(earlier).span, "first declared here");
                 faults.push(fault);
@@ -587,7 +587,7 @@ impl Names {
                     relation.printsize = true;
                     if let Some(earlier) = self.printsizes.insert(id, name.place.0) {
                         let message = format!("`{}` has two `.printsize`", name.text);
-                        let fault = Diagnostic::new(Code::DuplicateDeclaration, message)
+                        let fault = Diagnostic::new(Code::DUPLICATE_DECLARATION, message)
                             .at(name.place.0, "again here")
                             .also(earlier, "first here");
                         faults.push(fault.help("remove one of them"));
@@ -600,7 +600,7 @@ impl Names {
                 && chosen > 0
             {
                 let message = format!("`columns` names {chosen} columns, `{}` has {columns}", relation.name);
-                let fault = Diagnostic::new(Code::ArityMismatch, message).at(option.place.0, "");
+                let fault = Diagnostic::new(Code::ARITY_MISMATCH, message).at(option.place.0, "");
                 faults.push(fault.also(relation.span, "declared here"));
             }
             relation.directives.push(directive.clone());
@@ -616,7 +616,7 @@ impl Names {
             return;
         }
         for (index, (name, uses)) in unknown.types.iter().enumerate() {
-            let fault = Diagnostic::new(Code::UnknownType, format!("no type `{name}` is declared"));
+            let fault = Diagnostic::new(Code::UNKNOWN_TYPE, format!("no type `{name}` is declared"));
             let mut fault = with_uses(fault, uses);
             let candidates = self.types.iter().map(|ty| ty.name.as_str());
             let near = if index < MAX_SUGGESTIONS {
@@ -640,7 +640,7 @@ impl Names {
             faults.push(fault);
         }
         for (index, (name, uses)) in unknown.predicates.iter().enumerate() {
-            let fault = Diagnostic::new(Code::UnknownPredicate, format!("no predicate `{name}` is declared"));
+            let fault = Diagnostic::new(Code::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared"));
             let mut fault = with_uses(fault, uses);
             let candidates = self.relations.iter().map(|relation| relation.name.as_str());
             let near = if index < MAX_SUGGESTIONS {
@@ -674,14 +674,14 @@ fn qualifiers(words: &[Name], faults: &mut Faults) {
     for (index, word) in words.iter().enumerate() {
         if let Some(earlier) = words[..index].iter().find(|earlier| rivals(earlier, word)) {
             let fault = Diagnostic::new(
-                Code::DuplicateDeclaration,
+                Code::DUPLICATE_DECLARATION,
                 format!("`{}` after `{}`", word.text, earlier.text),
             )
             .at(word.place.0, "")
             .also(earlier.place.0, "one of them is enough");
             faults.push(fault.help("remove one of them"));
         } else if word.text != "inline" && !words[index + 1..].iter().any(|later| rivals(word, later)) {
-            let fault = Diagnostic::new(Code::Ignored, format!("`{}` has no effect", word.text));
+            let fault = Diagnostic::new(Code::IGNORED, format!("`{}` has no effect", word.text));
             faults.push(fault.at(word.place.0, "").help("remove it"));
         }
     }
@@ -716,7 +716,7 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
                 (MarkKind::Input | MarkKind::Output, "file") | (MarkKind::PrintSize, "stdoutprintsize") => {}
                 (MarkKind::Input, "stdin") | (MarkKind::Output, "stdout") => terminal = true,
                 (_, value) => {
-                    let fault = Diagnostic::new(Code::Unsupported, format!("`IO={value}` is not supported here"));
+                    let fault = Diagnostic::new(Code::UNSUPPORTED, format!("`IO={value}` is not supported here"));
                     let known = match mark.kind {
                         MarkKind::Input => "`file` and `stdin`",
                         MarkKind::Output => "`file` and `stdout`",
@@ -727,7 +727,7 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
             },
             "filename" if mark.kind != MarkKind::PrintSize => place = RowPlace::File(option.value.clone()),
             "delimiter" if option.value.is_empty() => {
-                faults.push(Diagnostic::new(Code::Syntax, "empty delimiter").at(option.place.0, ""));
+                faults.push(Diagnostic::new(Code::SYNTAX, "empty delimiter").at(option.place.0, ""));
             }
             "delimiter" => delimiter = Some(option.value.clone()),
             "headers" => format.headers = flag,
@@ -735,17 +735,17 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
             "columns" if mark.kind == MarkKind::Input => match column_numbers(&option.value) {
                 Some(numbers) => format.columns = numbers,
                 None => {
-                    let fault = Diagnostic::new(Code::Syntax, "not a list of columns").at(option.place.0, "");
+                    let fault = Diagnostic::new(Code::SYNTAX, "not a list of columns").at(option.place.0, "");
                     faults.push(fault.help("it is written as numbers, from 0 on, each once: `columns=\"0:2:1\"`"));
                 }
             },
             "compress" if option.value == "false" => {}
             key @ ("compress" | "dbname") => {
-                let fault = Diagnostic::new(Code::Unsupported, format!("the option `{key}` is not supported"));
+                let fault = Diagnostic::new(Code::UNSUPPORTED, format!("the option `{key}` is not supported"));
                 faults.push(fault.at(option.key.place.0, ""));
             }
             key => {
-                let fault = Diagnostic::new(Code::Ignored, format!("the option `{key}` has no effect"));
+                let fault = Diagnostic::new(Code::IGNORED, format!("the option `{key}` has no effect"));
                 faults.push(fault.at(option.key.place.0, "").help("remove it"));
             }
         }

@@ -25,7 +25,7 @@ pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> V
             .collect();
         let pairs: usize = found.len() * found.len().saturating_sub(1) / 2;
         if promises.len() + pairs.max(found.len()) > MAX_PROMISES {
-            let fault = Diagnostic::new(Code::LimitExceeded, "too many promises")
+            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too many promises")
                 .at(promise.place.0, "")
                 .note(format!(
                     "at most {MAX_PROMISES} are possible; `.disjoint` makes one of every pair"
@@ -74,7 +74,7 @@ pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> V
 }
 
 fn refuse(message: String, at: Span, relation: RelId, names: &Names) -> Diagnostic {
-    let fault = Diagnostic::new(Code::InvalidPromise, message)
+    let fault = Diagnostic::new(Code::INVALID_PROMISE, message)
         .at(at, "")
         .also(names.relation(relation).span, "declared here");
     fault.note(format!("the declaration is `{}`", names.signature_text(relation)))

@@ -83,7 +83,7 @@ impl Scopes {
             }
             [_, _] => {}
             _ => {
-                let fault = Diagnostic::new(Code::InvalidScope, format!("`{}` cannot be a scope", name.text))
+                let fault = Diagnostic::new(Code::INVALID_SCOPE, format!("`{}` cannot be a scope", name.text))
                     .at(name.place.0, "a scope has two columns: who sees, and who is seen")
                     .also(names.relation(relation).span, "declared here")
                     .note(format!("the declaration is `{}`", names.signature_text(relation)));
@@ -149,7 +149,7 @@ impl Scopes {
         let scope = &names.relation(guard.relation).name;
         let ego = names.type_name(guard.ego);
         let fault = Diagnostic::new(
-            Code::InvalidScope,
+            Code::INVALID_SCOPE,
             format!("the scope `{scope}` cannot guard this clause"),
         )
         .at(

@@ -64,7 +64,7 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
             EdgeKind::Negates => format!("`{}` needs that `{}` does not hold", name(edge.from), name(edge.to)),
             EdgeKind::Aggregates => format!("`{}` needs all of `{}`", name(edge.from), name(edge.to)),
         };
-        let mut fault = Diagnostic::new(Code::CyclicNegation, message).at(edge.span, step(edge));
+        let mut fault = Diagnostic::new(Code::CYCLIC_NEGATION, message).at(edge.span, step(edge));
         for at in back {
             fault = fault.also(edges[at].span, step(&edges[at]));
         }

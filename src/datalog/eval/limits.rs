@@ -110,7 +110,7 @@ impl std::error::Error for EvalError {}
 /// Without the place, for when the texts of the rules are not at hand.
 impl From<EvalError> for Diagnostic {
     fn from(error: EvalError) -> Self {
-        Diagnostic::new(Code::LimitExceeded, error.to_string())
+        Diagnostic::new(Code::LIMIT_EXCEEDED, error.to_string())
     }
 }
 

@@ -246,7 +246,7 @@ impl std::error::Error for ExplainError {}
 /// Without a place: it is no text's fault.
 impl From<ExplainError> for Diagnostic {
     fn from(error: ExplainError) -> Self {
-        Diagnostic::new(Code::LimitExceeded, error.to_string())
+        Diagnostic::new(Code::LIMIT_EXCEEDED, error.to_string())
     }
 }
 

@@ -71,7 +71,7 @@ impl Plans {
                 wide.name,
                 wide.arity()
             );
-            return Err(Diagnostic::new(Code::LimitExceeded, message).at(wide.span, "declared here"));
+            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(wide.span, "declared here"));
         }
         let arity = rules
             .relations

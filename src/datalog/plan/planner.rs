@@ -43,7 +43,7 @@ pub(crate) fn plan_clause(
     for (what, count) in [("literals", clause.body.len()), ("variables", clause.variables.len())] {
         if count > CLAUSE_MAX {
             let message = format!("the clause has {count} {what}; at most {CLAUSE_MAX} are possible");
-            return Err(Diagnostic::new(Code::LimitExceeded, message).at(clause.span, ""));
+            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(clause.span, ""));
         }
     }
     let recursive: Vec<usize> = (0..clause.body.len())
@@ -321,7 +321,7 @@ impl<'a> Planner<'a> {
             .map(|(name, _)| format!("`{name}`"))
             .collect();
         let message = format!("no positive atom binds {}", names.join(", "));
-        Diagnostic::new(Code::UnboundVariable, message).at(self.clause.span, "")
+        Diagnostic::new(Code::UNBOUND_VARIABLE, message).at(self.clause.span, "")
     }
 
     /// The slot of a term; `None` for a wildcard.

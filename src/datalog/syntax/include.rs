@@ -53,7 +53,7 @@ pub(crate) fn gather(
 pub(crate) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) -> File {
     let text = sources.text(id);
     if text.len() > MAX_TEXT_BYTES {
-        let fault = Diagnostic::new(Code::LimitExceeded, "rule file too large")
+        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "rule file too large")
             .at(Span::new(id, 0..0), "")
             .note(format!(
                 "a rule file has at most {} MiB; facts can be given as `.facts` files",
@@ -116,7 +116,7 @@ impl Walk<'_> {
         let path = beside.display();
         let fault = match error {
             ReadError::NotFound => {
-                let fault = Diagnostic::new(Code::MissingInclude, format!("no file `{}` to include", include.path))
+                let fault = Diagnostic::new(Code::MISSING_INCLUDE, format!("no file `{}` to include", include.path))
                     .at(span, "")
                     .note(format!("looked for `{path}` and for a built-in rule file of that name"));
                 match self.similar(from, &include.path) {
@@ -125,12 +125,12 @@ impl Walk<'_> {
                 }
             }
             ReadError::NotText { .. } => {
-                Diagnostic::new(Code::NotText, format!("`{path}` is {error}")).at(span, "included here")
+                Diagnostic::new(Code::NOT_TEXT, format!("`{path}` is {error}")).at(span, "included here")
             }
             ReadError::TooLarge => {
-                Diagnostic::new(Code::LimitExceeded, format!("`{path}` is {error}")).at(span, "included here")
+                Diagnostic::new(Code::LIMIT_EXCEEDED, format!("`{path}` is {error}")).at(span, "included here")
             }
-            ReadError::Io(_) => Diagnostic::new(Code::MissingInclude, format!("cannot read `{path}`: {error}"))
+            ReadError::Io(_) => Diagnostic::new(Code::MISSING_INCLUDE, format!("cannot read `{path}`: {error}"))
                 .at(span, "included here"),
         };
         self.faults.push(fault);
@@ -154,7 +154,7 @@ impl Walk<'_> {
     fn open(&mut self, path: &Path, key: PathBuf, text: String, span: Span) {
         if self.open.len() >= MAX_DEPTH {
             self.gathered.incomplete = true;
-            let fault = Diagnostic::new(Code::LimitExceeded, "includes nested too deeply")
+            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "includes nested too deeply")
                 .at(span, "")
                 .note(format!("a chain of includes has at most {MAX_DEPTH} files"));
             self.faults.push(fault);
@@ -175,8 +175,8 @@ impl Walk<'_> {
             .filter_map(|(_, include)| *include)
             .collect();
         let mut fault = match on_cycle.as_slice() {
-            [] => Diagnostic::new(Code::IncludeCycle, format!("`{name}` includes itself")).at(span, ""),
-            _ => Diagnostic::new(Code::IncludeCycle, "files include each other in a circle")
+            [] => Diagnostic::new(Code::INCLUDE_CYCLE, format!("`{name}` includes itself")).at(span, ""),
+            _ => Diagnostic::new(Code::INCLUDE_CYCLE, "files include each other in a circle")
                 .at(span, "this include closes the circle"),
         };
         for step in on_cycle {

@@ -252,7 +252,7 @@ impl Lexer<'_> {
             }
             None => {
                 self.faults.push(
-                    Diagnostic::new(Code::Syntax, "comment without an end")
+                    Diagnostic::new(Code::SYNTAX, "comment without an end")
                         .at(self.span(self.at, self.at + 2), "this `/*` has no `*/`"),
                 );
                 self.at = self.bytes.len();
@@ -271,7 +271,7 @@ impl Lexer<'_> {
             }
         }
         self.faults.push(
-            Diagnostic::new(Code::Syntax, "text without a closing quote")
+            Diagnostic::new(Code::SYNTAX, "text without a closing quote")
                 .at(self.span(self.at, self.at + 1), "it begins here")
                 .note("a text ends on the line it begins; write a line break as `\\n`"),
         );
@@ -297,7 +297,7 @@ impl Lexer<'_> {
             return self.push(suffix, length);
         }
         self.faults.push(
-            Diagnostic::new(Code::Syntax, "not a number")
+            Diagnostic::new(Code::SYNTAX, "not a number")
                 .at(self.span(self.at, self.at + length), "")
                 .help(
                     "a number is written in decimal, or as `0x` or `0b` and digits; a name does not begin with a digit",
@@ -329,7 +329,7 @@ impl Lexer<'_> {
         let length = self.count_while(self.at, is_name_part);
         if length > MAX_NAME_BYTES {
             self.faults.push(
-                Diagnostic::new(Code::LimitExceeded, format!("name of {length} characters"))
+                Diagnostic::new(Code::LIMIT_EXCEEDED, format!("name of {length} characters"))
                     .at(self.span(self.at, self.at + 1), "it begins here")
                     .note(format!("a name has at most {MAX_NAME_BYTES}")),
             );
@@ -352,7 +352,7 @@ impl Lexer<'_> {
         if *written == "<>" && matches!(rest.get(2), Some(b')' | b',')) {
             return None;
         }
-        let fault = Diagnostic::new(Code::Syntax, format!("`{written}` has no meaning here"))
+        let fault = Diagnostic::new(Code::SYNTAX, format!("`{written}` has no meaning here"))
             .at(self.span(self.at, self.at + written.len()), "")
             .help(*help);
         self.faults.push(fault);
@@ -387,7 +387,7 @@ impl Lexer<'_> {
             return;
         };
         let written = &self.text[first.start as usize..first.end as usize];
-        let mut fault = Diagnostic::new(Code::Syntax, format!("`{written}` does not begin a comment"))
+        let mut fault = Diagnostic::new(Code::SYNTAX, format!("`{written}` does not begin a comment"))
             .at(first, "")
             .help(COMMENT);
         if !others.is_empty() {
@@ -447,7 +447,7 @@ impl Lexer<'_> {
         } else {
             format!("unexpected character `{first}`")
         };
-        let mut fault = Diagnostic::new(Code::Syntax, message).at(self.span(start, start + length), "");
+        let mut fault = Diagnostic::new(Code::SYNTAX, message).at(self.span(start, start + length), "");
         fault = match first {
             '\'' | '\u{2018}' | '\u{2019}' | '\u{201c}' | '\u{201d}' => {
                 fault.help("texts are written in double quotes: `\"...\"`")

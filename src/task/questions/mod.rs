@@ -7,12 +7,18 @@ mod wording;
 
 pub use wording::{RulesFile, letter};
 
-use crate::config::{AgentKind, AgentName, AgentSet, Definition, Speed, Split};
+use crate::city::{AgentKind, AgentName, AgentSet, Speed, Split};
+use crate::config::Definition;
 use crate::diag::{Code, Diagnostic, did_you_mean};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, MAX_ENTITIES, Settings, Simulation, World};
 use std::collections::BTreeSet;
 use std::sync::Arc;
+
+impl Purpose {
+    /// Language questions: the worlds they are from, which decisions are asked about, and the order of entities.
+    pub const QUESTION: Purpose = Purpose::new(12);
+}
 
 /// The ticks of a world.
 const TICKS: u64 = 100;
@@ -151,7 +157,7 @@ impl QuestionSet {
             let (name, split) = (action.name(), request.demonstrations.name());
             let message = format!("no demonstration of {name} found among the cars of `{split}`");
             return Err(vec![
-                Diagnostic::new(Code::LimitExceeded, message)
+                Diagnostic::new(Code::LIMIT_EXCEEDED, message)
                     .help("take the demonstrations from another split, or none"),
             ]);
         }
@@ -206,7 +212,7 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
     let mut faults: Vec<Diagnostic> = unknown
         .map(|concept| {
             let message = format!("`{}` has no concept `{concept}` of cars", scenario.name);
-            let fault = Diagnostic::new(Code::InvalidValue, message);
+            let fault = Diagnostic::new(Code::INVALID_VALUE, message);
             match did_you_mean(concept, concepts.iter().copied()) {
                 Some(name) => fault.help(format!("did you mean `{name}`?")),
                 None => fault.help(format!("it has: {}", concepts.join(", "))),
@@ -220,7 +226,7 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
             request.shots,
             actions.join(", ")
         );
-        faults.push(Diagnostic::new(Code::InvalidValue, message).help("take none, or at least one for each"));
+        faults.push(Diagnostic::new(Code::INVALID_VALUE, message).help("take none, or at least one for each"));
     }
     let agents = |split: Split| {
         let set = scenario.agent_set(split)?;
@@ -233,7 +239,7 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
         let [asked, shown] = [request.split, request.demonstrations].map(Split::name);
         let message =
             format!("questions about `{asked}` and demonstrations about `{shown}` would have the same agents");
-        faults.push(Diagnostic::new(Code::InvalidValue, message).help("take the demonstrations from another split"));
+        faults.push(Diagnostic::new(Code::INVALID_VALUE, message).help("take the demonstrations from another split"));
     }
     match faults.is_empty() {
         true => Ok(()),
@@ -285,7 +291,7 @@ impl<'w> Search<'w> {
         let agents = self.world.scenario.agent_set(self.split).map_or(0, AgentSet::len);
         if agents > MAX_ENTITIES {
             let message = format!("facts about pairs of {agents} agents; the limit is {MAX_ENTITIES} agents");
-            return Err(Diagnostic::new(Code::LimitExceeded, message));
+            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
         }
         let mut city = Simulation::new(Arc::clone(self.world), self.split, self.seed, Settings::default())?;
         let asked = askable(self.world);
@@ -302,7 +308,7 @@ impl<'w> Search<'w> {
         {
             let mut stream = self
                 .seed
-                .stream(Purpose::Question, self.worlds as u64, self.split as u64);
+                .stream(Purpose::QUESTION, self.worlds as u64, self.split as u64);
             self.look(&mut city, about, known, &mut stream)?;
             self.worlds += 1;
             let sure = wanted
@@ -379,7 +385,7 @@ impl<'w> Search<'w> {
             // Everybody sees itself.
             Extent::City => sees.iter().filter(|[x, y]| x == y).map(|[x, _]| *x).collect(),
         };
-        named.sort_by_cached_key(|&agent| -> u64 { order.stream(Purpose::Question, agent.into(), 0).random() });
+        named.sort_by_cached_key(|&agent| -> u64 { order.stream(Purpose::QUESTION, agent.into(), 0).random() });
         let place = |agent: u32| {
             let place = named.iter().position(|&named| named == agent)?;
             Some(u32::try_from(place).expect("fewer than 2^32 entities"))
@@ -411,7 +417,7 @@ impl<'w> Search<'w> {
             let found: usize = self.found.iter().map(Vec::len).sum();
             let (count, worlds, split) = (self.count, self.worlds, self.split.name());
             let message = format!("{found} of {count} different questions found in {worlds} worlds of `{split}`");
-            return Err(Diagnostic::new(Code::LimitExceeded, message)
+            return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message)
                 .help("take fewer, another agent set, or name all entities of the city"));
         }
         let taken = self
@@ -423,7 +429,7 @@ impl<'w> Search<'w> {
         questions.sort_by_cached_key(|question| {
             let Source { world, tick, agent, .. } = question.source;
             let lot: u64 = Seed(world)
-                .stream(Purpose::Question, agent.number.into(), 1 + tick)
+                .stream(Purpose::QUESTION, agent.number.into(), 1 + tick)
                 .random();
             lot
         });

@@ -1,6 +1,6 @@
 //! Questions as text, as JSON lines and as a table.
 
-use crate::config::{Speed, Split};
+use crate::city::{Speed, Split};
 use crate::sim::World;
 use crate::task::questions::{Question, QuestionSet};
 use serde_json::{Map, Value, json};

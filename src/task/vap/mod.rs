@@ -3,10 +3,14 @@
 //! A [`Worlds`] is the cities of one split; each has [`TICKS`] ticks, of which all but the first are [`Frame`]s, and a [`Renderer`] that draws
 //! them on a ground of its own. [`table`] holds what is true of a frame as columns.
 
+mod codes;
 pub mod table;
 
+pub use codes::CODES;
+
+use crate::city::{AgentGroup, AgentKind, AgentName, AgentSet, Speed, Split};
 use crate::city::{Cell, Heading};
-use crate::config::{AgentGroup, AgentKind, AgentName, AgentSet, Scenario, Speed, Split};
+use crate::config::Scenario;
 use crate::datalog::Program;
 use crate::diag::{Code, Diagnostic};
 use crate::render::{Class, Facing, Icons, Picture, PixelBox, Placement, Renderer, Scale, Sprite, View};
@@ -14,6 +18,17 @@ use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, Settings, Simulation, Vocabulary, World};
 use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
+
+impl Purpose {
+    /// The seeds of the worlds of a data set; index: number of the world, tick: the split.
+    pub const WORLD: Purpose = Purpose::new(13);
+
+    /// The agents of a world whose agents are drawn.
+    pub const CAST: Purpose = Purpose::new(14);
+
+    /// Which instance of its class a picture shows; index: agent.
+    pub const LOOK: Purpose = Purpose::new(15);
+}
 
 /// The ticks of a world.
 pub const TICKS: u64 = 100;
@@ -53,7 +68,7 @@ pub const SIDE: u32 = 1024;
 
 /// The seed of the icons of a split, so that what is tested on looks different from what was learnt from.
 pub fn icon_seed(seed: u64, split: Split) -> Seed {
-    Seed(Seed(seed).stream(Purpose::Icon, split as u64, 0).random())
+    Seed(Seed(seed).stream(Purpose::ICON, split as u64, 0).random())
 }
 
 /// How many worlds the published sets have.
@@ -201,7 +216,7 @@ impl Worlds {
     /// The seed of a world: `logicity run` with it shows the same city, if agents are fixed.
     pub fn seed(&self, number: u32) -> u64 {
         Seed(self.seed)
-            .stream(Purpose::World, number.into(), self.split as u64)
+            .stream(Purpose::WORLD, number.into(), self.split as u64)
             .random()
     }
 
@@ -221,7 +236,7 @@ impl Worlds {
             // Agents are as they were decided about: before they move.
             let agents = city.agents().iter().enumerate().map(|(index, agent)| {
                 let sprite = Sprite::of(agent, "", None);
-                let drawn: u32 = seed.stream(Purpose::Look, index as u64, tick).random();
+                let drawn: u32 = seed.stream(Purpose::LOOK, index as u64, tick).random();
                 FrameAgent {
                     name: agent.name(),
                     concepts: Arc::clone(&agent.concepts),
@@ -260,7 +275,7 @@ impl Worlds {
         let mut scenario = self.world.scenario.clone();
         for (split, set) in &mut scenario.splits {
             if *split == self.split {
-                *set = draw_agents(set, *split, &mut seed.stream(Purpose::Cast, 0, 0));
+                *set = draw_agents(set, *split, &mut seed.stream(Purpose::CAST, 0, 0));
             }
         }
         // The rules fitted this configuration before; agents change nothing of that.
@@ -339,5 +354,5 @@ pub fn count_atoms<'a>(vocabulary: &Vocabulary, all: impl IntoIterator<Item = &'
 
 /// A fault of a table, which no text has a place for.
 fn faulty(message: impl Into<String>) -> Diagnostic {
-    Diagnostic::new(Code::InvalidDataSet, message)
+    Diagnostic::new(Code::INVALID_DATA_SET, message)
 }

@@ -1,7 +1,7 @@
 //! Frames as columns, written as Parquet: a table of entities, with what is true of each, and a table of ordered pairs of them.
 
 use crate::city::Heading;
-use crate::config::{AgentKind, Speed};
+use crate::city::{AgentKind, Speed};
 use crate::diag::Diagnostic;
 use crate::render::PixelBox;
 use crate::sim::{Facts, Vocabulary};

@@ -273,7 +273,7 @@ fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>
                 };
                 if let Some(message) = message {
                     faults.push(
-                        Diagnostic::new(Code::RuleMismatch, message)
+                        Diagnostic::new(Code::RULE_MISMATCH, message)
                             .at(relation.span, "")
                             .also(twin.span, "the other one"),
                     );
@@ -311,7 +311,7 @@ fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>
     for name in names {
         let (Some(&a), Some(&b)) = (in_left.get(name), in_right.get(name)) else {
             let message = format!("`{name}` is not declared on both sides");
-            faults.push(Diagnostic::new(Code::RuleMismatch, message).help("name what to compare with --predicates"));
+            faults.push(Diagnostic::new(Code::RULE_MISMATCH, message).help("name what to compare with --predicates"));
             continue;
         };
         let [x, y] = [(left, a), (right, b)].map(|(rules, id)| &rules.relations[id.index()]);
@@ -319,7 +319,7 @@ fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>
         if !y.columns.iter().map(|column| column.base).eq(columns.iter().copied()) {
             let message = format!("`{name}` has other columns on the other side");
             faults.push(
-                Diagnostic::new(Code::RuleMismatch, message)
+                Diagnostic::new(Code::RULE_MISMATCH, message)
                     .at(x.span, "")
                     .also(y.span, "the other one"),
             );

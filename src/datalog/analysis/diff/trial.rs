@@ -20,6 +20,11 @@ use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::symbol::Symbol;
 use std::collections::BTreeSet;
 
+impl Purpose {
+    /// A scene in which two rule sets are compared; index: its number.
+    pub const SCENE: Purpose = Purpose::new(6);
+}
+
 /// A scene costs as much as this many dead ends of the other search.
 const SCENE_COST: u64 = 10;
 
@@ -94,7 +99,7 @@ pub(super) fn search(
         size += 1;
     }
     for number in 0..scenes.saturating_sub(trial.tried) {
-        let mut random = Seed(0).stream(Purpose::Scene, number, 0);
+        let mut random = Seed(0).stream(Purpose::SCENE, number, 0);
         let entities = random.random_range(0..=RANDOM_MAX.0.min(options.entities_max));
         let facts = trial.draw(entities, &mut random);
         if trial.differs(&facts, entities) {

@@ -428,7 +428,7 @@ impl<'c> Check<'_, 'c> {
         let kind = match &term.kind {
             TermKind::Variable(name) => OperandKind::Variable(self.variable(name, span)),
             TermKind::Wildcard => {
-                let fault = Diagnostic::new(Code::UnboundVariable, "`_` where a value is needed")
+                let fault = Diagnostic::new(Code::UNBOUND_VARIABLE, "`_` where a value is needed")
                     .at(span, "nothing says what this is")
                     .help("write a variable that an atom binds, or a constant");
                 self.fault(fault);
@@ -520,7 +520,7 @@ impl<'c> Check<'_, 'c> {
                     self.always(false, span);
                     continue;
                 }
-                let fault = Diagnostic::new(Code::Unsupported, "alternatives in an aggregate are not supported")
+                let fault = Diagnostic::new(Code::UNSUPPORTED, "alternatives in an aggregate are not supported")
                     .at(span, "")
                     .help("define a predicate by a clause with these alternatives, and aggregate over that");
                 self.fault(fault);
@@ -609,7 +609,7 @@ impl<'c> Check<'_, 'c> {
             _ => {}
         }
         let message = format!("expected a value of type `{}`, found {found}", self.names.type_name(ty));
-        let fault = Diagnostic::new(Code::TypeMismatch, message)
+        let fault = Diagnostic::new(Code::TYPE_MISMATCH, message)
             .at(term.place.0, found)
             .also(self.names.relation(relation).span, "declared here")
             .note(format!("the declaration is `{}`", self.names.signature_text(relation)));
@@ -635,7 +635,7 @@ impl<'c> Check<'_, 'c> {
                 BaseType::Unsigned => format!("unsigned numbers go from 0 to {}", u32::MAX),
                 _ => format!("numbers go from {} to {}", i32::MIN, i32::MAX),
             };
-            let fault = Diagnostic::new(Code::LimitExceeded, "number out of range")
+            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "number out of range")
                 .at(operand.span, "")
                 .note(range);
             self.fault(fault);
@@ -656,7 +656,7 @@ impl<'c> Check<'_, 'c> {
             let plural = |count: usize| if count == 1 { "argument" } else { "arguments" };
             let name = &atom.predicate.text;
             let message = format!("`{name}` takes {wanted} {}, not {found}", plural(wanted));
-            let fault = Diagnostic::new(Code::ArityMismatch, message)
+            let fault = Diagnostic::new(Code::ARITY_MISMATCH, message)
                 .at(atom.place.0, format!("{found} {} here", plural(found)))
                 .also(self.names.relation(relation).span, "declared here")
                 .note(format!("the declaration is `{}`", self.names.signature_text(relation)));
@@ -673,7 +673,7 @@ impl<'c> Check<'_, 'c> {
     fn head(&mut self, atom: &'c ast::Atom, fact: bool) -> Option<Atom> {
         for term in &atom.terms {
             if term.kind == TermKind::Wildcard {
-                let fault = Diagnostic::new(Code::UnboundVariable, "`_` in a head")
+                let fault = Diagnostic::new(Code::UNBOUND_VARIABLE, "`_` in a head")
                     .at(term.place.0, "nothing says what this is")
                     .help(if fact {
                         "write a constant"
@@ -762,11 +762,11 @@ impl<'c> Check<'_, 'c> {
             let name = &head.predicate.text;
             let (code, help) = match self.names.inputs {
                 Inputs::Given => (
-                    Code::DerivedInput,
+                    Code::DERIVED_INPUT,
                     "derive another predicate, with one clause that takes over what is given",
                 ),
                 Inputs::Extended => (
-                    Code::ExtendedInput,
+                    Code::EXTENDED_INPUT,
                     "to tell them apart, derive another predicate, with one clause that takes over what is given",
                 ),
             };
@@ -790,7 +790,7 @@ impl<'c> Check<'_, 'c> {
     fn has_too_many_expressions(&mut self, head: &ast::Atom) -> bool {
         let count = (0..self.variables.len()).filter(|&index| self.is_hidden(index)).count();
         if count > MAX_EXPRESSIONS {
-            let fault = Diagnostic::new(Code::LimitExceeded, format!("clause with {count} expressions"))
+            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, format!("clause with {count} expressions"))
                 .at(head.place.0, "")
                 .note(format!(
                     "a clause has at most {MAX_EXPRESSIONS} operators and functions"

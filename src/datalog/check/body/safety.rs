@@ -148,7 +148,7 @@ impl<'c> Check<'_, 'c> {
                 continue;
             }
             let name = self.name(VarId(u32::try_from(index).expect("fewer than 2^32 variables")));
-            let mut fault = Diagnostic::new(Code::UnboundVariable, format!("no positive atom binds `{name}`"))
+            let mut fault = Diagnostic::new(Code::UNBOUND_VARIABLE, format!("no positive atom binds `{name}`"))
                 .at(self.variables[index].first, "");
             if is_fact {
                 fault = fault

@@ -44,7 +44,7 @@ impl<'c> Check<'_, 'c> {
             self.names.type_name(further.ty).to_owned(),
         );
         let fault = Diagnostic::new(
-            Code::TypeMismatch,
+            Code::TYPE_MISMATCH,
             format!("`{name}` cannot be both `{first}` and `{second}`"),
         )
         .at(further.span, format!("`{second}` here"))
@@ -322,7 +322,7 @@ impl<'c> Check<'_, 'c> {
                     )
                 }
             };
-            let fault = Diagnostic::new(Code::TypeMismatch, message).at(operand.span, format!("`{}`", found.name()));
+            let fault = Diagnostic::new(Code::TYPE_MISMATCH, message).at(operand.span, format!("`{}`", found.name()));
             let operand = *operand;
             self.tell_origin(fault, operand);
         } else if let Some((operand, found)) = other {
@@ -331,7 +331,7 @@ impl<'c> Check<'_, 'c> {
                 TieKind::Functor(name) => name,
             };
             let message = format!("`{name}` cannot mix a `{}` and a `{}`", base.name(), found.name());
-            let fault = Diagnostic::new(Code::TypeMismatch, message)
+            let fault = Diagnostic::new(Code::TYPE_MISMATCH, message)
                 .at(operand.span, format!("`{}`", found.name()))
                 .also(first.span, format!("`{}`", base.name()))
                 .help("convert one of them: `to_number(x)`, `to_unsigned(x)`, `to_float(x)` or `to_string(x)`");
@@ -355,7 +355,7 @@ impl<'c> Check<'_, 'c> {
     /// Two operands, each with the name of its type.
     fn incomparable(&mut self, sides: [(Operand, &str); 2], span: Span) {
         let message = format!("a `{}` cannot be compared with a `{}`", sides[0].1, sides[1].1);
-        let mut fault = Diagnostic::new(Code::TypeMismatch, message).at(span, "");
+        let mut fault = Diagnostic::new(Code::TYPE_MISMATCH, message).at(span, "");
         for (operand, ty) in sides {
             if let OperandKind::Variable(id) = operand.kind
                 && let Some(origin) = self.origin(id)
@@ -423,7 +423,7 @@ impl<'c> Check<'_, 'c> {
         };
         let wanted = self.names.type_name(wanted).to_owned();
         let message = format!("expected a value of type `{wanted}`, found `{name}` of type `{found}`");
-        let mut fault = Diagnostic::new(Code::TypeMismatch, message).at(span, format!("must be of type `{wanted}`"));
+        let mut fault = Diagnostic::new(Code::TYPE_MISMATCH, message).at(span, format!("must be of type `{wanted}`"));
         if let Some(origin) = self.origin(id) {
             fault = fault.also(origin, format!("`{name}` is of type `{found}` here"));
         }

@@ -110,7 +110,7 @@ pub fn lints(rules: &Rules) -> Lints {
             Finding::Subsumed { clause, by } if is_covered(&plain, named(by), named(clause)) => None,
             Finding::Subsumed { clause, by } => Some(
                 Diagnostic::new(
-                    Code::SubsumedClause,
+                    Code::SUBSUMED_CLAUSE,
                     "this clause derives nothing that another does not",
                 )
                 .at(named(clause).span, "")
@@ -122,7 +122,7 @@ pub fn lints(rules: &Rules) -> Lints {
                 let clause = named(clause);
                 let (first, second) = (shown_literal(rules, clause, one), shown_literal(rules, clause, other));
                 let fault = Diagnostic::new(
-                    Code::ContradictoryBody,
+                    Code::CONTRADICTORY_BODY,
                     "this clause never fires: its body contradicts itself",
                 );
                 let span = span(&clause.body[other]);
@@ -173,7 +173,7 @@ fn repeated(rules: &Rules, uses: &[share::Use]) -> Diagnostic {
             _ => None,
         })
         .collect();
-    let lint = Diagnostic::new(Code::RepeatedBody, format!("{} clauses ask for `{body}`", uses.len()))
+    let lint = Diagnostic::new(Code::REPEATED_BODY, format!("{} clauses ask for `{body}`", uses.len()))
         .at(clause.span, "the first of them");
     let others = uses[1..].iter().map(|one| rules.clauses[one.clause].span);
     let lint = others.fold(lint, |lint, span| lint.also(span, "the same"));
@@ -195,7 +195,7 @@ fn redundant(
     }
     let needless = shown_literal(rules, clause, literal);
     let mut fault = Diagnostic::new(
-        Code::RedundantLiteral,
+        Code::REDUNDANT_LITERAL,
         format!("`{needless}` says nothing that is not said already"),
     )
     .at(span(&clause.body[literal]), "");

@@ -257,7 +257,8 @@ impl Parser<'_> {
         };
         let (Some(right), Some(left), 0) = (atom.terms.pop(), atom.terms.pop(), atom.terms.len()) else {
             let message = format!("`{}` takes 2 arguments", atom.predicate.text);
-            let fault = Diagnostic::new(Code::ArityMismatch, message).at(atom.place.0, "a pattern or part, and a text");
+            let fault =
+                Diagnostic::new(Code::ARITY_MISMATCH, message).at(atom.place.0, "a pattern or part, and a text");
             self.faults.push(fault);
             return Err(Reported);
         };
@@ -307,7 +308,7 @@ impl Parser<'_> {
             }
             _ => format!("a predicate without arguments is written `{text}()`"),
         };
-        let fault = Diagnostic::new(Code::Syntax, format!("`{text}` is not a literal"))
+        let fault = Diagnostic::new(Code::SYNTAX, format!("`{text}` is not a literal"))
             .at(self.span(name), "expected an atom or a comparison")
             .help(help);
         self.faults.push(fault);

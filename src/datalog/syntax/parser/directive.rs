@@ -61,7 +61,7 @@ impl Parser<'_> {
                 })))
             }
             "once" => {
-                let fault = Diagnostic::new(Code::Ignored, "`.once` has no effect")
+                let fault = Diagnostic::new(Code::IGNORED, "`.once` has no effect")
                     .at(span, "")
                     .note("every file is read once");
                 self.faults.push(fault.help("remove it"));
@@ -106,7 +106,7 @@ impl Parser<'_> {
                     self.skip_braces();
                     return Err(reported);
                 }
-                let mut fault = Diagnostic::new(Code::Syntax, format!("unknown directive `.{name}`")).at(span, "");
+                let mut fault = Diagnostic::new(Code::SYNTAX, format!("unknown directive `.{name}`")).at(span, "");
                 fault = match did_you_mean(name, DIRECTIVES.iter().copied()) {
                     Some(near) => fault.help(format!("did you mean `.{near}`?")),
                     None => fault.note(format!("the directives are {}", listed(DIRECTIVES))),
@@ -219,7 +219,7 @@ impl Parser<'_> {
         if !good {
             let message = format!("`.{}` names {wanted}", kind.name());
             self.faults
-                .push(Diagnostic::new(Code::Syntax, message).at(place.0, format!("{} here", names.len())));
+                .push(Diagnostic::new(Code::SYNTAX, message).at(place.0, format!("{} here", names.len())));
             return Ok(None);
         }
         Ok(Some(Item::Promise(Promise { kind, names, place })))
@@ -239,7 +239,7 @@ impl Parser<'_> {
             .iter()
             .find(|name| matches!(name.text.as_str(), "match" | "contains"))
         {
-            let fault = Diagnostic::new(Code::Syntax, format!("`{}` is not a predicate's name", name.text))
+            let fault = Diagnostic::new(Code::SYNTAX, format!("`{}` is not a predicate's name", name.text))
                 .at(name.place.0, "")
                 .note("it is a comparison of texts");
             self.faults.push(fault);
@@ -343,7 +343,7 @@ impl Parser<'_> {
     }
 
     fn old_type(&mut self, name: &Name, base: BaseType) -> TypeDefinition {
-        let fault = Diagnostic::new(Code::OldForm, "an old form of `.type`")
+        let fault = Diagnostic::new(Code::OLD_FORM, "an old form of `.type`")
             .at(name.place.0, "")
             .help(format!("write `.type {} <: {}`", name.text, base.name()));
         self.faults.push(fault);

@@ -52,7 +52,7 @@ impl Parser<'_> {
         if height < MAX_HEIGHT {
             return Ok(height + 1);
         }
-        let fault = Diagnostic::new(Code::LimitExceeded, "expression with too many operators")
+        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "expression with too many operators")
             .at(self.span(start), "it begins here")
             .note(format!("an expression is at most {MAX_HEIGHT} operators high"));
         self.faults.push(fault);
@@ -191,7 +191,7 @@ impl Parser<'_> {
     fn applied_aggregate(&mut self, op: AggregateOp, name: Token) -> Reported {
         let word = op.name();
         let of = if op == AggregateOp::Count { "" } else { " y" };
-        let fault = Diagnostic::new(Code::Syntax, format!("`{word}` is no function"))
+        let fault = Diagnostic::new(Code::SYNTAX, format!("`{word}` is no function"))
             .at(self.span(name), "")
             .help(format!(
                 "it stands before a body of its own: `n = {word}{of} : {{ A(x, y) }}`"
@@ -264,7 +264,7 @@ impl Parser<'_> {
             let message = format!("`{}` takes {wanted}, not {}", functor.name(), arguments.len());
             let place = self.place_from(start).0;
             self.faults
-                .push(Diagnostic::new(Code::ArityMismatch, message).at(place, ""));
+                .push(Diagnostic::new(Code::ARITY_MISMATCH, message).at(place, ""));
             return Err(Reported);
         }
         let height = self.higher(start, height)?;
@@ -344,7 +344,7 @@ impl Parser<'_> {
             }
         }
         if value > i64::from(u32::MAX) {
-            let fault = Diagnostic::new(Code::LimitExceeded, "number out of range")
+            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "number out of range")
                 .at(self.span(token), "")
                 .note(format!(
                     "numbers go from {} to {}, unsigned ones to {}",

@@ -216,7 +216,7 @@ impl<'a> Parser<'a> {
         } else {
             self.span(token)
         };
-        let mut fault = Diagnostic::new(Code::Syntax, message).at(span, format!("expected {what}"));
+        let mut fault = Diagnostic::new(Code::SYNTAX, message).at(span, format!("expected {what}"));
         if let Some(help) = help {
             fault = fault.help(help);
         }
@@ -263,7 +263,7 @@ impl<'a> Parser<'a> {
             return Reported;
         }
         let message = format!("expected a clause or a directive{why}, found {}", self.describe(token));
-        let mut fault = Diagnostic::new(Code::Syntax, message).at(self.span(token), "");
+        let mut fault = Diagnostic::new(Code::SYNTAX, message).at(self.span(token), "");
         if matches!((self.slice(token), self.ahead(1).kind), ("%", _) | ("-", Kind::Minus)) {
             fault = fault.help(COMMENT);
         }
@@ -272,7 +272,7 @@ impl<'a> Parser<'a> {
     }
 
     fn unsupported(&mut self, span: Span, what: &str, help: &str) -> Reported {
-        let mut fault = Diagnostic::new(Code::Unsupported, format!("{what} not supported")).at(span, "");
+        let mut fault = Diagnostic::new(Code::UNSUPPORTED, format!("{what} not supported")).at(span, "");
         if !help.is_empty() {
             fault = fault.help(help);
         }
@@ -354,7 +354,7 @@ impl<'a> Parser<'a> {
                 Some(name) => self.directive(name, doc),
                 None => {
                     self.bump();
-                    let fault = Diagnostic::new(Code::Syntax, "full stop without a clause")
+                    let fault = Diagnostic::new(Code::SYNTAX, "full stop without a clause")
                         .at(self.span(token), "")
                         .note("only clauses end with a full stop; directives such as `.decl` do not");
                     self.faults.push(fault);
@@ -407,7 +407,7 @@ impl<'a> Parser<'a> {
             return Err(self.expected(what));
         }
         if matches!(self.slice(token), "Not" | "not") {
-            let fault = Diagnostic::new(Code::Syntax, format!("`{}` is not a name", self.slice(token)))
+            let fault = Diagnostic::new(Code::SYNTAX, format!("`{}` is not a name", self.slice(token)))
                 .at(self.span(token), "")
                 .note("`Not` and `not` write negation");
             self.faults.push(fault);
@@ -447,7 +447,7 @@ impl<'a> Parser<'a> {
         if self.nesting <= MAX_NESTING {
             return Ok(());
         }
-        let fault = Diagnostic::new(Code::LimitExceeded, "nested too deeply")
+        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "nested too deeply")
             .at(self.span(self.token()), "")
             .note(format!(
                 "at most {MAX_NESTING} negations, parentheses and braces may stand around anything"
@@ -483,7 +483,7 @@ impl<'a> Parser<'a> {
         }
         for (at, c) in bad {
             let start = token.start as usize + 1 + at;
-            let fault = Diagnostic::new(Code::Syntax, "unknown escape in a text")
+            let fault = Diagnostic::new(Code::SYNTAX, "unknown escape in a text")
                 .at(Span::new(self.source, start..start + 1 + c.len_utf8()), "")
                 .note("the escapes are `\\n`, `\\r`, `\\t`, `\\0`, `\\\"`, `\\'` and `\\\\`");
             self.faults.push(fault);

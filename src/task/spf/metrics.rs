@@ -1,7 +1,7 @@
 //! How well a policy did over many episodes: the measures of the paper, with 95 % confidence intervals.
 
-use crate::config::Speed;
-use crate::task::path::{PathTask, Rollout};
+use crate::city::Speed;
+use crate::task::spf::{PathTask, Rollout};
 use serde::Serialize;
 
 /// The 97.5th percentile of the standard normal distribution.
@@ -243,7 +243,7 @@ mod tests {
     /// and in far fewer of those that take all runs for independent ones.
     #[test]
     fn intervals_hold_what_they_promise() {
-        let mut random = Seed(3).stream(Purpose::Policy, 0, 0);
+        let mut random = Seed(3).stream(Purpose::POLICY, 0, 0);
         let (trials, mut inside, mut naive) = (500, 0, 0);
         for _ in 0..trials {
             let episodes: Vec<[usize; 2]> = (0..100)

@@ -1,10 +1,18 @@
 //! Whole episodes under simple policies, and episode sets made from them.
 
-use crate::config::{Speed, Split};
+use crate::city::{Speed, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::task::path::{Egos, Env, Episode, EpisodeSet, OracleRun, PathTask};
+use crate::task::spf::{Egos, Env, Episode, EpisodeSet, OracleRun, PathTask};
 use std::sync::Arc;
+
+impl Purpose {
+    /// Seeds of one episode after another; index: how many there were before.
+    pub const EPISODE: Purpose = Purpose::new(8);
+
+    /// A policy that acts at random; index: the step.
+    pub const POLICY: Purpose = Purpose::new(9);
+}
 
 /// An episode in which the oracle is not at the goal after so many steps is not kept; it stands in a deadlock.
 const STEPS_MAX: u32 = 1000;
@@ -73,7 +81,7 @@ pub fn rollout(env: &mut Env, policy: Policy) -> Result<Rollout, Diagnostic> {
         let act = |rider: usize| match policy {
             Policy::Oracle => env.oracle_action(rider),
             Policy::Random(seed) => {
-                let mut stream = seed.stream(Purpose::Policy, env.steps().into(), rider as u64);
+                let mut stream = seed.stream(Purpose::POLICY, env.steps().into(), rider as u64);
                 Speed::ALL[stream.random_range(0..Speed::ALL.len())]
             }
             Policy::Always(action) => action,
@@ -164,7 +172,7 @@ pub fn make_episodes(
             break;
         }
         // Not the seeds of environments, whose last number is 0, nor those of another split.
-        let seed: u64 = Seed(seed).stream(Purpose::Episode, draw, 1 + split as u64).random();
+        let seed: u64 = Seed(seed).stream(Purpose::EPISODE, draw, 1 + split as u64).random();
         env.reset(seed)?;
         env.set_horizon(STEPS_MAX);
         let done = rollout(&mut env, Policy::Oracle)?;
@@ -182,7 +190,7 @@ pub fn make_episodes(
     }
     if episodes.len() < count {
         let message = format!("{} of {count} episodes found in {draws} draws", episodes.len());
-        let fault = Diagnostic::new(Code::LimitExceeded, message).at(task.config().span, "of this task");
+        let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(task.config().span, "of this task");
         return Err(fault.help(wanted.tell()));
     }
     // In an order that has nothing to do with what was lacking.

@@ -6,7 +6,7 @@
 //!                                               Episode, drawn or recorded (EpisodeSet)
 //! ```
 //!
-//! At every step the ego observes the true atoms about itself and a few entities in its view and takes an [action](crate::config::Speed).
+//! At every step the ego observes the true atoms about itself and a few entities in its view and takes an [action](crate::city::Speed).
 //! If a clause asks another action of it, the rule is broken and the episode ends with the penalty, undivided. Otherwise the step costs
 //! what its action costs, divided by four times the cells of the route. The episode ends too when the ego is at its goal; it is cut
 //! short at the horizon, at the price of overtime.
@@ -16,6 +16,7 @@
 //! environments that take a step together; [`explain`] tells why the rules want what they want, and [`record`] writes the trace of an
 //! episode that was driven.
 
+mod codes;
 mod env;
 mod episode;
 mod evaluate;
@@ -25,6 +26,7 @@ mod record;
 mod rollout;
 mod vector;
 
+pub use codes::CODES;
 pub use env::{Egos, Env, Rider, Step};
 pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
 pub use evaluate::{Baseline, Exam, RANDOM_RUNS};
@@ -34,7 +36,8 @@ pub use record::{Origin, RecordError, record};
 pub use rollout::{Policy, Rollout, constrained_by_name, make_episodes, rollout};
 pub use vector::{Autoreset, Begin, EpisodeSource, Info, Member, Outcome, VectorEnv, View};
 
-use crate::config::{PathTaskConfig, Speed, Split, ViolationsPer};
+use crate::city::{Speed, Split};
+use crate::config::{PathTaskConfig, ViolationsPer};
 use crate::datalog::explain::Teller;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
 use crate::sim::{Observer, Oracle, World};
@@ -59,7 +62,7 @@ impl PathTask {
         let scenario = &world.scenario;
         let Some(config) = scenario.task.clone() else {
             let message = format!("the configuration `{}` has no `task`", scenario.name);
-            let fault = Diagnostic::new(Code::MissingKey, message);
+            let fault = Diagnostic::new(Code::MISSING_KEY, message);
             return Err(vec![
                 fault.help("give it one, for example `task: configs/tasks/expert.yaml`"),
             ]);
@@ -79,7 +82,7 @@ impl PathTask {
         let faults: Vec<Diagnostic> = unknown
             .map(|(label, _)| {
                 let message = format!("no clause that asks an action is called `{}`", label.value);
-                let fault = Diagnostic::new(Code::InvalidValue, message).at(label.span, "a reward for breaking it");
+                let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(label.span, "a reward for breaking it");
                 match did_you_mean(&label.value, labels.iter().map(String::as_str)) {
                     Some(near) => fault.help(format!("did you mean `{near}`?")),
                     None => fault.help(format!("they are called: {}", labels.join(", "))),

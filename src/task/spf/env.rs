@@ -1,12 +1,17 @@
 //! One city in which cars are driven from outside.
 
 use crate::city::Agent;
-use crate::config::{AgentKind, Speed, Split};
+use crate::city::{AgentKind, Speed, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Actions, Observer, Settings, Simulation, Stop};
-use crate::task::path::{Episode, PathTask};
+use crate::task::spf::{Episode, PathTask};
 use std::sync::Arc;
+
+impl Purpose {
+    /// What the ego of a task is.
+    pub const EGO: Purpose = Purpose::new(7);
+}
 
 /// Who is driven from outside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -136,7 +141,7 @@ impl Env {
         let riders: Vec<Rider> = driven.map(rider).collect();
         if riders.is_empty() {
             let message = format!("the split `{}` has no car to drive", split.name());
-            return Err(Diagnostic::new(Code::InvalidValue, message).at(task.config().span, "for this task"));
+            return Err(Diagnostic::new(Code::INVALID_VALUE, message).at(task.config().span, "for this task"));
         }
         Ok(Env {
             horizon: task.config().horizon,
@@ -195,7 +200,7 @@ impl Env {
         self.city.draw_agents(Seed(seed), &mut self.spare)?;
         let first = &mut self.spare[self.riders[0].agent()];
         if let Some(ego) = &self.task.config().ego {
-            let mut stream = Seed(seed).stream(Purpose::Ego, 0, 0);
+            let mut stream = Seed(seed).stream(Purpose::EGO, 0, 0);
             let most = ego.priority[self.city.split() as usize];
             first.priority = stream.random_range(1..=most).cast_signed();
             let sum: f64 = ego.concepts.iter().map(|(weight, _)| weight).sum();

@@ -6,11 +6,12 @@
 //! has them, by name) and `oracle` (`steps`, `return`, and `constrained`: how many steps rules asked an action, by action).
 
 use crate::city::{Agent, Cell};
-use crate::config::{AgentConfig, AgentKind, AgentName, Definition, PredicateConfig, Speed, Split};
+use crate::city::{AgentConfig, AgentKind, AgentName, Speed, Split};
+use crate::config::{Definition, PredicateConfig};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
 use crate::files::ReadFile;
 use crate::sim::World;
-use crate::task::path::{PathTask, constrained_by_name};
+use crate::task::spf::{PathTask, constrained_by_name};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -66,7 +67,7 @@ pub struct OracleRun {
     pub steps: u32,
     /// The sum of its rewards.
     pub total: f64,
-    /// In how many steps the rules asked an action, by action in the order of [`Speed::ALL`](crate::config::Speed::ALL).
+    /// In how many steps the rules asked an action, by action in the order of [`Speed::ALL`](crate::city::Speed::ALL).
     pub constrained: [u32; 4],
 }
 
@@ -230,7 +231,7 @@ struct LineOracle {
 }
 
 fn invalid(message: impl Into<String>) -> Diagnostic {
-    Diagnostic::new(Code::InvalidEpisode, message)
+    Diagnostic::new(Code::INVALID_EPISODE, message)
 }
 
 /// The name that is written so.
@@ -262,7 +263,7 @@ impl EpisodeSet {
         let config = task.config();
         let Some(file) = &config.episodes[split as usize] else {
             let message = format!("the task names no file of episodes for the split `{}`", split.name());
-            let fault = Diagnostic::new(Code::MissingKey, message).at(config.span, "in this task");
+            let fault = Diagnostic::new(Code::MISSING_KEY, message).at(config.span, "in this task");
             return Err(fault.help(format!(
                 "`episodes: {{{}: FILE}}` names one, `logicity episodes make` makes it",
                 split.name()
@@ -270,7 +271,10 @@ impl EpisodeSet {
         };
         let (path, name) = (&file.value, file.value.display());
         let text = read.read(path).map_err(|error| {
-            let fault = Diagnostic::new(Code::MissingFile, format!("cannot read the episodes `{name}`: {error}"));
+            let fault = Diagnostic::new(
+                Code::MISSING_FILE,
+                format!("cannot read the episodes `{name}`: {error}"),
+            );
             fault
                 .at(file.span, "named here")
                 .help("`logicity episodes make` makes them")

@@ -1,10 +1,10 @@
 //! Episodes one after another, and many environments that take a step together.
 
-use crate::config::{Speed, Split};
+use crate::city::{Speed, Split};
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Stop, start_threads};
-use crate::task::path::{Egos, Env, Episode, PathTask};
+use crate::task::spf::{Egos, Env, Episode, PathTask};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -41,7 +41,7 @@ impl EpisodeSource {
 
     /// The seed of the next episode, less than 2^53: any reader of JSON keeps it.
     pub fn next_seed(&mut self) -> u64 {
-        let mut stream = Seed(self.seed).stream(Purpose::Episode, self.begun, 0);
+        let mut stream = Seed(self.seed).stream(Purpose::EPISODE, self.begun, 0);
         self.begun += 1;
         stream.random::<u64>() >> 11
     }

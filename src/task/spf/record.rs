@@ -1,9 +1,9 @@
 //! The trace of an episode that was driven.
 
-use crate::config::{Speed, Split};
+use crate::city::{Speed, Split};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::sim::{Driven, MAX_ENTITIES, Settings, Stop, TraceWriter, hash_sources};
-use crate::task::path::{Egos, Env, Episode, PathTask};
+use crate::task::spf::{Egos, Env, Episode, PathTask};
 use std::io::{self, Write};
 use std::sync::Arc;
 
@@ -66,7 +66,7 @@ pub fn record<W: Write>(
     let agents = env.city().agents().len();
     if agents > MAX_ENTITIES {
         let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
-        return Err(Diagnostic::new(Code::LimitExceeded, message).into());
+        return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).into());
     }
     let Origin {
         sources,
@@ -85,7 +85,7 @@ pub fn record<W: Write>(
                 actions.len(),
                 env.steps()
             );
-            return Err(Diagnostic::new(Code::InvalidValue, message).into());
+            return Err(Diagnostic::new(Code::INVALID_VALUE, message).into());
         }
         let mut driven = observed(&env);
         env.step(&[action])?;

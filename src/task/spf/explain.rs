@@ -3,7 +3,7 @@
 use crate::city::Agent;
 use crate::diag::{Diagnostic, Sources};
 use crate::sim::Decision;
-use crate::task::path::Env;
+use crate::task::spf::Env;
 
 /// The present state of a rider in a few lines, also of one whose episode has ended: how far it has come, whom it observes, what is true of
 /// them, what the rules want of it.

@@ -1,11 +1,11 @@
 //! Policies measured on recorded episodes.
 
-use crate::config::Speed;
+use crate::city::Speed;
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::Stop;
-use crate::task::path::metrics::{mean_return, summarise_runs};
-use crate::task::path::{Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, Summary, rollout};
+use crate::task::spf::metrics::{mean_return, summarise_runs};
+use crate::task::spf::{Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, Summary, rollout};
 use std::sync::Arc;
 
 /// So often the random policy drives every episode.
@@ -26,7 +26,7 @@ impl Baseline {
     pub fn add(&mut self, env: &mut Env, episode: &Episode) -> Result<(), Diagnostic> {
         let runs = (0..RANDOM_RUNS).map(|run| {
             env.reset_to(episode)?;
-            let mut stream = Seed(episode.seed).stream(Purpose::Policy, run.into(), u64::MAX);
+            let mut stream = Seed(episode.seed).stream(Purpose::POLICY, run.into(), u64::MAX);
             rollout(env, Policy::Random(Seed(stream.random())))
         });
         // All or none: the runs of an episode stand together.

@@ -1,0 +1,12 @@
+//! The codes of messages about scenes, traces, and rules that do not fit a configuration.
+
+crate::diagnostic_codes! {
+    /// Rules and configuration do not fit: an input predicate or an action that the other side does not have.
+    RULE_MISMATCH = "rule-mismatch", Error;
+    /// A scene that is not JSON or does not follow the scene format.
+    INVALID_SCENE = "invalid-scene", Error;
+    /// A trace that is not JSON or does not follow the trace format.
+    INVALID_TRACE = "invalid-trace", Error;
+    /// A trace of another configuration or of other rules.
+    TRACE_MISMATCH = "trace-mismatch", Error;
+}
