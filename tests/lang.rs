@@ -8,7 +8,7 @@ use logicity::datalog::{
     print,
 };
 use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
-use logicity::files::{BUILTIN_FOLDER, ReadError, read_text};
+use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
 use logicity::{datalog, diag};
 use proptest::prelude::*;
 
@@ -17,17 +17,30 @@ fn root() -> &'static Path {
 }
 
 /// Reads files; under [`BUILTIN_FOLDER`] those of `rules/`.
-fn read(path: &Path) -> Result<String, ReadError> {
-    match path.strip_prefix(BUILTIN_FOLDER) {
-        Ok(name) => read_text(&root().join("rules").join(name)),
-        Err(_) => read_text(path),
+struct RuleFiles;
+
+impl ReadFile for RuleFiles {
+    fn read(&self, path: &Path) -> Result<String, ReadError> {
+        match path.strip_prefix(BUILTIN_FOLDER) {
+            Ok(name) => read_text(&root().join("rules").join(name)),
+            Err(_) => read_text(path),
+        }
+    }
+
+    fn builtin_paths(&self) -> Vec<String> {
+        let files = std::fs::read_dir(root().join("rules")).expect("the folder is there");
+        let mut paths: Vec<String> = files
+            .map(|file| format!("rules/{}", file.expect("an entry").file_name().to_string_lossy()))
+            .collect();
+        paths.sort();
+        paths
     }
 }
 
 fn load_text(name: &str, text: &str) -> (Sources, Loaded) {
     let mut sources = Sources::new();
     let entry = sources.add(name, text);
-    let loaded = load(&mut sources, entry, &read);
+    let loaded = load(&mut sources, entry, &RuleFiles);
     (sources, loaded)
 }
 
@@ -182,7 +195,7 @@ fn load_files(files: &[(String, String)]) -> (Sources, Loaded) {
         let name = name.strip_prefix("x/../").unwrap_or(&name);
         match files.iter().find(|(file, _)| file == name) {
             Some((_, text)) => Ok(text.clone()),
-            None => read(path),
+            None => RuleFiles.read(path),
         }
     };
     let mut sources = Sources::new();

@@ -591,13 +591,11 @@ mod tests {
     use crate::builtin::BuiltinFiles;
     use crate::config::load_scenario;
     use crate::datalog::Limits;
-    use crate::files::ReadError;
 
     #[test]
     fn facts_that_derive_too_much_leave_no_trace() {
-        let missing = |_: &Path| Err(ReadError::NotFound);
         let mut sources = Sources::new();
-        let scenario = load_scenario(&mut sources, Path::new("expert"), &missing).expect("built in");
+        let scenario = load_scenario(&mut sources, Path::new("expert"), &BuiltinFiles).expect("built in");
         let rules = sources.add("test.dl", ".include \"vocabulary.dl\"\nStop(X) :- IsBus(X).");
         let loaded = crate::datalog::load(&mut sources, rules, &BuiltinFiles);
         let program = Program::new(loaded.rules.expect("no errors")).expect("within limits");
