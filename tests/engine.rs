@@ -12,7 +12,7 @@ use logicity::diag::{Code, MAX_FAULTS, Sources};
 use proptest::prelude::*;
 use proptest::strategy::Strategy as _;
 use random_program::agree::{agrees, database};
-use random_program::{Genome, computing_genomes, genomes, recursive_genomes, sharing_genomes};
+use random_program::{Genome, computing_genomes, genomes, recursive_genomes};
 use std::cell::Cell;
 use std::collections::BTreeSet;
 use written_program::program;
@@ -98,11 +98,6 @@ proptest! {
 
     #[test]
     fn commits_with_expressions_agree_with_naive(genome in computing_genomes(1..4)) {
-        check_script(&genome)?;
-    }
-
-    #[test]
-    fn commits_with_shared_bodies_agree_with_naive(genome in sharing_genomes(1..5)) {
         check_script(&genome)?;
     }
 }

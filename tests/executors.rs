@@ -54,8 +54,9 @@ fn ticks() -> u64 {
 
 #[test]
 fn executors_agree_in_every_mode() {
-    for &mode in MODES {
-        let world = world(mode, None, |_| ());
+    let modes = MODES.iter().map(|&mode| (mode, None));
+    for (mode, rules) in modes.chain([("expert", Some(include_str!("fixtures/rules/traffic-code.dl")))]) {
+        let world = world(mode, rules, |_| ());
         let dense = simulation(&world, Executor::Dense, 1);
         assert_eq!(dense.executor(), Executor::Dense);
         go_the_same_way(vec![dense, simulation(&world, Executor::Relational, 1)], ticks());

@@ -4,9 +4,7 @@ use crate::cli::why;
 use crate::cli::why::Question;
 use crate::cli::{Failure, LimitOptions, compile, load_texts, make_folder, report, too_much};
 use crate::datalog::{ClauseId, Inputs, MarkKind, RelId, RowPlace};
-use crate::datalog::{
-    Delta, Limits, Moment, Options, Program, RuleWork, Session, StratumWork, Threads, constraints, facts,
-};
+use crate::datalog::{Delta, Limits, Moment, Options, Program, RuleWork, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
 use crate::files;
 use crate::files::Output;
@@ -204,30 +202,14 @@ pub(super) fn profile(session: &Session, times: &Times, sources: &Sources) -> St
         let numbers = [rule.given, rule.looked_at, rule.derived, runs].map(|number| number.to_string());
         line(time, numbers, &session.program().show_clause(rule.clause, sources));
     }
-    let own = session.program().rules().clauses.len();
-    let shared = (times.clauses.iter())
-        .filter(|(clause, _)| clause.index() >= own)
-        .map(|(_, time)| *time);
-    let (shared_time, shared_runs) = shared.fold((Duration::ZERO, 0), |sum, next| (sum.0 + next.0, sum.1 + next.1));
-    let works = session.work().strata.iter().filter_map(StratumWork::work);
-    let shared: u64 = works.map(|work| work.shared).sum();
-    if shared_runs > 0 {
-        let numbers = [
-            String::new(),
-            shared.to_string(),
-            String::new(),
-            shared_runs.to_string(),
-        ];
-        line(shared_time, numbers, "(shared by several clauses)");
-    }
     let clauses: Duration = times.clauses.values().map(|(time, _)| *time).sum();
     let rest = times.total.saturating_sub(clauses);
     line(rest, Default::default(), "(sorting, merging, indexes)");
     let sum = |number: fn(&RuleWork) -> u64| rules.iter().map(|&(_, _, rule)| number(rule)).sum::<u64>();
-    let runs = shared_runs + rules.iter().map(|&(_, runs, _)| runs).sum::<u64>();
+    let runs = rules.iter().map(|&(_, runs, _)| runs).sum::<u64>();
     let totals = [
         sum(|rule| rule.given),
-        shared + sum(|rule| rule.looked_at),
+        sum(|rule| rule.looked_at),
         sum(|rule| rule.derived),
         runs,
     ];

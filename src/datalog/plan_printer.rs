@@ -3,7 +3,7 @@
 use crate::datalog::check::{Clause, ClauseId, RelId};
 use crate::datalog::plan::Compiled;
 use crate::datalog::plan::Plans;
-use crate::datalog::plan::steps::{IndexId, List, Plan, Slot, Source, Step, StratumPlan, Version};
+use crate::datalog::plan::steps::{IndexId, List, Plan, Slot, Source, Step, Version};
 use crate::datalog::program::Program;
 use crate::datalog::session::Session;
 use crate::datalog::syntax::ast::BaseType;
@@ -90,13 +90,7 @@ impl Shown<'_> {
     fn all(&self, sources: &Sources) -> String {
         let (rules, plans) = (&self.compiled.rules, self.plans);
         let mut out = String::new();
-        let mut number = 0;
-        for stratum in &plans.strata {
-            if self.compiled.is_shared(stratum) {
-                self.show_shared(&mut out, stratum);
-                continue;
-            }
-            number += 1;
+        for (stratum, number) in plans.strata.iter().zip(1..) {
             if stratum.clauses.is_empty() {
                 continue;
             }
@@ -131,22 +125,7 @@ impl Shown<'_> {
     }
 
     fn name(&self, relation: RelId) -> &str {
-        &self.compiled.relation(relation).name
-    }
-
-    /// How a part of bodies is computed that several clauses share.
-    fn show_shared(&self, out: &mut String, stratum: &StratumPlan) {
-        let own = self.compiled.rules.clauses.len();
-        for &id in &stratum.clauses {
-            let clause = &self.compiled.shared.1[id.index() - own];
-            let plan = &self.plans.clauses[id.index()].complete;
-            *out += &format!(
-                "{}: shared by several clauses\n\n    once\n",
-                self.name(clause.head.relation)
-            );
-            self.show_steps(out, clause, plan);
-            out.push('\n');
-        }
+        &self.compiled.rules.relations[relation.index()].name
     }
 
     fn show_steps(&self, out: &mut String, clause: &Clause, plan: &Plan) {
@@ -259,7 +238,7 @@ impl Shown<'_> {
             };
             *out += &format!("      {line}\n");
         }
-        let relation = self.compiled.relation(plan.head);
+        let relation = &self.compiled.rules.relations[plan.head.index()];
         let terms = relation.columns.iter().zip(&plan.output);
         let terms: Vec<String> = terms.map(|(column, &slot)| value(slot, column.base)).collect();
         *out += &format!("      derive {}({})\n", relation.name, terms.join(", "));
@@ -274,7 +253,7 @@ impl Shown<'_> {
         value: &dyn Fn(Slot, BaseType) -> String,
     ) -> String {
         let order = &self.plans.indexes[source.index];
-        let relation = self.compiled.relation(order.relation);
+        let relation = &self.compiled.rules.relations[order.relation.index()];
         let mut atom = vec!["_".to_owned(); relation.arity()];
         for &(column, slot) in terms {
             let column = order.columns[column as usize] as usize;

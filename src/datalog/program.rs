@@ -61,16 +61,12 @@ impl Program {
 
     /// As [`Program::new`], with a choice of what to rely on. The answers are the same.
     pub fn with(rules: Rules, options: Options) -> Result<Program, Diagnostic> {
-        let (plans, shared) = if options.optimize {
-            let mut better = optimize::optimize(&rules, options.promises);
-            let plans = Plans::new(&better)?;
-            let relations = better.relations.split_off(rules.relations.len());
-            (plans, (relations, better.clauses.split_off(rules.clauses.len())))
-        } else {
-            (Plans::new(&rules)?, Default::default())
+        let plans = match options.optimize {
+            true => Plans::new(&optimize::optimize(&rules, options.promises))?,
+            false => Plans::new(&rules)?,
         };
         let plans = Arc::new(plans);
-        Ok(Program(Arc::new(Compiled { rules, shared, plans })))
+        Ok(Program(Arc::new(Compiled { rules, plans })))
     }
 
     /// The rules.
@@ -93,10 +89,5 @@ impl Program {
             });
         }
         Ok(relation)
-    }
-
-    /// How many parts of bodies are computed once for several clauses. They are in no answer; [`Work::shared`] tells what they took.
-    pub fn shared_bodies(&self) -> usize {
-        self.0.shared.1.len()
     }
 }

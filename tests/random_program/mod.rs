@@ -139,47 +139,6 @@ pub fn computing_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value
     })
 }
 
-/// Programs of which many clauses begin with the same atoms, under other names of variables and in another order.
-pub fn sharing_genomes(batches: std::ops::Range<usize>) -> impl Strategy<Value = Genome> {
-    let common = vec((0..4u8, prop::array::uniform5(0..40u8)), 3..5);
-    let own = (any::<u8>(), 0..4u8, any::<[u8; 5]>()).prop_map(|(kind, relation, terms)| LiteralGene {
-        kind,
-        relation,
-        terms,
-    });
-    let clause = || (any::<u8>(), any::<[u8; 5]>(), 0..4u8, 0..3usize, vec(own.clone(), 0..3));
-    let strata = vec(vec(clause(), 2..5), 1..3);
-    let script = vec(
-        vec((prop::bool::weighted(0.8), 0..4u8, any::<[u8; 5]>()), 5..30),
-        batches,
-    );
-    (common, strata, script).prop_map(|(common, strata, script)| Genome {
-        // Two relations of one column, two of two; symbols everywhere.
-        base: [1, 1, 2, 2].map(|arity| vec![false; arity]).into(),
-        strata: strata
-            .into_iter()
-            .map(|clauses| {
-                let clauses = clauses.into_iter().map(|(relation, head, names, order, own)| {
-                    let mut body: Vec<LiteralGene> = common
-                        .iter()
-                        .map(|&(relation, terms)| LiteralGene {
-                            kind: 0,
-                            relation,
-                            terms: terms.map(|gene| gene.wrapping_add(names)),
-                        })
-                        .collect();
-                    let middle = order % body.len();
-                    body.rotate_left(middle);
-                    body.extend(own);
-                    ClauseGene { relation, head, body }
-                });
-                (vec![vec![false], vec![false; 2]], clauses.collect())
-            })
-            .collect(),
-        script,
-    })
-}
-
 /// Bytes as numbers of a genome; zeros after the last.
 struct Numbers<'b>(std::slice::Iter<'b, u8>);
 

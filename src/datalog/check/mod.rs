@@ -3,7 +3,7 @@
 //! The stages, each in its own file or folder: `inline` (predicates that stand for their bodies), `names` (types and predicates),
 //! `clause` (alternatives and several heads), `witness` (the rows of an extreme value), `body` (one clause: names, expressions, types,
 //! safety), `aggregate` and `range` (hidden predicates for these), `scope` (guards), `promise` (integrity constraints), `strata` (the
-//! order of evaluation), `lint` (warnings that need all clauses). None stops at the first fault.
+//! order of evaluation), `lint` (warnings that need all clauses), `subsumption` (which clause derives all that another one does). None stops at the first fault.
 //!
 //! This room does not know how rules are evaluated.
 
@@ -19,6 +19,7 @@ mod rules;
 mod scope;
 mod strata;
 mod subsets;
+pub(crate) mod subsumption;
 pub(crate) mod witness;
 
 use crate::datalog::syntax::ast;
@@ -29,10 +30,10 @@ pub use rules::{
     Atom, Clause, ClauseId, Column, Constraint, Directive, Literal, Promise, RelId, Relation, RowFormat, RowPlace,
     Rules, Stratum, Term, Type, TypeId, VarId,
 };
+pub(crate) use subsets::Budget;
 pub use subsets::Comparing;
 #[cfg(test)]
 pub(crate) use subsets::random_clauses;
-pub(crate) use subsets::{Budget, Subsets};
 
 /// What holds of a predicate that is `.input`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -247,7 +247,6 @@ impl<'a> Meter<'a> {
             rounds,
             rules: self.rules,
             given_up: 0,
-            shared: 0,
         }
     }
 }
@@ -297,7 +296,6 @@ impl<const W: usize> State<W> {
         // Rows derived by the strata so far, and rows looked at for them. A limit that is passed by a sum of these is passed
         // whatever was there before.
         let (mut derived, mut steps) = (0, 0);
-        let mut shared = Vec::new();
         for ((stratum, cost), number) in plans.strata.iter().zip(&mut costs).zip(0..) {
             let changes = stratum.inputs.iter().any(|&input| commit.net(input).is_some());
             let work = if self.committed && !changes {
@@ -305,31 +303,24 @@ impl<const W: usize> State<W> {
             } else {
                 let room = self.room(commit, stratum, (derived, steps));
                 let work = self.update(commit, (stratum, number), cost, room);
-                work.map_err(|(clause, stop)| {
-                    let clause = commit.plans.reported(clause, rules.clauses.len());
-                    match stop {
-                        Stop::Budget => EvalError::TooManySteps {
-                            limit: limits.steps,
-                            clause,
-                        },
-                        Stop::Overflow if !room.narrowed => EvalError::TooManyRows {
-                            limit: limits.rows,
-                            clause,
-                        },
-                        Stop::Overflow | Stop::Memory => EvalError::TooMuchMemory {
-                            limit: limits.bytes,
-                            clause,
-                        },
-                        Stop::Interrupted => EvalError::Interrupted { clause },
-                    }
+                work.map_err(|(clause, stop)| match stop {
+                    Stop::Budget => EvalError::TooManySteps {
+                        limit: limits.steps,
+                        clause,
+                    },
+                    Stop::Overflow if !room.narrowed => EvalError::TooManyRows {
+                        limit: limits.rows,
+                        clause,
+                    },
+                    Stop::Overflow | Stop::Memory => EvalError::TooMuchMemory {
+                        limit: limits.bytes,
+                        clause,
+                    },
+                    Stop::Interrupted => EvalError::Interrupted { clause },
                 })?
             };
             steps += work.work().map_or(0, |work| work.looked_at() + work.given_up);
-            if commit.compiled.is_shared(stratum) {
-                shared.push(work);
-                continue;
-            }
-            log.strata.push(work.after(std::mem::take(&mut shared)));
+            log.strata.push(work);
             let members = stratum.members.iter();
             derived += members.map(|&relation| self.len(relation)).sum::<usize>();
         }
@@ -349,11 +340,7 @@ impl<const W: usize> State<W> {
             others.map(|(_, table)| table.bytes()).sum()
         };
         let bytes = limits.bytes.saturating_sub(held + commit.symbols.bytes());
-        // What is shared has no more rows than a relation that it reads, and does not count.
-        let rows = match commit.compiled.is_shared(stratum) {
-            true => usize::MAX,
-            false => limits.rows.saturating_sub(derived),
-        };
+        let rows = limits.rows.saturating_sub(derived);
         let fit = usize::try_from(bytes / size_of::<Row<W>>() as u64).unwrap_or(usize::MAX);
         Room {
             rows: rows.min(fit),

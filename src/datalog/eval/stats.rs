@@ -38,32 +38,6 @@ pub enum StratumWork {
 }
 
 impl StratumWork {
-    /// With what was done before it, for parts of bodies that are computed once.
-    pub(super) fn after(self, shared: Vec<StratumWork>) -> StratumWork {
-        let Some(last) = shared.iter().rfind(|work| **work != StratumWork::Skipped) else {
-            return self;
-        };
-        let maintained = matches!(last, StratumWork::Maintained(_));
-        let works = shared.iter().filter_map(StratumWork::work);
-        let shared = works.map(|work| work.looked_at() + work.given_up).sum();
-        match self {
-            StratumWork::Maintained(work) => StratumWork::Maintained(Work { shared, ..work }),
-            StratumWork::Recomputed(work) => StratumWork::Recomputed(Work { shared, ..work }),
-            // Its inputs changed, and what it reads of them did not.
-            StratumWork::Skipped => {
-                let work = Work {
-                    rounds: 1,
-                    shared,
-                    ..Work::default()
-                };
-                match maintained {
-                    true => StratumWork::Maintained(work),
-                    false => StratumWork::Recomputed(work),
-                }
-            }
-        }
-    }
-
     /// What was done, unless the stratum was skipped.
     pub fn work(&self) -> Option<&Work> {
         match self {
@@ -83,15 +57,12 @@ pub struct Work {
     /// If maintaining the stratum was given up: after so many rows were looked at, as many as recomputing it would take; else 0.
     /// They are not in `rules`.
     pub given_up: u64,
-    /// Rows looked at for parts of bodies that clauses share and that were computed once, before this stratum; they serve later ones
-    /// too. They are not in `rules`.
-    pub shared: u64,
 }
 
 impl Work {
-    /// Rows that scans and tests of its clauses looked at, and those for what they share.
+    /// Rows that scans and tests of its clauses looked at.
     pub fn looked_at(&self) -> u64 {
-        self.shared + self.rules.iter().map(|rule| rule.looked_at).sum::<u64>()
+        self.rules.iter().map(|rule| rule.looked_at).sum()
     }
 
     /// Rows that its clauses derived, repetitions included.

@@ -92,24 +92,6 @@ fn effort<const W: usize>(plan: &Plan, indexes: &Indexes, shape: &dyn Fn(Source)
     follow(&plan.steps, &found).1
 }
 
-/// About how many rows a plan looks at and derives, if so many rows of a source begin with a key of so many columns.
-pub(crate) fn expected(plan: &Plan, found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
-    let (mut flow, mut effort) = (1.0, 0.0);
-    let mut at = 0;
-    while at < plan.steps.len() {
-        // Of a part for which one success is enough, no more is done.
-        let (end, enough) = match plan.enough[at] as usize {
-            0 => (at + 1, false),
-            end => (end, true),
-        };
-        let (successes, search) = follow(&plan.steps[at..end], found);
-        effort += flow * if enough { search / successes.max(1.0) } else { search };
-        flow *= if enough { successes.min(1.0) } else { successes };
-        at = end;
-    }
-    (effort, flow)
-}
-
 /// How many rows come to the end of the steps for one that comes to their beginning, and how many are looked at for it.
 fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
     let (mut flow, mut effort) = (1.0, 0.0);
@@ -161,18 +143,6 @@ struct Spread {
 impl Size {
     /// Rows that are looked at; so many say enough.
     const SAMPLE: usize = 128;
-
-    /// Of so many rows with words of `words` kinds, evenly spread.
-    pub(crate) fn even(rows: f64, arity: usize, words: f64) -> Self {
-        let spread = Spread {
-            distinct: words.min(rows),
-            often: (rows / words).max(1.0),
-        };
-        Size {
-            rows: rows as usize,
-            columns: vec![spread; arity],
-        }
-    }
 
     /// Of sorted rows with so many columns.
     pub(crate) fn of<const W: usize>(rows: &[Row<W>], arity: usize) -> Self {

@@ -10,7 +10,7 @@ pub(crate) mod steps;
 
 use std::sync::Arc;
 
-use crate::datalog::check::{Clause, ClauseId, Literal, RelId, Relation, Rules, Stratum};
+use crate::datalog::check::{Clause, ClauseId, RelId, Relation, Rules, Stratum};
 use crate::datalog::row::WIDTHS;
 use crate::diag::{Code, Diagnostic};
 use estimate::Size;
@@ -21,27 +21,8 @@ use steps::{Aim, ClausePlans, Indexes, StratumPlan};
 #[derive(Debug)]
 pub(crate) struct Compiled {
     pub(crate) rules: Rules,
-    /// The predicates and clauses that the optimizer added after those of the rules. Only the plans use them.
-    pub(crate) shared: (Vec<Relation>, Vec<Clause>),
     /// Made from the text alone.
     pub(crate) plans: Arc<Plans>,
-}
-
-impl Compiled {
-    /// A predicate of the rules or of the plans only.
-    pub(crate) fn relation(&self, relation: RelId) -> &Relation {
-        let own = self.rules.relations.len();
-        match relation.index().checked_sub(own) {
-            Some(further) => &self.shared.0[further],
-            None => &self.rules.relations[relation.index()],
-        }
-    }
-
-    /// Whether the stratum is one that the optimizer added.
-    pub(crate) fn is_shared(&self, stratum: &StratumPlan) -> bool {
-        let own = self.rules.relations.len();
-        stratum.members.first().is_some_and(|member| member.index() >= own)
-    }
 }
 
 /// Everything about a program that does not change while it runs.
@@ -112,24 +93,6 @@ impl Plans {
         })
     }
 
-    /// The clause of the text to name when something is wrong with this one: of those that the optimiser added, behind the first
-    /// `own`, the first that reads what it derives.
-    pub(crate) fn reported(&self, clause: ClauseId, own: usize) -> ClauseId {
-        if clause.index() < own {
-            return clause;
-        }
-        let shared = self.sources[clause.index()].head.relation;
-        let reads = |clause: &Clause| {
-            clause
-                .body
-                .iter()
-                .filter_map(Literal::atom)
-                .any(|atom| atom.relation == shared)
-        };
-        let reader = self.sources[..own].iter().position(reads);
-        reader.map_or(clause, |reader| ClauseId(reader as u32))
-    }
-
     /// Plans clauses again, for relations of these sizes: for a computation from scratch, as far as it is not done in rounds, or
     /// for maintenance. There may be more indexes afterwards; those there are stay what they are.
     pub(crate) fn adapt(&mut self, clauses: &[ClauseId], aim: Aim, sizes: &[Option<Size>]) {
@@ -139,7 +102,7 @@ impl Plans {
             // What could be planned once can be planned again: which variables can be bound does not depend on the order.
             match aim {
                 Aim::Recompute if plans.deltas.is_empty() => {
-                    if let Some((plan, _)) = plan_complete(clause, indexes, sizes) {
+                    if let Some(plan) = plan_complete(clause, indexes, sizes) {
                         plans.complete = plan;
                     }
                 }

@@ -4,7 +4,7 @@
 //! is planned once, before there are any rows, and clauses are planned again when there are ([`crate::datalog::eval::adapt`]): then the atom that
 //! finds the fewest rows comes next, and where several atoms wait for the same last variable, one step *meets* them all.
 
-use crate::datalog::check::{Atom, Clause, Literal, RelId, Relation, Rules, Term, VarId};
+use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
 use crate::datalog::plan::estimate::{Flow, Known, Reckoning, Size, effort_of_parts};
 use crate::datalog::plan::steps::{ChangePlan, ClausePlans, IndexId, Indexes, List, Plan, Slot, Source, Step, Version};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
@@ -126,12 +126,8 @@ pub(crate) fn plan_changes(
 }
 
 /// The plan over finished relations of known sizes that looks at the fewest rows, of those that begin with one of the atoms that
-/// find few; and the order in which it comes to the literals.
-pub(crate) fn plan_complete(
-    clause: &Clause,
-    indexes: &mut Indexes,
-    sizes: &[Option<Size>],
-) -> Option<(Plan, Vec<usize>)> {
+/// find few.
+pub(crate) fn plan_complete(clause: &Clause, indexes: &mut Indexes, sizes: &[Option<Size>]) -> Option<Plan> {
     let order = Order::Sizes(sizes);
     let planner = Planner::new(clause, indexes, order);
     let found = |position: usize| Some((planner.found(positive(&clause.body[position])?), position));
@@ -151,8 +147,8 @@ pub(crate) fn plan_complete(
         starts.sort_by(|a, b| a.0.total_cmp(&b.0));
     }
     let first = starts.first().map_or(First::Any, |&(_, start)| First::Literal(start));
-    let (plan, _, sequence) = Planner::new(clause, indexes, order).run(first, &version).ok()?;
-    Some((plan, sequence))
+    let (plan, _) = Planner::new(clause, indexes, order).run(first, &version).ok()?;
+    Some(plan)
 }
 
 /// What a plan begins with.
@@ -198,8 +194,6 @@ struct Planner<'a> {
     uses: Vec<usize>,
     /// Positions in the body, in the order of the text.
     left: Vec<usize>,
-    /// Positions in the body of what is placed.
-    sequence: Vec<usize>,
     steps: Vec<Step>,
     /// What the orders of rows cost that the plan needs besides relations' own; nothing if sizes are not known.
     ordering: f64,
@@ -229,7 +223,6 @@ impl<'a> Planner<'a> {
             bound: vec![false; clause.variables.len()],
             uses,
             left: (0..clause.body.len()).collect(),
-            sequence: Vec::new(),
             steps: Vec::new(),
             ordering: 0.0,
             trail: Vec::new(),
@@ -238,12 +231,12 @@ impl<'a> Planner<'a> {
     }
 
     fn plan(self, first: First, version: &dyn Fn(usize) -> Version) -> Result<Plan, Diagnostic> {
-        self.run(first, version).map(|(plan, ..)| plan)
+        self.run(first, version).map(|(plan, _)| plan)
     }
 
     /// The plan, about how many rows it will look at if sizes are known, and the positions of the literals in the order in which
     /// it comes to them.
-    fn run(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<(Plan, f64, Vec<usize>), Diagnostic> {
+    fn run(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<(Plan, f64), Diagnostic> {
         let clause = self.clause;
         let head = &clause.head;
         let head_variables: Vec<VarId> = head.terms.iter().filter_map(variable_of).collect();
@@ -304,7 +297,7 @@ impl<'a> Planner<'a> {
             fresh,
         };
         let effort = self.ordering + effort_of_parts(&self.trail, &plan.enough);
-        Ok((plan, effort, self.sequence))
+        Ok((plan, effort))
     }
 
     /// Appends a step with which the flow has been reckoned.
@@ -447,7 +440,6 @@ impl<'a> Planner<'a> {
     /// Strikes a literal off what is left.
     fn placed(&mut self, position: usize) {
         self.left.retain(|&other| other != position);
-        self.sequence.push(position);
         for variable in self.clause.body[position].terms().filter_map(variable_of) {
             self.uses[variable.index()] -= 1;
         }
@@ -750,41 +742,5 @@ fn variable_of(term: &Term) -> Option<VarId> {
     match *term {
         Term::Variable(variable) => Some(variable),
         Term::Constant(_) | Term::Wildcard => None,
-    }
-}
-
-/// Plans clauses to see what they would cost, without keeping the plans.
-pub(crate) struct Sketcher {
-    indexes: Indexes,
-}
-
-impl Sketcher {
-    /// For clauses over the relations of these rules.
-    pub(crate) fn new(rules: &Rules) -> Self {
-        // Place for one relation more, with its own rows at the place of its number.
-        let arities = rules.relations.iter().map(Relation::arity).chain([0]);
-        Sketcher {
-            indexes: Indexes::new(arities),
-        }
-    }
-
-    /// Sets the number of columns of the relation after those of the rules.
-    pub(crate) fn declare(&mut self, relation: RelId, arity: usize) {
-        self.indexes.redeclare(relation, arity);
-    }
-
-    /// The plan that a clause without recursion has for relations of these sizes, and the order in which it comes to the literals;
-    /// `None` if there is none.
-    pub(crate) fn plan(&mut self, clause: &Clause, sizes: &[Option<Size>]) -> Option<(Plan, Vec<usize>)> {
-        let large = clause.body.len() > CLAUSE_MAX || clause.variables.len() > CLAUSE_MAX;
-        if large {
-            return None;
-        }
-        plan_complete(clause, &mut self.indexes, sizes)
-    }
-
-    /// The relation that a step of a plan looks at.
-    pub(crate) fn relation(&self, source: Source) -> RelId {
-        self.indexes[source.index].relation
     }
 }

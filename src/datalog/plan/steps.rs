@@ -90,12 +90,6 @@ impl Indexes {
         }
     }
 
-    /// Changes the number of columns of a relation for which there is no clause.
-    pub(crate) fn redeclare(&mut self, relation: RelId, arity: usize) {
-        self.specs[relation.index()] = own_rows(relation, arity);
-        self.of[relation.index()].truncate(1);
-    }
-
     /// An index that begins with the columns of each group in turn, within a group in some order, and its order of columns.
     pub(crate) fn prefix(&mut self, relation: RelId, groups: [&[u16]; 2]) -> (IndexId, Vec<u16>) {
         let begins = |order: &[u16]| {

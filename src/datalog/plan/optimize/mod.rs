@@ -4,31 +4,34 @@
 //! contradicts itself is stopped before it looks at a row, and a clause whose rows another one derives is not evaluated. A clause keeps
 //! its id, and [`crate::datalog::session::Session::fired`] still tells what it derives. [`lints`] tells the author what was found.
 //!
-//! Then `share` finds what several clauses have in common, and computes it once where that pays.
-//!
 //! `theory` knows what follows from a literal; `saturate` searches the forms of a body. What a body means is never looked at through
 //! derived predicates, so what holds here holds whatever the other clauses are. Promises are used only if the caller says so. Bounded and
 //! deterministic: no clock, no hash order.
 
-mod cover;
+mod repeated;
 mod saturate;
-mod share;
 mod theory;
 
-use crate::datalog::check::{Atom, Clause, ClauseId, Comparing, Constraint, Literal, Rules, Term, VarId};
+use crate::datalog::check::subsumption;
+use crate::datalog::check::subsumption::{Fact, NoConstraints, Pattern, Theory, covers, facts};
+use crate::datalog::check::{
+    Atom, Budget, Clause, ClauseId, Comparing, Constraint, Literal, RelId, Rules, Term, VarId,
+};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::quoted;
 use crate::datalog::value::Value;
 use crate::diag::{Code, Diagnostic};
 use crate::symbol::Symbol;
-use cover::is_covered;
 use saturate::Knowledge;
 use std::collections::{BTreeMap, BTreeSet};
+use theory::Constraints;
 pub(crate) use theory::speaks_of;
-use theory::{Fact, Theory, covers, facts};
 
 /// Longer bodies are left as they are.
 const LITERALS_MAX: usize = 64;
+
+/// Steps of the search for clauses that others subsume.
+const STEPS_MAX: usize = 10_000_000;
 
 /// Something that need not be there.
 #[derive(Clone, Debug)]
@@ -45,12 +48,11 @@ enum Finding {
     Subsumed { clause: ClauseId, by: ClauseId },
 }
 
-/// Rules with the same predicates, clauses (by id) and answers, and after them hidden ones for what several clauses share, in strata of
-/// their own. With `promises`, answers are the same for facts that keep them.
+/// Returns rules with the same predicates, clauses (by id) and answers. With `promises`, answers are the same for facts that keep them.
 pub(crate) fn optimize(rules: &Rules, promises: bool) -> Rules {
     let mut better = rules.clone();
     let constraints: Vec<Constraint> = rules.promises.iter().map(|promise| promise.constraint).collect();
-    let theory = Theory::new(if promises { constraints } else { Vec::new() });
+    let theory = Constraints::new(if promises { constraints } else { Vec::new() });
     let mut gone = vec![false; rules.clauses.len()];
     let mut needless: BTreeMap<ClauseId, BTreeSet<usize>> = BTreeMap::new();
     for finding in find(rules, &theory, true).findings {
@@ -81,7 +83,6 @@ pub(crate) fn optimize(rules: &Rules, promises: bool) -> Rules {
     for stratum in &mut better.strata {
         stratum.clauses.retain(|clause| !gone[clause.index()]);
     }
-    share::share(&mut better);
     better
 }
 
@@ -99,15 +100,14 @@ pub struct Lints {
 /// What could be simpler, for the author: literals that others imply, bodies that contradict themselves, clauses that others cover
 /// under the promises, and what is said again and again.
 pub fn lints(rules: &Rules) -> Lints {
-    let theory = Theory::new(rules.promises.iter().map(|promise| promise.constraint));
-    let plain = Theory::new([]);
+    let theory = Constraints::new(rules.promises.iter().map(|promise| promise.constraint));
     let mut lints = Vec::new();
     // Loading has told what is covered without promises.
     let found = find(rules, &theory, !rules.promises.is_empty());
     for finding in &found.findings {
         let named = |id: ClauseId| &rules.clauses[id.index()];
         lints.extend(match *finding {
-            Finding::Subsumed { clause, by } if is_covered(&plain, named(by), named(clause)) => None,
+            Finding::Subsumed { clause, by } if is_subsumed(named(clause), named(by)) => None,
             Finding::Subsumed { clause, by } => Some(
                 Diagnostic::new(
                     Code::SUBSUMED_CLAUSE,
@@ -141,8 +141,8 @@ pub fn lints(rules: &Rules) -> Lints {
             } => redundant(rules, &theory, named(clause), literal, because),
         });
     }
-    let (parts, all_parts) = share::repeated(rules);
-    lints.extend(parts.iter().map(|uses| repeated(rules, uses)));
+    let (parts, all_parts) = repeated::repeated(rules);
+    lints.extend(parts.iter().map(|uses| worth_a_name(rules, uses)));
     lints.sort_by_key(|lint| lint.primary.as_ref().map(|label| (label.span.source, label.span.start)));
     let unfinished = [
         (found.effort.complete, "clauses that others cover under the promises"),
@@ -160,7 +160,7 @@ pub fn lints(rules: &Rules) -> Lints {
 }
 
 /// A part of several bodies that is worth a name.
-fn repeated(rules: &Rules, uses: &[share::Use]) -> Diagnostic {
+fn worth_a_name(rules: &Rules, uses: &[repeated::Use]) -> Diagnostic {
     let first = &uses[0];
     let clause = &rules.clauses[first.clause];
     let literals = first.positions.iter();
@@ -185,7 +185,7 @@ fn repeated(rules: &Rules, uses: &[share::Use]) -> Diagnostic {
 
 fn redundant(
     rules: &Rules,
-    theory: &Theory,
+    theory: &Constraints,
     clause: &Clause,
     literal: usize,
     because: Option<usize>,
@@ -220,13 +220,13 @@ fn redundant(
 
 /// The literals of a body with all that follows from each.
 struct Literals<'a> {
-    theory: &'a Theory,
+    theory: &'a Constraints,
     facts: Vec<Fact>,
     closures: Vec<Vec<Fact>>,
 }
 
 impl<'a> Literals<'a> {
-    fn new(theory: &'a Theory, facts: Vec<Fact>) -> Self {
+    fn new(theory: &'a Constraints, facts: Vec<Fact>) -> Self {
         let closures = facts.iter().map(|fact| theory.closure(fact)).collect();
         Literals {
             theory,
@@ -250,10 +250,14 @@ impl Knowledge for Literals<'_> {
     }
 }
 
+fn is_known(clause: &Clause) -> bool {
+    !clause.body.is_empty() && clause.body.len() <= LITERALS_MAX && speaks_of(clause)
+}
+
 /// The positions of the literals that are needed; `None` inside if the body never holds, outside if it was not looked at.
 #[allow(clippy::option_option)]
-fn simplest(clause: &Clause, theory: &Theory) -> Option<Option<Vec<usize>>> {
-    if clause.body.is_empty() || clause.body.len() > LITERALS_MAX || !theory::speaks_of(clause) {
+fn simplest(clause: &Clause, theory: &Constraints) -> Option<Option<Vec<usize>>> {
+    if !is_known(clause) {
         return None;
     }
     let literals = Literals::new(theory, facts(clause, true));
@@ -274,7 +278,7 @@ struct Found {
     effort: Comparing,
 }
 
-fn find(rules: &Rules, theory: &Theory, covered: bool) -> Found {
+fn find(rules: &Rules, theory: &Constraints, covered: bool) -> Found {
     let mut findings = Vec::new();
     for (index, clause) in rules.clauses.iter().enumerate() {
         let id = ClauseId(index as u32);
@@ -303,10 +307,42 @@ fn find(rules: &Rules, theory: &Theory, covered: bool) -> Found {
         }
     }
     let effort = match covered {
-        true => cover::subsumed(rules, theory, &mut findings),
+        true => subsumed(rules, theory, &mut findings),
         false => Comparing::default(),
     };
     Found { findings, effort }
+}
+
+/// Finds the clauses that others subsume. A clause that never fires neither subsumes nor is subsumed.
+fn subsumed(rules: &Rules, theory: &Constraints, findings: &mut Vec<Finding>) -> Comparing {
+    let contradictory = |finding: &Finding| match finding {
+        Finding::Contradictory { clause, .. } => Some(*clause),
+        _ => None,
+    };
+    let never: BTreeSet<ClauseId> = findings.iter().filter_map(contradictory).collect();
+    let mut by_head: BTreeMap<RelId, Vec<ClauseId>> = BTreeMap::new();
+    for (clause, id) in rules.clauses.iter().zip((0..).map(ClauseId)) {
+        if is_known(clause) && !never.contains(&id) {
+            by_head.entry(clause.head.relation).or_default().push(id);
+        }
+    }
+    let mut budget = Budget::new(STEPS_MAX);
+    for group in by_head.into_values().filter(|group| group.len() > 1) {
+        let pattern = |id: &ClauseId| Pattern::new(&rules.clauses[id.index()], theory);
+        let patterns: Vec<Pattern> = group.iter().map(pattern).collect();
+        let found = subsumption::redundant(&patterns, theory, &mut budget, &|_, _| true);
+        findings.extend(found.iter().map(|found| Finding::Subsumed {
+            clause: group[found.clause],
+            by: group[found.by],
+        }));
+    }
+    budget.spent()
+}
+
+/// Whether one clause subsumes the other without constraints.
+fn is_subsumed(clause: &Clause, by: &Clause) -> bool {
+    let [general, special] = [by, clause].map(|clause| Pattern::new(clause, &NoConstraints));
+    general.subsumes(&special, &NoConstraints, &mut Budget::new(STEPS_MAX))
 }
 
 // --- words
@@ -357,5 +393,21 @@ fn shown_term(rules: &Rules, clause: &Clause, term: &Term, base: BaseType) -> St
             BaseType::Float => crate::datalog::value::print_float(value.as_float()),
             BaseType::Symbol => quoted(rules.symbols.text(Symbol(value.0)).unwrap_or_default()),
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::datalog::check::random_clauses;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn traits_suffice_under_constraints(rules in random_clauses::rules()) {
+            let theory = Constraints::new(rules.promises.iter().map(|promise| promise.constraint));
+            let known = rules.clauses.iter().filter(|clause| is_known(clause));
+            prop_assert!(subsumption::traits_suffice(known, &theory));
+        }
     }
 }
