@@ -31,13 +31,13 @@ python: $(VENV)/bin/python
 	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples
 	$(VENV)/bin/python -m pytest -q python/tests
 
-# The page of a run, in headless Chromium.
+# The page of a run, in headless Chromium. Without a browser the last line prints what it skips and exits with 0.
 page: $(VENV)/bin/python
 	cargo build --locked
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check pytest ruff selenium
 	$(VENV)/bin/ruff check --config python/pyproject.toml tests/page_in_browser.py
 	$(VENV)/bin/ruff format --config python/pyproject.toml --check tests/page_in_browser.py
-	$(VENV)/bin/python -m pytest -q tests/page_in_browser.py
+	$(VENV)/bin/python tests/page_in_browser.py
 
 # The same with Stable-Baselines3, whose tests are skipped above: it brings torch, some gigabytes.
 python-all: $(VENV)-all/bin/python

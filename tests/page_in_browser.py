@@ -1,7 +1,7 @@
 """The page of a run, opened from the disk in headless Chromium: clicked, scrubbed, read, photographed.
 
-`make page` runs it. Without chromium and chromedriver (on Debian: apt-get install chromium chromium-driver) it is
-skipped, except where CI is set. Screenshots are left in the folder that LOGICITY_SCREENSHOTS names, if it does.
+`make page` runs this file as a program. Without a browser it prints what it skips and exits with 0; with one it exits
+as pytest does. Tests leave screenshots in the folder that LOGICITY_SCREENSHOTS names.
 """
 
 import json
@@ -9,6 +9,7 @@ import os
 import pathlib
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 
@@ -26,8 +27,14 @@ ROOT = pathlib.Path(__file__).parent.parent
 PROGRAM = ROOT / "target/debug/logicity"
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 DRIVER = shutil.which("chromedriver")
-if not (CHROMIUM and DRIVER) and not os.environ.get("CI"):
-    pytest.skip("needs chromium and chromedriver", allow_module_level=True)
+SKIPPED = (
+    "SKIPPED: the tests of the page in a browser (tests/page_in_browser.py) need chromium and chromedriver."
+    " On Debian: apt-get install chromium chromium-driver"
+)
+
+# Selenium's driver manager must not use the network.
+os.environ["SE_OFFLINE"] = "true"
+os.environ["SE_AVOID_STATS"] = "true"
 
 TICKS = 300
 
@@ -48,7 +55,7 @@ def trace(folder: pathlib.Path) -> list[dict]:
 
 
 def start(width: int, height: int) -> WebDriver:
-    assert CHROMIUM and DRIVER, "chromium and chromedriver are missing"
+    assert CHROMIUM and DRIVER, SKIPPED
     options = Options()
     options.binary_location = CHROMIUM
     quiet = ["no-first-run", "disable-background-networking", "disable-component-update", "disable-sync"]
@@ -311,3 +318,10 @@ def test_it_fits_a_phone(folder: pathlib.Path) -> None:
         photograph(browser, "phone.png")
     finally:
         browser.quit()
+
+
+if __name__ == "__main__":
+    if not (CHROMIUM and DRIVER):
+        print(SKIPPED)
+        sys.exit(0)
+    sys.exit(pytest.main(["-q", __file__]))
