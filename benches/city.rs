@@ -1,6 +1,6 @@
 //! The city: a tick of the simulation, and the inference of one scene.
 
-#[path = "../tests/shipped_world/mod.rs"]
+#[path = "../tests/city/shipped_world.rs"]
 mod shipped_world;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};

@@ -3,7 +3,7 @@
 //! `cargo bench --bench engine` prints times; each case checks its number of rows before it is timed. Times include loading the
 //! base facts into a fresh session.
 
-#[path = "../tests/written_program/mod.rs"]
+#[path = "../tests/datalog/written_program.rs"]
 mod written_program;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};

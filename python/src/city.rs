@@ -1,6 +1,7 @@
 //! Scenes and simulations.
 
 use crate::{Shared, Signals, input_error, read_error, to_python};
+use logicity::builtin::BuiltinFiles;
 use logicity::builtin::read_or_builtin;
 use logicity::city::{Agent, Cell, Heading, Reason};
 use logicity::city::{Speed, Split};
@@ -181,7 +182,7 @@ impl PyInference {
             files,
             ..
         } = Loaded::new(py, &Signals::new(), config, rules, files, None)?;
-        let inference = Inference::new(scenario, program, Seed(seed), executor, read_text)
+        let inference = Inference::new(scenario, program, Seed(seed), executor, BuiltinFiles)
             .map_err(|faults| input_error(py, &faults, &sources))?;
         Ok(PyInference {
             inference: Shared::new("Inference", inference),

@@ -1,5 +1,6 @@
 //! `logicity bench`: how fast rules are evaluated and cities go, on this machine.
 
+use crate::builtin::BuiltinFiles;
 use crate::city::{Agent, Cell};
 use crate::city::{AgentSet, Building, Buildings, MapConfig, Speed, Split};
 use crate::cli::{Failure, load_city, one_of, threads};
@@ -637,13 +638,7 @@ fn evaluate<const W: usize>(
 /// The rules alone on the scenes of a file.
 fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, path: &Path) -> Result<(), Failure> {
     let name = scenario.name.clone();
-    let mut inference = Inference::new(
-        scenario,
-        program,
-        Seed(arguments.seed),
-        Executor::Auto,
-        files::read_text,
-    )?;
+    let mut inference = Inference::new(scenario, program, Seed(arguments.seed), Executor::Auto, BuiltinFiles)?;
     let dense = inference.compile().map_err(|fault| {
         fault.help("--scenes times the dense executor only; `logicity infer` decides scenes by either")
     })?;

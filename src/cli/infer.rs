@@ -1,5 +1,6 @@
 //! `logicity infer`
 
+use crate::builtin::BuiltinFiles;
 use crate::cli::{Failure, load_city, one_of, report};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
 use crate::files;
@@ -52,7 +53,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         program,
         Seed(arguments.seed),
         arguments.executor,
-        files::read_text,
+        BuiltinFiles,
     )?;
     if arguments.check_promises {
         inference.check_promises();

@@ -1,11 +1,11 @@
 //! `logicity vap check`
 
+use crate::builtin::BuiltinFiles;
 use crate::cli::vap::folder;
 use crate::cli::vap::folder::{ENTITIES, Manifest, PAIRS, Record, Settings, add, file_record, wrong};
 use crate::cli::vap::{City, Mode, on_threads, shares, told};
 use crate::cli::{Failure, progress, threads};
 use crate::diag::{Code, Diagnostic, Sources};
-use crate::files;
 use crate::render::read_png;
 use crate::rng::Seed;
 use crate::sim::{Executor, Inference, SceneFacts};
@@ -170,7 +170,7 @@ impl City {
             program,
             Seed(seed),
             Executor::Auto,
-            files::read_text,
+            BuiltinFiles,
         )?)
     }
 }

@@ -1,6 +1,6 @@
 #![no_main]
 
-#[path = "../../any_input/mod.rs"]
-mod any_input;
-
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| any_input::check(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    logicity_fuzz::datalog::check(bytes);
+    logicity_fuzz::city::conflicts(bytes);
+});

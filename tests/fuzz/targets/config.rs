@@ -1,6 +1,3 @@
 #![no_main]
 
-#[path = "../../any_input/mod.rs"]
-mod any_input;
-
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| any_input::config(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| logicity_fuzz::city::config(bytes));

@@ -1,0 +1,93 @@
+//! What is true whatever bytes come in, of configurations, scenes and rules of a city. `hostile` asks it of many inputs in every
+//! test run, `tests/fuzz` of as many as there is time for. Each function panics where something is not as it should be.
+
+use logicity::builtin::{BuiltinFiles, read_or_builtin};
+use logicity::config::{load_map, load_scenario};
+use logicity::datalog::Program;
+use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
+use logicity::files::{BUILTIN_FOLDER, ReadError};
+use logicity::rng::Seed;
+use logicity::sim::{Executor, Finding, Inference, conflicts as find_conflicts};
+use std::cell::RefCell;
+use std::path::Path;
+
+/// Actions of rules that can be derived together are found; each scene that shows it can be written.
+pub fn conflicts(bytes: &[u8]) {
+    let mut sources = Sources::new();
+    let entry = sources.add("any.dl", String::from_utf8_lossy(bytes));
+    let builtin = |path: &Path| match path.starts_with(BUILTIN_FOLDER) {
+        true => read_or_builtin(path),
+        false => Err(ReadError::NotFound),
+    };
+    let (Some(program), _) = Program::load(&mut sources, entry, &builtin) else {
+        return;
+    };
+    for overlap in find_conflicts(&program) {
+        if let Finding::Together { scene, .. } = overlap.finding {
+            assert!(scene.to_json().is_object());
+        }
+    }
+}
+
+/// A text is taken as a configuration and as a map, or refused.
+pub fn config(bytes: &[u8]) {
+    let text = String::from_utf8_lossy(bytes);
+    let read = |path: &Path| match path == Path::new("any.yaml") {
+        true => Ok(text.to_string()),
+        false => Err(ReadError::NotFound),
+    };
+    let mut sources = Sources::new();
+    let map = load_map(&mut sources, Path::new("any.yaml"), &read).map(drop);
+    draw(&map.err().unwrap_or_default(), &sources);
+    let mut sources = Sources::new();
+    let scenario = load_scenario(&mut sources, Path::new("any.yaml"), &read).map(drop);
+    draw(&scenario.err().unwrap_or_default(), &sources);
+}
+
+/// A scene is answered, and always in the same way, or refused.
+pub fn scene(bytes: &[u8]) {
+    let text = String::from_utf8_lossy(bytes);
+    let mut sources = Sources::new();
+    let source = sources.add_from("scene", text, 9);
+    INFERENCE.with_borrow_mut(|inference| match inference.answer(&sources, source) {
+        Ok(answer) => {
+            let again = inference.answer(&sources, source).expect("it was just answered");
+            assert_eq!(again.to_json(), answer.to_json());
+        }
+        Err(faults) => {
+            assert!(!faults.is_empty());
+            let of_a_scene = |fault: &Diagnostic| matches!(fault.code, Code::INVALID_SCENE | Code::LIMIT_EXCEEDED);
+            assert!(faults.iter().all(of_a_scene), "{}", render(&faults, &sources, false));
+            draw(&faults, &sources);
+        }
+    });
+}
+
+thread_local! {
+    /// Preparing it takes far longer than answering a scene.
+    static INFERENCE: RefCell<Inference> = RefCell::new(inference());
+}
+
+fn inference() -> Inference {
+    let mut sources = Sources::new();
+    let scenario = load_scenario(&mut sources, Path::new("expert"), &BuiltinFiles).expect("it is built in");
+    let entry = sources.add("any.dl", ".include \"expert.dl\"");
+    let (program, _) = Program::load(&mut sources, entry, &BuiltinFiles);
+    Inference::new(
+        scenario,
+        program.expect("it is built in"),
+        Seed(0),
+        Executor::Auto,
+        BuiltinFiles,
+    )
+    .expect("they fit")
+}
+
+/// Every diagnostic can be shown.
+fn draw(diagnostics: &[Diagnostic], sources: &Sources) {
+    if !diagnostics.is_empty() {
+        assert!(!render(diagnostics, sources, false).is_empty());
+    }
+    let json = to_json(diagnostics, sources);
+    assert_eq!(json.as_array().map(Vec::len), Some(diagnostics.len()));
+}

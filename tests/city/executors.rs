@@ -1,0 +1,339 @@
+//! The executors against each other: whatever evaluates the rules, on however many threads, a city goes the same way.
+
+use crate::shipped_world::{MODES, world};
+use logicity::city::{Building, Buildings, Speed, Split};
+use logicity::config::Scenario;
+use logicity::diag::Code;
+use logicity::rng::Seed;
+use logicity::sim::{Batch, CROWD_MAX, Executor, Settings, Simulation, Stop, World};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+
+/// Every agent of the test split `times` times, anywhere on the map.
+fn multiply(scenario: &mut Scenario, times: u32) {
+    let mut splits = scenario.splits.iter_mut();
+    let (_, set) = splits.find(|(split, _)| *split == Split::Test).unwrap();
+    (set.region, set.repeat) = (None, times);
+}
+
+fn simulation(world: &Arc<World>, executor: Executor, threads: usize) -> Simulation {
+    let settings = Settings {
+        executor,
+        count_firings: true,
+        threads,
+    };
+    Simulation::new(Arc::clone(world), Split::Test, Seed(5), settings).unwrap()
+}
+
+/// Lets the simulations run and compares everything they tell.
+fn go_the_same_way(mut simulations: Vec<Simulation>, ticks: u64) {
+    let (first, others) = simulations.split_first_mut().unwrap();
+    for _ in 0..ticks {
+        let report = first.tick(&[]).unwrap().clone();
+        for other in &mut *others {
+            let seen = other.tick(&[]).unwrap();
+            for (agent, (one, two)) in report.agents.iter().zip(&seen.agents).enumerate() {
+                assert_eq!(one, two, "agent {agent} in tick {}", report.tick);
+            }
+            assert_eq!(report.tick, other.report().tick);
+            assert_eq!(first.firings(), other.firings(), "tick {}", report.tick);
+            for agent in 0..report.agents.len() {
+                let fired = |simulation: &Simulation| simulation.fired(agent).collect::<Vec<_>>();
+                assert_eq!(fired(first), fired(other), "agent {agent} in tick {}", report.tick);
+            }
+        }
+    }
+}
+
+/// How many ticks to compare; README names the long mode.
+fn ticks() -> u64 {
+    std::env::var("LOGICITY_TICKS").map_or(300, |ticks| ticks.parse().expect("a number of ticks"))
+}
+
+#[test]
+fn executors_agree_in_every_mode() {
+    let modes = MODES.iter().map(|&mode| (mode, None));
+    for (mode, rules) in modes.chain([("expert", Some(include_str!("../fixtures/rules/traffic-code.dl")))]) {
+        let world = world(mode, rules, |_| ());
+        let dense = simulation(&world, Executor::Dense, 1);
+        assert_eq!(dense.executor(), Executor::Dense);
+        go_the_same_way(vec![dense, simulation(&world, Executor::Relational, 1)], ticks());
+    }
+}
+
+/// Wherever a tick is given up, the city is as it was and goes on as one that was left alone.
+#[test]
+fn a_tick_that_is_given_up_leaves_no_trace() {
+    let world = world("expert", None, |_| ());
+    let settings = Settings {
+        executor: Executor::Relational,
+        ..Settings::default()
+    };
+    let left = Arc::new(AtomicI64::new(i64::MAX));
+    let asked = Arc::clone(&left);
+    let stop: Stop = Arc::new(move || asked.fetch_sub(1, Ordering::Relaxed) <= 0);
+    let city = |stop| Simulation::new_until(Arc::clone(&world), Split::Test, Seed(5), settings, stop);
+    left.store(3, Ordering::Relaxed);
+    assert_eq!(city(Arc::clone(&stop)).err().unwrap().code, Code::LIMIT_EXCEEDED);
+    left.store(i64::MAX, Ordering::Relaxed);
+    let (mut city, mut twin) = (city(stop).unwrap(), simulation(&world, Executor::Dense, 1));
+    for tick in 0..20 {
+        let mut given_up = 0;
+        while let Err(fault) = {
+            left.store(given_up, Ordering::Relaxed);
+            city.tick(&[])
+        } {
+            assert_eq!((fault.code, city.now()), (Code::LIMIT_EXCEEDED, tick));
+            given_up += 1;
+        }
+        assert!(given_up > 100, "{given_up}");
+        assert_eq!(city.report().agents, twin.tick(&[]).unwrap().agents);
+    }
+}
+
+/// Cities of a batch go as they would alone, on any number of threads.
+#[test]
+fn a_batch_goes_as_single_cities_do() {
+    for &mode in MODES {
+        let world = world(mode, None, |_| ());
+        let city = |seed| Simulation::new(Arc::clone(&world), Split::Test, Seed(seed), Settings::default()).unwrap();
+        let mut batches: Vec<Batch> = (1..=3)
+            .map(|threads| Batch::new((0..5).map(city).collect(), threads).unwrap())
+            .collect();
+        let mut alone: Vec<Simulation> = (0..5).map(city).collect();
+        for tick in 0..ticks() {
+            for batch in &mut batches {
+                // The third city's first agent is told to stop.
+                batch
+                    .tick(|city| if city == 2 { &[(0, Speed::Stop)] } else { &[] })
+                    .unwrap();
+            }
+            for (number, city) in alone.iter_mut().enumerate() {
+                let controls: &[_] = if number == 2 { &[(0, Speed::Stop)] } else { &[] };
+                city.tick(controls).unwrap();
+                for batch in &batches {
+                    assert_eq!(
+                        batch.cities()[number].report().agents,
+                        city.report().agents,
+                        "tick {tick}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// A given action replaces the decided one, the last of several for an agent, in one tick; whatever the number of threads.
+#[test]
+fn controls_replace_decisions() {
+    let world = world("expert", None, |scenario| multiply(scenario, 20));
+    for threads in [1, 3] {
+        let (mut free, mut led) = (
+            simulation(&world, Executor::Dense, threads),
+            simulation(&world, Executor::Dense, threads),
+        );
+        assert_eq!(led.threads(), threads);
+        let count = led.agents().len();
+        for tick in 0..10 {
+            // Both begin every tick alike, so only the action given can differ.
+            let decided = free.tick(&[]).unwrap().clone();
+            let given = [
+                (count - 1, Speed::Fast),
+                (tick, Speed::Slow),
+                (count - 1, decided.agents[count - 1].action),
+                (tick, decided.agents[tick].action),
+            ];
+            assert_eq!(led.tick(&given).unwrap().agents, decided.agents, "tick {tick}");
+        }
+        let decided = free.tick(&[]).unwrap().agents.clone();
+        let stops: Vec<_> = (0..count).step_by(2).map(|agent| (agent, Speed::Stop)).collect();
+        for (agent, done) in led.tick(&stops).unwrap().agents.iter().enumerate() {
+            match agent % 2 {
+                0 => assert_eq!((done.action, done.moved.from), (Speed::Stop, done.moved.to)),
+                _ => assert_eq!(*done, decided[agent]),
+            }
+        }
+        // Nothing is given from one tick to the next.
+        let rested = led.tick(&[]).unwrap();
+        assert!(rested.agents.iter().any(|done| done.action != Speed::Stop));
+    }
+}
+
+/// A control of nobody is refused before anything happens; the other cities of a batch go on.
+#[test]
+fn controls_of_nobody_are_refused() {
+    let world = world("easy", None, |_| ());
+    let mut city = simulation(&world, Executor::Dense, 1);
+    let count = city.agents().len();
+    let before: Vec<_> = city.agents().iter().map(|agent| agent.cell).collect();
+    let fault = city.tick(&[(0, Speed::Fast), (count, Speed::Stop)]).unwrap_err();
+    assert!(
+        fault.message.contains(&format!("no agent {count} to control")),
+        "{}",
+        fault.message
+    );
+    assert!(city.now() == 0 && city.agents().iter().map(|agent| agent.cell).eq(before));
+    let mut alone = simulation(&world, Executor::Dense, 1);
+    assert_eq!(
+        city.tick(&[]).unwrap().agents,
+        alone.tick(&[]).unwrap().agents,
+        "the good control of a bad list is forgotten"
+    );
+
+    for threads in [1, 3] {
+        let cities = (0..4).map(|_| simulation(&world, Executor::Dense, 1)).collect();
+        let mut batch = Batch::new(cities, threads).unwrap();
+        let nobody = [[(count + 1, Speed::Stop)], [(count + 2, Speed::Stop)]];
+        let fault = batch.tick(|city| match city {
+            1 => &nobody[0],
+            3 => &nobody[1],
+            _ => &[],
+        });
+        assert!(fault.unwrap_err().message.contains(&format!("agent {}", count + 1)));
+        let times: Vec<u64> = batch.cities().iter().map(Simulation::now).collect();
+        assert_eq!(times, [1, 0, 1, 0]);
+    }
+}
+
+/// More agents than one window takes: tiles, on one thread and on three.
+#[test]
+fn a_crowd_goes_the_same_way_in_tiles() {
+    for (mode, times, ticks) in [("expert", 20, 30), ("vap-hard", 30, 12)] {
+        let world = world(mode, None, |scenario| multiply(scenario, times));
+        let simulations = vec![
+            simulation(&world, Executor::Relational, 1),
+            simulation(&world, Executor::Auto, 1),
+            simulation(&world, Executor::Dense, 3),
+        ];
+        assert!(simulations[0].agents().len() > 256);
+        assert_eq!(simulations[1].executor(), Executor::Dense);
+        go_the_same_way(simulations, ticks);
+    }
+}
+
+/// A city of tiles in a batch: threads that are not its own evaluate it.
+#[test]
+fn a_batch_of_crowds_goes_as_single_ones_do() {
+    let world = world("expert", None, |scenario| multiply(scenario, 20));
+    let mut batch = Batch::new((0..3).map(|_| simulation(&world, Executor::Dense, 1)).collect(), 3).unwrap();
+    let mut alone = simulation(&world, Executor::Dense, 1);
+    for _ in 0..10 {
+        batch.tick(|_| &[]).unwrap();
+        alone.tick(&[]).unwrap();
+        for city in batch.cities() {
+            assert_eq!(city.report().agents, alone.report().agents);
+        }
+    }
+}
+
+/// Windows of 64 words, and more agents around one place than are looked at together.
+#[test]
+fn crowds_have_a_limit() {
+    let fits = world("vap-hard", None, |scenario| multiply(scenario, 100));
+    let mut fits = simulation(&fits, Executor::Dense, 1);
+    let everything = world("vap-hard", None, |scenario| {
+        multiply(scenario, 100);
+        scenario.view = 1000;
+    });
+    let mut everything = simulation(&everything, Executor::Dense, 1);
+    assert!((1025..CROWD_MAX).contains(&everything.agents().len()));
+    fits.tick(&[]).unwrap();
+    everything.tick(&[]).unwrap();
+
+    let crowd = world("expert", None, |scenario| {
+        let mut splits = scenario.splits.iter_mut();
+        let (_, set) = splits.find(|(split, _)| *split == Split::Test).unwrap();
+        (set.region, set.repeat, set.cars) = (None, 300, Vec::new());
+        set.pedestrians.truncate(1);
+        set.pedestrians[0].count = 15;
+        scenario.map.blocks.value = [6, 6];
+        scenario.map.buildings.value = Buildings::Random {
+            seed: 1,
+            weights: vec![(Building::House, 1.0)],
+        };
+        scenario.view = 1000;
+    });
+    // Several tiles are too crowded; the same one is told whatever the threads do.
+    let told = |threads| {
+        simulation(&crowd, Executor::Dense, threads)
+            .tick(&[])
+            .unwrap_err()
+            .message
+    };
+    let first = told(1);
+    for threads in [2, 3, 4] {
+        assert_eq!(told(threads), first);
+    }
+    let mut crowd = simulation(&crowd, Executor::Dense, 2);
+    let before: Vec<_> = crowd.agents().iter().map(|agent| agent.cell).collect();
+    let fault = crowd.tick(&[]).unwrap_err();
+    assert!(
+        fault.message.contains("4500 agents around the cell"),
+        "{}",
+        fault.message
+    );
+    assert!(crowd.agents().iter().map(|agent| agent.cell).eq(before));
+    assert_eq!((crowd.now(), crowd.firings().iter().sum::<usize>()), (0, 0));
+}
+
+/// Everybody sees everybody: windows of several words, up to what is asked of about 300 entities in view.
+#[test]
+fn executors_agree_about_many_entities_in_view() {
+    for times in [4, 9, 17] {
+        let world = world("expert", None, |scenario| {
+            multiply(scenario, times);
+            scenario.view = 1000;
+        });
+        go_the_same_way(
+            vec![
+                simulation(&world, Executor::Relational, 1),
+                simulation(&world, Executor::Dense, 2),
+            ],
+            6,
+        );
+    }
+}
+
+/// Rules that ask for every predicate in both directions, and look beyond the field of view.
+#[test]
+fn executors_agree_about_rules_that_ask_for_everything() {
+    let text = r#"
+        .include "vocabulary.dl"
+        .decl Behind(x: agent, y: agent)
+        Behind(X, Y) :- LeftOf(Y, X), !Sees(Y, X), HigherPri(X, Y).
+        Behind(X, Y) :- CollidingClose(Y, X), !CollidingClose(X, Y).
+        Stop(X) :- IsClose(Y, X), RightOf(X, Y), !NextTo(X, _).
+        Stop(X) :- Behind(Y, X), Sees(X, Y), !CollidingClose(_, X).
+        Slow(X) :- !Stop(X), Sees(X, X), Behind(X, Y), HigherPri(Z, Y), NextTo(Z, X), IsInInter(Z).
+        Fast(X) :- !Stop(X), !Slow(X), HigherPri(X, Y), !LeftOf(Y, X), IsAtInter(Y), IsBus(X).
+    "#;
+    for times in [1, 5] {
+        let world = world("expert", Some(text), |scenario| multiply(scenario, times));
+        go_the_same_way(
+            vec![
+                simulation(&world, Executor::Relational, 1),
+                simulation(&world, Executor::Dense, 1),
+            ],
+            60,
+        );
+    }
+}
+
+#[test]
+fn rules_that_are_not_dense_are_told() {
+    let text = ".include \"vocabulary.dl\"\n.decl Linked(x: agent, y: agent)\nLinked(X, Y) :- NextTo(X, Y).\n\
+                Linked(X, Z) :- Linked(X, Y), NextTo(Y, Z).\nStop(X) :- Linked(X, Y), IsBus(Y).";
+    let world = world("expert", Some(text), |_| ());
+    assert_eq!(simulation(&world, Executor::Auto, 1).executor(), Executor::Relational);
+    let settings = Settings {
+        executor: Executor::Dense,
+        ..Settings::default()
+    };
+    let Err(fault) = Simulation::new(Arc::clone(&world), Split::Test, Seed(5), settings) else {
+        panic!("recursive rules are not dense")
+    };
+    let reason = "the dense executor cannot evaluate these rules, because a predicate depends on itself";
+    assert_eq!(fault.message, reason);
+    assert_eq!(simulation(&world, Executor::Auto, 1).fallback(), Some(reason));
+    assert_eq!(simulation(&world, Executor::Relational, 1).fallback(), None);
+}

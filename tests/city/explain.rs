@@ -1,0 +1,68 @@
+//! Explanations of every decision of a run.
+
+use crate::proofs::{check, database};
+use crate::shipped_world::world;
+use logicity::city::{Speed, Split};
+use logicity::datalog::explain::{Explainer, Node, Origin};
+use logicity::datalog::naive;
+use logicity::rng::Seed;
+use logicity::sim::{Settings, Simulation};
+
+/// The simulation of a configuration.
+fn city(config: &str) -> Simulation {
+    Simulation::new(world(config, None, |_| ()), Split::Test, Seed(0), Settings::default()).unwrap()
+}
+
+/// For every decision of the paper's expert city: the proof of each derived action can be replayed and its leaves alone suffice
+/// to derive the action; every literal that is said to keep another action away is false.
+#[test]
+fn every_decision_of_an_expert_run_is_explained() {
+    let mut simulation = city("configs/expert.yaml");
+    let (mut proofs, mut absences) = (0, 0);
+    for _ in 0..300 {
+        let report = simulation.tick(&[]).unwrap().clone();
+        let moment = simulation.moment().unwrap();
+        let session = moment.session();
+        let rules = session.program().rules();
+        let model = database(session);
+        let mut explainer = Explainer::new(session);
+        for (position, agent) in report.agents.iter().enumerate() {
+            let mut held = Vec::new();
+            for action in Speed::ALL {
+                let relation = moment.world().vocabulary.action(action).unwrap();
+                let row = [moment.value(position)];
+                let explanation = match explainer.explain(relation, &row).unwrap() {
+                    Some(proof) => {
+                        held.push(action);
+                        proofs += 1;
+                        let leaves = proof.nodes().iter().filter_map(|node| match node {
+                            Node::Fact(fact) if fact.origin == Origin::Input => {
+                                assert!(rules.relations[fact.relation.index()].input);
+                                Some((fact.relation, fact.row.clone()))
+                            }
+                            _ => None,
+                        });
+                        let derived = naive::evaluate(rules, session.symbols(), leaves);
+                        assert!(derived[relation.index()].contains(&row[..]));
+                        proof
+                    }
+                    None => {
+                        absences += 1;
+                        let wanted = [Some(row[0])];
+                        explainer
+                            .explain_absence(relation, &wanted)
+                            .unwrap()
+                            .expect("it does not hold")
+                    }
+                };
+                check(session, &model, &explanation);
+            }
+            assert!(held.contains(&agent.action), "{held:?}");
+        }
+    }
+    assert_eq!(
+        (proofs, proofs + absences),
+        (5_400, 4 * 5_400),
+        "one action for each decision"
+    );
+}

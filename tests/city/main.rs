@@ -1,0 +1,19 @@
+//! The city: configurations, maps and moves, decisions, Safe Path Following.
+
+mod any_input;
+mod config;
+mod conflicts;
+mod executors;
+mod explain;
+mod hostile;
+#[path = "../datalog/near_files.rs"]
+mod near_files;
+#[path = "../datalog/proofs.rs"]
+mod proofs;
+mod properties;
+mod recorded;
+mod shipped_world;
+mod spf;
+mod vector;
+#[path = "../datalog/written_program.rs"]
+mod written_program;

@@ -1,0 +1,997 @@
+//! Safe Path Following: what is observed, wanted, judged and rewarded.
+
+use crate::shipped_world::{PATH_MODES, task, task_of};
+use flate2::read::GzDecoder;
+use logicity::builtin::BuiltinFiles;
+use logicity::city::{Agent, Cell, Heading, field_of_view};
+use logicity::city::{AgentConfig, AgentKind, Speed, Split};
+use logicity::datalog::{ClauseId, Literal, Rules, Term};
+use logicity::diag::{Code, Diagnostic, Sources};
+use logicity::rng::{Purpose, RngExt, Seed};
+use logicity::sim::{Chance, Entity, Facts, Observer, Settings, Simulation, World, ground};
+use logicity::task::spf::{
+    Baseline, Egos, Env, EpisodeSet, Exam, PathTask, Policy, RANDOM_RUNS, Rollout, Score, describe, rollout,
+};
+use proptest::prelude::*;
+use serde_json::Value as Json;
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::sync::Arc;
+
+/// From every recorded state of the published environment: observation, wanted action, reward and violation are the recorded ones.
+#[test]
+fn recorded_steps() {
+    for mode in ["easy", "hard"] {
+        let Some(folder) = crate::recorded::folder() else {
+            return;
+        };
+        let file = File::open(folder.join(format!("gym_{mode}.jsonl.gz"))).unwrap();
+        let lines = BufReader::new(GzDecoder::new(file));
+        let task = task(mode, None);
+        let world = task.world();
+        let mut city = Simulation::new(Arc::clone(world), Split::Test, Seed(0), Settings::default()).unwrap();
+        let mut observer = Observer::new(Arc::clone(task.oracle()), 0);
+        let mut out = vec![0.0; task.observation_width()];
+        let mut steps = 0;
+        for line in lines.lines() {
+            let step: Json = serde_json::from_str(&line.unwrap()).unwrap();
+            let Some(recorded) = step["agents"].as_array() else {
+                if step["meta"] == true {
+                    assert_eq!(step["obs_dim"], task.observation_width());
+                }
+                continue;
+            };
+            let mut agents: Vec<Agent> = recorded
+                .iter()
+                .zip(city.agents())
+                .map(|(agent, like)| placed(agent, like, world))
+                .collect();
+            city.restart(Seed(0), &mut agents);
+            observer.begin(&city);
+            let ones: BTreeSet<usize> = step["obs_ones"].as_array().unwrap().iter().map(index).collect();
+            let entities: Vec<usize> = step["ents"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|id| index(id) - 3)
+                .collect();
+            let drawn = Recorded {
+                task: &task,
+                entities: &entities,
+                ones: &ones,
+            };
+            observer.look_with(&city, &drawn);
+
+            assert_eq!(observer.entities().collect::<Vec<_>>(), entities, "{mode} step {steps}");
+            observer.write(&mut out);
+            let written: BTreeSet<usize> = (0..out.len()).filter(|&at| out[at] == 1.0).collect();
+            assert_eq!(written, ones, "{mode} step {steps}");
+            let derived = observer.derived(&city).unwrap();
+            let wanted = world.vocabulary.decide(derived);
+            assert_eq!(wanted, Speed::ALL[index(&step["expert"])], "{mode} step {steps}");
+            let action = Speed::ALL[index(&step["action"])];
+            let broken = observer.broken(&city, action).unwrap().to_vec();
+            assert_eq!(
+                !broken.is_empty(),
+                step["fail"].as_bool().unwrap(),
+                "{mode} step {steps}"
+            );
+            let reward = task.reward(action, &broken, index(&step["path_length4"]) / 4);
+            let expected = step["reward"].as_f64().unwrap();
+            assert!(
+                (reward - expected).abs() < 1e-6,
+                "{mode} step {steps}: {reward}, recorded {expected}"
+            );
+            steps += 1;
+        }
+        assert!(steps > 200, "{mode}: {steps} steps");
+    }
+}
+
+fn index(json: &Json) -> usize {
+    usize::try_from(json.as_u64().unwrap()).unwrap()
+}
+
+/// An agent in a recorded state.
+fn placed(recorded: &Json, like: &Agent, world: &World) -> Agent {
+    let cell = |key: &str| {
+        let pair: Vec<i32> = recorded[key]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|n| i32::try_from(n.as_i64().unwrap()).unwrap())
+            .collect();
+        Cell::new(pair[0], pair[1])
+    };
+    let config = AgentConfig {
+        name: like.name(),
+        concepts: recorded["concepts"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|name| name.as_str().unwrap().to_owned())
+            .collect(),
+        priority: i32::try_from(recorded["pri"].as_i64().unwrap()).unwrap(),
+    };
+    let route = world.router.plan(like.kind, cell("start"), cell("goal")).unwrap();
+    let mut agent = Agent::new(&config, route);
+    agent.cell = cell("pos");
+    agent.heading = recorded["dir"]
+        .as_str()
+        .map(|name| Heading::ALL.into_iter().find(|heading| heading.name() == name).unwrap());
+    agent
+}
+
+/// The draws of the published program, read off the recorded observation.
+struct Recorded<'a> {
+    task: &'a PathTask,
+    entities: &'a [usize],
+    ones: &'a BTreeSet<usize>,
+}
+
+impl Chance for Recorded<'_> {
+    fn happens(&self, predicate: usize, first: usize, second: usize, _: f64) -> bool {
+        let n = self.task.oracle().entities();
+        let columns = self.task.oracle().columns();
+        let base: usize = columns
+            .take_while(|(before, _)| *before != predicate)
+            .map(|(_, width)| width)
+            .sum();
+        let place = |agent| self.entities.iter().position(|&entity| entity == agent).unwrap();
+        self.ones.contains(&(base + n * place(first) + place(second)))
+    }
+}
+
+/// Facts about what one agent observes, straight from the definitions.
+struct Plain {
+    entities: Vec<usize>,
+    facts: BTreeSet<(String, Vec<usize>)>,
+}
+
+/// Draws as a simulation does: only predicates with a chance ask, and the observer's answer is trusted for those.
+struct Trusted<'a>(&'a BTreeSet<(usize, Vec<usize>)>);
+
+impl Chance for Trusted<'_> {
+    fn happens(&self, predicate: usize, first: usize, second: usize, _: f64) -> bool {
+        self.0.contains(&(predicate, vec![first, second]))
+    }
+}
+
+/// All that is true of a city before rules.
+fn facts_of(city: &Simulation, chance: &impl Chance) -> Facts {
+    let entities: Vec<Entity<'_>> = (city.agents().iter())
+        .map(|agent| Entity {
+            kind: agent.kind,
+            concepts: &agent.concepts,
+            priority: agent.priority,
+            at: agent.cell,
+            heading: agent.heading,
+        })
+        .collect();
+    let world = city.world();
+    let view = world.scenario.view;
+    ground(&world.vocabulary, world.map(), view, &entities, chance, |_| false)
+}
+
+/// Names of actions.
+type Actions = BTreeSet<&'static str>;
+
+impl Plain {
+    fn new(city: &Simulation, ego: usize, most: usize, drawn: &BTreeSet<(usize, Vec<usize>)>) -> Plain {
+        let world = city.world();
+        let agents = city.agents();
+        let field = field_of_view(agents[ego].cell, agents[ego].heading, world.scenario.view, world.map());
+        let others = (0..agents.len()).filter(|&other| other != ego && field.contains(agents[other].cell));
+        let entities: Vec<usize> = std::iter::once(ego).chain(others).take(most).collect();
+        let (vocabulary, facts) = (&world.vocabulary, facts_of(city, &Trusted(drawn)));
+        let mut known = BTreeSet::new();
+        for (predicate, rows) in vocabulary.predicates.iter().zip(&facts.rows) {
+            for row in rows {
+                let row: Vec<usize> = row[..predicate.arity].iter().map(|&agent| agent as usize).collect();
+                if row.iter().all(|agent| entities.contains(agent)) {
+                    known.insert((predicate.name.clone(), row));
+                }
+            }
+        }
+        Plain { entities, facts: known }
+    }
+
+    /// Whether a body holds for the ego, trying all entities for all variables. Of the actions `given` hold, of the ego alone.
+    fn holds(&self, rules: &Rules, clause: usize, given: &Actions) -> bool {
+        let clause = &rules.clauses[clause];
+        let mut values = vec![self.entities[0]; clause.variables.len()];
+        let head = match clause.head.terms[0] {
+            Term::Variable(variable) => variable.index(),
+            ref other => panic!("{other:?}"),
+        };
+        self.some(rules, &clause.body, &mut values, 0, head, given)
+    }
+
+    fn some(
+        &self,
+        rules: &Rules,
+        body: &[Literal],
+        values: &mut Vec<usize>,
+        next: usize,
+        head: usize,
+        given: &Actions,
+    ) -> bool {
+        if next == values.len() {
+            return body.iter().all(|literal| self.is_true(rules, literal, values, given));
+        }
+        if next == head {
+            return self.some(rules, body, values, next + 1, head, given);
+        }
+        self.entities.iter().any(|&entity| {
+            values[next] = entity;
+            self.some(rules, body, values, next + 1, head, given)
+        })
+    }
+
+    fn is_true(&self, rules: &Rules, literal: &Literal, values: &[usize], given: &Actions) -> bool {
+        let atom = literal.atom().expect("rules of the city");
+        let name = &rules.relations[atom.relation.index()].name;
+        let term = |term: &Term| match term {
+            Term::Variable(variable) => values[variable.index()],
+            other => panic!("{other:?}"),
+        };
+        let row: Vec<usize> = atom.terms.iter().map(term).collect();
+        let holds = match Speed::ALL.iter().any(|speed| speed.name() == name) {
+            true => row[0] == self.entities[0] && given.contains(name.as_str()),
+            false => self.facts.contains(&(name.clone(), row)),
+        };
+        holds != matches!(literal, Literal::Negative(_))
+    }
+
+    /// What is derived for the ego before the default: strata in their order, so that each negation looks at what is finished, and the
+    /// clauses of each until nothing new follows.
+    fn derived(&self, rules: &Rules) -> Actions {
+        let mut derived = Actions::new();
+        for stratum in &rules.strata {
+            loop {
+                let fires = |clause: &&ClauseId| self.holds(rules, clause.index(), &derived);
+                let head = |clause: &ClauseId| rules.clauses[clause.index()].head.relation.index();
+                let names = stratum
+                    .clauses
+                    .iter()
+                    .filter(fires)
+                    .map(|clause| &rules.relations[head(clause)].name);
+                let actions = |name| {
+                    Speed::ALL
+                        .iter()
+                        .map(|speed| speed.name())
+                        .find(|action| action == name)
+                };
+                let new: Actions = names
+                    .filter_map(actions)
+                    .filter(|name| !derived.contains(name))
+                    .collect();
+                if new.is_empty() {
+                    break;
+                }
+                derived.extend(new);
+            }
+        }
+        if derived.len() == 1 {
+            derived.remove("Normal");
+        }
+        derived
+    }
+
+    /// The demands that an action breaks.
+    fn broken(&self, task: &PathTask, action: Speed) -> Vec<usize> {
+        let (rules, given) = (task.world().program.rules(), Actions::from([action.name()]));
+        let demands = task.oracle().demands().iter().enumerate();
+        demands
+            .filter(|(_, demand)| demand.action != action && self.holds(rules, demand.clause.index(), &given))
+            .map(|(position, _)| position)
+            .collect()
+    }
+}
+
+/// The rules of a task.
+fn rules_of(task: &PathTask) -> String {
+    let rules = &task.world().scenario.rules.value;
+    let rules = rules.file_name().unwrap().to_str().unwrap();
+    format!(".include \"rules/{rules}\"\n")
+}
+
+/// Rules that mean the same and that the dense executor cannot take. What is added comes last.
+fn relational(rules: &str) -> String {
+    format!("{rules}Stop(X) :- IsCar(X), IsPedestrian(X), IsCar(Y), X != Y.\n")
+}
+
+/// Rules that mean the same, but a body asks for an action in passing: what is wanted and what is broken are evaluated apart.
+fn apart(rules: &str) -> String {
+    format!("{rules}.decl Halts(x: agent)\nHalts(X) :- Stop(X).\n")
+}
+
+/// Observations, wanted actions and broken clauses are those of the definitions, by either executor and in one evaluation or two, for any
+/// agent as the ego.
+#[test]
+fn observers_agree_with_the_definitions() {
+    for &mode in PATH_MODES {
+        let plain_task = task(mode, None);
+        let other = task(mode, Some(&relational(&rules_of(&plain_task))));
+        let twice = task(mode, Some(&apart(&rules_of(&plain_task))));
+        let world = plain_task.world();
+        let rules = world.program.rules();
+        let n = plain_task.oracle().entities();
+        let mut seen = [0; 4];
+        for seed in 0..3 {
+            let mut city = Simulation::new(Arc::clone(world), Split::Test, Seed(seed), Settings::default()).unwrap();
+            let egos = 0..city.agents().len();
+            let observers = |task: &PathTask| -> Vec<Observer> {
+                egos.clone()
+                    .map(|ego| Observer::new(Arc::clone(task.oracle()), ego))
+                    .collect()
+            };
+            let others = observers(&other).into_iter().zip(observers(&twice));
+            let mut pairs: Vec<(Observer, (Observer, Observer))> =
+                observers(&plain_task).into_iter().zip(others).collect();
+            for (dense, (slow, twice)) in &mut pairs {
+                dense.begin(&city);
+                slow.begin(&city);
+                twice.begin(&city);
+            }
+            for _ in 0..12 {
+                for (ego, (dense, (slow, twice))) in pairs.iter_mut().enumerate() {
+                    dense.look(&city);
+                    slow.look(&city);
+                    twice.look(&city);
+                    let atoms: BTreeSet<(usize, Vec<usize>)> = dense.atoms().collect();
+                    assert_eq!(atoms, slow.atoms().collect());
+                    let plain = Plain::new(&city, ego, n, &atoms);
+                    assert_eq!(dense.entities().collect::<Vec<_>>(), plain.entities);
+                    let name = |predicate: usize| world.vocabulary.predicates[predicate].name.clone();
+                    let named: BTreeSet<_> = atoms
+                        .into_iter()
+                        .map(|(predicate, row)| (name(predicate), row))
+                        .collect();
+                    let expected: BTreeSet<_> =
+                        plain.facts.iter().filter(|(name, _)| name != "Sees").cloned().collect();
+                    assert_eq!(named, expected, "{mode} seed {seed} ego {ego}");
+
+                    let derived = dense.derived(&city).unwrap();
+                    assert_eq!(derived, slow.derived(&city).unwrap());
+                    assert_eq!(derived, twice.derived(&city).unwrap());
+                    assert_eq!(
+                        derived.iter().map(Speed::name).collect::<Actions>(),
+                        plain.derived(rules),
+                        "{mode} {seed} {ego}"
+                    );
+                    for action in Speed::ALL {
+                        let broken = dense.broken(&city, action).unwrap().to_vec();
+                        let expected = plain.broken(&plain_task, action);
+                        assert_eq!(broken, expected, "{mode} seed {seed} ego {ego} {action:?}");
+                        // The clauses of the included file come first.
+                        assert_eq!(broken, slow.broken(&city, action).unwrap());
+                        assert_eq!(broken, twice.broken(&city, action).unwrap());
+                        seen[action as usize] += broken.len();
+                    }
+                }
+                city.tick(&[]).unwrap();
+            }
+        }
+        assert!(seen.iter().any(|broken| *broken > 0), "{mode} breaks nothing");
+    }
+}
+
+/// Random clauses that ask actions. What they ask of the actions of their own agent, true or not, comes earlier in a random order; or all
+/// of it is positive and goes in circles.
+fn random_clauses(random: &mut impl RngExt) -> String {
+    const FACTS: [&str; 10] = [
+        "IsTiro(X)",
+        "Not(IsBus(X))",
+        "Not(IsAtInter(X))",
+        "IsReckless(X)",
+        "IsAtInter(Y)",
+        "Not(IsInInter(Y)), Sees(X, Y)",
+        "HigherPri(Y, X)",
+        "IsClose(X, Y)",
+        "NextTo(X, Y), IsPedestrian(Y)",
+        "CollidingClose(X, Y)",
+    ];
+    let mut order = ["Stop", "Slow", "Fast"];
+    for last in (1..order.len()).rev() {
+        order.swap(last, random.random_range(0..=last));
+    }
+    let circular = random.random_range(0..6) == 0;
+    let mut clauses = Vec::new();
+    for (rank, head) in order.into_iter().chain(["Normal"]).enumerate() {
+        let asked = match circular {
+            true if head != "Normal" => &order[..],
+            _ => &order[..rank],
+        };
+        for _ in 0..random.random_range(0..4) {
+            let mut body =
+                vec![["IsCar(X)", "IsPedestrian(X)"][usize::from(random.random_range(0..4) == 0)].to_owned()];
+            for fact in 0..random.random_range(0..3) {
+                let fact_of = FACTS[random.random_range(0..FACTS.len())];
+                // Each with a variable of its own.
+                body.push(fact_of.replace('Y', &format!("Y{fact}")));
+            }
+            for action in asked {
+                match random.random_range(0..if circular { 2 } else { 4 }) {
+                    0 => body.push(format!("{action}(X)")),
+                    2 => body.push(format!("Not({action}(X))")),
+                    _ => {}
+                }
+            }
+            clauses.push(format!("{head}(X) :- {}.\n", body.join(", ")));
+        }
+    }
+    for last in (1..clauses.len()).rev() {
+        clauses.swap(last, random.random_range(0..=last));
+    }
+    format!(".include \"rules/vocabulary.dl\"\n{}", clauses.concat())
+}
+
+/// What random clauses want and what breaks them is the same in one evaluation, in two, by the relational executor and by the definitions.
+#[test]
+fn random_clauses_are_judged_as_defined() {
+    const CASES: u64 = 48;
+    let shipped = task("expert", None);
+    let cities: Vec<Simulation> = (0..4)
+        .map(|seed| {
+            let world = Arc::clone(shipped.world());
+            let mut city = Simulation::new(world, Split::Test, Seed(seed), Settings::default()).unwrap();
+            for _ in 0..10 + 7 * seed {
+                city.tick(&[]).unwrap();
+            }
+            city
+        })
+        .collect();
+    let n = shipped.oracle().entities();
+    let (mut several, mut chains, mut broke) = (0, 0, [0; 4]);
+    for case in 0..CASES {
+        let text = random_clauses(&mut Seed(case).stream(Purpose::SCENE, 0, 0));
+        let once = task("expert", Some(&text));
+        let others = [apart(&text), relational(&text)].map(|text| task("expert", Some(&text)));
+        let rules = once.world().program.rules();
+        let actions = |clause: &ClauseId| {
+            let body = rules.clauses[clause.index()].body.iter();
+            let name = |literal: &Literal| Some(rules.relations[literal.atom()?.relation.index()].name.clone());
+            body.filter_map(name)
+                .filter(|name| Speed::ALL.iter().any(|speed| speed.name() == name))
+                .count()
+        };
+        for city in &cities {
+            for ego in 0..city.agents().len() {
+                let observe = |task: &Arc<PathTask>| {
+                    let mut observer = Observer::new(Arc::clone(task.oracle()), ego);
+                    observer.begin(city);
+                    observer.look(city);
+                    observer
+                };
+                let [mut once_of, mut apart_of, mut relational_of] = [&once, &others[0], &others[1]].map(observe);
+                let plain = Plain::new(city, ego, n, &once_of.atoms().collect());
+                let derived = once_of.derived(city).unwrap();
+                let named: Actions = derived.iter().map(Speed::name).collect();
+                assert_eq!(named, plain.derived(rules), "case {case} ego {ego}\n{text}");
+                assert_eq!(
+                    derived,
+                    apart_of.derived(city).unwrap(),
+                    "case {case} ego {ego}\n{text}"
+                );
+                assert_eq!(
+                    derived,
+                    relational_of.derived(city).unwrap(),
+                    "case {case} ego {ego}\n{text}"
+                );
+                several += usize::from(named.len() > 1);
+                for action in Speed::ALL {
+                    let broken = once_of.broken(city, action).unwrap();
+                    assert_eq!(
+                        broken,
+                        plain.broken(&once, action),
+                        "case {case} ego {ego} {action:?}\n{text}"
+                    );
+                    assert_eq!(
+                        broken,
+                        apart_of.broken(city, action).unwrap(),
+                        "case {case} {ego} {action:?}\n{text}"
+                    );
+                    assert_eq!(
+                        broken,
+                        relational_of.broken(city, action).unwrap(),
+                        "case {case} {ego} {action:?}\n{text}"
+                    );
+                    broke[action as usize] += broken.len();
+                    let demands = broken.iter().map(|&demand| once.oracle().demands()[demand].clause);
+                    chains += demands.filter(|clause| actions(clause) > 1).count();
+                }
+            }
+        }
+    }
+    assert!(
+        several > 100 && chains > 100 && broke.iter().all(|broke| *broke > 100),
+        "{several} {chains} {broke:?}"
+    );
+}
+
+/// The exact observation, number by number from the agents and the definitions of predicates.
+#[test]
+fn exact_observations_agree_with_the_definitions() {
+    let mut met = [0; 4];
+    for (mode, points) in [("easy", 32), ("expert", 32), ("expert", 3)] {
+        let task = task_of(&format!("base: configs/{mode}.yaml\ntask: {{points: {points}}}\n"));
+        let task = Arc::new(task.unwrap_or_else(|faults| panic!("{faults:?}")));
+        let scenario = &task.world().scenario;
+        let priorities = (scenario.splits.iter()).flat_map(|(_, set)| set.entries().map(|group| group.priority));
+        let of_ego = task
+            .config()
+            .ego
+            .iter()
+            .flat_map(|ego| ego.priority)
+            .map(u32::cast_signed);
+        let scale = priorities.chain(of_ego).max().unwrap();
+        let [room, width] = task.points_shape();
+        let unary = (task.world().vocabulary.predicates.iter()).filter(|predicate| predicate.arity == 1);
+        assert_eq!([room, width], [points, 8 + unary.count()]);
+        let mut env = Env::new(Arc::clone(&task), Split::Test, Egos::Cars).unwrap();
+        let mut random = Seed(5).stream(Purpose::POLICY, 0, 0);
+        for seed in 0..3 {
+            env.reset(seed).unwrap();
+            let mut episode = env.episode().clone();
+            for agent in &mut episode.agents {
+                agent.priority = random.random_range(-2 * scale..=2 * scale);
+            }
+            env.reset_to(&episode).unwrap();
+            let mut shown = vec![0.5; room * width];
+            for _ in 0..25 {
+                for rider in 0..env.riders().len() {
+                    env.observe_points(rider, &mut shown);
+                    let plain = plain_points(env.city(), env.riders()[rider].agent(), scale);
+                    let (rows, rest) = shown.split_at(plain.len().min(room) * width);
+                    assert_eq!(rows, plain[..plain.len().min(room)].concat(), "{mode} {seed} {rider}");
+                    assert!(rest.iter().all(|number| *number == 0.0));
+                    met[0] += usize::from(plain.len() > room);
+                    met[1] += usize::from(!rest.is_empty());
+                    met[2] += plain.iter().filter(|point| point[7] == -1.0).count();
+                    met[3] += plain.iter().filter(|point| point[3..7] == [0.0; 4]).count();
+                }
+                let actions: Vec<Speed> = (env.riders().iter())
+                    .map(|_| Speed::ALL[random.random_range(0..4)])
+                    .collect();
+                env.step(&actions).unwrap();
+            }
+        }
+    }
+    assert!(met.iter().all(|count| *count > 10), "{met:?}");
+}
+
+/// The points of all that an ego sees, itself first.
+#[allow(clippy::cast_precision_loss)]
+fn plain_points(city: &Simulation, ego: usize, scale: i32) -> Vec<Vec<f32>> {
+    let (world, agents) = (city.world(), city.agents());
+    let (view, vocabulary) = (world.scenario.view, &world.vocabulary);
+    let facts = facts_of(city, &Trusted(&BTreeSet::new()));
+    let field = field_of_view(agents[ego].cell, agents[ego].heading, view, world.map());
+    let seen = (0..agents.len()).filter(|&other| other != ego && field.contains(agents[other].cell));
+    let point = |agent: usize| {
+        let [it, me] = [&agents[agent], &agents[ego]];
+        let share = |cells: i32| cells as f32 / view as f32;
+        let mut point = vec![1.0, share(it.cell.row - me.cell.row), share(it.cell.col - me.cell.col)];
+        for name in ["Left", "Right", "Up", "Down"] {
+            point.push(f32::from(u8::from(
+                it.heading.is_some_and(|heading| heading.name() == name),
+            )));
+        }
+        point.push((it.priority as f32 / scale as f32).clamp(-1.0, 1.0));
+        for (predicate, rows) in vocabulary.predicates.iter().zip(&facts.rows) {
+            if predicate.arity == 1 {
+                let holds = rows.iter().any(|row| row[0] as usize == agent);
+                point.push(f32::from(u8::from(holds)));
+            }
+        }
+        point
+    };
+    std::iter::once(ego).chain(seen).map(point).collect()
+}
+
+/// The recorded episodes of all modes and splits are solved by the oracle as recorded, and break no rule.
+#[test]
+fn recorded_episodes() {
+    for &mode in PATH_MODES {
+        let task = task(mode, None);
+        for split in Split::ALL {
+            let mut sources = Sources::new();
+            let set =
+                EpisodeSet::load(&task, split, &mut sources, &BuiltinFiles).unwrap_or_else(|fault| panic!("{fault:?}"));
+            assert_eq!(set.config, mode);
+            assert_eq!(set.episodes.len(), if split == Split::Val { 40 } else { 100 });
+            let mut env = Env::new(Arc::clone(&task), split, Egos::First).unwrap();
+            let mut asked = [0; 4];
+            for (number, episode) in set.episodes.iter().enumerate() {
+                env.reset_to(episode).unwrap();
+                let done = rollout(&mut env, Policy::Oracle).unwrap();
+                let oracle = episode.oracle.as_ref().unwrap();
+                let context = format!("{mode} {} {number}", split.name());
+                assert!(
+                    done.success && done.broken.is_empty() && done.constrained.iter().any(|steps| *steps > 0),
+                    "{context}"
+                );
+                assert_eq!(
+                    (done.steps, done.constrained),
+                    (oracle.steps, oracle.constrained),
+                    "{context}"
+                );
+                assert!((done.total - oracle.total).abs() < 1e-9, "{context}");
+                assert_eq!(env.horizon(), 2 * oracle.steps);
+                for (asked, steps) in asked.iter_mut().zip(done.constrained) {
+                    *asked += usize::from(steps > 0);
+                }
+            }
+            let of = |action: Speed| task.oracle().demands().iter().any(|demand| demand.action == action);
+            for action in Speed::ALL.into_iter().filter(|action| of(*action)) {
+                assert!(
+                    asked[action as usize] >= 6,
+                    "{mode} {}: {action:?} is asked in {asked:?}",
+                    split.name()
+                );
+            }
+        }
+    }
+}
+
+/// The first recorded episodes of a split.
+fn some_recorded(task: &PathTask, split: Split, count: usize) -> EpisodeSet {
+    let mut set = EpisodeSet::load(task, split, &mut Sources::new(), &BuiltinFiles).unwrap();
+    set.episodes.truncate(count);
+    set
+}
+
+/// Side by side, episodes go as one after the other.
+#[test]
+fn an_exam_goes_as_its_episodes_would_alone() {
+    let task = task("expert", None);
+    let set = some_recorded(&task, Split::Val, 6);
+    for policy in [
+        Policy::Oracle,
+        Policy::Always(Speed::Normal),
+        Policy::Always(Speed::Stop),
+    ] {
+        let mut exam = Exam::new(&task, &set).unwrap();
+        while exam.running().any(|running| running) {
+            let act = |env: &Env| match policy {
+                Policy::Always(action) => action,
+                _ => env.oracle_action(0),
+            };
+            let actions: Vec<Speed> = exam.envs().iter().map(act).collect();
+            exam.step(&actions).unwrap();
+        }
+        let mut env = Env::new(Arc::clone(&task), Split::Val, Egos::First).unwrap();
+        let alone = set.episodes.iter().map(|episode| {
+            env.reset_to(episode).unwrap();
+            rollout(&mut env, policy).unwrap()
+        });
+        assert_eq!(exam.rollouts(), alone.collect::<Vec<Rollout>>(), "{policy:?}");
+    }
+}
+
+#[test]
+fn the_random_policy_is_the_zero_of_scores() {
+    let task = task("easy", None);
+    let set = some_recorded(&task, Split::Val, 3);
+    let mut env = Env::new(Arc::clone(&task), Split::Val, Egos::First).unwrap();
+    let mut drive = || {
+        let mut baseline = Baseline::default();
+        for episode in &set.episodes {
+            baseline.add(&mut env, episode).unwrap();
+        }
+        baseline
+    };
+    let baseline = drive();
+    assert_eq!(baseline.rollouts().len(), 3 * usize::from(RANDOM_RUNS));
+    let [first, ..] = baseline.returns() else {
+        panic!("three returns")
+    };
+    let of_first = baseline.rollouts()[..RANDOM_RUNS.into()]
+        .iter()
+        .map(|rollout| rollout.total);
+    assert!((first - of_first.sum::<f64>() / f64::from(RANDOM_RUNS)).abs() < 1e-12);
+    let summary = baseline.summary(&task);
+    let score = summary.score.unwrap();
+    assert_eq!([score.value, score.low, score.high], [0.0; 3]);
+    assert_eq!((summary.tsr.episodes, summary.tsr.runs), (3, 30));
+    // An episode counts once for the interval of the mean.
+    assert_eq!(summary.mean_return, Score::of(baseline.returns().iter().copied()));
+    let runs = |episode: usize| &baseline.rollouts()[10 * episode..10 * episode + 10];
+    assert!(
+        runs(0).iter().any(|run| run != &runs(0)[0]),
+        "each run has draws of its own"
+    );
+    assert_eq!(drive().rollouts(), baseline.rollouts());
+}
+
+/// What a step tells, for comparison.
+fn told(env: &Env) -> (Vec<f32>, f64, bool, bool) {
+    let mut out = vec![0.0; env.task().observation_width()];
+    env.observe(0, &mut out);
+    let last = env.riders()[0].last();
+    (out, last.reward, last.terminated, last.truncated)
+}
+
+#[test]
+fn an_episode_can_be_begun_again() {
+    let task = task("expert", None);
+    let mut env = Env::new(Arc::clone(&task), Split::Train, Egos::First).unwrap();
+    let mut other = Env::new(task, Split::Train, Egos::First).unwrap();
+    for seed in 0..40 {
+        env.reset(seed).unwrap();
+        other.reset(seed + 1).unwrap();
+        let episode = env.episode().clone();
+        other.reset_to(&episode).unwrap();
+        assert_eq!((other.episode(), other.horizon()), (&episode, env.horizon()));
+        for step in 0..60 {
+            assert_eq!(told(&env), told(&other), "seed {seed} step {step}");
+            if !env.riders()[0].is_running() {
+                break;
+            }
+            let action = if step % 7 == 3 {
+                Speed::Slow
+            } else {
+                env.oracle_action(0)
+            };
+            env.step(&[action]).unwrap();
+            other.step(&[action]).unwrap();
+        }
+    }
+}
+
+#[test]
+fn the_horizon_cuts_an_episode_short() {
+    let mut env = Env::new(task("easy", None), Split::Train, Egos::First).unwrap();
+    env.reset(1).unwrap();
+    let cells = env.riders()[0].cells();
+    env.set_horizon(9);
+    let done = rollout(&mut env, Policy::Always(Speed::Stop)).unwrap();
+    assert!(done.truncated && !done.success && done.broken.is_empty());
+    assert_eq!(done.steps, 9);
+    #[allow(clippy::cast_precision_loss)]
+    let expected = 9.0 * -5.0 / (4.0 * cells as f64) - 3.0;
+    assert!((done.total - expected).abs() < 1e-12, "{} {expected}", done.total);
+}
+
+#[test]
+fn every_car_can_be_driven() {
+    let task = task("expert", None);
+    let mut env = Env::new(Arc::clone(&task), Split::Test, Egos::Cars).unwrap();
+    env.reset(3).unwrap();
+    assert_eq!(env.riders().len(), 10);
+    let mut ended = 0;
+    for _ in 0..200 {
+        let running: Vec<bool> = env.riders().iter().map(|rider| rider.is_running()).collect();
+        let actions: Vec<Speed> = (0..10)
+            .map(|rider| {
+                if rider == 2 {
+                    Speed::Fast
+                } else {
+                    env.oracle_action(rider)
+                }
+            })
+            .collect();
+        env.step(&actions).unwrap();
+        for (position, was) in running.into_iter().enumerate() {
+            let rider = &env.riders()[position];
+            assert!(was || !rider.is_running());
+            // Also of a car whose episode has ended the present is told.
+            let mut alone = Observer::new(Arc::clone(task.oracle()), rider.agent());
+            alone.begin(env.city());
+            alone.look(env.city());
+            assert!(alone.atoms().eq(rider.observer().atoms()));
+            assert!(alone.entities().eq(rider.observer().entities()));
+            let derived = alone.derived(env.city()).unwrap();
+            assert_eq!(derived, rider.derived());
+            let wanted = task.world().vocabulary.decide(derived);
+            assert_eq!(env.oracle_action(position), wanted);
+            assert!(describe(&env, position).ends_with(&format!("the rules want {}\n", wanted.name())));
+            let mut shown = vec![0.5; task.observation_width()];
+            let mut expected = shown.clone();
+            env.observe(position, &mut shown);
+            alone.write(&mut expected);
+            assert_eq!(shown, expected);
+        }
+        ended = env.riders().iter().filter(|rider| !rider.is_running()).count();
+    }
+    assert!(ended > 3, "{ended} have ended");
+    assert!(!env.riders()[2].last().success, "racing breaks a rule");
+}
+
+/// The oracle's steps are those of the first car; the others have the horizon of the configuration.
+#[test]
+fn the_horizon_of_an_episode_is_that_of_who_is_driven() {
+    let task = task("expert", None);
+    let episode = &some_recorded(&task, Split::Test, 1).episodes[0];
+    let steps = episode.oracle.as_ref().unwrap().steps;
+    for (egos, horizon) in [(Egos::First, 2 * steps), (Egos::Cars, task.config().horizon)] {
+        let mut env = Env::new(Arc::clone(&task), Split::Test, egos).unwrap();
+        env.reset_to(episode).unwrap();
+        assert_eq!(env.horizon(), horizon, "{egos:?}");
+    }
+    assert_ne!(2 * steps, task.config().horizon);
+}
+
+/// The fault of a configuration made of `text`.
+fn fault_of(text: &str) -> Diagnostic {
+    let faults = task_of(text).err().unwrap_or_default();
+    faults
+        .into_iter()
+        .next()
+        .unwrap_or_else(|| panic!("no fault in {text}"))
+}
+
+#[test]
+fn faulty_tasks_are_told() {
+    let fault = |task: &str| fault_of(&format!("base: configs/expert.yaml\ntask: {task}\n"));
+    assert_eq!(fault("~").code, Code::MISSING_KEY);
+    assert_eq!(fault("{entities: 0}").code, Code::INVALID_VALUE);
+    assert_eq!(fault("{reward: {violation: .nan}}").code, Code::INVALID_VALUE);
+    assert_eq!(fault("{reward: {violations_per: rule}}").code, Code::INVALID_VALUE);
+    assert_eq!(fault("{horison: 3}").code, Code::UNKNOWN_KEY);
+    assert_eq!(fault("{ego: {concepts: [{weight: 0}]}}").code, Code::INVALID_VALUE);
+    assert_eq!(
+        fault("{ego: {concepts: [{weight: 1, concepts: [old]}]}}").code,
+        Code::INVALID_VALUE
+    );
+    let unknown = fault("{reward: {clauses: {S17: -1}}}");
+    assert_eq!(unknown.code, Code::INVALID_VALUE);
+    assert!(
+        unknown.primary.is_some() && unknown.help[0].contains("S1"),
+        "{unknown:?}"
+    );
+}
+
+#[test]
+fn clauses_can_have_weights_of_their_own() {
+    let text = "base: configs/expert.yaml\ntask: {reward: {violations_per: PER, clauses: {S1: -20, S7: -1}}}\n";
+    for (per, expected) in [
+        ("action", [-20.0, -5.0, -1.0, -25.0]),
+        ("clause", [-26.0, -5.0, -1.0, -25.0]),
+    ] {
+        let task = task_of(&text.replace("PER", per)).unwrap();
+        let demand = |label: &str| (0..).find(|&demand| task.label(demand) == label).unwrap();
+        let [s1, s2, s7, l1] = ["S1", "S2", "S7", "L1"].map(demand);
+        let rewards =
+            [vec![s1, s2, s7], vec![s2], vec![s7], vec![s1, l1]].map(|broken| task.reward(Speed::Normal, &broken, 10));
+        assert_eq!(rewards, expected, "{per}");
+        assert_eq!(task.reward(Speed::Stop, &[], 10), -3.0 / 40.0);
+    }
+}
+
+/// What an agent of an episode carries is checked like an entry of an agent set.
+#[test]
+fn agents_of_episodes_are_what_predicates_can_tell() {
+    let mut env = Env::new(task("expert", None), Split::Test, Egos::First).unwrap();
+    env.reset(1).unwrap();
+    let episode = env.episode().clone();
+    let mut begun = |agent: usize, concepts: &[&str]| {
+        let mut changed = episode.clone();
+        changed.agents[agent].concepts = concepts.iter().map(|&name| name.to_owned()).collect();
+        env.reset_to(&changed)
+    };
+    let kind = |agent: usize| episode.agents[agent].name.kind;
+    let car = (0..).find(|&agent| kind(agent) == AgentKind::Car).unwrap();
+    let walker = (0..).find(|&agent| kind(agent) == AgentKind::Pedestrian).unwrap();
+    assert_eq!(
+        begun(car, &["ambulance", "old"]).unwrap_err().code,
+        Code::INVALID_EPISODE
+    );
+    for (agent, good) in [
+        (car, &["ambulance"][..]),
+        (car, &["bus", "tiro"]),
+        (walker, &["old"]),
+        (walker, &[]),
+    ] {
+        begun(agent, good).unwrap();
+    }
+    let bad = [
+        (car, &["ambulnce"][..], "`ambulnce`", Some("did you mean `ambulance`?")),
+        (car, &["zeppelin"], "`zeppelin`", Some("concepts of a car: ")),
+        (walker, &["ambulance"], "concept of a car", None),
+        (car, &["old"], "concept of a pedestrian", None),
+        (car, &["bus", "tiro", "bus"], "`bus` is given twice", None),
+    ];
+    for (agent, concepts, message, help) in bad {
+        let fault = begun(agent, concepts).unwrap_err();
+        assert_eq!(fault.code, Code::INVALID_EPISODE, "{concepts:?}");
+        assert!(fault.message.contains(message), "{fault:?}");
+        assert!(
+            fault.message.contains(&episode.agents[agent].name.to_string()),
+            "{fault:?}"
+        );
+        assert!(help.is_none_or(|help| fault.help[0].starts_with(help)), "{fault:?}");
+    }
+}
+
+fn set_of(text: &str) -> Result<EpisodeSet, Diagnostic> {
+    let mut sources = Sources::new();
+    let source = sources.add("mine.jsonl", text);
+    EpisodeSet::read(&sources, source)
+}
+
+#[test]
+fn faulty_episodes_are_told() {
+    let header = r#"{"episodes":"logicity","version":1,"config":"x","split":"test","seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#;
+    let good = format!("{header}\n{{\"seed\":1,\"trips\":[[46,20,56,64]]}}\n");
+    assert_eq!(set_of(&good).unwrap().episodes.len(), 1);
+    let bad = [
+        String::new(),
+        "{}".to_owned(),
+        header.to_owned(),
+        header.replace("Car_1", "Car_01"),
+        header.replace("test", "tset"),
+        header.replace("\"version\":1", "\"version\":2"),
+        good.replace("[46,20,56,64]", ""),
+        good.replace("[46,20,56,64]", "[46,20,56]"),
+        good.replace("\"seed\":1,", ""),
+        good.replace(
+            "\"seed\":1,",
+            "\"seed\":1,\"changes\":{\"Car_2\":{\"concepts\":[],\"priority\":1}},",
+        ),
+        good.replace(
+            "\"seed\":1,",
+            "\"seed\":1,\"oracle\":{\"steps\":1,\"return\":0,\"constrained\":{\"Halt\":1}},",
+        ),
+    ];
+    for text in bad {
+        let fault = set_of(&text).expect_err(&text);
+        assert_eq!(fault.code, Code::INVALID_EPISODE, "{text}");
+        assert!(fault.primary.is_some(), "{text}");
+    }
+}
+
+/// A key that is misspelt is told with its line; it is not passed over.
+#[test]
+fn unknown_keys_of_episodes_are_told() {
+    let lines = [
+        r#"{"episodes":"logicity","version":1,"config":"x","split":"test","seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#,
+        r#"{"seed":1,"trips":[[46,20,56,64]],"changes":{"Car_1":{"concepts":["bus"],"priority":2}},"oracle":{"steps":1,"return":0,"constrained":{}}}"#,
+    ];
+    let fault_of = |line: usize, from: &str, to: &str| {
+        let mut lines = lines.map(str::to_owned);
+        assert!(lines[line].contains(from), "{from}");
+        lines[line] = lines[line].replace(from, to);
+        let mut sources = Sources::new();
+        let source = sources.add("mine.jsonl", lines.join("\n"));
+        EpisodeSet::read(&sources, source).map_err(|fault| {
+            let place = sources.position(fault.primary.as_ref().expect("a place").span);
+            (place.line, fault)
+        })
+    };
+    fault_of(0, "{", "{").unwrap();
+    let (_, newer) = fault_of(0, "\"version\":1", "\"version\":2,\"weather\":0").unwrap_err();
+    assert!(newer.message.contains("version 2; this program reads"), "{newer:?}");
+    for (line, key) in [
+        (0, "seed"),
+        (0, "priority"),
+        (1, "changes"),
+        (1, "oracle"),
+        (1, "priority"),
+        (1, "constrained"),
+    ] {
+        let quoted = format!("\"{key}\"");
+        let (at, fault) = fault_of(line, &quoted, &format!("\"x{key}\"")).unwrap_err();
+        assert_eq!((fault.code, at), (Code::INVALID_EPISODE, line + 1), "{fault:?}");
+        assert!(fault.message.contains(&format!("unknown field `x{key}`")), "{fault:?}");
+        assert!(!fault.message.contains("line 1"), "{fault:?}");
+    }
+}
+
+proptest! {
+    /// Any text at all is read or refused, and what is written is read the same.
+    #[test]
+    fn episodes_are_read_as_they_are_written(text in ".{0,200}", seed in 0u64..1000) {
+        let _ = set_of(&text);
+        let mut env = Env::new(task("easy", None), Split::Val, Egos::First).unwrap();
+        env.reset(seed).unwrap();
+        let set = EpisodeSet { config: "easy".into(), split: Split::Val, seed, episodes: vec![env.episode().clone()] };
+        let mut written = Vec::new();
+        set.write(&mut written).unwrap();
+        let text = String::from_utf8(written).unwrap();
+        prop_assert_eq!(&set_of(&text).unwrap(), &set);
+        prop_assert_eq!(set_of(&text).unwrap().hash(), set.hash());
+    }
+}

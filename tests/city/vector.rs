@@ -1,0 +1,194 @@
+//! Many environments that take a step together: each goes as it would alone.
+
+use crate::shipped_world::task;
+use logicity::city::{Speed, Split};
+use logicity::diag::Code;
+use logicity::rng::{Purpose, RngExt, Seed};
+use logicity::task::spf::{Autoreset, Begin, Egos, Env, EpisodeSource, Info, VectorEnv, View};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+
+/// An environment alone, and what it was shown last.
+struct Alone {
+    env: Env,
+    source: EpisodeSource,
+    shown: Vec<f32>,
+    info: Info,
+    over: bool,
+}
+
+impl Alone {
+    fn begin(&mut self, view: View) {
+        self.source.begin(&mut self.env).unwrap();
+        self.over = false;
+        self.look(view);
+    }
+
+    fn look(&mut self, view: View) {
+        view.write(&self.env, 0, &mut self.shown);
+        self.info.note(&self.env, 0);
+    }
+}
+
+/// A batch of `count` environments and as many alone, random actions, for so many steps of all of them together.
+fn compare(config: &str, split: Split, view: View, autoreset: Autoreset, threads: usize, steps: usize) {
+    const COUNT: usize = 24;
+    let task = task(config, None);
+    let width: usize = view.shape(&task).iter().product();
+    let source = |member: usize| EpisodeSource::new(100 + member as u64, None);
+    let mut batch = VectorEnv::new(&task, split, (0..COUNT).map(source), autoreset, view, threads).unwrap();
+    batch.keep_last_atoms();
+    let mut alone: Vec<Alone> = (0..COUNT)
+        .map(|member| Alone {
+            env: Env::new(Arc::clone(&task), split, Egos::First).unwrap(),
+            source: source(member),
+            shown: vec![0.0; width],
+            info: Info::default(),
+            over: false,
+        })
+        .collect();
+    let mut shown = vec![0.5; COUNT * width];
+    batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();
+    alone.iter_mut().for_each(|one| one.begin(view));
+    let (mut ended, mut random) = (0, Seed(1).stream(Purpose::POLICY, 0, 0));
+    for step in 0..steps / COUNT {
+        if autoreset == Autoreset::Disabled && alone.iter().any(|one| one.over) {
+            let begin: Vec<Option<Begin>> = alone.iter().map(|one| one.over.then_some(Begin::Next)).collect();
+            batch.reset(&begin, &mut shown).unwrap();
+            alone.iter_mut().filter(|one| one.over).for_each(|one| one.begin(view));
+        }
+        let actions: Vec<Speed> = (0..COUNT).map(|_| Speed::ALL[random.random_range(0..4)]).collect();
+        batch.step(&actions, &mut shown).unwrap();
+        for (member, one) in alone.iter_mut().enumerate() {
+            let together = &batch.members()[member];
+            let outcome = together.outcome();
+            let told = (outcome.reward, outcome.terminated, outcome.truncated);
+            if one.over {
+                one.begin(view);
+                assert_eq!(told, (0.0, false, false), "step {step}");
+            } else {
+                one.env.step(&actions[member..=member]).unwrap();
+                let last = one.env.riders()[0].last();
+                assert_eq!(told, (last.reward, last.terminated, last.truncated), "step {step}");
+                one.over = last.terminated || last.truncated;
+                one.look(view);
+            }
+            assert_eq!(together.ended().is_some(), one.over && autoreset == Autoreset::SameStep);
+            if let Some((observation, info)) = together.ended() {
+                let atoms: Vec<_> = one.env.riders()[0].observer().atoms().collect();
+                assert_eq!(together.ended_atoms().unwrap(), atoms, "step {step}");
+                assert_eq!(observation, one.shown, "step {step}");
+                assert_eq!(*info, one.info, "step {step}");
+                ended += 1;
+                one.begin(view);
+            }
+            ended += usize::from(one.over);
+            assert_eq!(shown[member * width..(member + 1) * width], one.shown, "step {step}");
+            assert_eq!(*together.info(), one.info, "step {step}");
+        }
+    }
+    assert!(ended > 30, "{ended} episodes ended");
+}
+
+/// 10^4 steps for each way to go on after an end.
+#[test]
+fn a_batch_goes_as_its_members_would_alone() {
+    compare("expert", Split::Train, View::Atoms, Autoreset::NextStep, 1, 10_000);
+    compare("expert", Split::Train, View::Points, Autoreset::SameStep, 3, 10_000);
+    compare("expert", Split::Train, View::Atoms, Autoreset::Disabled, 2, 10_000);
+    compare("medium", Split::Test, View::Atoms, Autoreset::SameStep, 1, 10_000);
+    compare("medium", Split::Test, View::Points, Autoreset::NextStep, 2, 10_000);
+}
+
+#[test]
+fn the_seeds_of_episodes_are_functions_of_seed_and_number() {
+    let mut source = EpisodeSource::new(7, None);
+    let seeds: Vec<u64> = (0..5).map(|_| source.next_seed()).collect();
+    assert_eq!(source.place(), [7, 5]);
+    source.skip_to(3);
+    assert_eq!(source.next_seed(), seeds[3]);
+    assert!(seeds.iter().all(|seed| *seed < 1 << 53));
+    let other = EpisodeSource::new(8, None).next_seed();
+    assert!(!seeds.contains(&other));
+}
+
+#[test]
+fn recorded_episodes_are_taken_by_the_seed() {
+    let task = task("easy", None);
+    let mut env = Env::new(Arc::clone(&task), Split::Val, Egos::First).unwrap();
+    let recorded: Arc<[_]> = (0..6)
+        .map(|seed| {
+            env.reset(seed).unwrap();
+            env.episode().clone()
+        })
+        .collect();
+    let source = |_| EpisodeSource::new(5, Some(Arc::clone(&recorded)));
+    let mut batch = VectorEnv::new(
+        &task,
+        Split::Val,
+        (0..2).map(source),
+        Autoreset::SameStep,
+        View::Atoms,
+        1,
+    )
+    .unwrap();
+    let mut shown = vec![0.0; 2 * task.observation_width()];
+    let mut seen = Vec::new();
+    for _ in 0..20 {
+        batch.reset(&vec![Some(Begin::Next); 2], &mut shown).unwrap();
+        let begun: Vec<_> = batch.members().iter().map(|member| member.env().episode()).collect();
+        assert_eq!(begun[0], begun[1]);
+        assert!(recorded.contains(begun[0]));
+        seen.push(begun[0].seed);
+    }
+    seen.sort_unstable();
+    seen.dedup();
+    assert!(seen.len() > 3, "{seen:?}");
+    // One that is given does not use up one of the source.
+    let given = Begin::Given(Arc::new(recorded[4].clone()));
+    batch.reset(&[Some(given), None], &mut shown).unwrap();
+    assert_eq!(*batch.members()[0].env().episode(), recorded[4]);
+    batch.reset(&vec![Some(Begin::Next); 2], &mut shown).unwrap();
+    assert_eq!(batch.members()[0].env().episode(), batch.members()[1].env().episode());
+}
+
+/// What a batch has not reached when it is given up needs a reset; then it goes on as ever.
+#[test]
+fn a_batch_is_given_up_when_it_is_told_to() {
+    const COUNT: usize = 64;
+    let task = task("easy", None);
+    for threads in [1, 3] {
+        let left = Arc::new(AtomicI64::new(i64::MAX));
+        let asked = Arc::clone(&left);
+        let stop = Arc::new(move || asked.fetch_sub(1, Ordering::Relaxed) <= 0);
+        let sources = (0..COUNT).map(|member| EpisodeSource::new(member as u64, None));
+        let (autoreset, view) = (Autoreset::Disabled, View::Atoms);
+        let batch = VectorEnv::new_until(&task, Split::Train, sources, autoreset, view, threads, stop);
+        let mut batch = batch.unwrap();
+        let mut shown = vec![0.0; COUNT * task.observation_width()];
+        batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();
+        left.store(3, Ordering::Relaxed);
+        let fault = batch.step(&[Speed::Stop; COUNT], &mut shown).unwrap_err();
+        assert_eq!(fault.code, Code::LIMIT_EXCEEDED);
+        left.store(i64::MAX, Ordering::Relaxed);
+        let gone: Vec<bool> = batch.members().iter().map(|member| member.env().steps() == 1).collect();
+        let reached = gone.iter().filter(|gone| **gone).count();
+        assert!((1..COUNT).contains(&reached), "{reached} on {threads} threads");
+        if threads == 1 {
+            assert!(gone[..reached].iter().all(|gone| *gone), "{gone:?}");
+        }
+        let ready = |batch: &VectorEnv| -> Vec<bool> {
+            let members = batch.members().iter();
+            members.map(|member| member.is_ready(autoreset)).collect()
+        };
+        let again: Vec<Option<Begin>> = (ready(&batch).iter().zip(&gone))
+            .map(|(ready, gone)| {
+                assert!(*gone || !ready);
+                (!ready).then_some(Begin::Next)
+            })
+            .collect();
+        batch.reset(&again, &mut shown).unwrap();
+        assert!(ready(&batch).iter().all(|ready| *ready));
+        batch.step(&[Speed::Stop; COUNT], &mut shown).unwrap();
+    }
+}

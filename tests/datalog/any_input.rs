@@ -1,0 +1,297 @@
+//! What is true whatever bytes come in. `hostile` asks it of many inputs in every test run, `tests/fuzz` of as many as there is
+//! time for. Each function panics where something is not as it should be.
+
+use crate::random_program::agree::agrees;
+use crate::random_program::{Batch, Genome};
+use crate::rule_files::RuleFiles;
+use logicity::datalog;
+use logicity::datalog::explain::{Explainer, Teller};
+use logicity::datalog::{Atom, BaseType, Clause, Column, Literal, RelId, RowFormat, Rules, Value};
+use logicity::datalog::{Limits, Options, Program, Session, diff, facts, optimize};
+use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
+use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalise};
+use std::path::Path;
+
+/// A text is parsed or refused. If it is parsed, what is printed or formatted is read as the same rules, and doing it twice changes
+/// nothing.
+pub fn parse(bytes: &[u8]) {
+    let text = String::from_utf8_lossy(bytes);
+    let mut sources = Sources::new();
+    let entry = sources.add("any.dl", text);
+    let parsed = datalog::parse(&sources, entry);
+    let formatted = datalog::format(&sources, entry);
+    let failed = parsed.diagnostics.iter().any(Diagnostic::is_error);
+    assert_eq!(formatted.as_ref().err(), failed.then_some(&parsed.diagnostics));
+    let Ok(formatted) = formatted else { return };
+
+    let mut read = |text: &str| {
+        let id = sources.add("again.dl", text);
+        let again = datalog::parse(&sources, id);
+        assert!(
+            !again.diagnostics.iter().any(Diagnostic::is_error),
+            "{}",
+            render(&again.diagnostics, &sources, false)
+        );
+        (again.file, datalog::format(&sources, id).expect("it was just parsed"))
+    };
+    let (again, twice) = read(&formatted);
+    assert_eq!(again, parsed.file, "formatted:\n{formatted}");
+    assert_eq!(twice, formatted);
+    let printed = datalog::print(&parsed.file);
+    let (again, _) = read(&printed);
+    assert_eq!(again, parsed.file, "printed:\n{printed}");
+    assert_eq!(datalog::print(&again), printed);
+}
+
+/// Rule files are checked, with all that `check` and `query --plan` tell of them, or refused. A line `// file: NAME` begins another
+/// file.
+pub fn check(bytes: &[u8]) {
+    let text = String::from_utf8_lossy(bytes);
+    let files = split_files(&text);
+    let read = |path: &Path| {
+        let path = normalise(path);
+        match files.iter().find(|(name, _)| Path::new(name) == path) {
+            Some((_, text)) => Ok(text.clone()),
+            None if path.starts_with(BUILTIN_FOLDER) => RuleFiles.read(&path),
+            None => Err(ReadError::NotFound),
+        }
+    };
+    let mut sources = Sources::new();
+    let entry = sources.add(files[0].0.as_str(), files[0].1.as_str());
+    let (program, diagnostics) = Program::load(&mut sources, entry, &read);
+    assert_eq!(program.is_none(), diagnostics.iter().any(Diagnostic::is_error));
+    draw(&diagnostics, &sources);
+    let Some(program) = program else { return };
+
+    let rules = program.rules();
+    draw(&optimize::lints(rules).diagnostics, &sources);
+    for promises in [false, true] {
+        let optimize = promises;
+        let program = Program::with(rules.clone(), Options { optimize, promises }).expect("it was just planned");
+        program.show_plans(&sources);
+    }
+    let options = diff::Options {
+        entities_max: 1,
+        conflicts_max: 100,
+        ..diff::Options::default()
+    };
+    let same = diff::diff(rules, rules, &options);
+    assert!(!matches!(same, Ok(diff::Verdict::Different(_))), "{same:?}");
+}
+
+/// The program and script of changes that the bytes are read as agree with `naive`.
+pub fn evaluate(bytes: &[u8]) {
+    let genome = Genome::read(bytes);
+    let rules = genome.rules();
+    let script = genome.batches(&rules);
+    let program = Program::new(rules.clone()).expect("a generated program is safe and small");
+    if ends_soon(&program, &script) {
+        agrees(&rules, &script).unwrap_or_else(|failure| panic!("{failure}\n{genome:#?}"));
+    }
+}
+
+/// A program with its changes, written as in `tests/corpus`, agrees with `naive`, and what it derives is explained.
+pub fn query(bytes: &[u8]) {
+    let text = String::from_utf8_lossy(bytes);
+    let mut sources = Sources::new();
+    let entry = sources.add("any.dl", text.as_ref());
+    let builtin = |path: &Path| match path.starts_with(BUILTIN_FOLDER) {
+        true => RuleFiles.read(path),
+        false => Err(ReadError::NotFound),
+    };
+    let (Some(program), _) = Program::load(&mut sources, entry, &builtin) else {
+        return;
+    };
+    let rules = program.rules();
+    let script = batches(rules, &text);
+    if ends_soon(&program, &script) {
+        agrees(rules, &script).unwrap_or_else(|failure| panic!("{failure}"));
+        explain(&program, &script, &sources);
+    }
+}
+
+/// Rows of a relation that are explained, and steps that each may take.
+const EXPLAINED_MAX: usize = 3;
+const EXPLAIN_STEPS: u64 = 20_000;
+
+/// What holds after the script, and what does not, is explained.
+fn explain(program: &Program, script: &[Batch], sources: &Sources) {
+    let rules = program.rules();
+    let mut session = program.session();
+    for batch in script {
+        note(&mut session, batch);
+        session.commit().expect("few rows");
+    }
+    let teller = Teller::new(rules, session.symbols(), sources);
+    let mut explainer = Explainer::new(&session);
+    explainer.set_limit(EXPLAIN_STEPS);
+    for (relation, rel) in rules.relations.iter().zip((0..).map(RelId)) {
+        let nothing = explainer.explain_absence(rel, &vec![None; relation.arity()]);
+        let rows = session.rows(rel).take(EXPLAINED_MAX);
+        let proofs = rows.map(|row| explainer.explain(rel, row)).chain([nothing]);
+        for explanation in proofs.filter_map(Result::ok).flatten() {
+            assert!(!teller.tree(&explanation).is_empty());
+            assert!(teller.json(&explanation).is_object());
+        }
+    }
+}
+
+fn note(session: &mut Session, batch: &Batch) {
+    for (present, rel, row) in batch {
+        let noted = match present {
+            true => session.insert(*rel, row),
+            false => session.retract(*rel, row),
+        };
+        noted.expect("a row that fits");
+    }
+}
+
+/// A text is taken as rows, which are printed so that they are read as the same, or refused. The first byte chooses the format.
+pub fn rows(bytes: &[u8]) {
+    let Some((&kind, bytes)) = bytes.split_first() else {
+        return;
+    };
+    let format = RowFormat {
+        delimiter: ["\t", ",", "::"][usize::from(kind % 3)].to_owned(),
+        headers: kind & 64 != 0,
+        quoted: kind & 128 != 0,
+        columns: Vec::new(),
+    };
+    let mut sources = Sources::new();
+    let entry = sources.add(
+        "rows.dl",
+        ".decl p(x: symbol, n: number, u: unsigned, f: float, y: symbol)\n.input p\n",
+    );
+    let (program, _) = Program::load(&mut sources, entry, &RuleFiles);
+    let program = program.expect("the rules are good");
+    let p = program.relation("p").expect("it is declared");
+    let source = sources.add("p.facts", String::from_utf8_lossy(bytes));
+    let mut session = program.session();
+    match facts::load_as(&mut session, p, &sources, source, &format) {
+        Ok(lines) => {
+            session.commit().expect("nothing is derived");
+            assert!(session.len(p) <= lines);
+            let printed = written(&session, p, &format);
+            let mut again = program.session();
+            let source = sources.add("again", printed.as_str());
+            facts::load_as(&mut again, p, &sources, source, &format).expect("it was just printed");
+            again.commit().expect("nothing is derived");
+            assert_eq!(written(&again, p, &format), printed);
+        }
+        Err(faults) => {
+            assert!(!faults.is_empty());
+            // The last of a great many says that there are more.
+            let told = &faults[..faults.len().min(MAX_FAULTS)];
+            assert!(told.iter().all(|fault| fault.code == Code::INVALID_FACT));
+            assert!(
+                faults[told.len()..]
+                    .iter()
+                    .all(|fault| fault.code == Code::LIMIT_EXCEEDED)
+            );
+            draw(&faults, &sources);
+        }
+    }
+}
+
+/// What a file with the rows would hold.
+fn written(session: &Session, relation: RelId, format: &RowFormat) -> String {
+    let declared = &session.program().rules().relations[relation.index()];
+    let mut out = facts::header(declared, format).into_bytes();
+    facts::write_rows(session, relation, format, &mut out).expect("writing to memory cannot fail");
+    String::from_utf8(out).expect("texts are written whole")
+}
+
+/// Every diagnostic can be shown.
+fn draw(diagnostics: &[Diagnostic], sources: &Sources) {
+    if !diagnostics.is_empty() {
+        assert!(!render(diagnostics, sources, false).is_empty());
+    }
+    let json = to_json(diagnostics, sources);
+    assert_eq!(json.as_array().map(Vec::len), Some(diagnostics.len()));
+}
+
+/// Splits a text at the lines `// file: NAME`.
+fn split_files(text: &str) -> Vec<(String, String)> {
+    let mut files = vec![("any.dl".to_owned(), String::new())];
+    for line in text.split_inclusive('\n') {
+        match (line.strip_prefix("// file: "), files.last_mut()) {
+            (Some(name), _) => files.push((name.trim_end().to_owned(), String::new())),
+            (None, Some((_, text))) => text.push_str(line),
+            (None, None) => {}
+        }
+    }
+    files
+}
+
+/// The changes that a text asks for in lines `// insert P: a, 1 | b, 2` and `// retract P: ..`; `// expect` ends a batch. Lines that
+/// do not fit the rules are left out.
+fn batches(rules: &Rules, text: &str) -> Vec<Batch> {
+    let mut batches = vec![Batch::new()];
+    for line in text.lines() {
+        let Some((verb, rest)) = line.strip_prefix("// ").and_then(|line| line.split_once(' ')) else {
+            continue;
+        };
+        let last = batches.last_mut().expect("one was put there");
+        match (verb, rest.split_once(": ")) {
+            ("insert" | "retract", Some((name, rows))) => {
+                let rows = rows.split(" | ").filter_map(|row| row_of(rules, name, row));
+                last.extend(rows.map(|(rel, row)| (verb == "insert", rel, row)));
+            }
+            ("expect", _) if !last.is_empty() => batches.push(Batch::new()),
+            _ => {}
+        }
+    }
+    batches
+}
+
+fn row_of(rules: &Rules, name: &str, row: &str) -> Option<(RelId, Vec<Value>)> {
+    let rel = rules.relation(name)?;
+    let relation = &rules.relations[rel.index()];
+    let rel = relation.given.or((!relation.derived).then_some(rel))?;
+    let texts: Vec<&str> = row.split(", ").filter(|_| row != "()").collect();
+    let value = |(column, text): (&Column, &str)| match column.base {
+        BaseType::Symbol => Some(Value(rules.symbols.intern(text).0)),
+        base => datalog::parse_value(base, text),
+    };
+    let row: Option<Vec<Value>> = relation.columns.iter().zip(texts.iter().copied()).map(value).collect();
+    row.filter(|row| row.len() == texts.len() && row.len() == relation.arity())
+        .map(|row| (rel, row))
+}
+
+/// What a program that is compared with `naive` may take.
+const LIMITS: Limits = Limits {
+    rows: 100,
+    steps: 100_000,
+    bytes: 1 << 24,
+};
+
+/// Combinations of rows that `naive` tries for one clause.
+const COMBINATIONS_MAX: usize = 20_000;
+
+/// Whether `naive` comes to an end soon, after every batch and when the last is undone.
+fn ends_soon(program: &Program, script: &[Batch]) -> bool {
+    let rules = program.rules();
+    let undo = |(present, rel, row): &(bool, RelId, Vec<Value>)| (!present, *rel, row.clone());
+    let undone: Option<Batch> = script.last().map(|batch| batch.iter().map(undo).collect());
+    let mut session = program.session();
+    session.set_limits(LIMITS);
+    script.iter().chain(&undone).all(|batch| {
+        note(&mut session, batch);
+        session.commit().is_ok()
+            && (rules.clauses.iter()).all(|clause| combinations(clause, &session) <= COMBINATIONS_MAX)
+    })
+}
+
+/// How many combinations of rows there are for the atoms of a clause.
+fn combinations(clause: &Clause, session: &Session) -> usize {
+    let atoms = clause.body.iter().filter_map(positive);
+    let sizes = atoms.map(|atom| session.len(atom.relation).max(1));
+    sizes.fold(1, usize::saturating_mul)
+}
+
+fn positive(literal: &Literal) -> Option<&Atom> {
+    match literal {
+        Literal::Positive(atom) | Literal::Guard(atom) => Some(atom),
+        _ => None,
+    }
+}

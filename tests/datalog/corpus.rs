@@ -1,0 +1,359 @@
+//! Programs with their answers beside them, run in every mode. `tests/corpus/README.md` says how such a file is written.
+
+use crate::rule_files::RuleFiles;
+use logicity::datalog;
+use logicity::datalog::{BaseType, Inputs, RelId, Rules, Value};
+use logicity::datalog::{Options, Program, Strategy, constraints, facts, naive};
+use logicity::diag::{Diagnostic, Severity, Sources, render};
+use logicity::symbol::{Symbol, Symbols};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A change of the facts or a question, in the order of the text.
+#[derive(Debug)]
+enum Step {
+    Change {
+        present: bool,
+        relation: String,
+        rows: Vec<String>,
+    },
+    Expect {
+        line: usize,
+        relation: String,
+        rows: Vec<String>,
+    },
+}
+
+/// What a file says.
+#[derive(Default)]
+struct Script {
+    steps: Vec<Step>,
+    /// Line and `error[code]` or `warning[code]`.
+    diagnostics: BTreeSet<(usize, String)>,
+}
+
+fn read_script(text: &str) -> Script {
+    let mut script = Script::default();
+    for (line, number) in text.lines().zip(1..) {
+        for kind in ["error", "warning"] {
+            if let Some((_, rest)) = line.split_once(&format!("// {kind}["))
+                && let Some((code, _)) = rest.split_once(']')
+            {
+                script.diagnostics.insert((number, format!("{kind}[{code}]")));
+            }
+        }
+        let Some((verb, rest)) = line.strip_prefix("// ").and_then(|line| line.split_once(' ')) else {
+            continue;
+        };
+        if !["expect", "insert", "retract"].contains(&verb) {
+            continue;
+        }
+        let (relation, rows) = rest.split_once(':').expect("a relation and a colon");
+        let rows: Vec<String> = match rows.strip_prefix(' ') {
+            Some(rows) => rows.split(" | ").map(str::to_owned).collect(),
+            None => Vec::new(),
+        };
+        let relation = relation.to_owned();
+        script.steps.push(match verb {
+            "expect" => Step::Expect {
+                line: number,
+                relation,
+                rows,
+            },
+            verb => Step::Change {
+                present: verb == "insert",
+                relation,
+                rows,
+            },
+        });
+    }
+    script
+}
+
+/// The facts that hold, as rows of text.
+type Facts = BTreeMap<String, BTreeSet<String>>;
+
+/// The answer to a question: the rows of a relation as text, sorted.
+type Answer = Vec<String>;
+
+/// How to evaluate a program.
+#[derive(Clone, Copy, Debug)]
+enum Mode {
+    /// By the specification.
+    Naive,
+    /// A new session for each question.
+    FromScratch(Options),
+    /// One session for all, a commit before each question.
+    OneSession(Options, Strategy),
+}
+
+/// Every way to evaluate a program: as written and optimised, with and without relying on promises, which the facts of the corpus keep; and
+/// of one session, every way to follow a change.
+fn modes() -> Vec<Mode> {
+    let options = |optimize, promises| Options { optimize, promises };
+    let options = [options(false, false), options(true, false), options(true, true)];
+    let mut modes = vec![Mode::Naive];
+    modes.extend(options.map(Mode::FromScratch));
+    for strategy in [Strategy::Auto, Strategy::Maintain, Strategy::Recompute] {
+        modes.extend(options.map(|options| Mode::OneSession(options, strategy)));
+    }
+    modes
+}
+
+impl Mode {
+    /// Runs all steps and gives the answers to the questions.
+    fn run(self, rules: &Rules, steps: &[Step]) -> Vec<Answer> {
+        let program = |options| Program::with(rules.clone(), options).expect("a small program");
+        match self {
+            Mode::Naive => by_naive(rules, steps),
+            Mode::FromScratch(options) => from_scratch(&program(options), steps),
+            Mode::OneSession(options, strategy) => in_one_session(&program(options), strategy, steps),
+        }
+    }
+}
+
+fn parse_row(rules: &Rules, symbols: &Symbols, relation: RelId, row: &str) -> Vec<Value> {
+    let columns = &rules.relations[relation.index()].columns;
+    if columns.is_empty() {
+        return Vec::new();
+    }
+    let values: Vec<&str> = row.split(", ").collect();
+    assert_eq!(values.len(), columns.len(), "{row}");
+    (columns.iter().zip(values))
+        .map(|(column, text)| match column.base {
+            BaseType::Symbol => Value(symbols.intern(text).0),
+            base => datalog::parse_value(base, text).expect("a value of the column"),
+        })
+        .collect()
+}
+
+fn change(facts: &mut Facts, step: &Step) {
+    if let Step::Change {
+        present,
+        relation,
+        rows,
+    } = step
+    {
+        let known = facts.entry(relation.clone()).or_default();
+        for row in rows {
+            if *present {
+                known.insert(row.clone())
+            } else {
+                known.remove(row)
+            };
+        }
+    }
+}
+
+fn find(rules: &Rules, name: &str) -> RelId {
+    rules.relation(name).unwrap_or_else(|| panic!("no relation {name}"))
+}
+
+fn by_naive(rules: &Rules, steps: &[Step]) -> Vec<Answer> {
+    let mut facts = Facts::new();
+    let mut answers = Vec::new();
+    for step in steps {
+        change(&mut facts, step);
+        let Step::Expect { relation, .. } = step else { continue };
+        let symbols = rules.symbols.clone();
+        let rows: Vec<(RelId, Vec<Value>)> = (facts.iter())
+            .flat_map(|(name, rows)| {
+                let relation = find(rules, name);
+                rows.iter()
+                    .map(|row| (relation, parse_row(rules, &symbols, relation, row)))
+                    .collect::<Vec<_>>()
+            })
+            .collect();
+        let database = naive::evaluate(rules, &symbols, rows);
+        let id = find(rules, relation);
+        let columns = &rules.relations[id.index()].columns;
+        let mut answer: Answer = (database[id.index()].iter())
+            .map(|row| {
+                let shown = columns.iter().zip(row).map(|(column, value)| match column.base {
+                    BaseType::Symbol => symbols.text(Symbol(value.0)).expect("a symbol").to_owned(),
+                    BaseType::Number => value.as_number().to_string(),
+                    BaseType::Unsigned => value.0.to_string(),
+                    BaseType::Float => logicity::datalog::print_float(value.as_float()),
+                });
+                shown.collect::<Vec<_>>().join(", ")
+            })
+            .collect();
+        answer.sort();
+        answers.push(answer);
+    }
+    answers
+}
+
+fn ask(session: &logicity::datalog::Session, relation: &str) -> Answer {
+    let text = facts::print(session, find(session.program().rules(), relation));
+    let rows = text.lines().map(|row| {
+        if row == "()" {
+            String::new()
+        } else {
+            row.replace('\t', ", ")
+        }
+    });
+    let mut answer: Answer = rows.collect();
+    answer.sort();
+    answer
+}
+
+fn from_scratch(program: &Program, steps: &[Step]) -> Vec<Answer> {
+    let rules = program.rules();
+    let mut facts = Facts::new();
+    let mut answers = Vec::new();
+    for step in steps {
+        change(&mut facts, step);
+        let Step::Expect { relation, .. } = step else { continue };
+        let mut session = program.session();
+        for (name, rows) in &facts {
+            let relation = find(rules, name);
+            for row in rows {
+                let row = parse_row(rules, session.symbols(), relation, row);
+                session.insert(relation, &row).expect("a row that fits");
+            }
+        }
+        session.commit().expect("few rows");
+        answers.push(ask(&session, relation));
+    }
+    answers
+}
+
+fn in_one_session(program: &Program, strategy: Strategy, steps: &[Step]) -> Vec<Answer> {
+    let rules = program.rules();
+    let mut session = program.session();
+    session.set_strategy(strategy);
+    let mut answers = Vec::new();
+    for step in steps {
+        match step {
+            Step::Change {
+                present,
+                relation,
+                rows,
+            } => {
+                let relation = find(rules, relation);
+                for row in rows {
+                    let row = parse_row(rules, session.symbols(), relation, row);
+                    let noted = if *present {
+                        session.insert(relation, &row)
+                    } else {
+                        session.retract(relation, &row)
+                    };
+                    noted.expect("a row that fits");
+                }
+            }
+            Step::Expect { relation, .. } => {
+                session.commit().expect("few rows");
+                // What the modes that rely on promises are allowed to rely on.
+                assert!(constraints::broken(&session).is_empty(), "facts break a promise");
+                answers.push(ask(&session, relation));
+            }
+        }
+    }
+    answers
+}
+
+/// Loads the file, compares its diagnostics, and runs it in every mode.
+fn check(path: &Path) -> Result<(), String> {
+    let text = fs::read_to_string(path).expect("a corpus file is text");
+    let script = read_script(&text);
+    let mut sources = Sources::new();
+    let entry = sources.add(path.display().to_string(), text);
+    let loaded = datalog::load_with(&mut sources, entry, &RuleFiles, Inputs::Extended);
+    let found: BTreeSet<(usize, String)> = loaded.diagnostics.iter().map(|fault| place(fault, &sources)).collect();
+    if found != script.diagnostics {
+        let drawn = render(&loaded.diagnostics, &sources, false);
+        return Err(format!(
+            "diagnostics: expected {:?}, found {found:?}\n{drawn}",
+            script.diagnostics
+        ));
+    }
+    let Some(rules) = loaded.rules else { return Ok(()) };
+    if !script.steps.iter().any(|step| matches!(step, Step::Expect { .. })) {
+        return Err("nothing is expected".to_owned());
+    }
+    for mode in modes() {
+        let mut answers = mode.run(&rules, &script.steps).into_iter();
+        for step in &script.steps {
+            let Step::Expect { line, relation, rows } = step else {
+                continue;
+            };
+            let mut expected: Answer = rows.iter().map(|row| row.replace("()", "")).collect();
+            expected.sort();
+            let answer = answers.next().expect("an answer for each question");
+            if answer != expected {
+                return Err(format!(
+                    "{mode:?}, line {line}: `{relation}` is {answer:?}, not {expected:?}"
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn place(fault: &Diagnostic, sources: &Sources) -> (usize, String) {
+    let line = fault
+        .primary
+        .as_ref()
+        .map_or(0, |label| sources.position(label.span).line);
+    let kind = if fault.severity() == Severity::Error {
+        "error"
+    } else {
+        "warning"
+    };
+    (line, format!("{kind}[{}]", fault.code.name()))
+}
+
+fn corpus() -> Vec<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus");
+    let mut files = Vec::new();
+    let mut folders = vec![root];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).expect("a readable folder") {
+            let path = entry.expect("a readable entry").path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "dl") {
+                files.push(path);
+            }
+        }
+    }
+    files.sort();
+    files
+}
+
+#[test]
+fn every_program_of_the_corpus_has_its_answers_in_every_mode() {
+    let files = corpus();
+    assert!(files.len() > 20);
+    let failures: Vec<String> = (files.iter())
+        .filter_map(|path| {
+            check(path)
+                .err()
+                .map(|failure| format!("{}: {failure}", path.display()))
+        })
+        .collect();
+    assert!(failures.is_empty(), "{}", failures.join("\n\n"));
+}
+
+/// What is printed is read as the same program.
+#[test]
+fn the_corpus_survives_printing() {
+    for path in corpus() {
+        let mut sources = Sources::new();
+        let id = sources.add("corpus.dl", fs::read_to_string(&path).expect("a corpus file is text"));
+        let parsed = datalog::parse(&sources, id);
+        if parsed.diagnostics.is_empty() {
+            let printed = datalog::print(&parsed.file);
+            let again = sources.add("printed.dl", printed.clone());
+            let again = datalog::parse(&sources, again);
+            assert!(
+                again.diagnostics.is_empty(),
+                "{}",
+                render(&again.diagnostics, &sources, false)
+            );
+            assert_eq!(again.file, parsed.file, "{}\n{printed}", path.display());
+        }
+    }
+}

@@ -1,0 +1,325 @@
+//! The dense executor against the specification, on random programs and scenes.
+
+use crate::written_program::program;
+use logicity::datalog::dense::{BitFacts, Counting, Dense, Frame, Set, choose, has};
+use logicity::datalog::{ClauseId, RelId, Rules, Value};
+use logicity::datalog::{Program, naive};
+use proptest::prelude::*;
+use std::collections::BTreeSet;
+use std::fmt::Write;
+
+/// Base predicates, the one-column ones first.
+const BASE: [(&str, usize); 6] = [("A", 1), ("B", 1), ("C", 1), ("G", 2), ("R", 2), ("S", 2)];
+const VARIABLES: [&str; 4] = ["x", "y", "z", "w"];
+
+/// A literal before it is known what it may speak of.
+#[derive(Clone, Debug)]
+struct LiteralGene {
+    relation: usize,
+    terms: [usize; 2],
+    form: u8,
+}
+
+#[derive(Clone, Debug)]
+struct ClauseGene {
+    head_terms: [usize; 2],
+    body: Vec<LiteralGene>,
+}
+
+#[derive(Clone, Debug)]
+struct Genome {
+    /// Columns of each derived predicate, and its clauses.
+    derived: Vec<(usize, Vec<ClauseGene>)>,
+    scoped: bool,
+    /// Predicates before the others that are copies of a base predicate: a program with more than 256 sets runs by other code.
+    copies: usize,
+    entities: usize,
+    /// Of 16: how often a fact about one or two entities holds.
+    density: u8,
+    seed: u64,
+}
+
+fn genomes() -> impl Strategy<Value = Genome> {
+    let literal = (0..64_usize, [0..4_usize, 0..4_usize], 0..16_u8).prop_map(|(relation, terms, form)| LiteralGene {
+        relation,
+        terms,
+        form,
+    });
+    let clause = ([0..4_usize, 0..4_usize], prop::collection::vec(literal, 1..6))
+        .prop_map(|(head_terms, body)| ClauseGene { head_terms, body });
+    let predicate = (1..=2_usize, prop::collection::vec(clause, 1..4));
+    let entities = prop_oneof![3 => 1..7_usize, 1 => 60..70_usize];
+    (
+        prop::collection::vec(predicate, 1..5),
+        any::<bool>(),
+        prop_oneof![4 => Just(0_usize), 1 => Just(256_usize)],
+        entities,
+        1..14_u8,
+        any::<u64>(),
+    )
+        .prop_map(|(derived, scoped, copies, entities, density, seed)| Genome {
+            derived,
+            scoped,
+            copies,
+            entities,
+            density,
+            seed,
+        })
+}
+
+impl Genome {
+    /// The program as text. Every variable of a body has a positive atom.
+    fn text(&self) -> String {
+        let mut text = String::new();
+        let mut known: Vec<(String, usize)> = BASE.iter().map(|&(name, arity)| (name.to_owned(), arity)).collect();
+        let declare = |text: &mut String, name: &str, arity: usize| {
+            let columns = ["x: symbol", "y: symbol"][..arity].join(", ");
+            writeln!(text, ".decl {name}({columns})").unwrap();
+        };
+        for (name, arity) in BASE {
+            declare(&mut text, name, arity);
+            writeln!(text, ".input {name}").unwrap();
+        }
+        for (index, (arity, _)) in self.derived.iter().enumerate() {
+            declare(&mut text, &format!("P{index}"), *arity);
+        }
+        for copy in 0..self.copies {
+            declare(&mut text, &format!("Copy{copy}"), 1);
+            writeln!(text, "Copy{copy}(x) :- {}(x).", ["A", "B", "C"][copy % 3]).unwrap();
+        }
+        if self.scoped {
+            writeln!(text, ".scope G").unwrap();
+        }
+        for (index, (arity, clauses)) in self.derived.iter().enumerate() {
+            let name = format!("P{index}");
+            for clause in clauses {
+                writeln!(text, "{}", self.clause(&name, *arity, clause, &known)).unwrap();
+            }
+            known.push((name, *arity));
+        }
+        text
+    }
+
+    fn clause(&self, name: &str, arity: usize, clause: &ClauseGene, known: &[(String, usize)]) -> String {
+        // In a scope the head's first variable is the one in the middle.
+        let head: Vec<&str> = clause.head_terms[..arity].iter().map(|&term| VARIABLES[term]).collect();
+        let mut used: BTreeSet<&str> = head.iter().copied().collect();
+        let mut bound: BTreeSet<&str> = BTreeSet::new();
+        let mut body = Vec::new();
+        for gene in &clause.body {
+            let (relation, arity) = &known[gene.relation % known.len()];
+            let terms = gene.terms.map(|term| VARIABLES[term]);
+            let terms = &terms[..*arity];
+            let atom = |terms: &[&str]| format!("{relation}({})", terms.join(", "));
+            match gene.form {
+                0..=8 => {
+                    bound.extend(terms);
+                    body.push(atom(terms));
+                }
+                9..=11 => body.push(format!("!{}", atom(terms))),
+                12 if *arity == 2 => body.push(format!("!{}", atom(&[terms[0], "_"]))),
+                13 if *arity == 2 => body.push(format!("!{}", atom(&["_", terms[1]]))),
+                14 => {
+                    let terms = gene.terms.map(|term| VARIABLES[term]);
+                    used.extend(terms);
+                    body.push(format!("{} != {}", terms[0], terms[1]));
+                    continue;
+                }
+                15 => {
+                    let terms = gene.terms.map(|term| VARIABLES[term]);
+                    used.extend(terms);
+                    body.push(format!("{} = {}", terms[0], terms[1]));
+                    continue;
+                }
+                _ => {
+                    bound.insert(terms[0]);
+                    body.push(match arity {
+                        1 => atom(terms),
+                        _ => atom(&[terms[0], "_"]),
+                    });
+                    continue;
+                }
+            }
+            used.extend(terms);
+        }
+        for variable in used.difference(&bound) {
+            body.push(format!("{}({variable})", ["A", "B", "C"][self.density as usize % 3]));
+        }
+        format!("{name}({}) :- {}.", head.join(", "), body.join(", "))
+    }
+
+    fn facts(&self, rules: &Rules) -> Vec<(RelId, Vec<usize>)> {
+        let mut state = self.seed;
+        let mut holds = |of: u32| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            ((state >> 33) as u32 % of) < u32::from(self.density)
+        };
+        let mut facts = Vec::new();
+        // In a crowd a pair is related more rarely, so that searches fail now and then.
+        let crowd = 16 * u32::try_from(self.entities / 4 + 1).unwrap();
+        for (name, arity) in BASE {
+            let relation = rules.relation(name).unwrap();
+            for x in 0..self.entities {
+                if arity == 1 {
+                    if holds(16) {
+                        facts.push((relation, vec![x]));
+                    }
+                    continue;
+                }
+                facts.extend(
+                    (0..self.entities)
+                        .filter(|_| holds(crowd))
+                        .map(|y| (relation, vec![x, y])),
+                );
+            }
+        }
+        facts
+    }
+}
+
+/// More entities than this are too many for `naive`; the relational executor, which is compared with it elsewhere, stands in.
+const NAIVE_MAX: usize = 8;
+
+/// What is expected of a program and facts: all that holds, and how many rows each clause derives.
+fn expected(program: &Program, value: &[Value], facts: &[(RelId, Vec<usize>)]) -> (naive::Database, Vec<usize>) {
+    let rules = program.rules();
+    let rows = facts.iter().map(|(relation, row)| {
+        let row: Vec<Value> = row.iter().map(|&entity| value[entity]).collect();
+        (*relation, row)
+    });
+    if value.len() <= NAIVE_MAX {
+        let database = naive::evaluate(rules, &rules.symbols, rows);
+        let fired = |clause| naive::consequences(clause, &rules.symbols, &database).len();
+        let fired = rules.clauses.iter().map(fired).collect();
+        return (database, fired);
+    }
+    let mut session = program.session();
+    for (relation, row) in rows {
+        session.insert(relation, &row).expect("it fits");
+    }
+    session.commit().expect("within the limit");
+    let relations = u32::try_from(rules.relations.len()).unwrap();
+    let database = (0..relations)
+        .map(|relation| session.rows(RelId(relation)).map(<[Value]>::to_vec).collect())
+        .collect();
+    let clauses = u32::try_from(rules.clauses.len()).unwrap();
+    (
+        database,
+        (0..clauses)
+            .map(|clause| session.fired(ClauseId(clause)).len())
+            .collect(),
+    )
+}
+
+/// Evaluates densely and compares every derived predicate and, if they are counted, every clause with what is expected.
+fn check<const W: usize>(
+    program: &Program,
+    facts: &[(RelId, Vec<usize>)],
+    entities: usize,
+) -> Result<(), TestCaseError> {
+    let rules = program.rules();
+    let value: Vec<Value> = (0..entities)
+        .map(|entity| Value(rules.symbols.intern(&format!("e{entity}")).0))
+        .collect();
+    let (expected, expected_fired) = expected(program, &value, facts);
+    let choice = choose(rules);
+    prop_assert!(choice.all_dense(), "{:?}", choice);
+    for counting in [Counting::Off, Counting::Each] {
+        let steady = |relation: RelId| relation.0.is_multiple_of(2);
+        let dense = Dense::new(rules, &choice, counting, steady);
+        let mut given: BitFacts<W> = BitFacts::new(&dense, entities);
+        for (relation, row) in facts {
+            given.insert(&dense, *relation, row);
+        }
+        // Nothing is left of what held of other entities before.
+        let mut frame: Frame<W> = Frame::new(&dense, 64 * W);
+        for input in 0..dense.inputs().len() {
+            frame.set_input(&dense, input, [u64::MAX; W]);
+        }
+        frame.run(&dense, &BitFacts::new(&dense, 64 * W));
+        frame.reset(&dense, entities);
+        given.load(&dense, &mut frame);
+        // A second run starts from what the first left.
+        for _ in 0..2 {
+            frame.run(&dense, &given);
+        }
+        for (relation, expected) in rules
+            .relations
+            .iter()
+            .zip(&expected)
+            .enumerate()
+            .filter(|(_, (r, _))| r.derived)
+            .map(|(index, (_, expected))| (RelId(u32::try_from(index).unwrap()), expected))
+        {
+            let name = &rules.relations[relation.index()].name;
+            match rules.relations[relation.index()].arity() {
+                1 => {
+                    let set = frame.set(&dense, relation).expect("it is derived");
+                    for (entity, value) in value.iter().enumerate() {
+                        let holds = expected.contains(&vec![*value]);
+                        prop_assert_eq!(has(set, entity), holds, "{}({})", name, entity);
+                    }
+                }
+                _ => {
+                    for x in 0..entities {
+                        let row = frame.row(&dense, relation, x).expect("it is derived");
+                        for y in 0..entities {
+                            let holds = expected.contains(&vec![value[x], value[y]]);
+                            prop_assert_eq!(has(row, y), holds, "{}({}, {})", name, x, y);
+                        }
+                    }
+                }
+            }
+        }
+        for (id, &fired) in (0..).map(ClauseId).zip(&expected_fired) {
+            match (counting, frame.count_fired(&dense, id)) {
+                (Counting::Off, count) => prop_assert_eq!(count, None),
+                // A clause that can never fire is not in the program.
+                (Counting::Each, count) => prop_assert_eq!(count.unwrap_or(0), fired),
+            }
+        }
+        if dense.is_local() {
+            check_egos(&dense, &given, &frame, rules)?;
+        }
+    }
+    Ok(())
+}
+
+/// Deciding about some entities only gives the same about them.
+fn check_egos<const W: usize>(
+    program: &Dense,
+    given: &BitFacts<W>,
+    all: &Frame<W>,
+    rules: &Rules,
+) -> Result<(), TestCaseError> {
+    let mut some = Frame::new(program, all.count());
+    given.load(program, &mut some);
+    let egos: Set<W> = [0x5555_5555_5555_5555; W];
+    some.set_egos(egos);
+    some.run(program, given);
+    for relation in (0..u32::try_from(rules.relations.len()).unwrap()).map(RelId) {
+        if let (Some(all), Some(some)) = (all.set(program, relation), some.set(program, relation)) {
+            let wanted: Set<W> = std::array::from_fn(|word| all[word] & egos[word]);
+            prop_assert_eq!(some, &wanted);
+        }
+        for at in (0..all.count()).step_by(2) {
+            prop_assert_eq!(some.row(program, relation, at), all.row(program, relation, at));
+        }
+    }
+    Ok(())
+}
+
+proptest! {
+    #[test]
+    fn the_dense_executor_agrees_with_naive(genome in genomes()) {
+        let text = genome.text();
+        let program = program(&text);
+        let facts = genome.facts(program.rules());
+        if genome.entities <= 64 {
+            check::<1>(&program, &facts, genome.entities)?;
+        }
+        check::<2>(&program, &facts, genome.entities)?;
+    }
+}

@@ -1,0 +1,508 @@
+//! Explanations against the specification: every proof can be replayed and is of least height, every literal that is said to
+//! fail is false.
+
+use crate::proofs::{check, database};
+use crate::random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, recursive_genomes};
+use crate::rule_files::RuleFiles;
+use crate::written_program::program;
+use logicity::datalog::explain::{
+    ExplainError, Explainer, FailureKind, Node, Obstacle, Origin, Premise, Reason, Teller,
+};
+use logicity::datalog::{ClauseId, Literal, RelId, Rules, Value};
+use logicity::datalog::{Program, Session, naive};
+use logicity::diag::Sources;
+use proptest::prelude::*;
+use std::cell::Cell;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The height of every fact: the round in which it appears if each round fires every clause once on what the rounds before
+/// derived, negated atoms being asked of the finished model.
+fn heights(rules: &Rules, session: &Session, model: &naive::Database) -> Vec<BTreeMap<Vec<Value>, u32>> {
+    let count = rules.relations.len();
+    let clauses: Vec<_> = rules
+        .clauses
+        .iter()
+        .map(|clause| {
+            let mut clause = clause.clone();
+            for literal in &mut clause.body {
+                if let Literal::Negative(atom) | Literal::Aggregate { atom, .. } = literal {
+                    atom.relation = RelId(atom.relation.0 + count as u32);
+                }
+            }
+            clause
+        })
+        .collect();
+    let mut known: naive::Database = vec![BTreeSet::new(); count];
+    let mut heights = vec![BTreeMap::new(); count];
+    for (rel, rows) in model
+        .iter()
+        .enumerate()
+        .filter(|(rel, _)| !rules.relations[*rel].derived)
+    {
+        heights[rel].extend(rows.iter().map(|row| (row.clone(), 0)));
+        known[rel].clone_from(rows);
+    }
+    for clause in clauses.iter().filter(|clause| clause.body.is_empty()) {
+        for row in naive::consequences(clause, session.symbols(), &known) {
+            heights[clause.head.relation.index()].insert(row.clone(), 0);
+            known[clause.head.relation.index()].insert(row);
+        }
+    }
+    for round in 1.. {
+        let mut all = known.clone();
+        all.extend(model.iter().cloned());
+        for clause in &clauses {
+            for row in naive::consequences(clause, session.symbols(), &all) {
+                let rel = clause.head.relation.index();
+                if known[rel].insert(row.clone()) {
+                    heights[rel].insert(row, round);
+                }
+            }
+        }
+        if known[..] == all[..count] {
+            break;
+        }
+    }
+    assert_eq!(&known, model);
+    heights
+}
+
+/// Every row over the domain, for narrow relations.
+fn domain(rules: &Rules, rel: usize) -> Vec<Vec<Value>> {
+    let mut rows: Vec<Vec<Value>> = vec![Vec::new()];
+    for column in &rules.relations[rel].columns {
+        let values: Vec<Value> = match column.base {
+            logicity::datalog::BaseType::Symbol => (0..TEXTS.len() as u32).map(Value).collect(),
+            logicity::datalog::BaseType::Unsigned => NUMBERS[..3].iter().map(|n| Value(n.unsigned_abs())).collect(),
+            logicity::datalog::BaseType::Float => NUMBERS[..3].iter().map(|n| Value::float(*n as f32)).collect(),
+            logicity::datalog::BaseType::Number => NUMBERS[..3].iter().copied().map(Value::number).collect(),
+        };
+        rows = rows
+            .iter()
+            .flat_map(|row| values.iter().map(move |value| [row.as_slice(), &[*value]].concat()))
+            .take(50)
+            .collect();
+    }
+    rows
+}
+
+fn check_genome(genome: &Genome) {
+    let rules = genome.rules();
+    let program = Program::new(rules.clone()).unwrap();
+    let mut session = program.session();
+    for batch in 0..genome.script.len() {
+        for (present, rel, row) in genome.batch(&rules, batch) {
+            if present {
+                session.insert(rel, &row).unwrap();
+            } else {
+                session.retract(rel, &row).unwrap();
+            }
+        }
+    }
+    session.commit().unwrap();
+    let model = database(&session);
+    let heights = heights(&rules, &session, &model);
+    let mut explainer = Explainer::new(&session);
+    for (rel, rows) in model.iter().enumerate() {
+        for row in rows.iter().take(30) {
+            let explanation = explainer.explain(RelId(rel as u32), row).unwrap().expect("it holds");
+            let Node::Fact(fact) = &explanation.nodes()[0] else {
+                panic!()
+            };
+            assert_eq!((fact.relation.index(), &fact.row), (rel, row));
+            for node in explanation.nodes() {
+                if let Node::Fact(fact) = node {
+                    assert_eq!(fact.height, heights[fact.relation.index()][&fact.row]);
+                }
+            }
+            check(&session, &model, &explanation);
+            // A fresh explainer, which has settled and found nothing yet, says the same.
+            if Some(row) == rows.first() || Some(row) == rows.iter().take(30).next_back() {
+                assert_eq!(
+                    session.explain(RelId(rel as u32), row).unwrap().as_ref(),
+                    Some(&explanation)
+                );
+            }
+        }
+        let domain = domain(&rules, rel);
+        for row in &domain {
+            let wanted: Vec<Option<Value>> = row.iter().copied().map(Some).collect();
+            let explanation = explainer.explain_absence(RelId(rel as u32), &wanted).unwrap();
+            assert_eq!(explanation.is_none(), rows.contains(row));
+            if Some(row) == domain.last() {
+                let fresh = session.explain_absence(RelId(rel as u32), &wanted).unwrap();
+                assert_eq!(fresh, explanation);
+            }
+            if let Some(explanation) = explanation {
+                check(&session, &model, &explanation);
+                assert!(explainer.explain(RelId(rel as u32), row).unwrap().is_none());
+            }
+        }
+    }
+}
+
+/// A literal matters if the clause without it, asked of all that holds, derives something new.
+fn check_matters(genome: &Genome) {
+    let rules = genome.rules();
+    let mut session = Program::new(rules.clone()).unwrap().session();
+    for (present, rel, row) in genome.batch(&rules, 0).into_iter().filter(|(present, ..)| *present) {
+        assert!(present);
+        session.insert(rel, &row).unwrap();
+    }
+    session.commit().unwrap();
+    let model = database(&session);
+    let mut explainer = Explainer::new(&session);
+    for (clause, id) in rules.clauses.iter().zip(0..) {
+        for literal in 0..clause.body.len() {
+            let Some(matters) = explainer.matters(ClauseId(id), literal).unwrap() else {
+                continue;
+            };
+            let mut less = clause.clone();
+            less.body.remove(literal);
+            let derived = naive::consequences(&less, session.symbols(), &model);
+            assert_eq!(matters, !derived.is_subset(&model[clause.head.relation.index()]));
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { max_shrink_iters: 2_000, ..ProptestConfig::with_cases(96) })]
+
+    #[test]
+    fn random_programs_are_explained(genome in genomes(1..3)) {
+        check_genome(&genome);
+    }
+
+    #[test]
+    fn literals_that_matter_are_known(genome in genomes(1..2)) {
+        check_matters(&genome);
+    }
+
+    #[test]
+    fn expressions_and_floats_are_explained(genome in computing_genomes(1..3)) {
+        check_genome(&genome);
+        check_matters(&genome);
+    }
+
+    #[test]
+    fn random_recursion_is_explained(genome in recursive_genomes(1..2)) {
+        check_genome(&genome);
+    }
+}
+
+fn numbers(row: &[i32]) -> Vec<Value> {
+    row.iter().copied().map(Value::number).collect()
+}
+
+/// A session with these numbers in these relations.
+fn session(text: &str, facts: &[(&str, &[&[i32]])]) -> Session {
+    let program = program(text);
+    let mut session = program.session();
+    for (name, rows) in facts {
+        let rel = program.relation(name).unwrap();
+        rows.iter().for_each(|row| session.insert(rel, &numbers(row)).unwrap());
+    }
+    session.commit().unwrap();
+    session
+}
+
+const PATHS: &str = ".decl edge(x: number, y: number)
+    .input edge
+    .decl path(x: number, y: number)
+    path(x, y) :- edge(x, y).
+    path(x, z) :- path(x, y), path(y, z).";
+
+#[test]
+fn a_long_chain_has_a_proof_of_logarithmic_height() {
+    let edges: Vec<Vec<i32>> = (0..64).map(|at| vec![at, at + 1]).collect();
+    let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
+    let session = session(PATHS, &[("edge", &edges)]);
+    let path = session.program().relation("path").unwrap();
+    let proof = session.explain(path, &numbers(&[0, 64])).unwrap().unwrap();
+    let Node::Fact(fact) = &proof.nodes()[0] else { panic!() };
+    assert_eq!(fact.height, 7);
+    check(&session, &database(&session), &proof);
+}
+
+#[test]
+fn expressions_and_aggregates_are_leaves_with_their_values() {
+    let text = ".decl edge(x: number, y: number)
+        .input edge
+        .decl degree, next, far(x: number, n: number)
+        .decl inverse(x: number)
+        degree(x, n) :- edge(x, _), n = count : { edge(x, _) }.
+        next(x, z) :- degree(x, n), z = n + 1.
+        far(x, s) :- edge(x, _), s = sum y : { edge(x, y), y > x }.
+        inverse(x) :- edge(x, y), 1 = 1 / y.";
+    let session = session(text, &[("edge", &[&[1, 2], &[1, 3], &[1, 0], &[2, 0]])]);
+    let rules = session.program().rules();
+    let model = database(&session);
+    let sources = Sources::new();
+    let teller = Teller::new(rules, session.symbols(), &sources);
+    let leaves = |name: &str, row: &[i32]| {
+        let rel = session.program().relation(name).unwrap();
+        let proof = session.explain(rel, &numbers(row)).unwrap().unwrap();
+        check(&session, &model, &proof);
+        let Node::Fact(fact) = &proof.nodes()[0] else { panic!() };
+        let Origin::Derived(derivation) = &fact.origin else {
+            panic!()
+        };
+        let clause = &rules.clauses[derivation.clause.index()];
+        let computed = |premise: &Premise| matches!(premise, Premise::Computed { .. });
+        let at = derivation.premises.iter().position(computed).unwrap();
+        teller.literal(clause, &clause.body[at], &derivation.binding)
+    };
+    assert_eq!(leaves("next", &[1, 4]), "4 = 3 + 1");
+    assert_eq!(leaves("degree", &[1, 3]), "3 = count : { edge(1, _) }");
+    assert_eq!(leaves("far", &[1, 5]), "5 = sum y : { edge(1, y), y > 1 }");
+    for (name, row, value) in [
+        ("next", [1, 9], Some(Value::number(4))),
+        ("degree", [1, 9], Some(Value::number(3))),
+    ] {
+        let rel = session.program().relation(name).unwrap();
+        let wanted: Vec<Option<Value>> = numbers(&row).into_iter().map(Some).collect();
+        let absence = session.explain_absence(rel, &wanted).unwrap().unwrap();
+        check(&session, &model, &absence);
+        let Node::Absence(told) = &absence.nodes()[0] else {
+            panic!()
+        };
+        let Reason::NoClause(misses) = &told.reason else {
+            panic!()
+        };
+        let Obstacle::Body { failures, .. } = &misses[0].obstacle else {
+            panic!()
+        };
+        assert_eq!(failures[0].kind, FailureKind::Computed { value });
+    }
+    let inverse = session.program().relation("inverse").unwrap();
+    let absence = session.explain_absence(inverse, &[Some(Value::number(2))]);
+    check(&session, &model, &absence.unwrap().unwrap());
+}
+
+#[test]
+fn a_proof_may_be_deep() {
+    let text = PATHS.replace("path(y, z)", "edge(y, z)");
+    let edges: Vec<Vec<i32>> = (0..1_000).map(|at| vec![at, at + 1]).collect();
+    let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
+    let session = session(&text, &[("edge", &edges)]);
+    let path = session.program().relation("path").unwrap();
+    let proof = session.explain(path, &numbers(&[0, 1_000])).unwrap().unwrap();
+    assert_eq!(proof.nodes().len(), 2_000);
+}
+
+#[test]
+fn too_much_work_is_said_and_leaves_nothing_half_done() {
+    let edges: Vec<Vec<i32>> = (0..40).map(|at| vec![at, at + 1]).collect();
+    let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
+    let session = session(PATHS, &[("edge", &edges)]);
+    let path = session.program().relation("path").unwrap();
+    let expected = session.explain(path, &numbers(&[0, 40])).unwrap();
+    let mut explainer = Explainer::new(&session);
+    for limit in [0, 1, 10, 100, 1_000, 5_000] {
+        explainer.set_limit(limit);
+        let error = explainer.explain(path, &numbers(&[0, 40])).unwrap_err();
+        assert_eq!(error, ExplainError::TooMuchWork { limit });
+        assert!(error.to_string().contains(&limit.to_string()));
+    }
+    explainer.set_limit(Explainer::LIMIT);
+    assert_eq!(explainer.explain(path, &numbers(&[0, 40])).unwrap(), expected);
+}
+
+#[test]
+fn a_question_ends_when_its_caller_says_so() {
+    let edges: Vec<Vec<i32>> = (0..60).map(|at| vec![at, at + 1]).collect();
+    let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
+    let session = session(PATHS, &[("edge", &edges)]);
+    let path = session.program().relation("path").unwrap();
+    let asked = Cell::new(0);
+    let ended = Cell::new(true);
+    let stop = || {
+        asked.set(asked.get() + 1);
+        ended.get()
+    };
+    let mut explainer = Explainer::new(&session);
+    explainer.stop_when(&stop);
+    assert_eq!(
+        explainer.explain(path, &numbers(&[0, 60])),
+        Err(ExplainError::Interrupted)
+    );
+    assert_eq!(asked.get(), 1);
+    ended.set(false);
+    let expected = session.explain(path, &numbers(&[0, 60]));
+    assert_eq!(explainer.explain(path, &numbers(&[0, 60])), expected);
+    assert!(expected.unwrap().is_some() && asked.get() > 1);
+}
+
+#[test]
+fn questions_that_make_no_sense_have_no_answer() {
+    let session = session(PATHS, &[("edge", &[&[1, 2]])]);
+    let path = session.program().relation("path").unwrap();
+    assert!(session.explain(RelId(9), &[]).unwrap().is_none());
+    assert!(session.explain(path, &numbers(&[1])).unwrap().is_none());
+    assert!(session.explain_absence(RelId(9), &[]).unwrap().is_none());
+    assert!(session.explain_absence(path, &[None]).unwrap().is_none());
+    assert!(session.explain_absence(path, &[None, None]).unwrap().is_none());
+    assert!(Explainer::new(&session).matters(ClauseId(9), 0).unwrap().is_none());
+    assert!(Explainer::new(&session).matters(ClauseId(0), 9).unwrap().is_some());
+}
+
+/// A program, its facts, what is asked, and how the answer reads.
+fn told(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -> String {
+    let mut sources = Sources::new();
+    let entry = sources.add("rules.dl", text);
+    let rules = logicity::datalog::load(&mut sources, entry, &RuleFiles).rules.unwrap();
+    let program = Program::new(rules).unwrap();
+    let mut session = program.session();
+    for (name, rows) in facts {
+        let rel = program.relation(name).unwrap();
+        rows.iter().for_each(|row| session.insert(rel, &numbers(row)).unwrap());
+    }
+    session.commit().unwrap();
+    let rel = program.relation(name).unwrap();
+    let wanted: Vec<Option<Value>> = numbers(row).into_iter().map(Some).collect();
+    let explanation = match session.explain(rel, &numbers(row)).unwrap() {
+        Some(proof) => proof,
+        None => session.explain_absence(rel, &wanted).unwrap().unwrap(),
+    };
+    let teller = Teller::new(program.rules(), session.symbols(), &sources);
+    let json = teller.json(&explanation);
+    assert_eq!(json["nodes"].as_array().unwrap().len(), explanation.nodes().len());
+    assert!(!json.to_string().contains('+'), "a hidden predicate is shown by name");
+    teller.tree(&explanation)
+}
+
+#[test]
+fn trees_read_well() {
+    let text = "
+.decl edge(x: number, y: number)
+.decl big(x: number)
+.decl path(x: number, y: number)
+.decl lone(x: number)
+.input edge, big
+/// E: an edge is a path
+path(x, y) :- edge(x, y).
+/// P: and so is one after another
+path(x, z) :- path(x, y), edge(y, z), x < 9.
+big(7).
+lone(x) :- big(x), !path(x, _).
+";
+    let edges: &[(&str, &[&[i32]])] = &[("edge", &[&[1, 2], &[2, 3], &[9, 1]])];
+    assert_eq!(
+        told(text, edges, "path", &[1, 3]),
+        "\
+path(1, 3)  by P: and so is one after another  [rules.dl:10]
+├─ path(1, 2)  by E: an edge is a path  [rules.dl:8]
+│  └─ edge(1, 2)
+├─ edge(2, 3)
+└─ 1 < 9
+"
+    );
+    assert_eq!(
+        told(text, edges, "path", &[9, 2]),
+        "\
+Not(path(9, 2)): no clause of path holds
+├─ E: an edge is a path  [rules.dl:8]
+│  └─ edge(9, 2) does not hold
+└─ P: and so is one after another  [rules.dl:10]
+   └─ 9 < 9 fails
+"
+    );
+    assert_eq!(
+        told(text, edges, "lone", &[7]),
+        "\
+lone(7)  by lone(x) :- big(x), !path(x, _).  [rules.dl:12]
+├─ big(7)  [rules.dl:11]
+└─ Not(path(7, _)): no clause of path holds
+   ├─ E: an edge is a path  [rules.dl:8]
+   │  └─ edge(7, y) does not hold
+   └─ P: and so is one after another  [rules.dl:10]
+      └─ nearest y = 9: path(7, 9) does not hold
+         ├─ E: an edge is a path  [rules.dl:8]
+         │  └─ edge(7, 9) does not hold
+         └─ P: and so is one after another  [rules.dl:10]
+            ├─ path(7, y) does not hold  (that would rest on itself)
+            └─ edge(y, 9) does not hold
+"
+    );
+}
+
+#[test]
+fn views_are_told_and_hidden_predicates_are_not() {
+    let text = "
+.decl sees(x: number, y: number)
+.decl near(x: number, y: number)
+.decl car(x: number)
+.decl free(x: number)
+.decl go(x: number)
+.input sees, near, car
+.scope sees
+/// F: nobody in view is near
+free(X) :- car(X), !near(X, _).
+/// G: somebody in view is free
+go(X) :- car(X), free(Y).
+";
+    let facts: &[(&str, &[&[i32]])] = &[
+        ("car", &[&[1], &[2], &[3]]),
+        ("near", &[&[1, 2], &[2, 3]]),
+        ("sees", &[&[1, 1], &[1, 2], &[2, 2], &[3, 1], &[3, 3]]),
+    ];
+    // 2 is near to 3, but does not see it.
+    assert_eq!(
+        told(text, facts, "go", &[1]),
+        "\
+go(1)  by G: somebody in view is free  [rules.dl:12]
+├─ car(1)
+├─ free(2)  by F: nobody in view is near  [rules.dl:10]
+│  ├─ car(2)
+│  └─ Not(near(2, _) in view)
+│     └─ not in view: sees(2, 3)
+└─ in view: sees(1, 2)
+"
+    );
+    assert_eq!(
+        told(text, facts, "free", &[1]),
+        "\
+Not(free(1)): no clause of free holds
+└─ F: nobody in view is near  [rules.dl:10]
+   └─ Not(near(1, _) in view) fails
+      └─ near(1, _) in view
+         ├─ near(1, 2)
+         └─ in view: sees(1, 2)
+"
+    );
+    assert_eq!(
+        told(text, &[facts[0], facts[1]], "go", &[1]),
+        "\
+Not(go(1)): no clause of go holds
+└─ G: somebody in view is free  [rules.dl:12]
+   └─ nearest Y = 2: not in view: sees(1, 2)
+"
+    );
+}
+
+#[test]
+fn a_range_is_told_as_it_is_written() {
+    let text = "
+.decl upto(n: number)
+.decl a(x: number)
+.input upto
+a(x) :- upto(n), x = range(0, n).
+";
+    let facts: &[(&str, &[&[i32]])] = &[("upto", &[&[3]])];
+    assert_eq!(
+        told(text, facts, "a", &[2]),
+        "\
+a(2)  by a(x) :- upto(n), x = range(0, n).  [rules.dl:5]
+├─ upto(3)
+└─ 2 = range(0, 3, 1)
+"
+    );
+    assert_eq!(
+        told(text, facts, "a", &[3]),
+        "\
+Not(a(3)): no clause of a holds
+└─ a(x) :- upto(n), x = range(0, n).  [rules.dl:5]
+   └─ nearest n = 3: 3 = range(0, 3, _) does not hold
+"
+    );
+}

@@ -1,0 +1,63 @@
+//! Rules, programs and rows of any kind are used or refused, whatever bytes they are: what `tests/fuzz` asks of millions of inputs
+//! is asked here of the files of the repository, of files like them, and of what was once found. (`lang` has hostile texts of its
+//! own.)
+
+use crate::any_input;
+use crate::near_files::{any_bytes, files, near};
+use proptest::prelude::*;
+use std::sync::LazyLock;
+
+/// What the fuzzer begins with.
+static RULES: LazyLock<Vec<Vec<u8>>> =
+    LazyLock::new(|| files(&["tests/corpus", "rules", "tests/fixtures/diagnostics"]));
+static ROWS: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
+    vec![
+        b"\0a\t1\t2\t1.5\tb\n\"\t-2\t0\tnan\t\n".to_vec(),
+        b"\xc1s,n,u,f,t\n\"a\"\"\",1,2,3,\",\"\n".to_vec(),
+    ]
+});
+
+#[test]
+fn every_rule_file_is_used_or_refused() {
+    for bytes in RULES.iter() {
+        any_input::parse(bytes);
+        any_input::check(bytes);
+        any_input::query(bytes);
+    }
+}
+
+proptest! {
+    #[test]
+    fn any_rules_are_parsed_or_refused(bytes in prop_oneof![4 => near(&RULES), 1 => any_bytes()]) {
+        any_input::parse(&bytes);
+    }
+
+    #[test]
+    fn any_rules_are_checked_or_refused(bytes in near(&RULES)) {
+        any_input::check(&bytes);
+    }
+
+    #[test]
+    fn any_rules_mean_what_they_mean_to_naive(bytes in near(&RULES)) {
+        any_input::query(&bytes);
+    }
+
+    #[test]
+    fn any_program_agrees_with_naive(bytes in prop::collection::vec(any::<u8>(), 0..1_000)) {
+        any_input::evaluate(&bytes);
+    }
+
+    #[test]
+    fn any_rows_are_read_or_refused(bytes in prop_oneof![4 => near(&ROWS), 1 => any_bytes()]) {
+        any_input::rows(&bytes);
+    }
+}
+
+/// Found by fuzzing: more faults than are told.
+#[test]
+fn rows_with_more_faults_than_are_told_are_refused() {
+    let bytes: Vec<u8> = std::iter::once(0)
+        .chain(b"x\n".repeat(2 * logicity::diag::MAX_FAULTS))
+        .collect();
+    any_input::rows(&bytes);
+}

@@ -1,0 +1,1426 @@
+//! The rule language: rule files, fixtures, reference, round trip, hostile texts.
+
+use crate::rule_files::RuleFiles;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use logicity::datalog::{
+    AggregateOp, Atom, Clause, Comparison, Functor, Inputs, Literal, Loaded, Rules, Term, ast, load, load_with, parse,
+    print,
+};
+use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
+use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
+use logicity::{datalog, diag};
+use proptest::prelude::*;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn load_text(name: &str, text: &str) -> (Sources, Loaded) {
+    let mut sources = Sources::new();
+    let entry = sources.add(name, text);
+    let loaded = load(&mut sources, entry, &RuleFiles);
+    (sources, loaded)
+}
+
+/// The rules of a text that must have no fault at all.
+fn load_clean(name: &str, text: &str) -> Rules {
+    let (sources, loaded) = load_text(name, text);
+    assert!(
+        loaded.diagnostics.is_empty(),
+        "{}",
+        render(&loaded.diagnostics, &sources, false)
+    );
+    let rules = loaded.rules.expect("no diagnostic, so there are rules");
+    check_promises(&rules);
+    rules
+}
+
+fn load_rule_file(name: &str) -> Rules {
+    let path = root().join("rules").join(name);
+    load_clean(
+        &path.display().to_string(),
+        &read_text(&path).expect("the file is there"),
+    )
+}
+
+fn strata(rules: &Rules) -> Vec<Vec<&str>> {
+    (rules.strata.iter())
+        .map(|stratum| {
+            stratum
+                .relations
+                .iter()
+                .map(|id| rules.relations[id.index()].name.as_str())
+                .collect()
+        })
+        .collect()
+}
+
+/// The help of the errors of a text, and nothing of its warnings.
+fn helps(text: &str) -> Vec<String> {
+    let (_, loaded) = load_text("main.dl", text);
+    let errors = loaded.diagnostics.into_iter().filter(Diagnostic::is_error);
+    errors.flat_map(|error| error.help).collect()
+}
+
+#[test]
+fn habits_of_other_languages_are_told_once_with_what_to_write_here() {
+    const HEAD: &str = ".decl A, B(x: number)\n.input A\n.output B\n";
+    for (written, help) in [
+        ("B(x) :- A(x) and x < 2.", "commas"),
+        ("B(x) :- A(x) AND A(x).", "commas"),
+        ("B(x) :- A(x) & x < 2.", "commas"),
+        ("B(x) :- A(x) && x < 2.", "commas"),
+        ("B(x) :- A(x) \u{2227} x < 2.", "commas"),
+        ("B(x) :- A(x) or A(x).", "`;`"),
+        ("B(x) :- A(x) | A(x).", "`;`"),
+        ("B(x) :- A(x) || A(x).", "`;`"),
+        ("B(x) :- A(x), NOT A(x).", "`!P(X)`"),
+        ("B(x) :- A(x), NOT(A(x)).", "`!P(X)`"),
+        ("B(x) :- A(x), \\+ A(x).", "`!P(X)`"),
+        ("B(x) :- A(x), ~A(x).", "`!P(X)`"),
+        ("B(x) :- A(x), \u{ac}A(x).", "`!P(X)`"),
+        ("B(x) :- A(x), x == 1.", "equality is written `=`"),
+        ("B(x) :- A(x), x =:= 1.", "equality is written `=`"),
+        ("B(x) :- A(x), x is 1.", "equality is written `=`"),
+        ("B(x) :- A(x), x <> 1.", "`!=`"),
+        ("B(x) :- A(x), x \\= 1.", "`!=`"),
+        ("B(x) :- A(x), x =\\= 1.", "`!=`"),
+        ("B(x) :- A(x), x \u{2260} 1.", "`!=`"),
+        ("B(x) :- A(x), x =< 1.", "`<=`"),
+        ("B(x) :- A(x), x \u{2265} 1.", "`>=`"),
+        ("B(x) :- A(x), x => 1.", "`>=`"),
+        ("B(x) <- A(x).", "`:-`"),
+        ("B(x) -> A(x).", "`:-`"),
+        ("B(x) := A(x).", "`:-`"),
+        ("B(x) \u{2190} A(x).", "`:-`"),
+        ("B(x) <= A(x).", "`:-`"),
+        ("B(x) if A(x).", "`:-`"),
+        ("A(x) => B(x).", "the head of a clause comes first"),
+        ("B(x) :- A(x)", "ends with a full stop"),
+        ("B(x) :- A(x)\n.decl C(x: number)", "ends with a full stop"),
+        ("B(1)\nB(2).", "ends with a full stop"),
+    ] {
+        let said = helps(&format!("{HEAD}{written}\n"));
+        assert!(said.len() == 1 && said[0].contains(help), "{written}: {said:?}");
+    }
+    // What only looks like it.
+    load_clean(
+        "main.dl",
+        &format!("{HEAD}B(x) :- A(x), x <-1.\n.decl and(x: number)\n.output and\nand(x) :- A(x).\n"),
+    );
+}
+
+#[test]
+fn a_missing_include_suggests_the_file_that_is_meant() {
+    for (written, meant) in [
+        ("vocabulary", "vocabulary.dl"),
+        ("vocabulry.dl", "vocabulary.dl"),
+        ("vocabulry", "vocabulary.dl"),
+        ("Easy.dl", "easy.dl"),
+    ] {
+        let said = helps(&format!(".include \"{written}\"\n"));
+        assert_eq!(said, [format!("did you mean `{meant}`?")], "{written}");
+    }
+    assert_eq!(helps(".include \"something-else.dl\""), [""; 0]);
+}
+
+#[test]
+fn a_circle_is_told_once_with_what_to_do() {
+    let text = ".decl A, B, C(x: number)\n.input A\n.output B, C\nB(x) :- A(x), !C(x).\nC(x) :- A(x), !B(x).\n";
+    let said = helps(text);
+    assert!(
+        said.len() == 1 && said[0].contains("predicates that do not need `B`"),
+        "{said:?}"
+    );
+}
+
+#[test]
+fn all_rule_files_load_without_a_diagnostic() {
+    let mut count = 0;
+    for entry in std::fs::read_dir(root().join("rules")).expect("rules/ is there") {
+        let name = entry
+            .expect("a readable folder")
+            .file_name()
+            .into_string()
+            .expect("UTF-8");
+        if name.ends_with(".dl") {
+            load_rule_file(&name);
+            count += 1;
+        }
+    }
+    assert_eq!(count, 10);
+}
+
+#[test]
+fn stopping_comes_before_slowing_before_speeding() {
+    assert_eq!(
+        strata(&load_rule_file("expert.dl")),
+        [["Stop"], ["Slow"], ["Fast"], ["Normal"]]
+    );
+    assert_eq!(strata(&load_rule_file("easy.dl")), [["Stop"], ["Normal"]]);
+}
+
+// --- expectations beside the input
+
+/// Loads the first of some texts, the others being the files beside it. One that expects `extended-input` is loaded as for a query.
+fn load_files(files: &[(String, String)]) -> (Sources, Loaded) {
+    let read_one = |path: &Path| {
+        let clean: PathBuf = path
+            .components()
+            .filter(|part| *part != std::path::Component::CurDir)
+            .collect();
+        let name = clean.to_string_lossy();
+        let name = name.strip_prefix("x/../").unwrap_or(&name);
+        match files.iter().find(|(file, _)| file == name) {
+            Some((_, text)) => Ok(text.clone()),
+            None => RuleFiles.read(path),
+        }
+    };
+    let mut sources = Sources::new();
+    let entry = sources.add(files[0].0.as_str(), files[0].1.as_str());
+    let inputs = match files.iter().any(|(_, text)| text.contains("warning[extended-input]")) {
+        true => Inputs::Extended,
+        false => Inputs::Given,
+    };
+    let loaded = load_with(&mut sources, entry, &read_one, inputs);
+    (sources, loaded)
+}
+
+/// Splits a text at the lines `// file: NAME`.
+fn split_files(name: &str, text: &str) -> Vec<(String, String)> {
+    let mut files = vec![(name.to_owned(), String::new())];
+    for line in text.lines() {
+        if let Some(name) = line.strip_prefix("// file: ") {
+            files.push((name.to_owned(), String::new()));
+        } else {
+            let (_, text) = files.last_mut().expect("one was put there");
+            text.push_str(line);
+            text.push('\n');
+        }
+    }
+    files
+}
+
+/// `error[code]: part of the message`, `warning[code]`, `label[code]: part of the label`, said of a line.
+#[derive(Debug)]
+struct Expectation {
+    file: String,
+    line: usize,
+    kind: String,
+    code: String,
+    part: String,
+}
+
+fn expectations(file: &str, text: &str) -> Vec<Expectation> {
+    let mut found = Vec::new();
+    for (index, line) in text.lines().enumerate() {
+        let Some(at) = ["// error[", "// warning[", "// label["]
+            .iter()
+            .filter_map(|mark| line.find(mark))
+            .min()
+        else {
+            continue;
+        };
+        let marks = line[at + 3..]
+            .replace(", error[", "\0error[")
+            .replace(", warning[", "\0warning[");
+        for mark in marks.replace(", label[", "\0label[").split('\0') {
+            let (kind, rest) = mark.split_once('[').expect("a mark has a bracket");
+            let (code, part) = rest.split_once(']').expect("a mark has both brackets");
+            found.push(Expectation {
+                file: file.to_owned(),
+                line: index + 1,
+                kind: kind.to_owned(),
+                code: code.to_owned(),
+                part: part.trim_start_matches(':').trim().to_owned(),
+            });
+        }
+    }
+    found
+}
+
+/// Every diagnostic is expected on its line, and every expectation met. Labels may be more than are expected.
+fn check_expectations(what: &str, files: &[(String, String)]) -> Result<(), String> {
+    let (sources, loaded) = load_files(files);
+    let drawn = render(&loaded.diagnostics, &sources, false);
+    let expected: Vec<Expectation> = files.iter().flat_map(|(name, text)| expectations(name, text)).collect();
+    let matches = |expectation: &Expectation, diagnostic: &Diagnostic| {
+        if diagnostic.code.name() != expectation.code {
+            return false;
+        }
+        let on_line = |span| {
+            let name = Path::new(sources.name(span))
+                .file_name()
+                .map(|name| name.to_string_lossy().into_owned());
+            name.as_deref() == Path::new(&expectation.file).file_name().and_then(|name| name.to_str())
+        };
+        if expectation.kind == "label" {
+            return diagnostic.secondary.iter().any(|label| {
+                on_line(label.span.source)
+                    && sources.position(label.span).line == expectation.line
+                    && label.message.contains(&expectation.part)
+            });
+        }
+        let severity = if expectation.kind == "error" {
+            Severity::Error
+        } else {
+            Severity::Warning
+        };
+        diagnostic.severity() == severity
+            && diagnostic.message.contains(&expectation.part)
+            && diagnostic.primary.as_ref().is_some_and(|label| {
+                on_line(label.span.source) && sources.position(label.span).line == expectation.line
+            })
+    };
+    let mut met = vec![false; loaded.diagnostics.len()];
+    for expectation in &expected {
+        let index = loaded.diagnostics.iter().enumerate().position(|(index, diagnostic)| {
+            (expectation.kind == "label" || !met[index]) && matches(expectation, diagnostic)
+        });
+        let index = index.ok_or_else(|| format!("{what}: not met: {expectation:?}\n{drawn}"))?;
+        if expectation.kind != "label" {
+            met[index] = true;
+        }
+    }
+    let unexpected: Vec<_> = (loaded.diagnostics.iter().zip(&met))
+        .filter(|(_, met)| !**met)
+        .map(|(one, _)| one.clone())
+        .collect();
+    if !unexpected.is_empty() {
+        return Err(format!(
+            "{what}: not expected:\n{}",
+            render(&unexpected, &sources, false)
+        ));
+    }
+    let failed = loaded.diagnostics.iter().any(Diagnostic::is_error);
+    assert_eq!(
+        loaded.rules.is_none(),
+        failed,
+        "{what}: rules exactly if there is no error"
+    );
+    Ok(())
+}
+
+/// The codes that this room produces.
+fn rule_codes() -> impl Iterator<Item = Code> {
+    let others = [
+        Code::INVALID_FACT,
+        Code::BROKEN_PROMISE,
+        Code::OLD_FORM,
+        Code::CONTRADICTORY_BODY,
+        Code::REDUNDANT_LITERAL,
+        Code::REPEATED_BODY,
+    ];
+    (diag::CODES.iter().chain(datalog::CODES).copied()).filter(move |code| !others.contains(code))
+}
+
+#[test]
+fn each_code_has_a_fixture_that_produces_it() {
+    let folder = root().join("tests/fixtures/diagnostics");
+    let mut failures = Vec::new();
+    for code in rule_codes() {
+        let name = code.name();
+        let mut files = Vec::new();
+        let single = folder.join(format!("{name}.dl"));
+        if single.exists() {
+            files = split_files(
+                &format!("{name}.dl"),
+                &read_text(&single).expect("a fixture can be read"),
+            );
+        } else {
+            let path = folder.join(name).join("main.dl");
+            let text = read_text(&path).unwrap_or_else(|error| panic!("no fixture for {name}: {error}"));
+            files.push((path.display().to_string(), text));
+        }
+        failures.extend(check_expectations(name, &files).err());
+        let marked = files.iter().flat_map(|(name, text)| expectations(name, text));
+        assert!(
+            marked.into_iter().any(|mark| mark.code == name && mark.kind != "label"),
+            "{name}.dl expects no {name}"
+        );
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+// --- the paper's notation
+
+/// The table of clauses of the expert mode as it is printed.
+const PAPER: &str = r#"
+.include "vocabulary.dl"
+Stop(X):- Not(IsAmbulance(X)), Not(IsOld(X)), IsAtInter(X), IsInInter(Y).
+Stop(X):- Not(IsAmbulance(X)), Not(IsOld(X)), IsAtInter(X), IsAtInter(Y), HigherPri(Y, X).
+Stop(X):- Not(IsAmbulance(X)), Not(IsOld(X)), IsInInter(X), IsInInter(Y), IsAmbulance(Y).
+Stop(X):- Not(IsAmbulance(X)), Not(IsPolice(X)), IsCar(X), Not(IsInInter(X)), Not(IsAtInter(X)), LeftOf(Y, X), IsClose(Y, X), IsPolice(Y).
+Stop(X):- IsBus(X), Not(IsInInter(X)), Not(IsAtInter(X)), RightOf(Y, X), NextTo(Y, X), IsPedestrian(Y).
+Stop(X):- IsAmbulance(X), RightOf(Y, X), IsOld(Y).
+Stop(X):- Not(IsAmbulance(X)), Not(IsOld(X)), CollidingClose(X, Y).
+Slow(X):- Not(Stop(X)), IsTiro(X), IsPedestrian(Y), IsClose(X, Y).
+Slow(X):- Not(Stop(X)), IsTiro(X), IsInInter(X), IsAtInter(Y).
+Slow(X):- Not(Stop(X)), IsPolice(X), IsYoung(Y), IsYoung(Z), NextTo(Y, Z).
+Fast(X):- Not(Stop(X)), Not(Slow(X)), IsReckless(X), IsAtInter(Y).
+Fast(X):- Not(Stop(X)), Not(Slow(X)), IsBus(X).
+Fast(X):- Not(Stop(X)), Not(Slow(X)), IsPolice(X), IsReckless(Y).
+"#;
+
+/// The clauses of some rules without their order, places and docs: one line each.
+fn clause_lines(rules: &Rules) -> Vec<String> {
+    let mut lines: Vec<String> = (rules.clauses.iter())
+        .map(|clause| {
+            let atom = |atom: &Atom| {
+                let terms: Vec<String> = atom.terms.iter().map(|term| format!("{term:?}")).collect();
+                format!("{}({})", rules.relations[atom.relation.index()].name, terms.join(","))
+            };
+            let mut body: Vec<String> = (clause.body.iter())
+                .map(|literal| match literal {
+                    Literal::Positive(one) => atom(one),
+                    Literal::Negative(one) => format!("!{}", atom(one)),
+                    Literal::Guard(one) => format!("guard {}", atom(one)),
+                    Literal::Compare { op, left, right, .. } => format!("{left:?} {op} {right:?}"),
+                    other => format!("{other:?}"),
+                })
+                .collect();
+            body.sort();
+            format!("{} :- {}", atom(&clause.head), body.join(", "))
+        })
+        .collect();
+    lines.sort();
+    lines
+}
+
+#[test]
+fn the_papers_clauses_load_as_printed_and_are_those_of_expert() {
+    assert_eq!(
+        clause_lines(&load_clean("paper.dl", PAPER)),
+        clause_lines(&load_rule_file("expert.dl"))
+    );
+}
+
+#[test]
+fn rule_sets_nest_as_the_modes_do() {
+    let clauses = |name| load_rule_file(name).clauses.len();
+    // The default clause counts too.
+    assert_eq!(clauses("easy.dl"), 4);
+    assert_eq!(clauses("medium.dl"), 7);
+    assert_eq!(clauses("hard.dl"), 8);
+    assert_eq!(clauses("expert.dl"), 14);
+    assert_eq!(clauses("transfer-easy.dl"), 4);
+    assert_eq!(clauses("transfer-medium.dl"), 6);
+    assert_eq!(clauses("transfer-hard.dl"), 8);
+    assert_eq!(clauses("vap-easy.dl"), 6);
+    assert_eq!(clauses("vap-hard.dl"), 15);
+}
+
+#[test]
+fn docs_of_clauses_are_kept() {
+    let rules = load_rule_file("expert.dl");
+    let titles: Vec<&str> = rules
+        .clauses
+        .iter()
+        .filter_map(|clause| clause.doc.split(':').next())
+        .collect();
+    assert_eq!(
+        titles,
+        [
+            "N", "S1", "S2", "S3", "S6", "S7", "S5", "S4", "L1", "L2", "L3", "F1", "F2", "F3"
+        ]
+    );
+}
+
+// --- scope
+
+/// The clauses of a text after `vocabulary.dl`, written out.
+fn expanded(text: &str) -> Vec<String> {
+    let rules = load_clean("main.dl", &format!(".include \"vocabulary.dl\"\n{text}"));
+    let vocabulary = load_rule_file("vocabulary.dl").clauses.len();
+    rules.clauses[vocabulary..]
+        .iter()
+        .map(|clause| written(&rules, clause))
+        .collect()
+}
+
+fn written(rules: &Rules, clause: &Clause) -> String {
+    let term = |term: &Term| match term {
+        Term::Variable(id) => format!("{}{}", clause.variables[id.index()], id.0),
+        Term::Constant(value) => format!("{}", value.0),
+        Term::Wildcard => "_".to_owned(),
+    };
+    let atom = |atom: &Atom| {
+        let terms: Vec<String> = atom.terms.iter().map(term).collect();
+        format!("{}({})", rules.relations[atom.relation.index()].name, terms.join(", "))
+    };
+    let body: Vec<String> = (clause.body.iter())
+        .map(|literal| match literal {
+            Literal::Positive(one) => atom(one),
+            Literal::Negative(one) => format!("!{}", atom(one)),
+            Literal::Guard(one) => format!("[{}]", atom(one)),
+            Literal::Compare { op, left, right, .. } => format!("{} {op} {}", term(left), term(right)),
+            Literal::Compute {
+                to, functor, arguments, ..
+            } => {
+                let arguments: Vec<String> = arguments.iter().map(term).collect();
+                format!("{} = {}({})", term(to), functor.name(), arguments.join(", "))
+            }
+            Literal::Aggregate {
+                to,
+                op,
+                atom: over,
+                column,
+                ..
+            } => {
+                format!("{} = {} {column:?} : {}", term(to), op.name(), atom(over))
+            }
+        })
+        .collect();
+    format!("{} :- {}", atom(&clause.head), body.join(", "))
+}
+
+#[test]
+fn a_scope_guards_every_variable_but_the_heads_first() {
+    assert_eq!(
+        expanded("Stop(X) :- IsPolice(X), IsYoung(Y), IsYoung(Z), NextTo(Y, Z)."),
+        ["Stop(X0) :- IsPolice(X0), IsYoung(Y1), IsYoung(Z2), NextTo(Y1, Z2), [Sees(X0, Y1)], [Sees(X0, Z2)]"]
+    );
+    assert_eq!(
+        expanded("Stop(X) :- IsPolice(X), Not(IsBus(X))."),
+        ["Stop(X0) :- IsPolice(X0), !IsBus(X0)"]
+    );
+    // What the author wrote is not written twice.
+    assert_eq!(
+        expanded("Stop(X) :- Sees(X, Y), IsBus(Y)."),
+        ["Stop(X0) :- Sees(X0, Y1), IsBus(Y1)"]
+    );
+    assert_eq!(
+        expanded(".scope\nStop(X) :- IsBus(X), IsBus(Y), Y != X."),
+        ["Stop(X0) :- IsBus(X0), IsBus(Y1), Y1 != X0"]
+    );
+}
+
+#[test]
+fn under_a_scope_a_wildcard_is_somebody_in_view() {
+    assert_eq!(
+        expanded("Stop(X) :- IsClose(X, _)."),
+        ["Stop(X0) :- IsClose(X0, _1), [Sees(X0, _1)]"]
+    );
+    assert_eq!(
+        expanded("Stop(X) :- IsCar(X), Not(IsClose(_, X)).\nSlow(Y) :- IsBus(Y), !IsClose(_, Y)."),
+        [
+            "Stop(X0) :- IsCar(X0), !+1(X0)",
+            "Slow(Y0) :- IsBus(Y0), !+1(Y0)",
+            "+1(X0) :- IsClose(_1, X0), [Sees(X0, _1)]",
+        ]
+    );
+    assert_eq!(
+        expanded("Stop(X) :- IsCar(X), IsBus(Y), Not(IsClose(Y, _))."),
+        [
+            "Stop(X0) :- IsCar(X0), IsBus(Y1), !+1(X0, Y1), [Sees(X0, Y1)]",
+            "+1(X0, Y1) :- IsClose(Y1, _2), [Sees(X0, _2)]",
+        ]
+    );
+}
+
+#[test]
+fn a_scope_leaves_other_types_alone() {
+    assert_eq!(
+        expanded(
+            ".decl Speed(x: agent, v: number)\n.input Speed\nStop(X) :- Speed(X, V), Speed(Y, W), V < W, Speed(_, _)."
+        ),
+        ["Stop(X0) :- Speed(X0, V1), Speed(Y2, W3), V1 < W3, Speed(_4, _), [Sees(X0, Y2)], [Sees(X0, _4)]"]
+    );
+}
+
+// --- forms of the text
+
+#[test]
+fn negations_and_parentheses_fold() {
+    let plain = expanded("Stop(X) :- IsCar(X), !IsBus(X), X != \"a\".");
+    for text in [
+        "Stop(X) :- IsCar(X), Not(IsBus(X)), Not(X = \"a\").",
+        "Stop(X) :- Not(Not(IsCar(X))), not IsBus(X), !(X = \"a\").",
+        "Stop(X) :- !!IsCar(X), not (IsBus(X)), not not X != \"a\".",
+    ] {
+        assert_eq!(expanded(text), plain, "{text}");
+    }
+}
+
+#[test]
+fn numbers_and_texts() {
+    let rules = load_clean(
+        "main.dl",
+        ".decl N(x: number)\n.decl T(x: symbol)\nN(0x1F). N(0b101). N(-7). N(-2147483648). T(\"a\\n\\t\\\"\\\\'\u{e9}\").\n.output N, T",
+    );
+    let numbers: Vec<i32> = (rules.clauses.iter().take(4))
+        .map(|clause| match clause.head.terms[0] {
+            Term::Constant(value) => value.as_number(),
+            _ => panic!("a fact has constants"),
+        })
+        .collect();
+    assert_eq!(numbers, [31, 5, -7, i32::MIN]);
+    assert!(rules.symbols.get("a\n\t\"\\'\u{e9}").is_some());
+}
+
+// --- there and back
+
+fn name() -> impl Strategy<Value = String> {
+    "[a-zA-Z?_][a-zA-Z0-9_?]{0,5}".prop_filter("a word of the language", |name| {
+        let words = [
+            "_", "Not", "not", "as", "nil", "true", "false", "bnot", "lnot", "band", "bor", "bxor", "bshl", "bshr",
+            "bshru", "land", "lor", "lxor", "min", "max", "sum", "count", "mean", "cat", "ord", "substr", "strlen",
+            "match", "range", "brie", "btree", "magic", "inline",
+        ];
+        !words.contains(&name.as_str())
+    })
+}
+
+fn place() -> ast::Place {
+    let mut sources = Sources::new();
+    ast::Place(Span::new(sources.add("", ""), 0..0))
+}
+
+fn node(text: String) -> ast::Name {
+    ast::Name { text, place: place() }
+}
+
+fn doc() -> impl Strategy<Value = String> {
+    prop_oneof![
+        Just(String::new()),
+        proptest::collection::vec("([a-z/*\"] ?){1,4}[a-z.]", 1..3).prop_map(|lines| lines.join("\n")),
+        Just("one\n\n  three".to_owned()),
+    ]
+}
+
+fn leaf() -> impl Strategy<Value = ast::Term> {
+    prop_oneof![
+        4 => name().prop_map(ast::TermKind::Variable),
+        1 => Just(ast::TermKind::Wildcard),
+        1 => (-4_294_967_295_i64..=4_294_967_295).prop_map(ast::TermKind::Number),
+        1 => any::<u32>().prop_map(ast::TermKind::Unsigned),
+        1 => "-?[0-9]{1,3}\\.[0-9]{1,3}(e[+-]?[0-9])?".prop_map(ast::TermKind::Float),
+        1 => any::<String>().prop_map(ast::TermKind::Text),
+    ]
+    .prop_map(|kind| ast::Term { kind, place: place() })
+}
+
+fn term() -> impl Strategy<Value = ast::Term> {
+    let unary = proptest::sample::select(vec![Functor::Negate, Functor::BitNot, Functor::Not]);
+    let binary = proptest::sample::select(vec![
+        Functor::Add,
+        Functor::Subtract,
+        Functor::Multiply,
+        Functor::Divide,
+        Functor::Power,
+        Functor::BitAnd,
+        Functor::ShiftLeft,
+        Functor::Or,
+        Functor::Min,
+        Functor::Cat,
+    ]);
+    let node = |kind| ast::Term { kind, place: place() };
+    leaf().prop_recursive(4, 12, 2, move |inner| {
+        let op = proptest::sample::select(vec![AggregateOp::Sum, AggregateOp::Min, AggregateOp::Count]);
+        let body = proptest::collection::vec(plain_atom(inner.clone()), 1..3);
+        prop_oneof![
+            2 => (unary.clone(), inner.clone()).prop_map(move |(op, a)| node(ast::TermKind::Functor(op, vec![a]))),
+            4 => (binary.clone(), inner.clone(), inner.clone())
+                .prop_map(move |(op, a, b)| node(ast::TermKind::Functor(op, vec![a, b]))),
+            1 => (inner.clone(), name()).prop_map(move |(a, ty)| {
+                node(ast::TermKind::Cast(Box::new(a), ast::Name { text: ty, place: place() }))
+            }),
+            1 => (op, leaf(), body).prop_map(move |(op, target, body)| {
+                let target = (op != AggregateOp::Count).then_some(target);
+                node(ast::TermKind::Aggregate(Box::new(ast::Aggregate { op, target, body })))
+            }),
+        ]
+    })
+}
+
+fn plain_atom(term: impl Strategy<Value = ast::Term> + 'static) -> impl Strategy<Value = ast::Literal> {
+    (name(), proptest::collection::vec(term, 0..3), any::<bool>()).prop_map(|(predicate, terms, negated)| {
+        let predicate = ast::Name {
+            text: predicate,
+            place: place(),
+        };
+        ast::Literal::Atom {
+            negated,
+            atom: ast::Atom {
+                predicate,
+                terms,
+                place: place(),
+            },
+        }
+    })
+}
+
+fn atom() -> impl Strategy<Value = ast::Atom> {
+    (name(), proptest::collection::vec(term(), 0..4)).prop_map(|(predicate, terms)| ast::Atom {
+        predicate: node(predicate),
+        terms,
+        place: place(),
+    })
+}
+
+fn literal() -> impl Strategy<Value = ast::Literal> {
+    let op = prop_oneof![
+        Just(Comparison::Equal),
+        Just(Comparison::NotEqual),
+        Just(Comparison::Less),
+        Just(Comparison::LessEqual),
+        Just(Comparison::Greater),
+        Just(Comparison::GreaterEqual),
+        Just(Comparison::Match),
+        Just(Comparison::NotContains),
+    ];
+    let plain = prop_oneof![
+        3 => (any::<bool>(), atom()).prop_map(|(negated, atom)| ast::Literal::Atom { negated, atom }),
+        1 => (op, term(), term()).prop_map(|(op, left, right)| ast::Literal::Compare { op, left, right, place: place() }),
+    ];
+    plain.prop_recursive(3, 8, 3, |inner| {
+        let alternative = proptest::collection::vec(inner, 0..3);
+        let alternatives = prop_oneof![
+            1 => Just(Vec::new()),
+            5 => proptest::collection::vec(alternative, 2..4),
+        ];
+        alternatives.prop_map(ast::Literal::Any)
+    })
+}
+
+fn item() -> impl Strategy<Value = ast::Item> {
+    let names = || proptest::collection::vec(name().prop_map(node), 1..3);
+    let columns = proptest::collection::vec(
+        (name(), name()).prop_map(|(name, ty)| ast::ColumnDecl {
+            name: node(name),
+            ty: node(ty),
+        }),
+        0..4,
+    );
+    let kind = prop_oneof![
+        Just(ast::MarkKind::Input),
+        Just(ast::MarkKind::Output),
+        Just(ast::MarkKind::PrintSize)
+    ];
+    prop_oneof![
+        1 => any::<String>().prop_map(|path| ast::Item::Include(ast::Include { path, place: place() })),
+        1 => (name(), proptest::collection::vec(name(), 1..4), any::<bool>(), doc()).prop_map(|(name, others, alias, doc)| {
+            let mut others: Vec<ast::Name> = others.into_iter().map(node).collect();
+            let definition = match (others.len(), alias) {
+                (1, true) => ast::TypeDefinition::Alias(others.remove(0)),
+                (1, false) => ast::TypeDefinition::Subtype(others.remove(0)),
+                _ => ast::TypeDefinition::Union(others),
+            };
+            ast::Item::Type(ast::TypeDecl { name: node(name), definition, doc })
+        }),
+        2 => (names(), columns, any::<bool>(), doc()).prop_map(|(names, columns, inline, doc)| {
+            let qualifiers = inline.then(|| node("inline".to_owned())).into_iter().collect();
+            ast::Item::Decl(ast::Decl { names, columns: Some(columns), qualifiers, doc })
+        }),
+        1 => (kind, names(), proptest::collection::vec((name(), any::<String>()), 0..3)).prop_map(|(kind, names, options)| {
+            let option = |(key, value)| ast::DirectiveOption { key: node(key), value, place: place() };
+            ast::Item::Mark(ast::Mark { kind, names, options: options.into_iter().map(option).collect() })
+        }),
+        1 => proptest::collection::vec(any::<String>(), 1..3).prop_map(|words| {
+            ast::Item::Pragma(ast::Pragma { words, place: place() })
+        }),
+        1 => proptest::collection::vec((0..9_i64, proptest::collection::vec(0..9_i64, 0..3)), 1..3).prop_map(|orders| {
+            ast::Item::Plan(ast::Plan { orders, place: place() })
+        }),
+        1 => (0..4_usize, name(), name()).prop_map(|(kind, one, other)| {
+            use ast::PromiseKind::{Disjoint, Implies, Irreflexive, Symmetric};
+            let kind = [Disjoint, Implies, Irreflexive, Symmetric][kind];
+            ast::Item::Promise(ast::Promise { kind, names: vec![node(one), node(other)], place: place() })
+        }),
+        1 => proptest::option::of(name()).prop_map(|name| {
+            ast::Item::Scope(ast::Scope { predicate: name.map(node), place: place() })
+        }),
+        6 => (proptest::collection::vec(atom(), 1..3), proptest::collection::vec(literal(), 0..5), doc()).prop_map(|(heads, body, doc)| {
+            ast::Item::Clause(ast::Clause { heads, body, doc, place: place() })
+        }),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn what_is_printed_parses_to_the_same(items in proptest::collection::vec(item(), 0..8)) {
+        let file = ast::File { items };
+        let text = print(&file);
+        let mut sources = Sources::new();
+        let id = sources.add("printed.dl", text.as_str());
+        let parsed = parse(&sources, id);
+        prop_assert!(parsed.diagnostics.is_empty(), "{}", render(&parsed.diagnostics, &sources, false));
+        prop_assert_eq!(&parsed.file, &file);
+        prop_assert_eq!(print(&parsed.file), text);
+    }
+}
+
+#[test]
+fn the_rule_files_survive_printing() {
+    for entry in std::fs::read_dir(root().join("rules")).expect("rules/ is there") {
+        let path = entry.expect("a readable folder").path();
+        if path.extension().is_some_and(|extension| extension == "dl") {
+            let mut sources = Sources::new();
+            let id = sources.add(
+                path.display().to_string(),
+                read_text(&path).expect("a rule file can be read"),
+            );
+            let parsed = parse(&sources, id);
+            let again = sources.add("printed.dl", print(&parsed.file));
+            assert_eq!(parse(&sources, again).file, parsed.file, "{}", path.display());
+        }
+    }
+}
+
+// --- hostile texts
+
+/// No panic, and rules exactly if there is no error.
+fn survives(text: &str) {
+    let (sources, loaded) = load_text("hostile.dl", text);
+    assert_eq!(
+        loaded.rules.is_none(),
+        loaded.diagnostics.iter().any(Diagnostic::is_error)
+    );
+    if text.len() < 10_000 {
+        render(&loaded.diagnostics, &sources, false);
+        loaded.rules.iter().for_each(check_promises);
+    }
+}
+
+/// Pieces that rules are made of, and some that they are not.
+const PIECES: &[&str] = &[
+    ".decl A(x: symbol)",
+    ".decl B(x: number, y: symbol)",
+    ".type t <: symbol",
+    ".type u = t",
+    ".type",
+    ".decl",
+    ".input A",
+    ".output",
+    ".scope B",
+    ".scope",
+    ".include \"vocabulary.dl\"",
+    ".include",
+    ".comp {",
+    "}",
+    "A(x)",
+    "B(x, y)",
+    "A(_)",
+    "A(\"c\")",
+    "B(1, \"c\")",
+    " :- ",
+    ", ",
+    ".\n",
+    ".",
+    "Not(",
+    "not ",
+    "!",
+    "(",
+    ")",
+    "x = y",
+    "x < 3",
+    "_",
+    "\"",
+    "/*",
+    "*/",
+    "//",
+    "/// d\n",
+    "\n",
+    "-",
+    "0x",
+    "9999999999",
+    "count : {",
+    "sum x : { A(x) }",
+    "min(x, 1)",
+    "cat(x, \"a\")",
+    "match(x, ",
+    " + ",
+    "x * 2 ^ y",
+    "1.5e3",
+    "7u",
+    "-(",
+    "bnot ",
+    "as(x, t)",
+    ".type v = t | u",
+    "(IO=file, headers=true)",
+    "true",
+    "false",
+    "[",
+    ";",
+    "<=",
+    "\u{e9}",
+    "\0",
+    "|",
+    "Sees(x, x)",
+];
+
+proptest! {
+    #[test]
+    fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
+        survives(&String::from_utf8_lossy(&bytes));
+    }
+
+    #[test]
+    fn no_order_of_pieces_makes_it_panic(pieces in proptest::collection::vec(proptest::sample::select(PIECES), 0..60)) {
+        survives(&pieces.concat());
+    }
+
+    #[test]
+    fn no_mutation_of_good_rules_makes_it_panic(
+        changes in proptest::collection::vec((any::<prop::sample::Index>(), proptest::sample::select(PIECES), 0_usize..12), 1..12)
+    ) {
+        let mut text: Vec<char> = PAPER.chars().collect();
+        for (at, piece, cut) in changes {
+            let at = at.index(text.len());
+            let end = (at + cut).min(text.len());
+            text.splice(at..end, piece.chars());
+        }
+        survives(&text.into_iter().collect::<String>());
+    }
+}
+
+/// Neither depth nor length exhausts the stack. How fast they are loaded is measured in `benches/engine.rs`.
+#[test]
+fn large_texts_are_loaded() {
+    let many = 200_000;
+    let decl = ".decl P(x: symbol)\n.decl Q(x: symbol, y: symbol)\n.input Q\n.output P\n";
+    let chain: String = (0..20_000)
+        .map(|at| format!(".decl C{at}(x: symbol)\nC{at}(x) :- C{}(x).\n", (at + 1) % 20_000))
+        .collect();
+    let types: String = (0..20_000).map(|at| format!(".type T{at} <: T{}\n", at + 1)).collect();
+    let texts = [
+        "(".repeat(many),
+        "!".repeat(many),
+        format!("P(x) :- {}", "Not(".repeat(many)),
+        format!("{decl}P(x) :- {}Q(x, x).", "Q(x, x), ".repeat(many)),
+        format!("{decl}P({}).", "1".repeat(many)),
+        format!("{decl}P(\"{}\").", "\\q".repeat(many)),
+        format!("{decl}P({}).", "x".repeat(many)),
+        format!("{decl}{}(x) :- {0}(x).", "P".repeat(many)),
+        format!("{decl}P(x) :- Q(x, {}).", "x, ".repeat(many)),
+        format!(".decl W({})", "c: symbol, ".repeat(many)),
+        format!("{decl}{}", "P(x) :- Q(x,. ".repeat(many)),
+        format!("{decl}{}", ".pragma ".repeat(many)),
+        format!("{decl}{}", "R(x). ".repeat(many)),
+        format!("{decl}{}", "P(x) :- Q(x, _).\n".repeat(20_000)),
+        format!(
+            "{decl}{}",
+            (0..many).map(|at| format!("P(\"{at}\").")).collect::<String>()
+        ),
+        (0..20_000)
+            .map(|at| format!(".decl A{at}(x: symbol) A{at}(x) :- B{at}(x)."))
+            .collect::<String>(),
+        format!("{decl}P(x) :- Q(x, y), y = {}.", "1 + ".repeat(many)),
+        format!("{decl}P({}).", "cat(".repeat(many)),
+        format!("{decl}P(x) :- {}", "min(".repeat(many)),
+        format!("{decl}P(x) :- {}", "count : { Q(x, x), ".repeat(many)),
+        format!("{decl}P(x) :- {}.", "2 ^ ".repeat(many)),
+        format!("{decl}P(x) :- {}Q(x, x).", "(Q(x, x); Q(x, _)), ".repeat(20)),
+        format!("{decl}P(x) :- {}, false.", vec!["(Q(x, x); Q(x, _))"; 1_000].join(", ")),
+        format!("{decl}P(x) :- Q(x, x){}.", "; Q(x, x)".repeat(many)),
+        format!("{decl}P(cat({})).", vec!["to_string(1 + 1)"; 20_000].join(", ")),
+        (0..20_000)
+            .map(|at| format!(".type U{} = U{at} | symbol\n", at + 1))
+            .collect::<String>(),
+        (0..20_000)
+            .map(|at| format!(".type U{at} = symbol | U{}\n", at + 1))
+            .collect::<String>(),
+        "\u{e9}".repeat(many),
+        "/*".repeat(many),
+        "///\n".repeat(many),
+        chain.clone(),
+        chain.replace(":- ", ":- !"),
+        types,
+    ];
+    for text in texts {
+        survives(&text);
+    }
+}
+
+const EDGES: &str =
+    ".decl E(x: symbol, y: symbol)\n.decl W(x: symbol, n: number)\n.input E, W\n.decl P(x: symbol)\n.output P\n";
+
+/// Clauses are compared with those that have as much to say, not with all.
+#[test]
+fn twice_the_clauses_are_compared_in_little_more_than_twice_the_steps() {
+    type Written = fn(usize) -> String;
+    let kinds: [(&str, Written); 4] = [
+        ("duplicate-clause", |_| "P(x) :- E(x, y), E(y, x).\n".to_owned()),
+        ("none", |at| format!("P(x) :- W(x, n), n < {at}, E(x, _).\n")),
+        ("none", |at| {
+            format!("P(x) :- E(x, y), W(y, {at}), W(x, {}).\n", at * 7 + 1)
+        }),
+        ("subsumed-clause", |at| {
+            format!("P(x) :- E(x, y), W(y, {}){}.\n", at / 2, ["", ", y != x"][at % 2])
+        }),
+    ];
+    for (code, clause) in kinds {
+        let [one, two] = [1_000, 2_000].map(|count| {
+            let text = EDGES.to_owned() + &(0..count).map(clause).collect::<String>();
+            let (_, loaded) = load_text("many.dl", &text);
+            assert_eq!(
+                loaded.diagnostics.is_empty(),
+                code == "none",
+                "{:?}",
+                loaded.diagnostics
+            );
+            assert!(loaded.diagnostics.iter().all(|fault| fault.code.name() == code));
+            assert!(loaded.compared.complete);
+            loaded.compared.steps
+        });
+        assert!(two <= one * 5 / 2, "{code}: {one} and {two} steps");
+    }
+}
+
+/// Whether a walk of nine steps can end where it began, in a graph where that takes an even number, is not found out in time.
+#[test]
+fn comparing_that_is_given_up_is_told() {
+    let both = |a: String, b: String| format!("E({a}, {b}), E({b}, {a})");
+    let graph: Vec<String> = (0..4)
+        .flat_map(|a| (0..4).map(move |b| both(format!("a{a}"), format!("b{b}"))))
+        .collect();
+    let walk: Vec<String> = (0..9).map(|at| format!("E(c{at}, c{})", (at + 1) % 9)).collect();
+    let clauses = [graph, walk].map(|body| format!("P({}) :- {}.\n", &body[0][2..4], body.join(", ")));
+    let (_, loaded) = load_text("hard.dl", &(EDGES.to_owned() + &clauses.concat()));
+    assert!(loaded.rules.is_some() && loaded.diagnostics.is_empty());
+    assert!(!loaded.compared.complete);
+}
+
+/// Every literal of a clause with more to say stands in the one with less, so it is found wherever it stands among many others.
+#[test]
+fn redundant_clauses_are_found_wherever_they_stand() {
+    let general = "P(x) :- E(x, y), W(y, 7).\n";
+    let special = "P(a) :- W(c, 7), a != c, W(a, n), n < 9, E(a, c).\n";
+    let others: Vec<String> = (0..200)
+        .map(|at| format!("P(x) :- E(y, x), W(y, {at}), W(x, {}).\n", at + 1))
+        .collect();
+    for (first, second) in [(0, 200), (57, 58), (199, 3)] {
+        let mut clauses = others.clone();
+        clauses.insert(first, general.to_owned());
+        clauses.insert(second, special.to_owned());
+        let text = EDGES.to_owned() + &clauses.concat();
+        let (_, loaded) = load_text("one.dl", &text);
+        let [fault] = loaded.diagnostics.as_slice() else {
+            panic!("{:?}", loaded.diagnostics)
+        };
+        let place = fault.primary.as_ref().expect("a clause").span;
+        assert_eq!(fault.code, Code::SUBSUMED_CLAUSE);
+        assert_eq!(text[place.start as usize..place.end as usize], *special.trim_end());
+    }
+}
+
+#[test]
+fn includes_end() {
+    // Every file includes a further one.
+    let endless = |path: &Path| match path.starts_with(BUILTIN_FOLDER) {
+        true => Err(ReadError::NotFound),
+        false => Ok(format!(
+            ".include \"{}x\"",
+            path.file_name().expect("a name").to_string_lossy()
+        )),
+    };
+    let mut sources = Sources::new();
+    let entry = sources.add("x", ".include \"xx\"");
+    let loaded = load(&mut sources, entry, &endless);
+    assert_eq!(loaded.diagnostics.len(), 1);
+    assert_eq!(loaded.diagnostics[0].code, Code::LIMIT_EXCEEDED);
+}
+
+// --- the reference
+
+/// The blocks of a language in a Markdown text, with the number of the line before each.
+fn blocks<'a>(text: &'a str, language: &str) -> Vec<(usize, String)> {
+    let mut found = Vec::new();
+    let mut lines = text.lines().enumerate();
+    while let Some((number, line)) = lines.next() {
+        if let Some(of) = line.strip_prefix("```") {
+            let block: Vec<&'a str> = lines
+                .by_ref()
+                .map(|(_, line)| line)
+                .take_while(|line| *line != "```")
+                .collect();
+            if of == language {
+                found.push((number + 1, block.join("\n")));
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn every_block_of_the_reference_does_what_it_says() {
+    let text = read_text(&root().join("rules/README.md")).expect("the reference is there");
+    let blocks = blocks(&text, "dl");
+    assert!(blocks.len() > 20);
+    let failures: Vec<String> = (blocks.iter())
+        .filter_map(|(line, block)| {
+            check_expectations(&format!("README.md:{line}"), &split_files("main.dl", block)).err()
+        })
+        .collect();
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+#[test]
+fn each_code_has_a_section_whose_example_produces_it() {
+    let text = read_text(&root().join("rules/README.md")).expect("the reference is there");
+    for code in rule_codes() {
+        let heading = format!("\n### `{}`\n", code.name());
+        let (_, section) = text
+            .split_once(&heading)
+            .unwrap_or_else(|| panic!("no section for {}", code.name()));
+        let section = section.split("\n### ").next().unwrap_or(section);
+        // What is not UTF-8 cannot stand in an example.
+        if code != Code::NOT_TEXT {
+            assert!(
+                section.contains(&format!("[{}]", code.name())),
+                "no example of {}",
+                code.name()
+            );
+        }
+    }
+}
+
+// --- redundant clauses
+
+/// A small database: for each relation of the rules its rows.
+type Database = Vec<BTreeSet<Vec<u32>>>;
+
+/// What a clause derives, by trying every assignment of {0, 1, 2} to its variables.
+fn derived(clause: &Clause, database: &Database) -> BTreeSet<Vec<u32>> {
+    let count = u32::try_from(clause.variables.len()).expect("few variables");
+    let mut heads = BTreeSet::new();
+    for number in 0..3_u32.pow(count) {
+        let values: Vec<u32> = (0..count).map(|at| number / 3_u32.pow(at) % 3).collect();
+        let value = |term: &Term| match term {
+            Term::Variable(id) => Some(values[id.index()]),
+            Term::Constant(constant) => Some(constant.0),
+            Term::Wildcard => None,
+        };
+        let holds = |atom: &Atom| {
+            database[atom.relation.index()].iter().any(|row| {
+                row.iter()
+                    .zip(&atom.terms)
+                    .all(|(cell, term)| value(term).is_none_or(|value| value == *cell))
+            })
+        };
+        let fires = clause.body.iter().all(|literal| match literal {
+            Literal::Positive(atom) | Literal::Guard(atom) => holds(atom),
+            Literal::Negative(atom) => !holds(atom),
+            Literal::Compare { op, left, right, .. } => {
+                let (left, right) = (value(left), value(right));
+                match op {
+                    Comparison::Equal => left == right,
+                    Comparison::NotEqual => left != right,
+                    Comparison::Less => left < right,
+                    Comparison::LessEqual => left <= right,
+                    Comparison::Greater => left > right,
+                    Comparison::GreaterEqual => left >= right,
+                    _ => false,
+                }
+            }
+            Literal::Compute { .. } | Literal::Aggregate { .. } => false,
+        });
+        if fires {
+            heads.insert(clause.head.terms.iter().filter_map(value).collect());
+        }
+    }
+    heads
+}
+
+/// A clause for `P`. Variables that only negated atoms and comparisons use get an atom.
+fn random_clause() -> impl Strategy<Value = String> {
+    let symbol = || proptest::sample::select(vec!["x", "y", "z", "_", "\"a\""]);
+    let bound = || proptest::sample::select(vec!["x", "y", "z", "\"a\""]);
+    let number = || proptest::sample::select(vec!["n", "m", "0"]);
+    let literal = prop_oneof![
+        symbol().prop_map(|a| format!("A({a})")),
+        (symbol(), symbol()).prop_map(|(a, b)| format!("B({a}, {b})")),
+        (symbol(), number()).prop_map(|(a, n)| format!("V({a}, {n})")),
+        (symbol(), symbol()).prop_map(|(a, b)| format!("!B({a}, {b})")),
+        (bound(), bound()).prop_map(|(a, b)| format!("{a} != {b}")),
+        (bound(), bound()).prop_map(|(a, b)| format!("{a} = {b}")),
+        (
+            number(),
+            number(),
+            proptest::sample::select(vec!["<", ">", "<=", ">=", "="])
+        )
+            .prop_map(|(a, b, op)| format!("{a} {op} {b}")),
+    ];
+    (proptest::collection::vec(literal, 1..4), any::<bool>()).prop_map(|(mut literals, constant)| {
+        for name in ["y", "z", "n", "m"] {
+            if literals.iter().any(|literal| literal.contains(name)) {
+                literals.push(if "yz".contains(name) {
+                    format!("A({name})")
+                } else {
+                    format!("V(_, {name})")
+                });
+            }
+        }
+        literals.push("A(x)".to_owned());
+        format!(
+            "P({}) :- {}.",
+            if constant && literals.len() > 4 { "\"a\"" } else { "x" },
+            literals.join(", ")
+        )
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2048))]
+    #[test]
+    fn no_clause_is_called_redundant_that_is_not(
+        clauses in proptest::collection::vec(random_clause(), 2..5),
+        scoped: bool,
+        databases in proptest::collection::vec(any::<(u8, u16, u16)>(), 8),
+    ) {
+        let scope = if scoped { ".scope B" } else { "" };
+        let text = format!(
+            ".decl A(x: symbol)\n.decl B(x: symbol, y: symbol)\n.decl V(x: symbol, n: number)\n.decl P(x: symbol)\n\
+             .input A, B, V\n.output P\n{scope}\n{}", clauses.join("\n"));
+        let (_, loaded) = load_text("random.dl", &text);
+        let Some(rules) = loaded.rules else { return Ok(()) };
+        for diagnostic in &loaded.diagnostics {
+            let equal = match diagnostic.code {
+                Code::DUPLICATE_CLAUSE => true,
+                Code::SUBSUMED_CLAUSE => false,
+                _ => continue,
+            };
+            let at = |span: Span| rules.clauses.iter().find(|clause| clause.span == span).expect("a clause is there");
+            let redundant = at(diagnostic.primary.as_ref().expect("it has a place").span);
+            let other = at(diagnostic.secondary[0].span);
+            for (a, b, v) in &databases {
+                let pairs = |bits: u16| (0..9).filter(move |at| bits >> at & 1 == 1).map(|at| vec![at / 3, at % 3]).collect();
+                let mut database: Database = vec![BTreeSet::new(); rules.relations.len()];
+                database[0] = (0..3).filter(|at| a >> at & 1 == 1).map(|at| vec![at]).collect();
+                database[1] = pairs(*b);
+                database[2] = pairs(*v);
+                for clause in rules.clauses.iter().filter(|clause| rules.relations[clause.head.relation.index()].hidden) {
+                    database[clause.head.relation.index()] = derived(clause, &database);
+                }
+                let (redundant, other) = (derived(redundant, &database), derived(other, &database));
+                prop_assert!(redundant.is_subset(&other), "{}\n{:?}", text, diagnostic);
+                prop_assert!(!equal || redundant == other, "{}\n{:?}", text, diagnostic);
+            }
+        }
+    }
+}
+
+// --- what the engine may rely on
+
+/// The promises of [`Rules`].
+fn check_promises(rules: &Rules) {
+    let mut stratum_of = vec![None; rules.relations.len()];
+    for (number, stratum) in rules.strata.iter().enumerate() {
+        assert!(!stratum.relations.is_empty() && !stratum.clauses.is_empty());
+        for id in &stratum.relations {
+            assert_eq!(
+                stratum_of[id.index()].replace(number),
+                None,
+                "a predicate is in one stratum"
+            );
+        }
+    }
+    let hidden_from = rules
+        .relations
+        .iter()
+        .position(|relation| relation.hidden)
+        .unwrap_or(rules.relations.len());
+    for (index, relation) in rules.relations.iter().enumerate() {
+        assert_eq!(relation.hidden, index >= hidden_from, "hidden predicates come last");
+        assert_eq!(relation.hidden, relation.name.starts_with('+'));
+        assert_eq!(relation.given.is_some(), relation.input && relation.derived);
+        let heads = || {
+            rules
+                .clauses
+                .iter()
+                .filter(|clause| clause.head.relation.index() == index)
+        };
+        assert_eq!(relation.derived, heads().any(|clause| !clause.body.is_empty()));
+        assert_eq!(
+            stratum_of[index].is_some(),
+            heads().next().is_some(),
+            "a stratum holds predicates with clauses"
+        );
+        for column in &relation.columns {
+            assert_eq!(column.base, rules.types[column.ty.0 as usize].base);
+        }
+    }
+    for (index, clause) in rules.clauses.iter().enumerate() {
+        let home = stratum_of[clause.head.relation.index()].expect("checked above");
+        let stratum = &rules.strata[home];
+        assert_eq!(stratum.clauses.iter().filter(|id| id.index() == index).count(), 1);
+        let mut bound = vec![false; clause.variables.len()];
+        let mut used = bound.clone();
+        let mut mark = |term: &Term| {
+            if let Term::Variable(id) = term {
+                used[id.index()] = true;
+            }
+        };
+        let fits = |atom: &Atom| assert_eq!(atom.terms.len(), rules.relations[atom.relation.index()].arity());
+        fits(&clause.head);
+        assert!(!clause.head.terms.contains(&Term::Wildcard));
+        clause.head.terms.iter().for_each(&mut mark);
+        for literal in &clause.body {
+            match literal {
+                Literal::Positive(atom) | Literal::Guard(atom) => {
+                    fits(atom);
+                    atom.terms.iter().for_each(&mut mark);
+                    assert!(stratum_of[atom.relation.index()].is_none_or(|other| other <= home));
+                    assert!(stratum_of[atom.relation.index()] != Some(home) || stratum.recursive);
+                    for term in &atom.terms {
+                        if let Term::Variable(id) = term {
+                            bound[id.index()] = true;
+                        }
+                    }
+                }
+                Literal::Negative(atom) => {
+                    fits(atom);
+                    atom.terms.iter().for_each(&mut mark);
+                    assert!(stratum_of[atom.relation.index()].is_none_or(|other| other < home));
+                }
+                Literal::Compare { left, right, .. } => {
+                    [left, right].into_iter().for_each(&mut mark);
+                    assert!(*left != Term::Wildcard && *right != Term::Wildcard);
+                }
+                Literal::Compute { arguments, .. } => {
+                    literal.terms().for_each(&mut mark);
+                    assert!(!arguments.contains(&Term::Wildcard));
+                }
+                Literal::Aggregate { atom, column, .. } => {
+                    fits(atom);
+                    literal.terms().for_each(&mut mark);
+                    assert!(column.is_none_or(|column| column < atom.terms.len()));
+                    assert!(stratum_of[atom.relation.index()].is_none_or(|other| other < home));
+                }
+            }
+        }
+        for _ in 0..clause.body.len() {
+            for literal in &clause.body {
+                let known = |term: &Term, bound: &[bool]| match term {
+                    Term::Variable(id) => bound[id.index()],
+                    _ => true,
+                };
+                let all_known =
+                    |mut terms: std::slice::Iter<'_, Term>, bound: &[bool]| terms.all(|term| known(term, bound));
+                let learnt: Vec<&Term> = match literal {
+                    Literal::Compare {
+                        op: Comparison::Equal,
+                        left,
+                        right,
+                        ..
+                    } if known(left, &bound) || known(right, &bound) => vec![left, right],
+                    Literal::Compute { to, arguments, .. } if all_known(arguments.iter(), &bound) => vec![to],
+                    Literal::Aggregate { to, atom, .. } if all_known(atom.terms.iter(), &bound) => vec![to],
+                    _ => Vec::new(),
+                };
+                for term in learnt {
+                    if let Term::Variable(id) = term {
+                        bound[id.index()] = true;
+                    }
+                }
+            }
+        }
+        assert!(bound.iter().all(|&bound| bound), "every variable is bound");
+        assert!(used.iter().all(|&used| used), "every variable occurs");
+    }
+}
+
+proptest! {
+    #[test]
+    fn rules_keep_their_promises(
+        clauses in proptest::collection::vec((random_clause(), 0_usize..4, 0_usize..4), 1..6),
+        scoped: bool,
+    ) {
+        let mut text = ".decl A(x: symbol)\n.decl B(x: symbol, y: symbol)\n.decl V(x: symbol, n: number)\n\
+                        .input A, B, V\n.decl P0, P1, P2, P3(x: symbol)\n".to_owned();
+        text.push_str(if scoped { ".scope B\n" } else { "" });
+        for (clause, head, other) in clauses {
+            let negated = if other < head { "!" } else { "" };
+            text.push_str(&clause.replacen("P(", &format!("P{head}("), 1).replace("A(x).", &format!("A(x), {negated}P{other}(x).\n")));
+        }
+        let (_, loaded) = load_text("random.dl", &text);
+        if let Some(rules) = loaded.rules {
+            check_promises(&rules);
+        }
+    }
+}
+
+#[test]
+fn strata_follow_dependence_and_then_declaration() {
+    let rules = load_clean(
+        "main.dl",
+        "
+        .decl E(x: symbol, y: symbol)
+        .decl Last, First(x: symbol)
+        .decl Even, Odd(x: symbol)
+        .decl Loose(x: symbol)
+        .input E
+        .output Last, Loose
+        Last(x) :- E(x, _), !Even(x), First(x).
+        Even(x) :- E(x, x).
+        Even(x) :- E(y, x), Odd(y).
+        Odd(x) :- E(y, x), Even(y).
+        First(x) :- E(_, x).
+        Loose(\"a\").
+        ",
+    );
+    let names: Vec<&[&str]> = vec![&["First"], &["Even", "Odd"], &["Last"], &["Loose"]];
+    assert_eq!(strata(&rules), names);
+    let recursive: Vec<bool> = rules.strata.iter().map(|stratum| stratum.recursive).collect();
+    assert_eq!(recursive, [false, true, false, false]);
+}
+
+#[test]
+fn includes_are_found_beside_the_including_file_and_read_once() {
+    let files = [
+        (
+            "rules/main.dl",
+            ".include \"sub/a.dl\"\n.include \"c.dl\"\nR(x) :- C(x).\n.output R",
+        ),
+        (
+            "rules/sub/a.dl",
+            ".include \"b.dl\"\n.include \"../c.dl\"\nR(x) :- B(x).",
+        ),
+        ("rules/sub/b.dl", ".decl B, R(x: symbol)\n.input B"),
+        ("rules/c.dl", ".decl C(x: symbol)\n.input C"),
+    ]
+    .map(|(name, text)| (name.to_owned(), text.to_owned()));
+    let asked = std::cell::RefCell::new(Vec::new());
+    let read_one = |path: &Path| {
+        asked.borrow_mut().push(path.display().to_string());
+        let path = path.to_string_lossy().replace("sub/../", "");
+        files
+            .iter()
+            .find(|(name, _)| *name == path)
+            .map(|(_, text)| text.clone())
+            .ok_or(ReadError::NotFound)
+    };
+    let mut sources = Sources::new();
+    let entry = sources.add(files[0].0.as_str(), files[0].1.as_str());
+    let loaded = load(&mut sources, entry, &read_one);
+    assert!(
+        loaded.diagnostics.is_empty(),
+        "{}",
+        render(&loaded.diagnostics, &sources, false)
+    );
+    assert_eq!(
+        asked.into_inner(),
+        ["rules/sub/a.dl", "rules/sub/b.dl", "rules/sub/../c.dl"]
+    );
+}
+
+#[test]
+fn signs_in_a_row_are_printed_as_deep_as_they_were_read() {
+    let text = format!(
+        ".decl A, B(x: number)\nB({}x) :- A(bnot -x), x = -(5).\n",
+        "- ".repeat(60)
+    );
+    let mut sources = Sources::new();
+    let id = sources.add("signs.dl", text);
+    let parsed = logicity::datalog::parse(&sources, id);
+    assert!(parsed.diagnostics.is_empty());
+    let id = sources.add("again.dl", logicity::datalog::print(&parsed.file));
+    let again = logicity::datalog::parse(&sources, id);
+    assert!(again.diagnostics.is_empty());
+    assert_eq!(
+        logicity::datalog::print(&again.file),
+        logicity::datalog::print(&parsed.file)
+    );
+}

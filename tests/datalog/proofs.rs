@@ -1,0 +1,183 @@
+//! Checks explanations against the specification: a proof can be replayed, a literal that is said to fail is false.
+
+use logicity::datalog::explain::{Explainer, Explanation, FailureKind, Node, Obstacle, Origin, Premise, Reason};
+use logicity::datalog::{Atom, ClauseId, Literal, RelId, Rules, Term, Value};
+use logicity::datalog::{Session, naive};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// All rows of a session.
+pub fn database(session: &Session) -> naive::Database {
+    let relations = session.program().rules().relations.len();
+    (0..relations as u32)
+        .map(|rel| session.rows(RelId(rel)).map(<[Value]>::to_vec).collect())
+        .collect()
+}
+
+/// What the atom says under the binding.
+fn pattern(atom: &Atom, binding: &[Option<Value>]) -> Vec<Option<Value>> {
+    atom.terms.iter().map(|term| value_of(term, binding)).collect()
+}
+
+/// The value of a term under the binding.
+fn value_of(term: &Term, binding: &[Option<Value>]) -> Option<Value> {
+    match *term {
+        Term::Constant(value) => Some(value),
+        Term::Variable(variable) => binding[variable.index()],
+        Term::Wildcard => None,
+    }
+}
+
+/// Whether a row has the wanted values.
+fn matches(row: &[Value], pattern: &[Option<Value>]) -> bool {
+    row.iter()
+        .zip(pattern)
+        .all(|(value, wanted)| wanted.is_none_or(|wanted| wanted == *value))
+}
+
+/// Checks every node of an explanation against all that holds.
+pub fn check(session: &Session, model: &naive::Database, explanation: &Explanation) {
+    let rules = session.program().rules();
+    for node in explanation.nodes() {
+        match node {
+            Node::Fact(fact) => {
+                assert!(model[fact.relation.index()].contains(&fact.row));
+                match &fact.origin {
+                    Origin::Input => assert!(!rules.relations[fact.relation.index()].derived),
+                    Origin::Text(clause) => assert!(rules.clauses[clause.index()].body.is_empty()),
+                    Origin::Derived(derivation) => {
+                        let clause = &rules.clauses[derivation.clause.index()];
+                        assert_eq!(clause.head.relation, fact.relation);
+                        assert_eq!(clause.body.len(), derivation.premises.len());
+                        // Only what the proof names holds; of what is negated, all that holds does.
+                        let mut little: naive::Database = vec![BTreeSet::new(); rules.relations.len()];
+                        let mut highest = 0;
+                        for (literal, premise) in clause.body.iter().zip(&derivation.premises) {
+                            match (literal, premise) {
+                                (Literal::Positive(atom) | Literal::Guard(atom), Premise::Fact(node)) => {
+                                    let Node::Fact(premise) = explanation.node(*node) else {
+                                        panic!()
+                                    };
+                                    assert_eq!(premise.relation, atom.relation);
+                                    assert!(matches(&premise.row, &pattern(atom, &derivation.binding)));
+                                    little[atom.relation.index()].insert(premise.row.clone());
+                                    highest = highest.max(premise.height);
+                                }
+                                (Literal::Negative(atom), Premise::Absence(node)) => {
+                                    let Node::Absence(absence) = explanation.node(*node) else {
+                                        panic!()
+                                    };
+                                    assert_eq!(absence.relation, atom.relation);
+                                    assert_eq!(absence.pattern, pattern(atom, &derivation.binding));
+                                    little[atom.relation.index()] = model[atom.relation.index()].clone();
+                                }
+                                (Literal::Compare { .. }, Premise::Comparison { .. }) => {}
+                                (Literal::Compute { to, .. }, Premise::Computed { value }) => {
+                                    assert_eq!(value_of(to, &derivation.binding), Some(*value));
+                                }
+                                (Literal::Aggregate { to, atom, .. }, Premise::Computed { value }) => {
+                                    assert_eq!(value_of(to, &derivation.binding), Some(*value));
+                                    little[atom.relation.index()] = model[atom.relation.index()].clone();
+                                }
+                                other => panic!("{other:?}"),
+                            }
+                        }
+                        assert_eq!(fact.height, highest + 1);
+                        assert!(naive::consequences(clause, session.symbols(), &little).contains(&fact.row));
+                    }
+                }
+            }
+            Node::Absence(absence) => {
+                let mut rows = model[absence.relation.index()].iter();
+                assert!(!rows.any(|row| matches(row, &absence.pattern)));
+                match &absence.reason {
+                    Reason::NotAFact => assert!(!rules.relations[absence.relation.index()].derived),
+                    Reason::NotLookedInto => assert!(explanation.nodes().len() >= Explainer::ABSENCES_MAX),
+                    Reason::NoClause(misses) => {
+                        let clauses = (0..rules.clauses.len() as u32).map(ClauseId).filter(|clause| {
+                            let clause = &rules.clauses[clause.index()];
+                            clause.head.relation == absence.relation && !clause.body.is_empty()
+                        });
+                        assert!(misses.iter().map(|miss| miss.clause).eq(clauses));
+                        for miss in misses {
+                            check_miss(
+                                rules,
+                                model,
+                                explanation,
+                                absence.pattern.as_slice(),
+                                miss.clause,
+                                &miss.obstacle,
+                            );
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn check_miss(
+    rules: &Rules,
+    model: &naive::Database,
+    explanation: &Explanation,
+    wanted: &[Option<Value>],
+    clause: ClauseId,
+    obstacle: &Obstacle,
+) {
+    let clause = &rules.clauses[clause.index()];
+    let Obstacle::Body { binding, failures } = obstacle else {
+        // Either a constant is another one, or a variable would have to be two things.
+        let mut known: BTreeMap<u32, Value> = BTreeMap::new();
+        let clash = clause
+            .head
+            .terms
+            .iter()
+            .zip(wanted)
+            .any(|(term, value)| match (term, value) {
+                (_, None) => false,
+                (Term::Constant(constant), Some(value)) => constant != value,
+                (Term::Variable(variable), Some(value)) => *known.entry(variable.0).or_insert(*value) != *value,
+                (Term::Wildcard, _) => false,
+            });
+        assert!(clash);
+        return;
+    };
+    assert!(!failures.is_empty());
+    for failure in failures {
+        match (&clause.body[failure.literal], &failure.kind) {
+            (Literal::Positive(atom) | Literal::Guard(atom), FailureKind::Absent(node)) => {
+                let Node::Absence(absence) = explanation.node(*node) else {
+                    panic!()
+                };
+                assert_eq!(absence.pattern, pattern(atom, binding));
+                let mut rows = model[atom.relation.index()].iter();
+                assert!(!rows.any(|row| matches(row, &absence.pattern)));
+            }
+            (Literal::Positive(atom) | Literal::Guard(atom), FailureKind::AbsentTwice) => {
+                let mut clause = clause.clone();
+                clause.head.terms.clear();
+                clause.body = vec![Literal::Positive(atom.clone())];
+                for literal in clause.body.iter_mut() {
+                    if let Literal::Positive(atom) = literal {
+                        for term in &mut atom.terms {
+                            if let Term::Variable(variable) = *term {
+                                *term = binding[variable.index()].map_or(*term, Term::Constant);
+                            }
+                        }
+                    }
+                }
+                assert!(naive::consequences(&clause, &rules.symbols, model).is_empty());
+            }
+            (Literal::Negative(atom), FailureKind::Holds(node)) => {
+                let Node::Fact(fact) = explanation.node(*node) else {
+                    panic!()
+                };
+                assert!(matches(&fact.row, &pattern(atom, binding)));
+            }
+            (Literal::Compare { .. }, FailureKind::Comparison { .. }) => {}
+            (Literal::Compute { to, .. } | Literal::Aggregate { to, .. }, FailureKind::Computed { value }) => {
+                assert!(value.is_none() || value_of(to, binding) != *value);
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+}

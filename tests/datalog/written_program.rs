@@ -1,0 +1,16 @@
+//! Programs from text, for fixed examples and benches.
+
+use logicity::datalog;
+use logicity::datalog::Program;
+use logicity::diag::{Sources, render};
+
+/// The program of a text in the rule language, which may include the files of `rules/`.
+pub fn program(text: &str) -> Program {
+    let mut sources = Sources::new();
+    let entry = sources.add(concat!(env!("CARGO_MANIFEST_DIR"), "/rules/example.dl"), text);
+    let loaded = datalog::load(&mut sources, entry, &logicity::files::read_text);
+    let rules = loaded
+        .rules
+        .unwrap_or_else(|| panic!("{}", render(&loaded.diagnostics, &sources, false)));
+    Program::new(rules).expect("the rules are safe and small")
+}

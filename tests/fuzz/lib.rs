@@ -1,0 +1,8 @@
+//! What the targets ask of every input, from the modules that the tests use.
+
+#[path = "../city/any_input.rs"]
+pub mod city;
+#[path = "../datalog/any_input.rs"]
+pub mod datalog;
+#[path = "../datalog/random_program/mod.rs"]
+mod random_program;

@@ -1,0 +1,1596 @@
+//! The command line as a user meets it: the real program, real files, exit codes.
+
+use serde_json::Value;
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+/// Runs the program in the repository's folder.
+pub fn logicity<const N: usize>(arguments: [&str; N]) -> Output {
+    run(&arguments, b"")
+}
+
+fn with_input<const N: usize>(arguments: [&str; N], input: &[u8]) -> Output {
+    run(&arguments, input)
+}
+
+fn run(arguments: &[&str], input: &[u8]) -> Output {
+    let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .args(arguments)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut stdin = process.stdin.take().unwrap();
+    let input = input.to_owned();
+    // The program may end without having read everything.
+    let writer = std::thread::spawn(move || drop(stdin.write_all(&input)));
+    let output = process.wait_with_output().unwrap();
+    writer.join().unwrap();
+    output
+}
+
+fn code(output: &Output) -> i32 {
+    output.status.code().expect("ended by itself")
+}
+
+fn out(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+fn err(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Asserts that a command failed with this exit code and said all of `words`, without a panic.
+fn fails(output: &Output, exit: i32, words: &[&str]) {
+    let said = err(output);
+    assert_eq!(code(output), exit, "{said}");
+    assert!(!said.contains("panicked"), "{said}");
+    for word in words {
+        assert!(said.contains(word), "`{word}` is missing in:\n{said}");
+    }
+}
+
+fn write(folder: &Path, name: &str, text: impl AsRef<[u8]>) -> String {
+    let path = folder.join(name);
+    fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn run_leaves_a_trace_an_animation_and_a_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("deep/er");
+    let output = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "20",
+        "--out",
+        target.to_str().unwrap(),
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let summary = out(&output);
+    for word in [
+        "20 ticks",
+        "360 decisions",
+        "decisions per second",
+        "pedestrians",
+        "Stop",
+        "expert.dl:",
+        "city.gif",
+    ] {
+        assert!(summary.contains(word), "`{word}` is missing in:\n{summary}");
+    }
+    let trace = fs::read_to_string(target.join("trace.jsonl")).unwrap();
+    let lines: Vec<Value> = trace.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 21);
+    assert_eq!(lines[0]["config"], "expert");
+    assert_eq!(lines[0]["config_hash"].as_str().unwrap().len(), 64);
+    assert_eq!(lines[0]["rules_hash"].as_str().unwrap().len(), 64);
+    assert_eq!(lines[0]["agents"].as_array().unwrap().len(), 18);
+    for pair in lines[1..].windows(2) {
+        for (before, after) in pair[0]["agents"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .zip(pair[1]["agents"].as_array().unwrap())
+        {
+            assert_eq!(before["next"], after["at"]);
+        }
+    }
+    assert!(fs::read(target.join("city.gif")).unwrap().starts_with(b"GIF89a"));
+    assert!(fs::read(target.join("last.png")).unwrap().starts_with(b"\x89PNG"));
+    assert_eq!(fs::read_dir(&target).unwrap().count(), 3, "no temporary file is left");
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_run_keeps_what_was_done() {
+    let folder = tempfile::tempdir().unwrap();
+    let process = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .args(["run", "expert", "--ticks", "1000000000", "--out"])
+        .arg(folder.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // The files are begun before the first tick, and whoever sees them can interrupt.
+    while fs::read_dir(folder.path()).unwrap().count() < 2 {
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    let kill = Command::new("kill")
+        .args(["-INT", &process.id().to_string()])
+        .status()
+        .unwrap();
+    assert!(kill.success());
+    let output = process.wait_with_output().unwrap();
+    assert_eq!(code(&output), 130, "{}", err(&output));
+    assert!(out(&output).contains("interrupted"), "{}", out(&output));
+    let mut names: Vec<_> = fs::read_dir(folder.path())
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name())
+        .collect();
+    names.sort();
+    assert_eq!(names, ["city.gif", "last.png", "trace.jsonl"]);
+    let trace = fs::read_to_string(folder.path().join("trace.jsonl")).unwrap();
+    assert!(trace.lines().all(|line| serde_json::from_str::<Value>(line).is_ok()));
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |name: &str, seed: &str| {
+        let target = folder.path().join(name);
+        let target = target.to_str().unwrap();
+        let output = logicity([
+            "run",
+            "configs/expert.yaml",
+            "--ticks",
+            "60",
+            "--seed",
+            seed,
+            "--no-pictures",
+            "--out",
+            target,
+        ]);
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        fs::read(Path::new(target).join("trace.jsonl")).unwrap()
+    };
+    assert_eq!(run("a", "7"), run("b", "7"));
+    assert_ne!(run("a", "7"), run("c", "8"));
+}
+
+/// What a trace says can be asked again: every tick, put as a scene, is decided the same way.
+#[test]
+fn a_trace_can_be_replayed_through_infer() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let output = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "40",
+        "--seed",
+        "3",
+        "--no-pictures",
+        "--out",
+        target,
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let trace = fs::read_to_string(folder.path().join("trace.jsonl")).unwrap();
+    let mut lines = trace.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let header = lines.next().unwrap();
+    let ticks: Vec<Value> = lines.collect();
+    let scenes: String = ticks
+        .iter()
+        .map(|tick| {
+            let mut agents = header["agents"].clone();
+            for (agent, state) in agents
+                .as_array_mut()
+                .unwrap()
+                .iter_mut()
+                .zip(tick["agents"].as_array().unwrap())
+            {
+                agent["at"] = state["at"].clone();
+                agent["heading"] = state["heading"].clone();
+            }
+            // Once with what was drawn, once to be drawn again.
+            let given = serde_json::json!({ "map": header["map"], "agents": agents, "given": tick["given"] });
+            let drawn = serde_json::json!({ "map": header["map"], "agents": agents, "tick": tick["tick"] });
+            format!("{given}\n{drawn}\n")
+        })
+        .collect();
+    let output = with_input(
+        ["infer", "--config", "configs/expert.yaml", "--seed", "3"],
+        scenes.as_bytes(),
+    );
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let text = out(&output);
+    assert_eq!(text.lines().count(), 2 * ticks.len());
+    let twice = ticks.iter().flat_map(|tick| [tick, tick]);
+    for (answer, tick) in text.lines().zip(twice) {
+        let answer: Value = serde_json::from_str(answer).unwrap();
+        for (agent, state) in header["agents"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .zip(tick["agents"].as_array().unwrap())
+        {
+            let ego = &answer["egos"][agent["id"].as_str().unwrap()];
+            assert_eq!((&ego["action"], &ego["derived"]), (&state["action"], &state["derived"]));
+        }
+    }
+}
+
+#[test]
+fn explain_tells_why_and_why_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let output = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--no-pictures",
+        "--ticks",
+        "30",
+        "--out",
+        target,
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let trace = folder.path().join("trace.jsonl");
+    let trace = trace.to_str().unwrap();
+
+    let output = logicity(["explain", trace, "--tick", "5", "--agent", "Car_3"]);
+    assert_eq!((code(&output), err(&output).as_str()), (0, ""));
+    assert!(out(&output).starts_with("tick 5: Car_3 at [53, 41], heading Right: Stop\n\nStop(Car_3)  by S1: "));
+    let output = logicity(["explain", trace, "--agent", "Car_3", "--why-not", "Normal", "--json"]);
+    let told: Value = serde_json::from_str(&out(&output)).unwrap();
+    assert_eq!(
+        (&told["tick"], &told["agent"]),
+        (&Value::from(29), &Value::from("Car_3"))
+    );
+    let node = &told["explanations"][0]["nodes"][0];
+    assert!(
+        node["holds"] == "Normal(Car_3)" || node["absent"] == "Normal(Car_3)",
+        "{told}"
+    );
+
+    fails(
+        &logicity(["explain", trace, "--tick", "30", "--agent", "Car_3"]),
+        2,
+        &["no tick 30", "0 to 29"],
+    );
+    fails(
+        &logicity(["explain", trace, "--agent", "Car3"]),
+        2,
+        &["no agent `Car3`", "did you mean `Car_3`", "Pedestrian_8"],
+    );
+    fails(
+        &logicity(["explain", trace, "--agent", "Car_3", "--why-not", "Fly"]),
+        2,
+        &["Slow, Normal, Fast or Stop"],
+    );
+    fails(
+        &logicity(["explain", "no/such.jsonl", "--agent", "Car_3"]),
+        2,
+        &["no/such.jsonl"],
+    );
+    fails(
+        &logicity(["explain", trace, "--agent", "Car_3", "--config", "configs/easy.yaml"]),
+        1,
+        &["trace-mismatch", "configs/easy.yaml", "--config"],
+    );
+    fails(
+        &logicity(["explain", trace, "--agent", "Car_3", "--rules", "rules/hard.dl"]),
+        1,
+        &["trace-mismatch", "rules/hard.dl", "--rules"],
+    );
+}
+
+#[test]
+fn hostile_traces_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let output = logicity([
+        "run",
+        "configs/easy.yaml",
+        "--no-pictures",
+        "--ticks",
+        "1",
+        "--out",
+        target,
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let good = fs::read_to_string(folder.path().join("trace.jsonl")).unwrap();
+    let (header, tick) = good.split_once('\n').unwrap();
+    let at = |cell: &str| {
+        let mut tick: Value = serde_json::from_str(tick).unwrap();
+        tick["agents"][0]["at"] = serde_json::from_str(cell).unwrap();
+        format!("{header}\n{tick}\n")
+    };
+    let moved = {
+        let mut tick: Value = serde_json::from_str(tick).unwrap();
+        tick["agents"][0]["derived"] = serde_json::json!(["Slow"]);
+        format!("{header}\n{tick}\n")
+    };
+    let drawn = {
+        let mut tick: Value = serde_json::from_str(tick).unwrap();
+        tick["given"] = serde_json::json!({ "CollidingClose": [["nobody", "Car_1"]] });
+        format!("{header}\n{tick}\n")
+    };
+    for (text, words) in [
+        (String::new(), ["empty", ""]),
+        ("[".repeat(100_000), ["bad.jsonl:1", "not the header"]),
+        (format!("{header}\n{{\"tick\":0"), ["bad.jsonl:2", "not a tick"]),
+        (
+            format!("{header}\n{{\"tick\":0,\"agents\":[]}}"),
+            ["bad.jsonl:2", "0 agents"],
+        ),
+        (at("[-1, 5]"), ["bad.jsonl:2", "not on the map"]),
+        (at("[1, 99999999999]"), ["bad.jsonl:2", "not a tick"]),
+        (
+            header.replace("\"Pedestrian_2\"", "\"Car_1\""),
+            ["bad.jsonl:1", "twice"],
+        ),
+        (header.replace("\"Pedestrian\"", "\"Bird\""), ["bad.jsonl:1", "Bird"]),
+        (
+            header.replace("\"version\":1", "\"version\":9"),
+            ["bad.jsonl:1", "version 9"],
+        ),
+        (drawn, ["bad.jsonl:2", "CollidingClose"]),
+        (moved, ["bad.jsonl:2", "trace-mismatch"]),
+    ] {
+        let path = write(folder.path(), "bad.jsonl", &text);
+        fails(&logicity(["explain", &path, "--agent", "Car_1"]), 1, &words);
+    }
+    let path = write(folder.path(), "bad.jsonl", format!("{header}\n"));
+    fails(&logicity(["explain", &path, "--agent", "Car_1"]), 2, &["no ticks"]);
+    let path = write(folder.path(), "bad.jsonl", [header.as_bytes(), b"\n\xff\n"].concat());
+    fails(&logicity(["explain", &path, "--agent", "Car_1"]), 1, &["not-text"]);
+}
+
+#[test]
+fn a_page_is_not_written_over_its_trace() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let run = ["run", "easy", "--no-pictures", "--ticks", "3", "--out", target];
+    assert_eq!(code(&logicity(run)), 0);
+    let trace = folder.path().join("trace.jsonl");
+    let before = fs::read(&trace).unwrap();
+    let output = logicity(["view", trace.to_str().unwrap(), "-o", trace.to_str().unwrap()]);
+    assert_eq!(code(&output), 2);
+    assert!(err(&output).contains("over its trace"), "{}", err(&output));
+    assert_eq!(fs::read(&trace).unwrap(), before);
+}
+
+#[test]
+fn the_summary_tells_deadlocks() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let run = |ticks: &str, seed: &str| {
+        let output = logicity([
+            "run",
+            "configs/expert.yaml",
+            "--no-pictures",
+            "--ticks",
+            ticks,
+            "--seed",
+            seed,
+            "--out",
+            target,
+        ]);
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        out(&output)
+    };
+    let summary = run("300", "6");
+    for words in [
+        "stuck (no move in the last 50 ticks): Car_3",
+        "starving: Car_3 (S1, S7, S2)",
+    ] {
+        assert!(summary.contains(words), "`{words}` is missing in:\n{summary}");
+    }
+    assert!(!summary.contains("deadlock"), "{summary}");
+    let summary = run("300", "10");
+    for words in [
+        "deadlock since tick 5: Car_6 (S7) -> Car_9 (S4) -> Car_10 (S7) -> Car_6",
+        "behind: Car_5 (S7) -> Car_10",
+    ] {
+        assert!(summary.contains(words), "`{words}` is missing in:\n{summary}");
+    }
+}
+
+#[test]
+fn check_prints_the_strata() {
+    let output = logicity(["check", "rules/expert.dl"]);
+    assert_eq!((code(&output), err(&output).as_str()), (0, ""));
+    assert!(out(&output).contains("Stop < Slow < Fast < Normal"), "{}", out(&output));
+}
+
+#[test]
+fn check_tells_conflicts() {
+    let output = logicity(["check", "rules/expert.dl"]);
+    assert!(out(&output).ends_with("  conflicts: none\n"), "{}", out(&output));
+    let output = logicity(["check", "rules/vap-hard.dl"]);
+    assert_eq!((code(&output), err(&output).as_str()), (0, ""));
+    assert!(
+        out(&output).contains("conflicts: Slow and Fast can be derived together"),
+        "{}",
+        out(&output)
+    );
+    let output = logicity(["check", "--json", "rules/vap-hard.dl"]);
+    let line: Value = serde_json::from_str(&out(&output)).unwrap();
+    let together: Vec<&Value> = (line["conflicts"].as_array().unwrap().iter())
+        .filter(|conflict| conflict["finding"] == "together")
+        .collect();
+    assert_eq!(together.len(), 1);
+    assert_eq!(together[0]["scene"]["ego"], "e0");
+    assert!(together[0]["clauses"][1]["doc"].as_str().unwrap().starts_with("VF4"));
+    // Programs without actions have nothing to say.
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "a.dl",
+        ".decl a(x: number)\n.input a\n.decl b(x: number)\nb(x) :- a(x).\n",
+    );
+    assert!(!out(&logicity(["check", &rules])).contains("conflicts"));
+}
+
+#[test]
+fn check_tells_what_a_run_covers() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().to_str().unwrap();
+    let output = logicity([
+        "run",
+        "configs/easy.yaml",
+        "--no-pictures",
+        "--ticks",
+        "60",
+        "--out",
+        target,
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let summary = out(&output);
+    let trace = folder.path().join("trace.jsonl");
+    let trace = trace.to_str().unwrap();
+    let output = logicity(["check", "--coverage", trace]);
+    assert_eq!((code(&output), err(&output).as_str()), (0, ""));
+    assert!(out(&output).contains("coverage: 60 ticks of"), "{}", out(&output));
+    let output = logicity(["check", "--json", "--coverage", trace]);
+    let line: Value = serde_json::from_str(&out(&output)).unwrap();
+    let clauses = line["coverage"]["clauses"].as_array().unwrap();
+    // The summary of the run counts the same firings.
+    for (clause, told) in clauses
+        .iter()
+        .zip(summary.lines().skip_while(|line| !line.contains("fired")).skip(1))
+    {
+        assert_eq!(told.split_whitespace().next().unwrap(), clause["fired"].to_string());
+    }
+
+    // Of two literals that say the same, neither matters.
+    let rules = write(
+        folder.path(),
+        "mine.dl",
+        ".include \"vocabulary.dl\"\nStop(X) :- IsCar(X), Not(IsPedestrian(X)), IsAtInter(X), CollidingClose(Y, X), Y != X.\n",
+    );
+    let output = logicity(["check", "--json", "--coverage", trace, &rules]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    let line: Value = serde_json::from_str(&out(&output)).unwrap();
+    let clause = &line["coverage"]["clauses"][1];
+    assert!(clause["clause"]["file"].as_str().unwrap().ends_with("mine.dl"));
+    let idle = clause["never_mattered"].as_array().unwrap();
+    assert!(idle.contains(&Value::from("Y != X")), "{idle:?}");
+    assert!(!idle.contains(&Value::from("IsAtInter(X)")), "{idle:?}");
+    fails(
+        &logicity(["check", "--coverage", trace, "--config", "configs/hard.yaml"]),
+        1,
+        &["trace-mismatch"],
+    );
+    fails(
+        &logicity(["check", "--coverage", "no/such.jsonl"]),
+        2,
+        &["no/such.jsonl"],
+    );
+    fails(&logicity(["check"]), 2, &["RULES"]);
+}
+
+#[test]
+fn all_rule_files_of_all_modes_are_clean() {
+    for file in fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/rules")).unwrap() {
+        let path = file.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "dl") {
+            let output = logicity(["check", "--json", path.to_str().unwrap()]);
+            let line: Value = serde_json::from_str(&out(&output)).unwrap();
+            assert_eq!(
+                (code(&output), &line["diagnostics"]),
+                (0, &Value::Array(Vec::new())),
+                "{}",
+                path.display()
+            );
+        }
+    }
+}
+
+#[test]
+fn check_tells_all_faults_and_exits_with_1() {
+    let folder = tempfile::tempdir().unwrap();
+    let one = write(
+        folder.path(),
+        "one.dl",
+        ".include \"vocabulary.dl\"\nStop(X) :- IsCarr(X).\nStop(X) :- IsClose(X).\n",
+    );
+    let two = write(folder.path(), "two.dl", ".decl a(x: number)\na(x) :- !a(x).\n");
+    let output = logicity(["check", &one, &two]);
+    fails(
+        &output,
+        1,
+        &[
+            "unknown-predicate",
+            "did you mean `IsCar`",
+            "arity-mismatch",
+            "unbound-variable",
+            "one.dl:2",
+            "two.dl:2",
+        ],
+    );
+    let output = logicity(["check", "--json", &one, &two]);
+    let lines: Vec<Value> = out(&output)
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    assert_eq!((code(&output), lines.len()), (1, 2));
+    assert_eq!(lines[0]["diagnostics"][0]["labels"][0]["line"], 2);
+}
+
+#[test]
+fn check_tells_what_it_did_not_search_to_the_end() {
+    // Does the second clause derive nothing new? A walk of nine steps in a graph of two sides never ends where it began.
+    let graph: Vec<String> = (0..16)
+        .map(|at| format!("E(a{0}, b{1}), E(b{1}, a{0})", at / 4, at % 4))
+        .collect();
+    let walk: Vec<String> = (0..9).map(|at| format!("E(c{at}, c{})", (at + 1) % 9)).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let text = format!(
+        ".decl E(x: symbol, y: symbol)\n.input E\n.decl P(x: symbol)\n.output P\nP(a0) :- {}.\nP(c0) :- {}.\n",
+        graph.join(", "),
+        walk.join(", ")
+    );
+    let path = write(folder.path(), "hard.dl", text);
+    let output = logicity(["check", &path]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    assert!(
+        out(&output).contains("cut short: the search for clauses that derive nothing new;"),
+        "{}",
+        out(&output)
+    );
+    let line: Value = serde_json::from_str(&out(&logicity(["check", "--json", &path]))).unwrap();
+    assert_eq!(
+        line["unfinished"],
+        serde_json::json!(["clauses that derive nothing new"])
+    );
+    let line: Value = serde_json::from_str(&out(&logicity(["check", "--json", "rules/hard.dl"]))).unwrap();
+    assert_eq!(line.get("unfinished"), None);
+}
+
+#[test]
+fn wrong_usage_exits_with_2() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = write(folder.path(), "file", "");
+    let inside = format!("{file}/out");
+    fails(&logicity(["check", "no/such.dl"]), 2, &["no/such.dl"]);
+    fails(&logicity(["check", "rules"]), 2, &["rules", "folder"]);
+    fails(&logicity(["run", "no/such.yaml"]), 2, &["no/such.yaml"]);
+    fails(&logicity(["run", "configs"]), 2, &["configs"]);
+    fails(
+        &logicity(["run", "configs/easy.yaml", "--ticks", "1", "--out", &inside]),
+        2,
+        &["out"],
+    );
+    fails(&logicity(["run", "configs/easy.yaml", "--ticks", "0"]), 2, &["--ticks"]);
+    fails(&logicity(["infer", "no/such.jsonl"]), 2, &["no/such.jsonl"]);
+    fails(&logicity(["query", "no/such.dl"]), 2, &["no/such.dl"]);
+    fails(
+        &logicity(["route", "--type", "car", "--from", "1", "--to", "2,3"]),
+        2,
+        &["row and column"],
+    );
+    fails(&logicity(["fly"]), 2, &["fly"]);
+    for command in [
+        ["run", "expert"],
+        ["bench", "tick"],
+        ["bench", "scale"],
+        ["query", "no/such.dl"],
+    ] {
+        for threads in ["65535", "1025", "-1", "many"] {
+            let [command, what] = command;
+            let output = logicity([command, what, "--threads", threads]);
+            fails(&output, 2, &["--threads", "expected a whole number from 0 to 1024"]);
+        }
+    }
+    fails(
+        &logicity(["infer", "--check-promises", "--executor", "dense"]),
+        2,
+        &["--check-promises", "--executor dense"],
+    );
+    let empty = write(folder.path(), "empty.dl", "");
+    fails(
+        &logicity(["query", &empty, "-F", "no/such"]),
+        2,
+        &["no/such", "no such folder"],
+    );
+    for ticks in ["0", "-1", "1000000001", "many"] {
+        fails(
+            &logicity(["run", "expert", "--ticks", ticks, "--out", &inside]),
+            2,
+            &["--ticks"],
+        );
+    }
+}
+
+#[test]
+fn a_file_that_is_not_text_exits_with_1() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = b"\n.decl \xff\xfe";
+    let rules = write(folder.path(), "a.dl", bytes);
+    let config = write(folder.path(), "a.yaml", bytes);
+    let facts = write(folder.path(), "a.facts", bytes);
+    fails(&logicity(["check", &rules]), 1, &["not-text", "line 2"]);
+    fails(&logicity(["run", &config]), 1, &["not-text"]);
+    fails(&with_input(["infer"], bytes), 1, &["not-text", "line 2"]);
+    let program = write(folder.path(), "b.dl", ".decl a(x: symbol)\n.input a\n.output a\n");
+    let parent = Path::new(&facts).parent().unwrap().to_str().unwrap();
+    fails(
+        &logicity(["query", &program, "-F", parent]),
+        1,
+        &["not-text", "a.facts:2:7"],
+    );
+    // Nor does it hide what else is wrong with the file.
+    write(folder.path(), "n.facts", b"1\n\xff\nthree\n4\n");
+    let program = write(folder.path(), "n.dl", ".decl n(x: number)\n.input n\n.output n\n");
+    let output = logicity(["query", &program, "-F", parent]);
+    fails(&output, 1, &["not-text", "n.facts:2:1", "n.facts:3:1", "holds numbers"]);
+}
+
+#[test]
+fn query_explains_in_the_language() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "path.dl",
+        ".decl edge(x: symbol, y: symbol)\n.decl path(x: symbol, y: symbol)\nedge(\"a\", \"b \\\"c\\\"\").\n\
+         path(x, y) :- edge(x, y).\npath(x, z) :- path(x, y), path(y, z).\n",
+    );
+    let why = |option: &str, fact: &str| out(&logicity(["query", &rules, option, fact]));
+    let told = why("--explain", "path(\"a\", _)");
+    assert!(
+        told.starts_with("path(\"a\", \"b \\\"c\\\"\")  by path(x, y)"),
+        "{told}"
+    );
+    let (fact, _) = told.split_once("  by").unwrap();
+    assert_eq!(why("--explain", fact), told, "what is told can be asked");
+    let told = why("--why-not", "path(\"b\", \"a\")");
+    assert!(told.contains("path(\"b\", y) does not hold"), "{told}");
+}
+
+#[test]
+fn memory_is_given_in_mebibytes_or_with_a_unit() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "n.dl",
+        ".decl n(x: number)\n.printsize n\nn(x) :- x = range(0, 30000).\n",
+    );
+    let with = |option: &str, value: &str| logicity(["query", &rules, option, value]);
+    for enough in ["100", "50M", "50MiB", "1G", "2gib", "1T", "99999999999T"] {
+        let output = with("--max-memory", enough);
+        assert_eq!((code(&output), out(&output).as_str()), (0, "n\t30000\n"), "{enough}");
+    }
+    for little in ["0", "1K", "1kib"] {
+        fails(
+            &with("--max-memory", little),
+            1,
+            &["limit-exceeded", "`--max-memory` allows more"],
+        );
+    }
+    for wrong in ["", "M", "-1", "5 potatoes", "1.5G", "50MB"] {
+        let output = with("--max-memory", wrong);
+        fails(
+            &output,
+            2,
+            &["expected a whole number of MiB, or one with a unit", "50M"],
+        );
+    }
+    for (little, told) in [
+        ("0", "more than 0 MiB"),
+        ("3K", "more than 3 KiB"),
+        ("20k", "more than 20 KiB"),
+    ] {
+        fails(&with("--max-memory", little), 1, &[told]);
+    }
+    for option in ["--max-rows", "--max-steps"] {
+        for wrong in ["-1", "", "K", "1.5K", "3 MiB", "99999999999999999999"] {
+            fails(
+                &with(option, wrong),
+                2,
+                &["expected a whole number from 0 on, or one with a unit"],
+            );
+        }
+        assert_eq!(code(&with(option, "1g")), 0);
+        fails(&with(option, "29K"), 1, &["limit-exceeded", "29000 rows"]);
+    }
+}
+
+#[test]
+fn query_follows_souffle() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "tc.dl",
+        ".decl edge(x: number, y: symbol)\n.input edge\n.decl path(x: number, y: symbol)\n.output path\n.printsize path\n\
+         path(x, y) :- edge(x, y).\n",
+    );
+    write(folder.path(), "edge.facts", "10\tb\n-2\ta b\n9\tb\n");
+    let here = folder.path().to_str().unwrap();
+    let output = logicity(["query", &rules, "-F", here, "-D", here]);
+    assert_eq!(
+        (code(&output), out(&output).as_str()),
+        (0, "path\t3\n"),
+        "{}",
+        err(&output)
+    );
+    assert_eq!(
+        fs::read_to_string(folder.path().join("path.csv")).unwrap(),
+        "-2\ta b\n9\tb\n10\tb\n"
+    );
+    let output = logicity(["query", &rules, "-F", here, "-D", "-"]);
+    let expected = "---------------\npath\nx\ty\n===============\n-2\ta b\n9\tb\n10\tb\n===============\npath\t3\n";
+    assert_eq!(out(&output), expected);
+
+    write(folder.path(), "edge.facts", "10\tb\nten\tb\n1\n");
+    fails(
+        &logicity(["query", &rules, "-F", here, "-D", here]),
+        1,
+        &["invalid-fact", "edge.facts:2:1", "edge.facts:3:1"],
+    );
+    fs::remove_file(folder.path().join("edge.facts")).unwrap();
+    fails(&logicity(["query", &rules, "-F", here, "-D", here]), 2, &["edge.facts"]);
+}
+
+#[test]
+fn query_shows_plans_and_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "path.dl",
+        ".decl edge(x: number, y: symbol)\n.decl to(x: symbol, y: number)\n.decl path(x: number, y: symbol)\n.printsize path\n\
+         edge(1, \"a\"). to(\"a\", 2). edge(2, \"b\").\n\
+         path(x, y) :- edge(x, y).\npath(x, z) :- path(x, y), to(y, n), !to(\"b\", n),\n  n < 5, edge(n, z).\n",
+    );
+    let output = logicity(["query", &rules, "--plan"]);
+    let expected = format!(
+        "\
+stratum 3: path (recursive)
+
+  path(x, y) :- edge(x, y).    {rules}:6:1
+    once
+      scan   edge(x, y)
+      derive path(x, y)
+
+  path(x, z) :- path(x, y), to(y, n), !to(\"b\", n), n < 5, edge(n, z).    {rules}:7:1
+    for the new rows of path
+      scan   path(x, y), new
+      scan   to(y, n) by x
+      test   n < 5
+      absent to(\"b\", n) by x, y
+      scan   edge(n, z) by x
+      derive path(x, z)
+
+"
+    );
+    let shown = out(&output);
+    let shown = &shown[shown.find("stratum 3").unwrap_or_default()..];
+    assert_eq!((code(&output), shown), (0, expected.as_str()));
+
+    let computed = write(
+        folder.path(),
+        "computed.dl",
+        ".decl e(a: symbol)\n.decl q(x: number)\n.output q\ne(\"it\").\nq(strlen(a) * 2 + 1) :- e(a).\n",
+    );
+    let shown = out(&logicity(["query", &computed, "--plan"]));
+    let lets: Vec<&str> = shown
+        .lines()
+        .filter_map(|line| line.trim().strip_prefix("let    "))
+        .collect();
+    assert_eq!(lets, ["b = strlen(a)", "c = b * 2", "d = c + 1"]);
+    assert!(shown.ends_with("derive q(d)\n\n"), "{shown}");
+
+    let output = logicity(["query", &rules, "--profile"]);
+    assert_eq!((code(&output), out(&output).as_str()), (0, "path\t3\n"));
+    let lines: Vec<String> = err(&output).lines().map(str::to_owned).collect();
+    assert!(
+        lines[0].ends_with("new rows in     looked at       derived   runs  clause") && lines.len() == 5,
+        "{lines:?}"
+    );
+    let find = |what: &str| lines.iter().find(|line| line.contains(what)).unwrap().as_str();
+    assert!(find("path(x, z) :- path(x, y)").ends_with(":7:1"), "{lines:?}");
+    assert!(lines[3].ends_with("(sorting, merging, indexes)") && lines[4].contains(" ms 100.0% "));
+    let numbers: Vec<&str> = find("path(x, y) :- edge").split_whitespace().skip(3).take(4).collect();
+    assert_eq!(numbers, ["0", "2", "2", "1"]);
+}
+
+#[test]
+fn query_takes_threads_and_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path().to_str().unwrap();
+    let facts: String = (0..300).map(|n| format!("a({n}). ")).collect();
+    let text = ".decl a(x: number)\n.decl b(x: number, y: number)\n.output b\nb(x, y) :- a(x), a(y).\n";
+    let rules = write(folder.path(), "product.dl", &(text.to_owned() + &facts));
+    let answer = out(&logicity(["query", &rules, "-D", "-"]));
+    assert!(answer.lines().count() > 90_000);
+    for threads in ["0", "1", "2", "9"] {
+        let output = logicity(["query", &rules, "-D", "-", "--threads", threads]);
+        assert_eq!((code(&output), out(&output)), (0, answer.clone()));
+    }
+    fails(&logicity(["query", &rules, "--threads", "5000"]), 2, &["--threads"]);
+    for (option, value) in [("--max-rows", "89999"), ("--max-steps", "90000"), ("--max-memory", "0")] {
+        for threads in ["1", "2"] {
+            let output = logicity(["query", &rules, "-D", here, option, value, "--threads", threads]);
+            fails(
+                &output,
+                1,
+                &[
+                    "limit-exceeded",
+                    "product.dl:4",
+                    option,
+                    "shares no variable",
+                    "makes the join large",
+                ],
+            );
+            assert!(!folder.path().join("b.csv").exists());
+        }
+    }
+    let output = logicity(["query", &rules, "-D", here, "--max-rows", "90000", "--max-memory", "20"]);
+    assert_eq!(code(&output), 0);
+}
+
+#[test]
+fn query_shows_plans_for_the_facts_it_is_given() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "cycle.dl",
+        ".decl edge(x: number, y: number)\n.input edge\n.decl mark(x: number)\n.input mark\n\
+         .decl cycle(x: number, y: number, z: number)\n.decl near(x: number)\n\
+         cycle(x, y, z) :- edge(x, y), edge(y, z), edge(x, z).\n\
+         near(x) :- edge(x, y), mark(y).\n",
+    );
+    let star: String = (1..1000).map(|node| format!("0\t{node}\n{node}\t0\n")).collect();
+    write(folder.path(), "edge.facts", &star);
+    write(folder.path(), "mark.facts", "7\n");
+    let here = folder.path().to_str().unwrap();
+    let output = logicity(["query", &rules, "-F", here, "--plan"]);
+    let expected = format!(
+        "\
+stratum 1: cycle
+  over edge 1998
+
+  cycle(x, y, z) :- edge(x, y), edge(y, z), edge(x, z).    {rules}:7:1
+    once
+      scan   edge(x, y)
+      meet   edge(y, z) by x
+         and edge(x, z) by x
+      derive cycle(x, y, z)
+
+stratum 2: near
+  over edge 1998, mark 1
+
+  near(x) :- edge(x, y), mark(y).    {rules}:8:1
+    once
+      scan   mark(y)
+      scan   edge(x, y) by y, index (y, x)
+      derive near(x)
+
+"
+    );
+    assert_eq!((code(&output), out(&output)), (0, expected));
+    // Before there are facts, the text decides.
+    let output = logicity(["query", &rules, "--plan"]);
+    assert_eq!((code(&output), out(&output).contains("meet")), (0, false));
+    assert!(!folder.path().join("cycle.csv").exists());
+}
+
+#[test]
+fn query_follows_the_options_of_directives() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "main.dl",
+        ".pragma \"legacy\"\n\
+         .decl speed(name: symbol, v: float)\n\
+         .input speed(IO=file, filename=\"in.csv\", delimiter=\",\", headers=true)\n\
+         .input speed(IO=stdin)\n\
+         .decl fast(name: symbol, v: float) brie\n\
+         .output fast(IO=stdout, headers=true)\n\
+         .output fast(filename=\"out.csv\", rfc4180=true)\n\
+         .decl any()\n\
+         .output any\n\
+         .printsize fast(IO=stdoutprintsize)\n\
+         fast(x, v), any() :- speed(x, v), v > 0.1.\n",
+    );
+    write(folder.path(), "in.csv", "name,v\na,0.5\nb,0.1\n");
+    let here = folder.path().to_str().unwrap();
+    let output = with_input(["query", &rules, "-F", here, "-D", here], b"say \"c\"\t1e10\n");
+    let expected =
+        "---------------\nfast\nname\tv\n===============\na\t0.5\nsay \"c\"\t1e+10\n===============\nfast\t2\n";
+    assert_eq!(
+        (code(&output), out(&output).as_str()),
+        (0, expected),
+        "{}",
+        err(&output)
+    );
+    assert!(err(&output).contains("warning[ignored]"), "{}", err(&output));
+    let written = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
+    assert_eq!(written("out.csv"), "\"a\",0.5\n\"say \"\"c\"\"\",1e+10\n");
+    assert_eq!(written("any.csv"), "()\n");
+
+    let rules = write(
+        folder.path(),
+        "bad.dl",
+        ".decl a(x: number)\n.input a(IO=sqlite)\na(x) :- a(y), x = y + \"1\".\n",
+    );
+    fails(
+        &logicity(["query", &rules, "-F", here]),
+        1,
+        &["unsupported", "type-mismatch"],
+    );
+}
+
+#[test]
+fn a_million_facts_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "big.dl",
+        ".decl e(x: number, y: number)\n.input e\n.decl twice(x: number)\n.printsize twice\ntwice(x) :- e(x, y), e(y, x).\n",
+    );
+    let facts: String = (0..1_000_000).map(|n| format!("{n}\t{}\n", n ^ 1)).collect();
+    write(folder.path(), "e.facts", facts);
+    let here = folder.path().to_str().unwrap();
+    let output = logicity(["query", &rules, "-F", here, "-D", here]);
+    assert_eq!(
+        (code(&output), out(&output).as_str()),
+        (0, "twice\t1000000\n"),
+        "{}",
+        err(&output)
+    );
+}
+
+#[test]
+fn a_faulty_scene_keeps_answers_in_step() {
+    let scene = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsCar":["e0"],"HigherPri":[["e1","e0"]]}}"#;
+    let faulty = [
+        "{",
+        "[1,2]",
+        r#"{"map":"square-5x5"}"#,
+        r#"{"map":"nowhere","agents":[]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Bird","at":[1,1]}]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,99999]}]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,99999999999999999999]}]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,1]},{"id":"a","type":"Car","at":[1,1]}]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,1],"concepts":["ambulence"]}]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,1]}],"egos":["b"]}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,1]}],"given":{"IsClose":[["a"]]}}"#,
+        r#"{"map":"square-5x5","agents":[{"id":"a","type":"Car","at":[1,1]}],"given":{"IsClosed":[]}}"#,
+        r#"{"entities":["e0"],"ego":"e1"}"#,
+    ];
+    for line in faulty {
+        let input = format!("{scene}\n{line}\n{scene}\n");
+        let output = with_input(["infer"], input.as_bytes());
+        fails(&output, 1, &["invalid-scene"]);
+        if !line.contains("nowhere") {
+            assert!(err(&output).contains("<stdin>:2:"), "{line}\n{}", err(&output));
+        }
+        let answers: Vec<Value> = out(&output)
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
+        assert_eq!(answers.len(), 3);
+        assert_eq!(answers[0], answers[2]);
+        assert_eq!(answers[0]["egos"]["e0"]["action"], "Normal");
+        assert_eq!(answers[1]["error"][0]["code"], "invalid-scene", "{line}");
+    }
+    let many = r#"{"map":"/etc/hosts","agents":[{"id":"a","type":"Lorry","at":[1],"priority":"x"},{"id":"b","type":"Car","at":[1,1],"heading":"North"}]}"#;
+    let output = with_input(["infer"], many.as_bytes());
+    fails(&output, 1, &["not a map", "`Lorry`", "`North`", "5 errors"]);
+    fails(&with_input(["infer"], b"{}"), 1, &["\"agents\"", "\"entities\""]);
+    fails(&with_input(["infer"], b"5"), 1, &["a scene is a JSON object"]);
+    let deep = "[".repeat(100_000);
+    fails(&with_input(["infer"], deep.as_bytes()), 1, &["invalid-scene"]);
+}
+
+/// Promises of the rules are no rules: only who asks is told where facts break one.
+#[test]
+fn promises_are_checked_where_asked_for() {
+    let bus = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e1"]}}"#;
+    let car = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e1"],"IsCar":["e1"]}}"#;
+    let input = format!("{bus}\n{car}\n");
+    let plain = with_input(["infer"], input.as_bytes());
+    assert_eq!(plain.status.code(), Some(0), "{}", err(&plain));
+    let checked = with_input(["infer", "--check-promises"], input.as_bytes());
+    fails(
+        &checked,
+        1,
+        &[
+            "broken-promise",
+            "`IsBus(\"e1\")` holds, `IsCar(\"e1\")` does not",
+            "<stdin>:1:",
+        ],
+    );
+    let answers = |output: &Output| -> Vec<Value> {
+        out(output)
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect()
+    };
+    assert_eq!(answers(&checked)[0]["error"][0]["code"], "broken-promise");
+    assert_eq!(answers(&checked)[1], answers(&plain)[1]);
+
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "odd.dl",
+        ".include \"expert.dl\"\n.disjoint IsCar, IsPedestrian, IsTiro\n.irreflexive Sees\n",
+    );
+    let to = folder.path().join("out").to_str().unwrap().to_owned();
+    let unchecked = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "3",
+        "--no-pictures",
+        "--out",
+        &to,
+        "--rules",
+        &rules,
+    ]);
+    assert_eq!(unchecked.status.code(), Some(0), "{}", err(&unchecked));
+    let check = "--check-promises";
+    let kept = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "3",
+        "--no-pictures",
+        "--out",
+        &to,
+        "--rules",
+        "rules/expert.dl",
+        check,
+    ]);
+    assert_eq!(kept.status.code(), Some(0), "{}", err(&kept));
+    let output = logicity([
+        "run",
+        "configs/expert.yaml",
+        "--ticks",
+        "3",
+        "--no-pictures",
+        "--out",
+        &to,
+        "--rules",
+        &rules,
+        check,
+    ]);
+    fails(
+        &output,
+        1,
+        &[
+            "broken-promise",
+            "odd.dl:3:1",
+            "in tick 0 for the first time; in 3 of 3 ticks",
+        ],
+    );
+    assert!(out(&output).contains("3 ticks"), "the summary is told nevertheless");
+}
+
+#[test]
+fn scenes_beyond_the_limits_are_told_and_the_next_one_is_answered() {
+    let scene = r#"{"entities":["e0"],"ego":"e0"}"#;
+    let names: Vec<String> = (0..2001).map(|number| format!("\"e{number}\"")).collect();
+    let crowd = format!(r#"{{"entities":[{}],"ego":"e0"}}"#, names.join(","));
+    let long = format!("{scene}{}", " ".repeat(70 << 20));
+    let keys: String = (0..100_000).map(|number| format!("\"k{number}\":0,")).collect();
+    let keys = format!("{{{keys}\"k\":0}}");
+    for (line, code) in [
+        (crowd, "limit-exceeded"),
+        (long, "limit-exceeded"),
+        (keys, "invalid-scene"),
+    ] {
+        let output = with_input(["infer"], format!("{line}\n{scene}\n").as_bytes());
+        fails(&output, 1, &[code]);
+        let answers: Vec<Value> = out(&output)
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
+        assert_eq!(
+            (answers.len(), &answers[0]["error"][0]["code"]),
+            (2, &Value::from(code))
+        );
+        assert_eq!(answers[1]["egos"]["e0"]["action"], "Normal");
+    }
+}
+
+/// What `check` accepts can be evaluated.
+#[test]
+fn check_tells_what_is_too_large_to_evaluate() {
+    let folder = tempfile::tempdir().unwrap();
+    let columns: Vec<String> = (0..40).map(|number| format!("c{number}: number")).collect();
+    let text = format!(".decl wide({})\n.output wide\n", columns.join(", "));
+    let file = write(folder.path(), "wide.dl", text);
+    fails(&logicity(["check", &file]), 1, &["limit-exceeded", "wide.dl:1"]);
+    fails(&logicity(["query", &file]), 1, &["limit-exceeded", "wide.dl:1"]);
+}
+
+#[test]
+fn route_prints_the_cells() {
+    let output = logicity(["route", "--type", "pedestrian", "--from", "26,20", "--to", "86,61"]);
+    let text = out(&output);
+    assert_eq!(
+        (code(&output), text.lines().next(), text.lines().last()),
+        (0, Some("26,20"), Some("86,61"))
+    );
+    assert_eq!(text.lines().count(), 1 + 60 + 41);
+    fails(
+        &logicity(["route", "--type", "car", "--from", "0,0", "--to", "46,34"]),
+        1,
+        &["no-route"],
+    );
+    fails(
+        &logicity(["route", "--type", "car", "--from=-1,0", "--to", "46,999999"]),
+        1,
+        &["no-route"],
+    );
+}
+
+#[test]
+fn cities_that_cannot_be_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = |changes: &str| {
+        let config = format!("base: configs/expert.yaml\n{changes}");
+        write(folder.path(), "mine.yaml", config)
+    };
+    let agents = |cars: &str| format!("agents:\n  test:\n    cars: {cars}\n    pedestrians: []\n");
+    fails(
+        &logicity(["run", &config(&agents("[]"))]),
+        1,
+        &["mine.yaml:", "no agents"],
+    );
+    fails(
+        &logicity(["run", &config("region: {test: 1}\n")]),
+        1,
+        &["no-start-cell", "mine.yaml:2"],
+    );
+    fails(
+        &logicity(["run", &config("region: {test: 1000000000000}\n")]),
+        1,
+        &["invalid-value", "mine.yaml:2"],
+    );
+    fails(
+        &logicity(["run", &config("regoin: {test: 1}\n")]),
+        1,
+        &["unknown-key", "did you mean `region`", "mine.yaml:2:1"],
+    );
+    let huge = "map: {blocks: [1000000000, 1000000000], buildings: {random: {seed: 1}}}\n";
+    let output = logicity(["run", &config(huge)]);
+    fails(&output, 1, &["mine.yaml:2"]);
+    let many = agents("[{priority: 1, count: 1000}]");
+    fails(
+        &logicity(["run", &config(&many)]),
+        1,
+        &["no-start-cell", "or fewer cars"],
+    );
+    let repeated = "region: ~\nagents: {test: {cars: [{priority: 1}], pedestrians: [], repeat: 100000}}\n";
+    fails(
+        &logicity(["run", &config(repeated)]),
+        1,
+        &["no-start-cell", "take a larger map, or a smaller `repeat`"],
+    );
+    let map = "blocks: [30, 30]\nwidths: {street: 11, sidewalk: 5, building: 10, inner_sidewalk: 5}\n\
+               buildings: {random: {seed: 1, weights: {House: 1, Garage: 1}}}\n";
+    write(folder.path(), "big.yaml", map);
+    let crowd = format!("map: big.yaml\nregion: ~\n{}", agents("[{priority: 1, count: 3000}]"));
+    fails(
+        &logicity(["run", &config(&crowd), "--executor", "relational"]),
+        1,
+        &["limit-exceeded", "the limit of the relational executor", "mine.yaml:5"],
+    );
+}
+
+/// Columns are chosen by `columns`, and other values of the row are not looked at.
+#[test]
+fn query_reads_the_columns_it_is_told_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "main.dl",
+        ".decl a(x: number, y: symbol)\n.input a(columns=\"2:0\", delimiter=\",\")\n.output a\n",
+    );
+    let here = folder.path().to_str().unwrap();
+    write(folder.path(), "a.facts", "p,?,1\nq,,2,more\n");
+    let output = logicity(["query", &rules, "-F", here, "-D", "-"]);
+    let expected = "---------------\na\nx\ty\n===============\n1\tp\n2\tq\n===============\n";
+    assert_eq!(
+        (code(&output), out(&output).as_str()),
+        (0, expected),
+        "{}",
+        err(&output)
+    );
+
+    write(folder.path(), "a.facts", "p,?,1\nq,2\nr,,s\n");
+    let output = logicity(["query", &rules, "-F", here, "-D", "-"]);
+    fails(
+        &output,
+        1,
+        &[
+            "invalid-fact",
+            "a.facts:2:1",
+            "a row of 2 values where value 2 is read",
+            "a.facts:3:4",
+        ],
+    );
+}
+
+/// What a measurement says, by key. Each is explained in README.
+fn measured(output: &Output) -> Value {
+    assert_eq!(code(output), 0, "{}", err(output));
+    let told: Value = serde_json::from_str(&out(output)).unwrap();
+    let readme = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
+    let (_, keys) = readme
+        .split_once("### What `bench` prints")
+        .expect("README has the keys");
+    let (keys, _) = keys.split_once("\n## ").expect("README goes on");
+    for key in told.as_object().unwrap().keys() {
+        let unit = key.trim_end_matches("_per_cpu_s").trim_end_matches("_per_s");
+        let known = |name: &str| keys.contains(&format!("`{name}`"));
+        assert!(known(key) || known(unit), "README does not say what `{key}` is");
+    }
+    told
+}
+
+#[test]
+fn bench_measures_what_it_is_asked_for() {
+    let bench = |arguments: &[&str]| {
+        let mut all = vec!["bench"];
+        all.extend(arguments);
+        all.extend(["--seconds", "0.05", "--json"]);
+        run(&all, b"")
+    };
+    // The list of 18 agents is repeated, however often the configuration repeats it.
+    for config in ["configs/metropolis.yaml", "configs/expert.yaml"] {
+        let told = measured(&bench(&["tick", "--config", config, "--agents", "300"]));
+        assert_eq!(
+            (&told["agents"], &told["threads"]),
+            (&306.into(), &1.into()),
+            "{config}"
+        );
+        assert!(told["ticks"].as_u64() > Some(0));
+    }
+    let several = |agents| measured(&bench(&["tick", "--agents", agents, "--threads", "2"]))["threads"].clone();
+    assert_eq!((several("18"), several("300")), (1.into(), 2.into()));
+    for what in ["infer", "ground"] {
+        let told = measured(&bench(&[what]));
+        assert_eq!(
+            (&told["agents"], &told["executor"]),
+            (&18.into(), &"dense".into()),
+            "{what}"
+        );
+        fails(
+            &bench(&[what, "--threads", "2"]),
+            2,
+            &["--threads is for `bench tick|scale` only"],
+        );
+    }
+    assert_eq!(measured(&bench(&["infer"]))["states"], 64);
+    fails(
+        &bench(&["ground", "--agents", "300"]),
+        2,
+        &["up to 256 agents", "306", "--agents"],
+    );
+    fails(
+        &bench(&["ground", "--executor", "relational"]),
+        2,
+        &["leave out --executor relational"],
+    );
+    fails(&bench(&["infer", "--agents", "5000"]), 2, &["4096", "--agents"]);
+    let told = measured(&bench(&["env"]));
+    assert!(told["what"] == "env" && told["steps"].as_u64() > Some(0), "{told}");
+    fails(
+        &bench(&["env", "--config", "vap-easy"]),
+        1,
+        &["has no `task`", "tasks/expert.yaml"],
+    );
+}
+
+/// Making a set writes what the repository has, showing it tells how the oracle fares, and nothing half done is left behind.
+#[test]
+fn episodes_are_made_checked_and_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("mine.jsonl");
+    let episodes = |arguments: &[&str]| run(&[&["episodes"], arguments].concat(), b"");
+    let ok = |output: &Output| {
+        assert_eq!(code(output), 0, "{}", err(output));
+        out(output)
+    };
+    let output = file.to_str().unwrap();
+    let made = ok(&episodes(&["make", "easy", "--split", "val", "--output", output]));
+    let shipped = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/configs/episodes/easy-val.jsonl")).unwrap();
+    assert!(fs::read_to_string(&file).unwrap() == shipped, "made with seed 0");
+    let hash = made.rsplit(' ').next().unwrap().trim();
+    assert!(ok(&episodes(&["check", "easy", "--split", "val"])).contains(hash));
+    let shown = ok(&episodes(&["show", "easy", "--split", "val", "--json"]));
+    let shown: Value = serde_json::from_str(&shown).unwrap();
+    assert_eq!(
+        (&shown["hash"], &shown["oracle"]["tsr"]["value"]),
+        (&hash.into(), &1.0.into())
+    );
+    assert!(shown["random"]["tsr"]["value"].as_f64() < Some(0.3));
+    let spread = ok(&episodes(&[
+        "spread", "easy", "--split", "val", "--sets", "3", "--count", "5", "--json",
+    ]));
+    let spread: Value = serde_json::from_str(&spread).unwrap();
+    let score = |part: &str| spread["measures"]["score"][part].as_f64().unwrap();
+    assert!(score("min") < score("mean") && score("mean") < score("max") && score("standard_deviation") > 0.0);
+    assert!(ok(&episodes(&["show", "easy", "--episode", "3"])).contains("Pedestrian_2"));
+    fails(
+        &episodes(&["show", "easy", "--episode", "100"]),
+        2,
+        &["numbered from 0 to 99"],
+    );
+    fails(&episodes(&["check", "vap-easy"]), 1, &["has no `task`"]);
+    fails(
+        &episodes(&["make", "easy", "--output", "/nowhere/x.jsonl"]),
+        2,
+        &["/nowhere/x.jsonl"],
+    );
+    // Other rules, and the oracle does otherwise.
+    fails(
+        &episodes(&["check", "easy", "--rules", "rules/expert.dl"]),
+        1,
+        &["error"],
+    );
+}
+
+#[test]
+fn bench_takes_scenes() {
+    let scene = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsCar":["e0"]}}"#;
+    let folder = tempfile::tempdir().unwrap();
+    let file = write(folder.path(), "scenes.jsonl", format!("{scene}\n\n{scene}\n"));
+    let bench = |file: &str, more: &[&str], input: &[u8]| {
+        let mut all = vec!["bench", "infer", "--seconds", "0.05", "--json", "--scenes", file];
+        all.extend(more);
+        run(&all, input)
+    };
+    let told = measured(&bench(&file, &[], b""));
+    assert_eq!((&told["scenes"], &told["entities"]), (&2.into(), &2.into()));
+    assert_eq!(measured(&bench("-", &[], scene.as_bytes()))["scenes"], 1);
+    for more in [["--agents", "20"], ["--split", "val"], ["--threads", "2"]] {
+        fails(&bench(&file, &more, b""), 2, &[more[0], "--scenes"]);
+    }
+    fails(&bench("-", &[], b" \n"), 1, &["invalid-scene", "no scene in `<stdin>`"]);
+    fails(&bench("-", &[], b"{}"), 1, &["invalid-scene", "<stdin>:1"]);
+    let names: Vec<String> = (0..65).map(|number| format!("\"e{number}\"")).collect();
+    let crowd = format!(r#"{{"entities":[{}],"ego":"e0"}}"#, names.join(","));
+    fails(
+        &bench("-", &[], crowd.as_bytes()),
+        1,
+        &["limit-exceeded", "65 entities, the limit is 64"],
+    );
+    // Rules with recursion are not for the dense executor, and no option would change that.
+    let rules = write(
+        folder.path(),
+        "far.dl",
+        ".include \"vocabulary.dl\"\n.decl Far(x: agent, y: agent)\nFar(X, Y) :- NextTo(X, Y).\n\
+         Far(X, Z) :- Far(X, Y), NextTo(Y, Z).\nStop(X) :- Far(X, Y), IsBus(Y).\n",
+    );
+    let config = write(
+        folder.path(),
+        "far.yaml",
+        format!(
+            "base: {}/configs/expert.yaml\nrules: {rules}\n",
+            env!("CARGO_MANIFEST_DIR")
+        ),
+    );
+    let output = bench(&file, &["--config", &config], b"");
+    fails(
+        &output,
+        1,
+        &[
+            "a predicate depends on itself",
+            "--scenes times the dense executor only",
+        ],
+    );
+    assert!(!err(&output).contains("--executor auto"), "{}", err(&output));
+}
+
+#[test]
+fn the_summary_names_the_executor() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = write(
+        folder.path(),
+        "far.dl",
+        ".include \"vocabulary.dl\"\n.decl Far(x: agent, y: agent)\nFar(X, Y) :- NextTo(X, Y).\n\
+         Far(X, Z) :- Far(X, Y), NextTo(Y, Z).\nStop(X) :- Far(X, Y), IsBus(Y).\n",
+    );
+    let summary = |more: &[&str]| {
+        let mut all = vec!["run", "expert", "--ticks", "2", "--no-trace"];
+        all.extend(more);
+        let output = run(&all, b"");
+        assert_eq!(code(&output), 0, "{}", err(&output));
+        out(&output)
+    };
+    assert!(summary(&["--threads", "2"]).contains("\ndense executor, 1 thread\n"));
+    assert!(summary(&["--executor", "relational"]).contains("\nrelational executor, 1 thread\n"));
+    let reason = "relational executor, 1 thread: the dense executor cannot evaluate these rules, because a predicate";
+    assert!(summary(&["--rules", &rules]).contains(reason));
+}
+
+#[test]
+fn icons_come_from_a_pack_or_the_fault_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let sheet = |arguments: &[&str], name: &str| {
+        let path = folder.path().join(name);
+        let all = [&["icons", "sheet", "-o", path.to_str().unwrap()], arguments].concat();
+        (run(&all, b""), fs::read(path).unwrap_or_default())
+    };
+    let (output, drawn) = sheet(&["--class", "bus+tiro", "--seed", "2"], "drawn.png");
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    assert!(drawn.starts_with(b"\x89PNG"));
+    assert!(sheet(&["--class", "bus+tiro", "--seed", "2"], "again.png").1 == drawn);
+    assert!(sheet(&["--class", "bus+tiro", "--seed", "3"], "other.png").1 != drawn);
+    assert!(
+        sheet(
+            &["--class", "bus+tiro", "--seed", "2", "--difficulty", "40"],
+            "noisy.png"
+        )
+        .1 != drawn
+    );
+
+    let pack = folder.path().join("pack");
+    fs::create_dir_all(pack.join("police")).unwrap();
+    let svg = r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 2 4"><rect width="2" height="4"/></svg>"#;
+    write(&pack, "police/black.svg", svg);
+    write(&pack, "README", "beside the folders");
+    let pack_path = pack.to_str().unwrap();
+    let (output, extended) = sheet(&["--pack", pack_path], "extended.png");
+    assert_eq!(code(&output), 0, "{}", err(&output));
+    assert!(
+        err(&output).contains("has no icons of car, ambulance, bus, tiro"),
+        "{}",
+        err(&output)
+    );
+    let (_, replaced) = sheet(&["--pack", pack_path, "--pack-mode", "replace"], "replaced.png");
+    assert!(!replaced.is_empty() && replaced != extended);
+
+    let out = folder.path().join("out");
+    let out = out.to_str().unwrap();
+    let output = logicity([
+        "run",
+        "configs/easy.yaml",
+        "--ticks",
+        "3",
+        "--pack",
+        pack_path,
+        "--out",
+        out,
+    ]);
+    assert_eq!(code(&output), 0, "{}", err(&output));
+
+    let broken = write(&pack, "police/white.png", "not a picture");
+    fs::create_dir(pack.join("plane")).unwrap();
+    write(&pack, "plane/1.svg", svg);
+    let (output, _) = sheet(&["--pack", pack_path], "broken.png");
+    fails(
+        &output,
+        2,
+        &[&broken, "not a PNG picture", "plane/1.svg", "no class `plane`"],
+    );
+    let (output, _) = sheet(&["--pack", "nowhere"], "none.png");
+    fails(&output, 2, &["`nowhere`", "no such folder"]);
+    for (option, value, told) in [
+        ("--difficulty", "101", "0 to 100"),
+        ("--class", "plane", "concepts joined by `+`"),
+    ] {
+        let (output, _) = sheet(&[option, value], "wrong.png");
+        fails(&output, 2, &[told]);
+    }
+}
+
+/// A predicate that the configuration computes but the rules only declare would stay empty.
+#[test]
+fn a_predicate_that_is_never_filled_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = ".include \"vocabulary.dl\"\n.decl IsTaxi(x: agent)\nStop(X) :- IsTaxi(X).\n";
+    write(folder.path(), "taxi.dl", rules);
+    let config =
+        "base: configs/expert.yaml\nrules: taxi.dl\npredicates: {define: {IsTaxi: {concept: taxi, of: Car}}}\n";
+    let config = write(folder.path(), "taxis.yaml", config);
+    fails(
+        &run(&["run", &config, "--no-trace", "--ticks", "1"], b""),
+        1,
+        &[
+            "rule-mismatch",
+            "`IsTaxi` is never filled",
+            "write `.input IsTaxi`",
+            "taxi.dl:2:7",
+        ],
+    );
+    let page = folder.path().join("no/such/city.html");
+    let page = page.to_str().unwrap();
+    let out = folder.path().to_str().unwrap();
+    fails(
+        &run(
+            &[
+                "run",
+                "easy",
+                "--ticks",
+                "1",
+                "--no-pictures",
+                "--out",
+                out,
+                "--html",
+                page,
+            ],
+            b"",
+        ),
+        2,
+        &["there is no folder", "no/such"],
+    );
+}
+
+#[test]
+fn fmt_writes_checks_and_pipes() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("a.dl");
+    std::fs::write(&file, "A(1) .\n").unwrap();
+    let run = |arguments: &[&str]| {
+        Command::new(env!("CARGO_BIN_EXE_logicity"))
+            .arg("fmt")
+            .args(arguments)
+            .arg(&file)
+            .output()
+            .unwrap()
+    };
+    let output = run(&["--check"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8(output.stdout).unwrap().contains("a.dl"));
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "A(1) .\n");
+    assert_eq!(run(&[]).status.code(), Some(0));
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "A(1).\n");
+    assert_eq!(run(&["--check"]).status.code(), Some(0));
+    std::fs::write(&file, "A(1").unwrap();
+    assert_eq!(run(&[]).status.code(), Some(1));
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "A(1");
+}
+
+/// The example of `check`, fed to `infer`.
+#[test]
+fn the_scene_of_check_can_be_fed_to_infer() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let command = "logicity check rules/vap-hard.dl | grep '^ *{' | logicity infer --config configs/vap-hard.yaml";
+    let program = Path::new(env!("CARGO_BIN_EXE_logicity")).parent().unwrap();
+    let output = std::process::Command::new("sh")
+        .args(["-c", command])
+        .env(
+            "PATH",
+            format!("{}:{}", program.display(), std::env::var("PATH").unwrap()),
+        )
+        .env("TMPDIR", folder.path())
+        .current_dir(root)
+        .output()
+        .unwrap();
+    let answer: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(answer["egos"]["e0"]["derived"], serde_json::json!(["Slow", "Fast"]));
+}

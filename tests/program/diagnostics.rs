@@ -1,0 +1,272 @@
+//! Every message has a stable name, a fixture that produces it, and a section in a reference.
+//!
+//! `tests/datalog/lang.rs` and `tests/city/config.rs` run the fixtures of what their rooms find alone; here are those that need a whole city, scenes or
+//! facts, and the count of all.
+
+use logicity::{city, config, datalog, diag, sim, task};
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn fixtures() -> PathBuf {
+    root().join("tests/fixtures/diagnostics")
+}
+
+fn logicity(arguments: &[&str]) -> Output {
+    let program = env!("CARGO_BIN_EXE_logicity");
+    Command::new(program)
+        .args(arguments)
+        .current_dir(root())
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn every_code_has_a_fixture_and_a_section() {
+    let names: BTreeSet<&str> = [
+        diag::CODES,
+        datalog::CODES,
+        config::CODES,
+        city::CODES,
+        sim::CODES,
+        task::spf::CODES,
+        task::vap::CODES,
+    ]
+    .into_iter()
+    .flatten()
+    .map(|code| code.name())
+    .collect();
+    let found: BTreeSet<String> = fs::read_dir(fixtures())
+        .unwrap()
+        .map(|entry| entry.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned())
+        .collect();
+    assert_eq!(found.iter().map(String::as_str).collect::<BTreeSet<_>>(), names);
+
+    let references =
+        ["rules/README.md", "configs/README.md"].map(|path| fs::read_to_string(root().join(path)).unwrap());
+    let is_section = |line: &&str| line.starts_with('#');
+    let headings: Vec<&str> = references
+        .iter()
+        .flat_map(|text| text.lines().filter(is_section))
+        .collect();
+    for name in names {
+        let has = |heading: &&str| {
+            heading
+                .split(|c: char| !c.is_alphanumeric() && c != '-')
+                .any(|word| word == name)
+        };
+        assert!(headings.iter().any(has), "no section about {name} in a README");
+    }
+}
+
+#[test]
+fn cities_fail_as_their_fixtures_say() {
+    let out = tempfile::tempdir().unwrap();
+    let out = out.path().to_str().unwrap();
+    for code in [
+        "unknown-split",
+        "rule-mismatch",
+        "invalid-map",
+        "no-start-cell",
+        "no-route",
+    ] {
+        let path = fixtures().join(code).with_extension("yaml");
+        let split = if code == "unknown-split" { "train" } else { "test" };
+        let output = logicity(&[
+            "run",
+            path.to_str().unwrap(),
+            "--ticks",
+            "1",
+            "--split",
+            split,
+            "--out",
+            out,
+        ]);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        assert!(said.contains(&format!("error[{code}]")), "{said}");
+        let text = fs::read_to_string(&path).unwrap();
+        let file = path.file_name().unwrap().to_str().unwrap();
+        for (line, _) in text.lines().enumerate().filter(|(_, text)| text.contains("# error[")) {
+            assert!(
+                said.contains(&format!("{file}:{}:", line + 1)),
+                "line {} of {file} is not named:\n{said}",
+                line + 1
+            );
+        }
+    }
+}
+
+#[test]
+fn scenes_and_facts_fail_as_their_fixtures_say() {
+    let scenes = fixtures().join("invalid-scene.jsonl");
+    let output = logicity(&["infer", scenes.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(1));
+    let lines = fs::read_to_string(&scenes).unwrap();
+    let answers = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(answers.lines().count(), lines.lines().count());
+    for (answer, line) in answers.lines().zip(1..) {
+        let answer: Value = serde_json::from_str(answer).unwrap();
+        assert_eq!(answer["error"][0]["code"], "invalid-scene");
+        assert_eq!(answer["error"][0]["labels"][0]["line"], line);
+    }
+
+    let folder = fixtures().join("invalid-fact");
+    let folder = folder.to_str().unwrap();
+    let output = logicity(&["query", &format!("{folder}/main.dl"), "-F", folder, "-D", "-"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    for part in ["error[invalid-fact]", "age.facts:2:5", "age.facts:3:1"] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+}
+
+#[test]
+fn traces_fail_as_their_fixtures_say() {
+    for code in ["invalid-trace", "trace-mismatch"] {
+        let path = fixtures().join(code).with_extension("jsonl");
+        let output = logicity(&["explain", path.to_str().unwrap(), "--agent", "Car_1"]);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        assert!(said.contains(&format!("error[{code}]")), "{said}");
+    }
+}
+
+#[test]
+fn episodes_fail_as_their_fixture_says() {
+    let path = fixtures().join("invalid-episode/main.yaml");
+    let output = logicity(&["episodes", "check", path.to_str().unwrap()]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    for part in ["error[invalid-episode]: 1 trip of 2 agents", "short.jsonl:3:1"] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+}
+
+#[test]
+fn facts_that_break_promises_are_refused() {
+    let folder = fixtures().join("broken-promise");
+    let folder = folder.to_str().unwrap();
+    let output = logicity(&["query", &format!("{folder}/main.dl"), "-F", folder, "-D", "-"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(output.stdout.is_empty());
+    for part in [
+        "error[broken-promise]: both `Car(\"b\")` and `Walker(\"b\")` hold",
+        "`Bus(\"c\")` holds, `Car(\"c\")` does not",
+        "`Near(\"b\", \"b\")` holds",
+        "`Near(\"a\", \"b\")` holds, `Near(\"b\", \"a\")` does not",
+        "main.dl:7:1",
+    ] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+}
+
+/// Lints stand on the lines that the fixtures mark, and nowhere else.
+#[test]
+fn lints_are_told_as_their_fixtures_say() {
+    for code in ["contradictory-body", "redundant-literal", "repeated-body"] {
+        let path = fixtures().join(code).with_extension("dl");
+        let text = fs::read_to_string(&path).unwrap();
+        let marked: Vec<usize> = text
+            .lines()
+            .zip(1..)
+            .filter(|(line, _)| line.contains("// warning["))
+            .map(|(_, number)| number)
+            .collect();
+        let output = logicity(&["check", "--lints", "--json", path.to_str().unwrap()]);
+        assert_eq!(output.status.code(), Some(0));
+        let answer: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let found = answer["diagnostics"].as_array().unwrap();
+        assert!(
+            found
+                .iter()
+                .all(|lint| lint["code"] == code && lint["severity"] == "warning"),
+            "{answer}"
+        );
+        let lines: Vec<usize> = found
+            .iter()
+            .map(|lint| lint["labels"][0]["line"].as_u64().unwrap() as usize)
+            .collect();
+        assert_eq!(lines, marked, "{answer}");
+        let quiet = logicity(&["check", path.to_str().unwrap()]);
+        assert_eq!(quiet.stderr.is_empty(), code != "contradictory-body");
+    }
+}
+
+#[test]
+fn the_shipped_rules_are_checked_without_a_word() {
+    for entry in fs::read_dir(root().join("rules")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "dl") {
+            let output = logicity(&["check", path.to_str().unwrap()]);
+            assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+        }
+    }
+}
+
+/// The scenes in the reference are answered; the ones that stand for faults are refused.
+#[test]
+fn the_scenes_of_the_reference_do_what_it_says() {
+    let text = fs::read_to_string(Path::new(&root()).join("configs/README.md")).unwrap();
+    let mut heading = "";
+    let mut lines = text.lines();
+    let mut last = Value::Null;
+    let mut count = 0;
+    while let Some(line) = lines.next() {
+        if line.starts_with('#') {
+            heading = line;
+        }
+        let Some(kind) = line.strip_prefix("```json") else {
+            continue;
+        };
+        let block: String = lines.by_ref().take_while(|line| *line != "```").collect();
+        count += 1;
+        if kind == " answer" {
+            assert_eq!(serde_json::from_str::<Value>(&block).unwrap(), last);
+            continue;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("scene.jsonl");
+        fs::write(&file, block).unwrap();
+        let output = logicity(&["infer", file.to_str().unwrap()]);
+        let fails = heading.ends_with("invalid-scene");
+        assert_eq!(
+            output.status.code(),
+            Some(i32::from(fails)),
+            "{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+        last = serde_json::from_slice(&output.stdout).unwrap();
+    }
+    assert!(count >= 4);
+}
+
+/// `query` takes given rows and derived ones; everybody else refuses the rule.
+#[test]
+fn an_input_that_is_derived_is_told_by_query_and_refused_by_check() {
+    let folder = fixtures().join("extended-input");
+    let folder = folder.to_str().unwrap();
+    let rules = format!("{folder}/main.dl");
+    let output = logicity(&["query", &rules, "-F", folder, "-D", "-"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(said.contains("warning[extended-input]"), "{said}");
+    assert!(said.contains("main.dl:4:1"), "{said}");
+    let answer = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(
+        answer,
+        "---------------\nEdge\nx\ty\n===============\na\tb\nb\ta\n===============\n"
+    );
+
+    let output = logicity(&["check", &rules]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("error[derived-input]"), "{said}");
+}

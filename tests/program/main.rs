@@ -1,0 +1,13 @@
+//! The program as a user meets it, and checks of the repository as a whole.
+
+mod cli;
+mod diagnostics;
+mod diff;
+mod grammar;
+mod layers;
+mod lsp;
+mod questions;
+mod readme;
+mod repl;
+#[path = "../city/shipped_world.rs"]
+mod shipped_world;

@@ -1,0 +1,405 @@
+//! Language questions, from the files that the program writes: answers follow from the text alone, and the sets are what they claim.
+
+use logicity::city::Split;
+use logicity::rng::Seed;
+use logicity::sim::{Settings, Simulation};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io::Write;
+use std::process::{Command, Output, Stdio};
+use std::sync::Arc;
+
+const CONFIGS: [&str; 2] = ["vap-easy", "vap-hard"];
+const LETTERS: [&str; 4] = ["A", "B", "C", "D"];
+const ACTIONS: [&str; 4] = ["Slow", "Normal", "Fast", "Stop"];
+
+fn run(arguments: &[&str], input: &str) -> Output {
+    let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
+        .args(arguments)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut stdin = process.stdin.take().unwrap();
+    let input = input.to_owned();
+    let writer = std::thread::spawn(move || drop(stdin.write_all(input.as_bytes())));
+    let output = process.wait_with_output().unwrap();
+    writer.join().unwrap();
+    output
+}
+
+fn text(arguments: &[&str]) -> String {
+    let output = run(&[&["questions"], arguments].concat(), "");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{said}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn questions(arguments: &[&str]) -> Vec<Value> {
+    text(arguments)
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect()
+}
+
+fn string(value: &Value) -> &str {
+    value.as_str().unwrap()
+}
+
+/// Reads the text of a question as a scene, as an evaluated model has to.
+fn read(question: &str) -> Value {
+    let line = |prefix: &str| {
+        let rest = question.lines().find_map(|line| line.strip_prefix(prefix));
+        rest.unwrap_or_else(|| panic!("no line `{prefix}..` in:\n{question}"))
+    };
+    let entities = line("A scene with ").split_once(": ").unwrap().1;
+    let entities: Vec<&str> = entities.trim_end_matches('.').split(", ").collect();
+    let predicates = line("Predicates and how many entities each is about: ").trim_end_matches('.');
+    let mut facts: BTreeMap<&str, Vec<Vec<&str>>> = predicates
+        .split(", ")
+        .map(|predicate| (predicate.split_once('/').unwrap().0, Vec::new()))
+        .collect();
+    let (_, listed) = question.split_once("(all others are false):\n").unwrap();
+    for atom in listed
+        .lines()
+        .filter(|line| line.ends_with(')'))
+        .flat_map(|line| line.split_inclusive(')'))
+    {
+        let (name, arguments) = atom
+            .trim_start_matches(", ")
+            .trim_end_matches(')')
+            .split_once('(')
+            .unwrap();
+        facts
+            .get_mut(name)
+            .expect("a listed predicate")
+            .push(arguments.split(", ").collect());
+    }
+    let ego = line("Which action does ").strip_suffix(" take next?").unwrap();
+    json!({"entities": entities, "ego": ego, "facts": facts})
+}
+
+/// What `logicity infer` decides, by letters.
+fn inferred(config: &str, scenes: &[Value]) -> Vec<&'static str> {
+    let lines: String = scenes.iter().map(|scene| format!("{scene}\n")).collect();
+    let output = run(&["infer", "--config", config], &lines);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let answers = String::from_utf8(output.stdout).unwrap();
+    let answers = answers.lines().zip(scenes).map(|(line, scene)| {
+        let answer: Value = serde_json::from_str(line).unwrap();
+        let action = string(&answer["egos"][string(&scene["ego"])]["action"]);
+        LETTERS[ACTIONS.iter().position(|known| *known == action).unwrap()]
+    });
+    let answers: Vec<&str> = answers.collect();
+    assert_eq!(answers.len(), scenes.len());
+    answers
+}
+
+fn shares(questions: &[Value]) -> [usize; 4] {
+    LETTERS.map(|letter| questions.iter().filter(|question| question["answer"] == letter).count())
+}
+
+#[test]
+fn every_answer_follows_from_the_text() {
+    let sets = [
+        ("vap-easy", &["--seed", "1"][..]),
+        ("vap-hard", &["--seed", "2"]),
+        ("vap-hard", &["--seed", "3", "--count", "100", "--entities", "city"]),
+        (
+            "expert",
+            &["--seed", "4", "--count", "200", "--split", "val", "--shots", "10"],
+        ),
+    ];
+    for (config, arguments) in sets {
+        let questions = questions(&[&[config], arguments].concat());
+        let first = &questions[0];
+        let shown = first["demonstrations"].as_array().unwrap();
+        let all = || questions.iter().chain(shown);
+        let scenes: Vec<Value> = all().map(|question| read(string(&question["question"]))).collect();
+        let wanted: Vec<&str> = all().map(|question| string(&question["answer"])).collect();
+        assert_eq!(inferred(config, &scenes), wanted, "{config}");
+        for question in all() {
+            let letter = LETTERS.iter().position(|letter| question["answer"] == *letter).unwrap();
+            assert_eq!(question["action"], ACTIONS[letter]);
+        }
+        // The structured scene says the same as the text.
+        let given: Vec<Value> = questions.iter().map(|question| question["scene"].clone()).collect();
+        assert_eq!(inferred(config, &given), wanted[..questions.len()]);
+        for (given, read) in given.iter().zip(&scenes) {
+            assert_eq!([&given["entities"], &given["ego"]], [&read["entities"], &read["ego"]]);
+            for (predicate, rows) in read["facts"].as_object().unwrap() {
+                let bracketed = |row: &Value| if row.is_array() { row.clone() } else { json!([row]) };
+                let given: Vec<Value> = given["facts"][predicate]
+                    .as_array()
+                    .unwrap()
+                    .iter()
+                    .map(bracketed)
+                    .collect();
+                assert_eq!(json!(given), *rows, "{predicate}");
+            }
+        }
+        for question in &questions {
+            assert_eq!(
+                [&question["demonstrations"], &question["system"]],
+                [&first["demonstrations"], &first["system"]]
+            );
+            assert_eq!(
+                question["options"],
+                json!({"A": "Slow", "B": "Normal", "C": "Fast", "D": "Stop"})
+            );
+        }
+    }
+}
+
+/// The letters in an order that nothing depends on.
+fn guess(number: usize) -> &'static str {
+    let mixed = (number as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    LETTERS[(mixed >> 62) as usize]
+}
+
+#[test]
+fn sets_are_balanced_and_without_repetition() {
+    for config in CONFIGS {
+        let questions = questions(&[config, "--seed", "5"]);
+        let (count, shares) = (questions.len(), shares(&questions));
+        // The rules of easy mode never ask Fast.
+        let expected = if config == "vap-easy" {
+            [334, 333, 0, 333]
+        } else {
+            [250; 4]
+        };
+        assert_eq!((count, shares), (1000, expected), "{config}");
+        let guessed = (0..count)
+            .filter(|&number| questions[number]["answer"] == guess(number))
+            .count();
+        // Four standard deviations of a binomial with a quarter: 55.
+        assert!(guessed.abs_diff(count / 4) < 55, "{guessed} of {count}");
+
+        let shown = questions[0]["demonstrations"].as_array().unwrap();
+        assert_eq!(shown.len(), 5);
+        let options =
+            |list: &[Value]| -> BTreeSet<String> { list.iter().map(|one| one["answer"].to_string()).collect() };
+        assert_eq!(options(shown), options(&questions));
+        let texts: BTreeSet<&str> = questions
+            .iter()
+            .chain(shown)
+            .map(|question| string(&question["question"]))
+            .collect();
+        assert_eq!(texts.len(), count + shown.len());
+        let ids: BTreeSet<&str> = questions.iter().map(|question| string(&question["id"])).collect();
+        assert_eq!(ids.len(), count);
+
+        let shown: Vec<Value> = shown.iter().map(|shown| read(string(&shown["question"]))).collect();
+        let asked: Vec<Value> = questions.iter().map(|question| question["scene"].clone()).collect();
+        let compositions: BTreeSet<_> = shown.iter().map(composition).collect();
+        assert!(asked.iter().all(|scene| !compositions.contains(&composition(scene))));
+        // No two are alike but for the names: where all renamings can be tried, none makes one of the other.
+        let small = shown
+            .iter()
+            .chain(&asked)
+            .filter(|scene| scene["entities"].as_array().unwrap().len() <= 5);
+        let small: Vec<String> = small.map(first_of_all_renamings).collect();
+        assert!(small.len() > 200, "{}", small.len());
+        assert_eq!(small.iter().collect::<BTreeSet<_>>().len(), small.len());
+    }
+}
+
+/// What the entities are, whichever is which.
+fn composition(scene: &Value) -> Vec<Vec<String>> {
+    let steady = [
+        "IsPedestrian",
+        "IsCar",
+        "IsAmbulance",
+        "IsBus",
+        "IsPolice",
+        "IsTiro",
+        "IsReckless",
+        "IsOld",
+        "IsYoung",
+    ];
+    let is = |entity: &Value, predicate: &str| {
+        let rows = scene["facts"][predicate].as_array().unwrap();
+        rows.iter().any(|row| row == entity || *row == json!([entity]))
+    };
+    let entities = scene["entities"].as_array().unwrap().iter();
+    let mut all: Vec<Vec<String>> = entities
+        .map(|entity| {
+            steady
+                .iter()
+                .filter(|name| is(entity, name))
+                .map(|name| (*name).to_owned())
+                .collect()
+        })
+        .collect();
+    all.sort();
+    all
+}
+
+/// The least text of a scene under all orders of its entities.
+fn first_of_all_renamings(scene: &Value) -> String {
+    let entities: Vec<&str> = scene["entities"].as_array().unwrap().iter().map(string).collect();
+    let facts = scene["facts"].as_object().unwrap();
+    let mut orders = vec![Vec::new()];
+    for place in 0..entities.len() {
+        let longer = |order: Vec<usize>| {
+            (0..=place).map(move |at| {
+                let mut order = order.clone();
+                order.insert(at, place);
+                order
+            })
+        };
+        orders = orders.into_iter().flat_map(longer).collect();
+    }
+    let renamed = |order: Vec<usize>| {
+        let place = |name: &Value| order[entities.iter().position(|entity| name == entity).unwrap()];
+        let mut atoms: Vec<(&str, Vec<usize>)> = Vec::new();
+        for (predicate, rows) in facts {
+            for row in rows.as_array().unwrap() {
+                let names = row
+                    .as_array()
+                    .map_or_else(|| vec![place(row)], |names| names.iter().map(place).collect());
+                atoms.push((predicate, names));
+            }
+        }
+        atoms.sort();
+        format!("{} {atoms:?}", place(&scene["ego"]))
+    };
+    orders.into_iter().map(renamed).min().unwrap()
+}
+
+#[test]
+fn the_small_set_asks_about_tiro_and_reckless_cars() {
+    let questions = questions(&["--mini"]);
+    assert_eq!((questions.len(), shares(&questions)), (117, [30, 29, 29, 29]));
+    for question in &questions {
+        let ego = &question["scene"]["ego"];
+        let carries = |predicate: &str| question["scene"]["facts"][predicate].as_array().unwrap().contains(ego);
+        assert!(carries("IsTiro") || carries("IsReckless"));
+    }
+}
+
+#[test]
+fn a_question_tells_where_it_is_from() {
+    let questions = questions(&["expert", "--count", "40"]);
+    let world = crate::shipped_world::world("expert", None, |_| ());
+    for question in questions {
+        let source = &question["source"];
+        assert_eq!(
+            [&source["config"], &source["split"], &source["seed"]],
+            [&json!("expert"), &json!("test"), &json!(0)]
+        );
+        assert_eq!(source["config_hash"], world.scenario.hash);
+        let seed = Seed(source["world"].as_u64().unwrap());
+        let mut city = Simulation::new(Arc::clone(&world), Split::Test, seed, Settings::default()).unwrap();
+        for _ in 0..=source["tick"].as_u64().unwrap() {
+            city.tick(&[]).unwrap();
+        }
+        let agent = city
+            .agents()
+            .iter()
+            .position(|agent| source["agent"] == agent.name().to_string())
+            .unwrap();
+        assert_eq!(question["action"], city.report().agents[agent].action.name());
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let [file, table, shown] = ["q.jsonl", "q.csv", "shown.csv"].map(path);
+    let arguments = ["vap-hard", "--count", "60", "--seed", "9"];
+    let printed = text(&arguments);
+    assert_eq!(printed, text(&arguments));
+    assert_ne!(printed, text(&["vap-hard", "--count", "60", "--seed", "10"]));
+    let files = ["--output", &file, "--csv", &table, "--demonstrations-csv", &shown];
+    let told = text(&[&arguments[..], &files].concat());
+    assert_eq!(
+        told,
+        format!("60 questions written to {file}: Slow 15, Normal 15, Fast 15, Stop 15\n")
+    );
+    assert_eq!(fs::read_to_string(&file).unwrap(), printed);
+
+    let questions: Vec<Value> = printed
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let rows = |list: &[Value]| -> String {
+        let row = |one: &Value| {
+            format!(
+                "\"{}\",Slow,Normal,Fast,Stop,{}\n",
+                string(&one["question"]),
+                string(&one["answer"])
+            )
+        };
+        list.iter().map(row).collect()
+    };
+    assert_eq!(fs::read_to_string(&table).unwrap(), rows(&questions));
+    assert_eq!(
+        fs::read_to_string(&shown).unwrap(),
+        rows(questions[0]["demonstrations"].as_array().unwrap())
+    );
+}
+
+#[test]
+fn without_demonstrations_nobody_speaks_of_them() {
+    let questions = questions(&["vap-easy", "--count", "30", "--shots", "0", "--demonstrations", "test"]);
+    assert_eq!(questions[0]["demonstrations"], json!([]));
+    assert!(!string(&questions[0]["system"]).contains("explain"));
+}
+
+#[test]
+fn what_cannot_be_asked_is_refused() {
+    let refused = |arguments: &[&str], exit: i32, words: &[&str]| {
+        let output = run(&[&["questions"], arguments].concat(), "");
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(exit), "{said}");
+        assert!(output.stdout.is_empty() && !said.contains("panicked"), "{said}");
+        for word in words {
+            assert!(said.contains(word), "`{word}` is missing in:\n{said}");
+        }
+    };
+    refused(&["nowhere"], 2, &["nowhere"]);
+    refused(&["--count", "0"], 2, &["1..=20000"]);
+    refused(&["--mini", "--count", "3"], 2, &["--mini"]);
+    refused(&["--shots", "3"], 1, &["invalid-value", "Slow, Normal, Fast, Stop"]);
+    refused(&["--split", "train"], 1, &["invalid-value", "the same agents"]);
+    refused(
+        &["--about", "tyro,bus"],
+        1,
+        &["no concept `tyro`", "did you mean `tiro`?"],
+    );
+    refused(
+        &["metropolis", "--count", "3", "--shots", "0"],
+        1,
+        &["limit-exceeded", "1000008 agents"],
+    );
+    refused(&["metropolis", "--count", "3"], 1, &["unknown-split"]);
+    // Of a car that is alone there is little to ask.
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("alone.yaml");
+    let agents =
+        "{train: {cars: [{count: 2, priority: 1}], pedestrians: ~}, test: {cars: [{priority: 1}], pedestrians: ~}}";
+    fs::write(&config, format!("base: configs/vap-easy.yaml\nagents: {agents}\n")).unwrap();
+    let alone = config.to_str().unwrap();
+    refused(
+        &[alone, "--count", "50"],
+        1,
+        &[
+            "limit-exceeded",
+            "of 50 different questions found in 250 worlds of `test`",
+        ],
+    );
+    refused(&["-o", "no/such/folder/q.jsonl", "--count", "4"], 2, &["cannot write"]);
+}
+
+/// The Python package is tested on this file. `cargo run -- questions --count 8 --shots 4 --output tests/fixtures/questions.jsonl`
+/// makes it again.
+#[test]
+fn the_file_for_the_tests_in_python_is_ours() {
+    let kept = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/questions.jsonl")).unwrap();
+    assert_eq!(text(&["--count", "8", "--shots", "4"]), kept);
+}
