@@ -171,7 +171,7 @@ pub fn place_agents(set: &AgentSet, router: &Router, places: &Places, seed: Seed
 /// a fault some of them are left.
 ///
 /// # Errors
-/// As [`place_agents`]; `limit-exceeded` if it was given up.
+/// As [`place_agents`]; `cancelled` if the caller cancelled it.
 pub fn place_agents_until(
     agents: &mut Vec<Agent>,
     set: &AgentSet,
@@ -187,7 +187,7 @@ pub fn place_agents_until(
     let mut count = 0;
     for (index, (name, group)) in set.members().enumerate() {
         if stop() {
-            return Err(Diagnostic::interrupted());
+            return Err(Diagnostic::cancelled());
         }
         let mut stream = seed.stream(Purpose::PLACEMENT, index as u64, 0);
         let free = &mut free[name.kind as usize];

@@ -283,7 +283,7 @@ fn measure(arguments: &Arguments, trace: &Path, rules: &Path, sources: &mut Sour
     while let Some(tick) = trace.tick()? {
         replay.set(&tick).map_err(|fault| trace.placed(fault))?;
         let added = coverage.add(replay.session());
-        added.map_err(|error| trace.placed(Diagnostic::new(Code::LIMIT_EXCEEDED, error.to_string())))?;
+        added.map_err(|error| trace.placed(error.into()))?;
     }
     Ok(coverage)
 }

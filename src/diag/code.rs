@@ -50,4 +50,6 @@ crate::diagnostic_codes! {
     NOT_TEXT = "not-text", Error;
     /// A size or count in the input is beyond what the program accepts.
     LIMIT_EXCEEDED = "limit-exceeded", Error;
+    /// The caller cancelled the work before it was done.
+    CANCELLED = "cancelled", Error;
 }

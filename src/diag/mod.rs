@@ -64,9 +64,9 @@ impl Diagnostic {
         }
     }
 
-    /// That work was given up because whoever wanted it would not wait longer.
-    pub fn interrupted() -> Self {
-        Diagnostic::new(Code::LIMIT_EXCEEDED, "the work was interrupted")
+    /// The diagnostic of work that the caller cancelled.
+    pub fn cancelled() -> Self {
+        Diagnostic::new(Code::CANCELLED, "the work was cancelled")
     }
 
     /// Sets the primary place and what to say there.

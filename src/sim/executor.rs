@@ -76,10 +76,10 @@ pub(super) enum Choice<T> {
     Relational(Option<String>),
 }
 
-/// That the dense executor cannot evaluate rules. `reason` goes after "because".
+/// The diagnostic of rules that the dense executor cannot evaluate. `reason` goes after "because".
 fn not_dense(reason: &str) -> Diagnostic {
     let message = format!("the dense executor cannot evaluate these rules, because {reason}");
-    Diagnostic::new(Code::LIMIT_EXCEEDED, message)
+    Diagnostic::new(Code::DENSE_UNSUPPORTED, message)
 }
 
 /// What the agents decided in a tick, before the default.
@@ -191,7 +191,7 @@ enum Shape {
 /// Compiles the rules for the dense executor.
 ///
 /// # Errors
-/// `limit-exceeded` if it cannot take them; the message tells why.
+/// `dense-unsupported` if it cannot evaluate them; the message names the reason.
 pub(super) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: Counting) -> Result<Dense, Diagnostic> {
     let choice = choose(rules);
     if let Some(reason) = choice.relational.iter().flatten().next() {
@@ -223,7 +223,7 @@ impl Crowd {
     /// `clauses` are those to be counted; none, and nothing is counted.
     ///
     /// # Errors
-    /// `limit-exceeded` if the rules cannot be evaluated densely for so many agents; the message tells why.
+    /// `dense-unsupported` if it cannot evaluate the rules for this number of agents; the message names the reason.
     pub fn new(world: &World, agents: &[Agent], clauses: &[ClauseId], threads: usize) -> Result<Crowd, Diagnostic> {
         let rules = world.program.rules();
         let counting = match clauses {

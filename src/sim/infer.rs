@@ -112,7 +112,7 @@ impl Inference {
     /// file.
     ///
     /// # Errors
-    /// As [`Vocabulary::bind`]; `limit-exceeded` for rules that the dense executor is asked for and cannot evaluate.
+    /// As [`Vocabulary::bind`]; `dense-unsupported` for rules that the requested dense executor cannot evaluate.
     pub fn new(
         scenario: Scenario,
         program: Program,
@@ -145,7 +145,7 @@ impl Inference {
     /// The rules for the dense executor.
     ///
     /// # Errors
-    /// `limit-exceeded` if it cannot evaluate them; the message tells why.
+    /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
     pub fn compile(&self) -> Result<Dense, Diagnostic> {
         compile(self.program.rules(), &self.vocabulary, Counting::Off)
             .map_err(|fault| fault.at(self.scenario.rules.span, "these rules"))
@@ -170,7 +170,7 @@ impl Inference {
     /// The same, given up when `stop` says so, which is asked now and then.
     ///
     /// # Errors
-    /// As [`Inference::answer`]; `limit-exceeded` if it was given up.
+    /// As [`Inference::answer`]; `cancelled` if `stop` cancelled it.
     pub fn answer_until(
         &mut self,
         sources: &Sources,
@@ -241,7 +241,7 @@ impl Inference {
             |index| given(index).is_some(),
             stop,
         );
-        let mut facts = grounded.ok_or_else(|| vec![Diagnostic::interrupted()])?;
+        let mut facts = grounded.ok_or_else(|| vec![Diagnostic::cancelled()])?;
         for index in 0..facts.rows.len() {
             if let Some(rows) = given(index) {
                 facts.rows[index] = rows;
@@ -371,7 +371,7 @@ impl Inference {
         };
         frame.run(dense, &asking);
         if asking.stopped.get() {
-            return Err(Diagnostic::interrupted());
+            return Err(Diagnostic::cancelled());
         }
         let holds = |action: Speed, ego: usize| {
             let relation = self.vocabulary.action(action);

@@ -242,7 +242,7 @@ impl Replay {
             facts.rows[index].sort_unstable();
             facts.rows[index].dedup();
         }
-        (self.state.set(&facts)).map_err(|error| Diagnostic::new(Code::LIMIT_EXCEEDED, error.to_string()))?;
+        (self.state.set(&facts)).map_err(Diagnostic::from)?;
         self.facts = facts;
         Ok(())
     }

@@ -148,7 +148,7 @@ impl Simulation {
         Simulation::new_until(world, split, seed, settings, Arc::new(|| false))
     }
 
-    /// The same. Long work, this and all that follows, is given up when `stop` says so: with `limit-exceeded`, the city being as before.
+    /// The same. Long work, this and all that follows, is given up when `stop` says so: with `cancelled`, the city being as before.
     ///
     /// # Errors
     /// As [`Simulation::new`].
@@ -460,7 +460,7 @@ impl Simulation {
         let (vocabulary, view) = (&world.vocabulary, world.scenario.view);
         let unread = |index: usize| !vocabulary.is_read(index);
         let facts = ground_until(vocabulary, world.map(), view, &entities, &draws, unread, self.stop());
-        let facts = facts.ok_or_else(Diagnostic::interrupted)?;
+        let facts = facts.ok_or_else(Diagnostic::cancelled)?;
         let state = (self.state).get_or_insert_with(|| ground_state(&self.world, &self.agents));
         state
             .set_until(&facts, &*self.stop)
@@ -524,7 +524,7 @@ impl Simulation {
     /// The same, given up when `stop` says so.
     ///
     /// # Errors
-    /// `limit-exceeded` if it was given up.
+    /// `cancelled` if the caller cancelled it.
     pub fn facts_until(&self, wanted: impl Fn(usize) -> bool, stop: &dyn Fn() -> bool) -> Result<Facts, Diagnostic> {
         let world = &self.world;
         let draws = Draws {
@@ -535,7 +535,7 @@ impl Simulation {
         let unwanted = |index| !wanted(index);
         let judged = self.judged();
         let facts = ground_until(&world.vocabulary, world.map(), view, &judged, &draws, unwanted, stop);
-        facts.ok_or_else(Diagnostic::interrupted)
+        facts.ok_or_else(Diagnostic::cancelled)
     }
 
     /// Evaluates the rules on other facts, by the relational executor and its differences.

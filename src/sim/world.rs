@@ -75,7 +75,7 @@ impl World {
     /// The rules for the dense executor.
     ///
     /// # Errors
-    /// `limit-exceeded` if it cannot evaluate them; the message tells why.
+    /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
     pub fn compile(&self, counting: Counting) -> Result<Dense, Diagnostic> {
         compile(self.program.rules(), &self.vocabulary, counting)
     }

@@ -3,6 +3,9 @@
 //! `tests/datalog/lang.rs` and `tests/city/config.rs` run the fixtures of what their rooms find alone; here are those that need a whole city, scenes or
 //! facts, and the count of all.
 
+use logicity::builtin::BuiltinFiles;
+use logicity::datalog::{Limits, Program};
+use logicity::diag::{Code, Sources};
 use logicity::{city, config, datalog, diag, sim, task};
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -101,6 +104,45 @@ fn cities_fail_as_their_fixtures_say() {
             );
         }
     }
+}
+
+#[test]
+fn the_dense_executor_refuses_its_fixture() {
+    let config = fixtures().join("dense-unsupported/main.yaml");
+    let config = config.to_str().unwrap();
+    let run = |executor| logicity(&["run", config, "--ticks", "1", "--no-trace", "--executor", executor]);
+    let output = run("dense");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    for part in [
+        "error[dense-unsupported]",
+        "a predicate depends on itself",
+        "main.yaml:2:8",
+    ] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+    assert_eq!(run("auto").status.code(), Some(0));
+}
+
+#[test]
+fn a_cancelled_commit_has_a_code_of_its_own() {
+    let mut sources = Sources::new();
+    let text = fs::read_to_string(fixtures().join("cancelled.dl")).unwrap();
+    let entry = sources.add("cancelled.dl", text);
+    let (program, _) = Program::load(&mut sources, entry, &BuiltinFiles);
+    let program = program.unwrap();
+    let code = |limits: Limits, cancelled: bool| {
+        let mut session = program.session();
+        session.set_limits(limits);
+        let error = session.commit_until(&|| cancelled).unwrap_err();
+        error.diagnostic(program.rules()).code
+    };
+    assert_eq!(code(Limits::default(), true), Code::CANCELLED);
+    let few = Limits {
+        rows: 1000,
+        ..Limits::default()
+    };
+    assert_eq!(code(few, false), Code::LIMIT_EXCEEDED);
 }
 
 #[test]

@@ -100,7 +100,7 @@ impl fmt::Display for EvalError {
                 let (scale, unit) = fitting.next().expect("it is a whole number of bytes");
                 write!(f, "rows, indexes and texts take more than {} {unit}", limit >> scale)
             }
-            EvalError::Interrupted { .. } => write!(f, "the evaluation was interrupted"),
+            EvalError::Interrupted { .. } => write!(f, "the evaluation was cancelled"),
         }
     }
 }
@@ -110,7 +110,13 @@ impl std::error::Error for EvalError {}
 /// Without the place, for when the texts of the rules are not at hand.
 impl From<EvalError> for Diagnostic {
     fn from(error: EvalError) -> Self {
-        Diagnostic::new(Code::LIMIT_EXCEEDED, error.to_string())
+        let code = match error {
+            EvalError::Interrupted { .. } => Code::CANCELLED,
+            EvalError::TooManyRows { .. } | EvalError::TooManySteps { .. } | EvalError::TooMuchMemory { .. } => {
+                Code::LIMIT_EXCEEDED
+            }
+        };
+        Diagnostic::new(code, error.to_string())
     }
 }
 

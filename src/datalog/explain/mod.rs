@@ -236,7 +236,7 @@ impl fmt::Display for ExplainError {
                 f,
                 "no explanation was found within {limit} steps; the facts are too many for this search"
             ),
-            ExplainError::Interrupted => write!(f, "the search for an explanation was interrupted"),
+            ExplainError::Interrupted => write!(f, "the search for an explanation was cancelled"),
         }
     }
 }
@@ -246,7 +246,11 @@ impl std::error::Error for ExplainError {}
 /// Without a place: it is no text's fault.
 impl From<ExplainError> for Diagnostic {
     fn from(error: ExplainError) -> Self {
-        Diagnostic::new(Code::LIMIT_EXCEEDED, error.to_string())
+        let code = match error {
+            ExplainError::Interrupted => Code::CANCELLED,
+            ExplainError::TooMuchWork { .. } => Code::LIMIT_EXCEEDED,
+        };
+        Diagnostic::new(code, error.to_string())
     }
 }
 

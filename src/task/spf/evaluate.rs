@@ -67,14 +67,14 @@ impl Exam {
         Exam::new_until(task, set, &(Arc::new(|| false) as Stop))
     }
 
-    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `limit-exceeded`; it is of no use then.
+    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `cancelled`; it is of no use then.
     ///
     /// # Errors
     /// As [`Exam::new`].
     pub fn new_until(task: &Arc<PathTask>, set: &EpisodeSet, stop: &Stop) -> Result<Exam, Diagnostic> {
         let begin = |episode| {
             if stop() {
-                return Err(Diagnostic::interrupted());
+                return Err(Diagnostic::cancelled());
             }
             let mut env = Env::new_until(Arc::clone(task), set.split, Egos::First, Arc::clone(stop))?;
             env.reset_to(episode)?;
@@ -113,7 +113,7 @@ impl Exam {
         for ((env, done), &action) in self.envs.iter_mut().zip(&mut self.rollouts).zip(actions) {
             if env.riders()[0].is_running() {
                 if (env.city().stop())() {
-                    return Err(Diagnostic::interrupted());
+                    return Err(Diagnostic::cancelled());
                 }
                 let asked = env.riders()[0].derived();
                 env.step(&[action])?;

@@ -77,7 +77,7 @@ pub fn record<W: Write>(
     let mut trace = TraceWriter::new(out, env.city(), sources, config_file, rule_files[0], &hash)?;
     for &action in actions {
         if (env.city().stop())() {
-            return Err(Diagnostic::interrupted().into());
+            return Err(Diagnostic::cancelled().into());
         }
         if !env.riders()[0].is_running() {
             let message = format!(

@@ -70,13 +70,13 @@ impl Rollout {
 /// Lets a policy drive the first car of an environment from the beginning of an episode to its end.
 ///
 /// # Errors
-/// `limit-exceeded` for rules that derive too much, or if the environment's work is given up.
+/// `limit-exceeded` for rules that derive too much; `cancelled` if the environment's work is cancelled.
 pub fn rollout(env: &mut Env, policy: Policy) -> Result<Rollout, Diagnostic> {
     let mut done = Rollout::default();
     let mut actions: Vec<Speed> = Vec::new();
     while env.riders()[0].is_running() {
         if (env.city().stop())() {
-            return Err(Diagnostic::interrupted());
+            return Err(Diagnostic::cancelled());
         }
         let act = |rider: usize| match policy {
             Policy::Oracle => env.oracle_action(rider),
