@@ -134,8 +134,8 @@ pub struct EgoConfig {
 pub struct PathTaskConfig {
     /// How many entities the ego observes, itself included; 1 to 64.
     pub entities: u32,
-    /// How many agents are points of the exact observation, the ego included; 1 to 1024.
-    pub points: u32,
+    /// Rows of the `state` observation, one for each agent, the ego included; 1 to 1024.
+    pub state_agents: u32,
     /// Whether the observation ends with the length of the route.
     pub route_length: bool,
     /// An episode that is drawn has at most so many steps.

@@ -11,8 +11,8 @@ use std::sync::Arc;
 
 /// The most entities that are observed.
 const MAX_ENTITIES: u32 = 64;
-/// The most points of the exact observation.
-const MAX_POINTS: u32 = 1024;
+/// The most rows of the `state` observation.
+const MAX_STATE_AGENTS: u32 = 1024;
 /// The longest episode in steps.
 const MAX_HORIZON: u32 = 1_000_000;
 /// The most times the oracle's steps.
@@ -34,7 +34,7 @@ pub(super) fn path(
         let node = fields.required(key, faults)?;
         integer(node, 1..=most, faults)
     };
-    let (entities, points) = (count("entities", MAX_ENTITIES), count("points", MAX_POINTS));
+    let (entities, state_agents) = (count("entities", MAX_ENTITIES), count("state_agents", MAX_STATE_AGENTS));
     let (horizon, patience) = (count("horizon", MAX_HORIZON), count("patience", MAX_PATIENCE));
     let route_length = (fields.required("route_length", faults)).and_then(|node| yes_or_no(node, faults));
     let reward_of = fields.required("reward", faults).and_then(|node| reward(node, faults));
@@ -43,7 +43,7 @@ pub(super) fn path(
     fields.close_with(Some(usual), faults);
     Some(PathTaskConfig {
         entities: entities?,
-        points: points?,
+        state_agents: state_agents?,
         route_length: route_length?,
         horizon: horizon?,
         patience: patience?,

@@ -296,36 +296,36 @@ impl Observer {
         }
     }
 
-    /// How many numbers a point of the exact observation has, see [`Observer::write_points`].
-    pub fn point_width(oracle: &Oracle) -> usize {
+    /// Numbers in a row of the `state` observation, see [`Observer::write_state`].
+    pub fn state_width(oracle: &Oracle) -> usize {
         let unary = oracle.how.iter().filter(|how| !matches!(how, How::Pair(_)));
         8 + unary.count()
     }
 
-    /// Writes the exact observation: a point for the ego, then one for each other agent in its field of view in the order of the list, as
-    /// many as there is room for; the rest is 0. A point has: 1; the rows and the columns from the ego to it, as shares of the half-width
+    /// Writes the `state` observation: a row for the ego, then one for each other agent in its field of view in the order of the list, as
+    /// many as there is room for; the rest is 0. A row has: 1; the rows and the columns from the ego to it, as shares of the half-width
     /// of the field of view, -1 to 1; 1 for its heading among Left, Right, Up, Down, all 0 before its first move; its priority as a share
     /// of `priority_scale`, -1 to 1; 1 or 0 for each predicate with one column, in the order of the vocabulary.
-    pub fn write_points(&self, city: &Simulation, priority_scale: f32, out: &mut [f32]) {
+    pub fn write_state(&self, city: &Simulation, priority_scale: f32, out: &mut [f32]) {
         let oracle = &*self.oracle;
         out.fill(0.0);
-        let width = Observer::point_width(oracle);
-        let mut points = out.chunks_exact_mut(width);
+        let width = Observer::state_width(oracle);
+        let mut rows = out.chunks_exact_mut(width);
         #[allow(clippy::cast_precision_loss)] // a share of a field of view is of single precision
         let mut write = |body: &Body, ego: Cell| {
-            let Some(point) = points.next() else { return };
+            let Some(row) = rows.next() else { return };
             let share = |cells: i32| cells as f32 / oracle.world.scenario.view as f32;
-            point[..3].copy_from_slice(&[1.0, share(body.at.row - ego.row), share(body.at.col - ego.col)]);
+            row[..3].copy_from_slice(&[1.0, share(body.at.row - ego.row), share(body.at.col - ego.col)]);
             if let Some(heading) = body.heading {
-                point[3 + heading as usize] = 1.0;
+                row[3 + heading as usize] = 1.0;
             }
-            point[7] = (body.priority as f32 / priority_scale).clamp(-1.0, 1.0);
+            row[7] = (body.priority as f32 / priority_scale).clamp(-1.0, 1.0);
             let unary = oracle
                 .how
                 .iter()
                 .enumerate()
                 .filter(|(_, how)| !matches!(how, How::Pair(_)));
-            for ((predicate, how), value) in unary.zip(&mut point[8..]) {
+            for ((predicate, how), value) in unary.zip(&mut row[8..]) {
                 let holds = match how {
                     How::Steady(_) => self.is_steadily(body, predicate),
                     How::AtIntersection => body.junction.is_at(body.kind),

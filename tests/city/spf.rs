@@ -515,8 +515,8 @@ fn random_clauses_are_judged_as_defined() {
 #[test]
 fn exact_observations_agree_with_the_definitions() {
     let mut met = [0; 4];
-    for (mode, points) in [("easy", 32), ("expert", 32), ("expert", 3)] {
-        let task = task_of(&format!("base: configs/{mode}.yaml\ntask: {{points: {points}}}\n"));
+    for (mode, rows) in [("easy", 32), ("expert", 32), ("expert", 3)] {
+        let task = task_of(&format!("base: configs/{mode}.yaml\ntask: {{state_agents: {rows}}}\n"));
         let task = Arc::new(task.unwrap_or_else(|faults| panic!("{faults:?}")));
         let scenario = &task.world().scenario;
         let priorities = (scenario.splits.iter()).flat_map(|(_, set)| set.entries().map(|group| group.priority));
@@ -527,9 +527,9 @@ fn exact_observations_agree_with_the_definitions() {
             .flat_map(|ego| ego.priority)
             .map(u32::cast_signed);
         let scale = priorities.chain(of_ego).max().unwrap();
-        let [room, width] = task.points_shape();
+        let [room, width] = task.state_shape();
         let unary = (task.world().vocabulary.predicates.iter()).filter(|predicate| predicate.arity == 1);
-        assert_eq!([room, width], [points, 8 + unary.count()]);
+        assert_eq!([room, width], [rows, 8 + unary.count()]);
         let mut env = Env::new(Arc::clone(&task), Split::Test, Egos::Cars).unwrap();
         let mut random = Seed(5).stream(Purpose::POLICY, 0, 0);
         for seed in 0..3 {
@@ -542,15 +542,15 @@ fn exact_observations_agree_with_the_definitions() {
             let mut shown = vec![0.5; room * width];
             for _ in 0..25 {
                 for rider in 0..env.riders().len() {
-                    env.observe_points(rider, &mut shown);
-                    let plain = plain_points(env.city(), env.riders()[rider].agent(), scale);
+                    env.observe_state(rider, &mut shown);
+                    let plain = plain_state(env.city(), env.riders()[rider].agent(), scale);
                     let (rows, rest) = shown.split_at(plain.len().min(room) * width);
                     assert_eq!(rows, plain[..plain.len().min(room)].concat(), "{mode} {seed} {rider}");
                     assert!(rest.iter().all(|number| *number == 0.0));
                     met[0] += usize::from(plain.len() > room);
                     met[1] += usize::from(!rest.is_empty());
-                    met[2] += plain.iter().filter(|point| point[7] == -1.0).count();
-                    met[3] += plain.iter().filter(|point| point[3..7] == [0.0; 4]).count();
+                    met[2] += plain.iter().filter(|row| row[7] == -1.0).count();
+                    met[3] += plain.iter().filter(|row| row[3..7] == [0.0; 4]).count();
                 }
                 let actions: Vec<Speed> = (env.riders().iter())
                     .map(|_| Speed::ALL[random.random_range(0..4)])
@@ -562,33 +562,33 @@ fn exact_observations_agree_with_the_definitions() {
     assert!(met.iter().all(|count| *count > 10), "{met:?}");
 }
 
-/// The points of all that an ego sees, itself first.
+/// The `state` rows of all agents in the ego's view, the ego first.
 #[allow(clippy::cast_precision_loss)]
-fn plain_points(city: &Simulation, ego: usize, scale: i32) -> Vec<Vec<f32>> {
+fn plain_state(city: &Simulation, ego: usize, scale: i32) -> Vec<Vec<f32>> {
     let (world, agents) = (city.world(), city.agents());
     let (view, vocabulary) = (world.scenario.view, &world.vocabulary);
     let facts = facts_of(city, &Trusted(&BTreeSet::new()));
     let field = field_of_view(agents[ego].cell, agents[ego].heading, view, world.map());
     let seen = (0..agents.len()).filter(|&other| other != ego && field.contains(agents[other].cell));
-    let point = |agent: usize| {
+    let row_of = |agent: usize| {
         let [it, me] = [&agents[agent], &agents[ego]];
         let share = |cells: i32| cells as f32 / view as f32;
-        let mut point = vec![1.0, share(it.cell.row - me.cell.row), share(it.cell.col - me.cell.col)];
+        let mut row = vec![1.0, share(it.cell.row - me.cell.row), share(it.cell.col - me.cell.col)];
         for name in ["Left", "Right", "Up", "Down"] {
-            point.push(f32::from(u8::from(
+            row.push(f32::from(u8::from(
                 it.heading.is_some_and(|heading| heading.name() == name),
             )));
         }
-        point.push((it.priority as f32 / scale as f32).clamp(-1.0, 1.0));
+        row.push((it.priority as f32 / scale as f32).clamp(-1.0, 1.0));
         for (predicate, rows) in vocabulary.predicates.iter().zip(&facts.rows) {
             if predicate.arity == 1 {
                 let holds = rows.iter().any(|row| row[0] as usize == agent);
-                point.push(f32::from(u8::from(holds)));
+                row.push(f32::from(u8::from(holds)));
             }
         }
-        point
+        row
     };
-    std::iter::once(ego).chain(seen).map(point).collect()
+    std::iter::once(ego).chain(seen).map(row_of).collect()
 }
 
 /// The recorded episodes of all modes and splits are solved by the oracle as recorded, and break no rule.

@@ -93,11 +93,11 @@ fn compare(config: &str, split: Split, view: View, autoreset: Autoreset, threads
 /// 10^4 steps for each way to go on after an end.
 #[test]
 fn a_batch_goes_as_its_members_would_alone() {
-    compare("expert", Split::Train, View::Atoms, Autoreset::NextStep, 1, 10_000);
-    compare("expert", Split::Train, View::Points, Autoreset::SameStep, 3, 10_000);
-    compare("expert", Split::Train, View::Atoms, Autoreset::Disabled, 2, 10_000);
-    compare("medium", Split::Test, View::Atoms, Autoreset::SameStep, 1, 10_000);
-    compare("medium", Split::Test, View::Points, Autoreset::NextStep, 2, 10_000);
+    compare("expert", Split::Train, View::Groundings, Autoreset::NextStep, 1, 10_000);
+    compare("expert", Split::Train, View::State, Autoreset::SameStep, 3, 10_000);
+    compare("expert", Split::Train, View::Groundings, Autoreset::Disabled, 2, 10_000);
+    compare("medium", Split::Test, View::Groundings, Autoreset::SameStep, 1, 10_000);
+    compare("medium", Split::Test, View::State, Autoreset::NextStep, 2, 10_000);
 }
 
 #[test]
@@ -128,7 +128,7 @@ fn recorded_episodes_are_taken_by_the_seed() {
         Split::Val,
         (0..2).map(source),
         Autoreset::SameStep,
-        View::Atoms,
+        View::Groundings,
         1,
     )
     .unwrap();
@@ -162,7 +162,7 @@ fn a_batch_is_given_up_when_it_is_told_to() {
         let asked = Arc::clone(&left);
         let stop = Arc::new(move || asked.fetch_sub(1, Ordering::Relaxed) <= 0);
         let sources = (0..COUNT).map(|member| EpisodeSource::new(member as u64, None));
-        let (autoreset, view) = (Autoreset::Disabled, View::Atoms);
+        let (autoreset, view) = (Autoreset::Disabled, View::Groundings);
         let batch = VectorEnv::new_until(&task, Split::Train, sources, autoreset, view, threads, stop);
         let mut batch = batch.unwrap();
         let mut shown = vec![0.0; COUNT * task.observation_width()];

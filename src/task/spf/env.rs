@@ -103,7 +103,7 @@ impl Env {
         Env::new_until(task, split, egos, Arc::new(|| false))
     }
 
-    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `limit-exceeded`; a reset comes next then.
+    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `cancelled`; a reset comes next then.
     ///
     /// # Errors
     /// As [`Env::new`].
@@ -327,9 +327,9 @@ impl Env {
         }
     }
 
-    /// Writes the exact observation of a rider, [`PathTask::points_shape`] numbers row by row; see [`Observer::write_points`].
-    pub fn observe_points(&self, rider: usize, out: &mut [f32]) {
-        (self.riders[rider].observer).write_points(&self.city, self.task.priority_scale, out);
+    /// Writes the exact observation of a rider, [`PathTask::state_shape`] numbers row by row; see [`Observer::write_state`].
+    pub fn observe_state(&self, rider: usize, out: &mut [f32]) {
+        (self.riders[rider].observer).write_state(&self.city, self.task.priority_scale, out);
     }
 
     /// How much of its route a rider has gone, from 0 to 1.

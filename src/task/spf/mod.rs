@@ -135,9 +135,9 @@ impl PathTask {
         self.oracle.width() + usize::from(self.config.route_length)
     }
 
-    /// The shape of the exact observation: how many points, and how many numbers each has.
-    pub fn points_shape(&self) -> [usize; 2] {
-        [self.config.points as usize, Observer::point_width(&self.oracle)]
+    /// The shape of the `state` observation: rows, one for each agent, and numbers in a row.
+    pub fn state_shape(&self) -> [usize; 2] {
+        [self.config.state_agents as usize, Observer::state_width(&self.oracle)]
     }
 
     /// What a priority is divided by in the exact observation: the greatest number that one can have.

@@ -72,18 +72,29 @@ impl EpisodeSource {
 /// What a rider is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum View {
-    /// The true atoms, see [`Env::observe`].
-    Atoms,
-    /// The exact state, see [`Env::observe_points`].
-    Points,
+    /// The groundings of the predicates over a few entities, see [`Env::observe`].
+    Groundings,
+    /// The exact state, see [`Env::observe_state`].
+    State,
 }
 
 impl View {
+    /// Both kinds.
+    pub const ALL: [View; 2] = [View::Groundings, View::State];
+
+    /// Its name in Python.
+    pub const fn name(self) -> &'static str {
+        match self {
+            View::Groundings => "groundings",
+            View::State => "state",
+        }
+    }
+
     /// The shape of an observation.
     pub fn shape(self, task: &PathTask) -> Vec<usize> {
         match self {
-            View::Atoms => vec![task.observation_width()],
-            View::Points => task.points_shape().to_vec(),
+            View::Groundings => vec![task.observation_width()],
+            View::State => task.state_shape().to_vec(),
         }
     }
 
@@ -93,8 +104,8 @@ impl View {
     /// If there is not room for as many numbers as the shape says.
     pub fn write(self, env: &Env, rider: usize, out: &mut [f32]) {
         match self {
-            View::Atoms => env.observe(rider, out),
-            View::Points => env.observe_points(rider, out),
+            View::Groundings => env.observe(rider, out),
+            View::State => env.observe_state(rider, out),
         }
     }
 }
@@ -236,7 +247,7 @@ impl Member {
 
     fn give_up(&mut self) -> Result<(), Diagnostic> {
         self.stage = Stage::Idle;
-        Err(Diagnostic::interrupted())
+        Err(Diagnostic::cancelled())
     }
 
     fn begin(&mut self, how: &Begin) -> Result<(), Diagnostic> {
@@ -314,7 +325,7 @@ impl VectorEnv {
         VectorEnv::new_until(task, split, sources, autoreset, view, threads, Arc::new(|| false))
     }
 
-    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `limit-exceeded`; the environments that have
+    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `cancelled`; the environments that have
     /// not gone on then need a reset.
     ///
     /// # Errors
@@ -331,7 +342,7 @@ impl VectorEnv {
         let width = view.shape(task).iter().product();
         let member = |source| {
             if stop() {
-                return Err(Diagnostic::interrupted());
+                return Err(Diagnostic::cancelled());
             }
             Ok(Member {
                 env: Env::new_until(Arc::clone(task), split, Egos::First, Arc::clone(&stop))?,
