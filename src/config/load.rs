@@ -65,7 +65,7 @@ pub fn load_map(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Ma
     finish(map, composer.faults)
 }
 
-fn finish<T>(value: Option<T>, faults: Vec<Diagnostic>) -> Result<T, Vec<Diagnostic>> {
+pub(super) fn finish<T>(value: Option<T>, faults: Vec<Diagnostic>) -> Result<T, Vec<Diagnostic>> {
     match value {
         Some(value) if faults.is_empty() => Ok(value),
         _ => Err(faults.into_iter().collect::<Faults>().finish()),

@@ -1,0 +1,137 @@
+//! Configuration files whose keys another program interprets, such as those of training in Python.
+
+use crate::config::compose::{Composer, Read};
+use crate::config::load::finish;
+use crate::config::yaml::{Node, Value};
+use crate::diag::{Code, Diagnostic, Sources};
+use serde_json::{Map, Value as Json};
+use std::path::Path;
+
+/// A configuration file with its `base` merged in.
+pub struct Tree(Node);
+
+/// Loads a configuration file without interpreting its keys. A bare name such as `dqn-easy` means `dqn-easy.yaml` in `folder`.
+///
+/// Like [`load_scenario`](super::load_scenario) in all else.
+pub fn load_tree(sources: &mut Sources, path: &Path, folder: &str, read: Read<'_>) -> Result<Tree, Vec<Diagnostic>> {
+    let mut composer = Composer::new(sources, read);
+    let tree = composer.root(path, folder, &[]).map(Tree);
+    finish(tree, composer.faults)
+}
+
+impl Tree {
+    /// The values as JSON. Plain scalars follow the core schema of YAML 1.2; numbers that JSON lacks become text.
+    pub fn to_json(&self) -> Json {
+        to_json(&self.0)
+    }
+
+    /// A diagnostic at the value that `path` leads to: keys of mappings and positions in lists, from the root. An unknown key is marked
+    /// itself, and where the path ends early, the last value on it.
+    pub fn fault(&self, path: &[&str], code: Code, message: impl Into<String>) -> Diagnostic {
+        let mut span = self.0.span;
+        let mut node = &self.0;
+        for step in path {
+            let next = match &node.value {
+                Value::Map(entries) => entries.iter().find(|(key, _)| key.text == *step).map(|(key, value)| {
+                    span = if code == Code::UNKNOWN_KEY {
+                        key.span
+                    } else {
+                        value.span
+                    };
+                    value
+                }),
+                Value::List(items) => step.parse().ok().and_then(|at: usize| items.get(at)).inspect(|item| {
+                    span = item.span;
+                }),
+                Value::Scalar { .. } | Value::Absent => None,
+            };
+            match next {
+                Some(next) => node = next,
+                None => break,
+            }
+        }
+        Diagnostic::new(code, message).at(span, "")
+    }
+}
+
+fn to_json(node: &Node) -> Json {
+    match &node.value {
+        Value::Absent => Json::Null,
+        _ if node.is_null() => Json::Null,
+        Value::Scalar { text, plain: false } => Json::from(text.as_str()),
+        Value::Scalar { text, plain: true } => plain(text),
+        Value::List(items) => items.iter().map(to_json).collect(),
+        Value::Map(entries) => {
+            let entries = entries.iter().map(|(key, value)| (key.text.clone(), to_json(value)));
+            Json::Object(entries.collect::<Map<_, _>>())
+        }
+    }
+}
+
+/// A scalar without quotes.
+fn plain(text: &str) -> Json {
+    match text {
+        "true" | "True" | "TRUE" => return Json::Bool(true),
+        "false" | "False" | "FALSE" => return Json::Bool(false),
+        _ => {}
+    }
+    let radix = |prefix, radix| {
+        text.strip_prefix(prefix)
+            .and_then(|digits| i64::from_str_radix(digits, radix).ok())
+    };
+    let integer = (text.parse().ok())
+        .or_else(|| radix("0x", 16))
+        .or_else(|| radix("0o", 8));
+    if let Some(integer) = integer {
+        return Json::from(integer);
+    }
+    // Rust also parses names such as `inf`, which are text in YAML.
+    let numeric = text.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c))
+        && text.chars().all(|c| c.is_ascii_digit() || "+-.eE".contains(c));
+    let float = numeric
+        .then(|| text.parse().ok())
+        .flatten()
+        .and_then(serde_json::Number::from_f64);
+    float.map_or_else(|| Json::from(text), Json::Number)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::files::ReadError;
+
+    fn load(files: &[(&str, &str)]) -> (Sources, Tree) {
+        let mut sources = Sources::new();
+        let read = |path: &Path| {
+            let found = files.iter().find(|(name, _)| Path::new(name) == path);
+            found.map(|(_, text)| (*text).to_owned()).ok_or(ReadError::NotFound)
+        };
+        let tree = load_tree(&mut sources, Path::new("main.yaml"), "configs", &read);
+        let tree = tree.unwrap_or_else(|faults| panic!("{faults:?}"));
+        (sources, tree)
+    }
+
+    #[test]
+    fn scalars_follow_the_core_schema() {
+        let text = "a: [1, -2, 0x1f, 0o17, 3e-5, .5, 2.e1, 1e999, inf, .nan, true, yes, ~, \"1\", +3]";
+        let (_, tree) = load(&[("main.yaml", text)]);
+        let expected = r#"{"a":[1,-2,31,15,3e-5,0.5,20.0,"1e999","inf",".nan",true,"yes",null,"1",3]}"#;
+        assert_eq!(tree.to_json().to_string(), expected);
+    }
+
+    #[test]
+    fn faults_are_placed_in_the_file_that_has_the_value() {
+        let base = "a: 1\nb:\n  c: 2\n  d: [3, 4]\n";
+        let (sources, tree) = load(&[("main.yaml", "base: base.yaml\nb: {c: 5}\n"), ("base.yaml", base)]);
+        assert_eq!(tree.to_json().to_string(), r#"{"a":1,"b":{"c":5,"d":[3,4]}}"#);
+        let place = |path: &[&str], code| {
+            let span = tree.fault(path, code, "").primary.unwrap().span;
+            let at = sources.position(span);
+            format!("{}:{}:{}", sources.name(span.source), at.line, at.column)
+        };
+        assert_eq!(place(&["b", "c"], Code::INVALID_VALUE), "main.yaml:2:8");
+        assert_eq!(place(&["b", "d", "1"], Code::INVALID_VALUE), "base.yaml:4:10");
+        assert_eq!(place(&["b", "d"], Code::UNKNOWN_KEY), "base.yaml:4:3");
+        assert_eq!(place(&["b", "x"], Code::MISSING_KEY), place(&["b"], Code::MISSING_KEY));
+    }
+}
