@@ -13,7 +13,7 @@ use pyo3::types::{PyDict, PyTuple};
 use std::sync::Arc;
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PyEnvironments>()
+    module.add_class::<PyVectorEnv>()
 }
 
 fn autoreset_named(name: &str) -> PyResult<Autoreset> {
@@ -64,8 +64,8 @@ fn tell<'a>(columns: &mut Columns<'_>, count: usize, infos: impl Iterator<Item =
 }
 
 /// Environments that take a step together.
-#[pyclass(name = "Environments", module = "logicity._logicity")]
-struct PyEnvironments {
+#[pyclass(name = "VectorEnv", module = "logicity._logicity")]
+struct PyVectorEnv {
     task: Py<PyTask>,
     split: Split,
     vector: VectorEnv,
@@ -75,7 +75,7 @@ struct PyEnvironments {
 }
 
 #[pymethods]
-impl PyEnvironments {
+impl PyVectorEnv {
     #[new]
     #[expect(clippy::too_many_arguments, reason = "each is an argument in Python")]
     fn new(
@@ -101,7 +101,7 @@ impl PyEnvironments {
                 VectorEnv::new_until(shared, split, sources, autoreset, view, threads, stop)
             })?
             .map_err(|fault| task.get().error(py, fault))?;
-        Ok(PyEnvironments {
+        Ok(PyVectorEnv {
             task,
             split,
             vector,
@@ -322,7 +322,7 @@ impl PyEnvironments {
     }
 }
 
-impl PyEnvironments {
+impl PyVectorEnv {
     fn member(&self, at: usize) -> PyResult<&Member> {
         let member = self.vector.members().get(at);
         member.ok_or_else(|| PyIndexError::new_err(format!("there is no environment {at}")))

@@ -13,14 +13,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PyBaseline>()?;
-    module.add_class::<PyExam>()?;
+    module.add_class::<PyRandomBaseline>()?;
+    module.add_class::<PyBatchEvaluator>()?;
     module.add_function(wrap_pyfunction!(describe, module)?)
 }
 
 /// How the random policy does on the recorded episodes of a split.
-#[pyclass(name = "Baseline", module = "logicity._logicity")]
-struct PyBaseline {
+#[pyclass(name = "RandomBaseline", module = "logicity._logicity")]
+struct PyRandomBaseline {
     task: Py<PyTask>,
     set: EpisodeSet,
     env: Env,
@@ -29,7 +29,7 @@ struct PyBaseline {
 }
 
 #[pymethods]
-impl PyBaseline {
+impl PyRandomBaseline {
     #[new]
     fn new(py: Python<'_>, task: Py<PyTask>, split: &str) -> PyResult<Self> {
         let split = split_named(split)?;
@@ -37,7 +37,7 @@ impl PyBaseline {
         let signals = Signals::new();
         let stop = signals.stop();
         let env = signals.detach(py, || Env::new_until(Arc::clone(shared), split, Egos::First, stop))?;
-        Ok(PyBaseline {
+        Ok(PyRandomBaseline {
             env: env.map_err(|fault| task.get().error(py, fault))?,
             set: task.get().episode_set(py, split)?,
             baseline: Baseline::default(),
@@ -74,8 +74,8 @@ impl PyBaseline {
 }
 
 /// Recorded episodes that a policy in Python drives side by side, each once.
-#[pyclass(name = "Exam", module = "logicity._logicity")]
-struct PyExam {
+#[pyclass(name = "BatchEvaluator", module = "logicity._logicity")]
+struct PyBatchEvaluator {
     task: Py<PyTask>,
     exam: Exam,
     view: View,
@@ -84,14 +84,14 @@ struct PyExam {
 }
 
 #[pymethods]
-impl PyExam {
+impl PyBatchEvaluator {
     #[new]
-    fn new(py: Python<'_>, baseline: &PyBaseline, observation: &str) -> PyResult<Self> {
+    fn new(py: Python<'_>, baseline: &PyRandomBaseline, observation: &str) -> PyResult<Self> {
         let (task, set, view) = (baseline.task.clone_ref(py), &baseline.set, view_named(observation)?);
         let signals = Signals::new();
         let stop = signals.stop();
         let exam = signals.detach(py, || Exam::new_until(&task.get().task, set, &stop))?;
-        Ok(PyExam {
+        Ok(PyBatchEvaluator {
             exam: exam.map_err(|fault| task.get().error(py, fault))?,
             actions: Vec::with_capacity(set.episodes.len()),
             task,
@@ -150,7 +150,7 @@ impl PyExam {
     }
 
     /// How it went: `summary`, with a score against a baseline on the same episodes, and `episodes`.
-    fn report<'py>(&self, py: Python<'py>, baseline: &PyBaseline) -> PyResult<Bound<'py, PyAny>> {
+    fn report<'py>(&self, py: Python<'py>, baseline: &PyRandomBaseline) -> PyResult<Bound<'py, PyAny>> {
         let (task, rollouts) = (self.task.get(), self.exam.rollouts());
         check(baseline.baseline.returns().len(), rollouts.len())?;
         let summary = summarise(&task.task, rollouts, Some(baseline.baseline.returns()));
@@ -221,7 +221,7 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
     }
     let told = json!({
         "entities": oracle.entities(), "columns": columns.collect::<Vec<Value>>(),
-        "width": shared.observation_width(), "points": shared.points_shape(), "view": world.scenario.view,
+        "width": shared.observation_width(), "state": shared.state_shape(), "view": world.scenario.view,
         "priority_scale": shared.priority_scale(), "route_length": config.route_length,
         "horizon": config.horizon, "patience": config.patience, "overtime": config.reward.overtime,
         "actions": BTreeMap::from(by_action), "demands": demands.collect::<Vec<Value>>(), "splits": splits,

@@ -2,31 +2,34 @@
 //! documents it.
 //!
 //! This file has what all parts need: exceptions, and objects that long work is done on ([`Shared`]). `engine` has programs and
-//! sessions, `columns` their rows as Python values and numpy arrays, `city` scenes and simulations, `task` what is to be driven, `episode` how
-//! it begins, `env` one car that is driven or many of them in one call, `cars` every car of a city, `evaluate` how well policies drive, `vap` data
+//! sessions, `columns` their rows as Python values and numpy arrays, `city` scenes and simulations, `config` files that Python interprets, `task` what is to be driven, `episode` how
+//! it begins, `env` one car that is driven or many of them in one call, `multi_car` every car of a city, `evaluate` how well policies drive, `vap` data
 //! sets of pictures and what is true in them. Each part registers its own classes.
 
-mod cars;
 mod city;
 mod columns;
+mod config;
 mod engine;
 mod env;
 mod episode;
 mod evaluate;
+mod multi_car;
 mod task;
 mod vap;
 
 use logicity::builtin::read_or_builtin;
+use logicity::cli::{Outcome, PYTHON_COMMANDS, run_with_python};
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::files::ReadError;
 use logicity::sim::Stop;
 use numpy::ndarray::Dimension;
 use numpy::{Element, PyReadwriteArray};
 use pyo3::PyClass;
-use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyFileNotFoundError, PyKeyboardInterrupt, PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::any::Any;
+use std::ffi::OsString;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -37,16 +40,44 @@ use std::time::{Duration, Instant};
 
 pyo3::import_exception!(logicity.errors, InputError);
 pyo3::import_exception!(logicity.errors, LimitError);
+pyo3::import_exception!(logicity.errors, UnsupportedError);
 
-/// The exception for faults of the input: drawn, and as data.
+/// The exception for diagnostics, which it holds as text and as data.
 fn input_error(py: Python<'_>, faults: &[Diagnostic], sources: &Sources) -> PyErr {
+    let has = |code| faults.iter().any(|fault| fault.code == code);
+    if has(Code::CANCELLED) {
+        return PyKeyboardInterrupt::new_err(());
+    }
     let arguments = match to_python(py, &to_json(faults, sources)) {
         Ok(diagnostics) => (render(faults, sources, false), diagnostics.unbind()),
         Err(error) => return error,
     };
-    match faults.iter().any(|fault| fault.code == Code::LIMIT_EXCEEDED) {
-        true => LimitError::new_err(arguments),
-        false => InputError::new_err(arguments),
+    if has(Code::LIMIT_EXCEEDED) {
+        LimitError::new_err(arguments)
+    } else if has(Code::DENSE_UNSUPPORTED) {
+        UnsupportedError::new_err(arguments)
+    } else {
+        InputError::new_err(arguments)
+    }
+}
+
+/// The commands that Python implements: their words and summaries.
+#[pyfunction]
+fn python_commands() -> Vec<(Vec<&'static str>, &'static str)> {
+    (PYTHON_COMMANDS.iter())
+        .map(|(words, summary)| (words.to_vec(), *summary))
+        .collect()
+}
+
+/// Runs a command line, without the name of the program. Returns the exit code, or the words and the remaining arguments of a command
+/// that Python implements. Other Python threads run meanwhile; Python's handlers of signals do not.
+#[pyfunction]
+fn run_command_line(py: Python<'_>, arguments: Vec<OsString>) -> (i32, Vec<&'static str>, Vec<OsString>) {
+    // The panic hook has printed the panic; 101 is the exit code of a Rust program that panics.
+    match py.detach(|| catch_unwind(|| run_with_python(&arguments))) {
+        Ok(Outcome::Exit(code)) => (i32::from(code), Vec::new(), Vec::new()),
+        Ok(Outcome::Python(words, rest)) => (0, words.to_vec(), rest),
+        Err(_) => (101, Vec::new(), Vec::new()),
     }
 }
 
@@ -306,11 +337,14 @@ fn _logicity(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_function(wrap_pyfunction!(did_you_mean, module)?)?;
     module.add_function(wrap_pyfunction!(read_file, module)?)?;
+    module.add_function(wrap_pyfunction!(python_commands, module)?)?;
+    module.add_function(wrap_pyfunction!(run_command_line, module)?)?;
+    config::register(module)?;
     engine::register(module)?;
     city::register(module)?;
     task::register(module)?;
     env::register(module)?;
-    cars::register(module)?;
+    multi_car::register(module)?;
     evaluate::register(module)?;
     vap::register(module)
 }

@@ -12,12 +12,12 @@ use pyo3::types::PyDict;
 use std::sync::Arc;
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PyCars>()
+    module.add_class::<PyMultiCarEnv>()
 }
 
 /// A city in which Python drives every car.
-#[pyclass(name = "Cars", module = "logicity._logicity")]
-struct PyCars {
+#[pyclass(name = "MultiCarEnv", module = "logicity._logicity")]
+struct PyMultiCarEnv {
     task: Py<PyTask>,
     env: Env,
     view: View,
@@ -27,7 +27,7 @@ struct PyCars {
 }
 
 #[pymethods]
-impl PyCars {
+impl PyMultiCarEnv {
     #[new]
     fn new(py: Python<'_>, task: Py<PyTask>, split: &str, observation: &str) -> PyResult<Self> {
         let (split, view) = (split_named(split)?, view_named(observation)?);
@@ -37,7 +37,7 @@ impl PyCars {
         let env = signals
             .detach(py, || Env::new_until(shared, split, Egos::Cars, stop))?
             .map_err(|fault| task.get().error(py, fault))?;
-        Ok(PyCars {
+        Ok(PyMultiCarEnv {
             task,
             env,
             view,
@@ -146,7 +146,7 @@ impl PyCars {
     }
 }
 
-impl PyCars {
+impl PyMultiCarEnv {
     fn check(&self, car: usize) -> PyResult<()> {
         match car < self.env.riders().len() {
             true => Ok(()),

@@ -42,10 +42,7 @@ pub fn split_named(name: &str) -> PyResult<Split> {
 }
 
 pub fn view_named(name: &str) -> PyResult<View> {
-    one_of("observation", name, &[View::Atoms, View::Points], |view| match view {
-        View::Atoms => "atoms",
-        View::Points => "points",
-    })
+    one_of("observation", name, &View::ALL, View::name)
 }
 
 /// An exception of gymnasium.

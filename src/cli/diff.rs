@@ -6,7 +6,6 @@ use crate::diag::Sources;
 use serde_json::{Map, Value, json};
 use std::io::Write;
 use std::path::PathBuf;
-use std::process::ExitCode;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -32,7 +31,7 @@ pub struct Arguments {
 }
 
 /// Exit code 0: no difference; 1: a difference.
-pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<ExitCode, Failure> {
+pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> {
     let (left, mut warnings) = load_program(sources, &arguments.left)?;
     let (right, more) = load_program(sources, &arguments.right)?;
     warnings.extend(more);
@@ -62,8 +61,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<ExitCode, Fai
         writeln!(out, "{}", equal(&verdict))?;
     }
     Ok(match verdict {
-        Verdict::Different(_) => ExitCode::from(1),
-        _ => ExitCode::SUCCESS,
+        Verdict::Different(_) => 1,
+        _ => 0,
     })
 }
 

@@ -2,6 +2,8 @@
 //!
 //! Results go to standard output, everything else (progress, diagnostics) to standard error. Exit code 0: done; 1: faulty
 //! input; 2: wrong usage, or a file that cannot be read or written.
+//!
+//! The Python package runs the same command line ([`run_with_python`]) and adds commands of its own ([`PYTHON_COMMANDS`]).
 
 mod bench;
 mod check;
@@ -31,9 +33,11 @@ use crate::diag::Located;
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, render};
 use crate::files::ReadError;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
+use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
+use std::iter;
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::process::ExitCode;
@@ -130,13 +134,122 @@ impl Failure {
     }
 }
 
-/// Runs the command that the process was started with.
+/// The commands that the Python package implements, as words of the command line, with their summaries.
+pub const PYTHON_COMMANDS: [(&[&str], &str); 8] = [
+    (
+        &["evaluate"],
+        "Measure a policy on recorded episodes, as the paper does",
+    ),
+    (
+        &["train"],
+        "Train a DQN, PPO or A2C model, or resume an interrupted run",
+    ),
+    (
+        &["ask"],
+        "Send the questions of `logicity questions` to a chat endpoint, or resume",
+    ),
+    (&["grade"], "Compare answers to questions with what the rules derive"),
+    (
+        &["describe"],
+        "Print tables of environments, rewards and observations as Markdown",
+    ),
+    (
+        &["vap", "webdataset"],
+        "Convert a data set to tar files for the package webdataset",
+    ),
+    (&["vap", "coco"], "Write the boxes of a data set as COCO JSON"),
+    (
+        &["vap", "baselines"],
+        "Measure the majority action, a small network on the facts, and the rules",
+    ),
+];
+
+/// The result of [`run_with_python`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// The command has run, with this exit code.
+    Exit(u8),
+    /// The caller runs this entry of [`PYTHON_COMMANDS`] with the remaining arguments.
+    Python(&'static [&'static str], Vec<OsString>),
+}
+
+/// Runs the command of this process.
 pub fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
+    let arguments: Vec<OsString> = std::env::args_os().skip(1).collect();
+    if let Some((words, _)) = python_command(&arguments) {
+        let mut err = anstream::stderr();
+        let _ = writeln!(
+            err,
+            "error: `logicity {}` comes with the Python package",
+            words.join(" ")
+        );
+        let _ = writeln!(
+            err,
+            "help: `pip install ./python` installs the package, and `logicity` with all commands"
+        );
+        return ExitCode::from(2);
+    }
+    ExitCode::from(run(Arguments::command(), &arguments))
+}
+
+/// Runs the command line of the Python package. `arguments` exclude the name of the program.
+pub fn run_with_python(arguments: &[OsString]) -> Outcome {
+    if let Some((words, rest)) = python_command(arguments) {
+        return Outcome::Python(words, rest);
+    }
+    // `logicity help train` is `logicity train --help`, and `logicity vap help coco` likewise.
+    if let Some(at) = arguments.iter().position(|argument| argument == "help") {
+        let without: Vec<OsString> = [&arguments[..at], &arguments[at + 1..]].concat();
+        if let Some((words, _)) = python_command(&without).filter(|(words, _)| at < words.len()) {
+            return Outcome::Python(words, vec!["--help".into()]);
+        }
+    }
+    let mut command = Arguments::command();
+    for (words, summary) in PYTHON_COMMANDS {
+        command = add_subcommand(command, words, summary);
+    }
+    let code = run(command, arguments);
+    // At exit, a process that is not a Rust program flushes no Rust buffer.
+    let _ = io::stdout().flush();
+    Outcome::Exit(code)
+}
+
+/// The Python command that the arguments begin with, and its own arguments.
+fn python_command(arguments: &[OsString]) -> Option<(&'static [&'static str], Vec<OsString>)> {
+    let begins = |words: &[&str]| arguments.len() >= words.len() && words.iter().zip(arguments).all(|(a, b)| b == a);
+    let (words, _) = PYTHON_COMMANDS.into_iter().find(|(words, _)| begins(words))?;
+    Some((words, arguments[words.len()..].to_vec()))
+}
+
+/// Adds a command of the Python package, for the help and the completion scripts. Its arguments are paths there.
+fn add_subcommand(command: clap::Command, words: &'static [&'static str], summary: &'static str) -> clap::Command {
+    match words {
+        [] => command,
+        [name] => command.subcommand(
+            clap::Command::new(*name).about(summary).arg(
+                clap::Arg::new("arguments")
+                    .num_args(0..)
+                    .trailing_var_arg(true)
+                    .allow_hyphen_values(true)
+                    .value_hint(clap::ValueHint::AnyPath),
+            ),
+        ),
+        [name, rest @ ..] => command.mut_subcommand(*name, |inner| add_subcommand(inner, rest, summary)),
+    }
+}
+
+/// Parses the arguments, runs the command and returns the exit code.
+fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
+    let name = OsString::from("logicity");
+    let parsed = command
+        .try_get_matches_from_mut(iter::once(&name).chain(arguments))
+        .and_then(|mut matches| Arguments::from_arg_matches_mut(&mut matches));
+    let arguments = match parsed {
         Ok(arguments) => arguments,
         Err(error) => {
+            let error = error.format(&mut command);
             let _ = error.print();
-            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
+            return u8::try_from(error.exit_code()).unwrap_or(2);
         }
     };
     let mut sources = Sources::new();
@@ -163,29 +276,31 @@ pub fn main() -> ExitCode {
         Command::Route(arguments) => route::run(&arguments, &mut sources),
         Command::Bench(arguments) => bench::run(&arguments, &mut sources),
         Command::Completions { shell } => {
-            clap_complete::generate(shell, &mut Arguments::command(), "logicity", &mut io::stdout());
-            Ok(())
+            // `generate` panics if it cannot write, for example to a closed pipe.
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut command, "logicity", &mut script);
+            io::stdout().write_all(&script).map_err(Failure::from)
         }
     };
     match result {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => 0,
         Err(failure) => exit(failure, &sources),
     }
 }
 
-/// Tells a failure; the exit code for it.
-fn exit(failure: Failure, sources: &Sources) -> ExitCode {
+/// Prints a failure and returns its exit code.
+fn exit(failure: Failure, sources: &Sources) -> u8 {
     match failure {
-        Failure::Closed => ExitCode::SUCCESS,
+        Failure::Closed => 0,
         Failure::Input(diagnostics) => {
             report(&diagnostics, sources);
-            ExitCode::from(1)
+            1
         }
-        Failure::Told => ExitCode::from(1),
-        Failure::Interrupted => ExitCode::from(130),
+        Failure::Told => 1,
+        Failure::Interrupted => 130,
         Failure::Usage(message) => {
             let _ = writeln!(io::stderr(), "error: {message}");
-            ExitCode::from(2)
+            2
         }
     }
 }

@@ -1594,3 +1594,21 @@ fn the_scene_of_check_can_be_fed_to_infer() {
     let answer: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(answer["egos"]["e0"]["derived"], serde_json::json!(["Slow", "Fast"]));
 }
+
+#[test]
+fn commands_of_the_python_package_name_it() {
+    for arguments in [
+        &["train", "x.yaml"] as &[&str],
+        &["describe"],
+        &["vap", "coco", "a", "b"],
+    ] {
+        fails(
+            &run(arguments, b""),
+            2,
+            &["comes with the Python package", "pip install"],
+        );
+    }
+    let output = run(&["--help"], b"");
+    assert!(!out(&output).contains("train"), "{}", out(&output));
+    fails(&run(&["vap", "cocos"], b""), 2, &["unrecognized subcommand"]);
+}

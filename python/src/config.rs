@@ -1,0 +1,62 @@
+//! Configuration files that Python interprets.
+
+use crate::{input_error, to_python};
+use logicity::config::{Tree, load_tree};
+use logicity::diag::{Code, Diagnostic, Sources};
+use logicity::files::read_text;
+use pyo3::exceptions::{PyBaseException, PyFileNotFoundError, PyValueError};
+use pyo3::prelude::*;
+use std::path::PathBuf;
+
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyConfigFile>()
+}
+
+/// A YAML file with its `base` merged in, and the places of its values.
+#[pyclass(name = "ConfigFile", module = "logicity._logicity", frozen)]
+struct PyConfigFile {
+    tree: Tree,
+    sources: Sources,
+}
+
+#[pymethods]
+impl PyConfigFile {
+    /// Reads a file. `folder` is where a bare name stands for a built-in file.
+    #[new]
+    fn new(py: Python<'_>, path: PathBuf, folder: &str) -> PyResult<Self> {
+        let mut sources = Sources::new();
+        match load_tree(&mut sources, &path, folder, &BuiltinFiles) {
+            Ok(tree) => Ok(PyConfigFile { tree, sources }),
+            Err(faults) => Err(match faults.as_slice() {
+                // The file that the caller named has no place in any text.
+                [fault] if fault.code == Code::MISSING_FILE && fault.primary.is_none() => {
+                    let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
+                    PyFileNotFoundError::new_err(fault.message.clone() + &help)
+                }
+                _ => input_error(py, &faults, &sources),
+            }),
+        }
+    }
+
+    /// The values.
+    fn value<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.tree.to_json())
+    }
+
+    /// The `InputError` for faults in this file: code, path of keys and positions, message, and help if not empty.
+    fn error<'py>(
+        &self,
+        py: Python<'py>,
+        faults: Vec<(String, Vec<String>, String, String)>,
+    ) -> PyResult<Bound<'py, PyBaseException>> {
+        let read = |(code, path, message, help): (String, Vec<String>, String, String)| {
+            let known = Code::ALL.iter().find(|known| known.name() == code);
+            let code = known.ok_or_else(|| PyValueError::new_err(format!("no diagnostic has the code `{code}`")))?;
+            let path: Vec<&str> = path.iter().map(String::as_str).collect();
+            let fault = self.tree.fault(&path, *code, message);
+            Ok(if help.is_empty() { fault } else { fault.help(help) })
+        };
+        let faults = faults.into_iter().map(read).collect::<PyResult<Vec<Diagnostic>>>()?;
+        Ok(input_error(py, &faults, &self.sources).into_value(py).into_bound(py))
+    }
+}

@@ -1,0 +1,117 @@
+"""The command `logicity`: the commands of Rust and of Python in one program."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import sysconfig
+import time
+from pathlib import Path
+
+import pytest
+
+from logicity.commands import _COMMANDS, SUMMARIES
+
+COMMAND = str(Path(sysconfig.get_path("scripts")) / "logicity")
+
+
+def logicity(*arguments: str, program: tuple[str, ...] = (COMMAND,)) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*program, *arguments], capture_output=True, text=True, check=False)
+
+
+def listed(help: str) -> dict[str, str]:
+    lines = help.partition("Commands:\n")[2].partition("\n\n")[0].splitlines()
+    return {name: summary.strip() for name, _, summary in (line.strip().partition(" ") for line in lines)}
+
+
+def test_one_help_lists_the_commands_of_both_languages() -> None:
+    top, vap = listed(logicity("--help").stdout), listed(logicity("vap", "--help").stdout)
+    assert {"run", "check", "query", "infer", "vap", "lsp", "completions"} <= set(top) and {"make", "check"} <= set(vap)
+    assert set(_COMMANDS) == set(SUMMARIES)
+    for words, summary in SUMMARIES.items():
+        assert (top if len(words) == 1 else vap)[words[-1]] == summary
+    assert all(summary for summary in [*top.values(), *vap.values()])
+
+
+@pytest.mark.parametrize("words", SUMMARIES)
+def test_every_command_of_python_has_a_help(words: tuple[str, ...]) -> None:
+    done = logicity(*words, "--help")
+    assert done.returncode == 0 and done.stdout.startswith(f"usage: logicity {' '.join(words)} ")
+    assert " ".join(done.stdout.split("\n\n")[1].split()) == f"{SUMMARIES[words]}."
+    assert logicity(*words[:-1], "help", words[-1]).stdout == done.stdout
+
+
+def test_the_module_is_the_same_command() -> None:
+    module = (sys.executable, "-m", "logicity")
+    for arguments in (["--help"], ["--version"], ["describe"], ["check", "no-such.dl"], ["trian"], []):
+        one, other = logicity(*arguments), logicity(*arguments, program=module)
+        assert (one.stdout, one.stderr, one.returncode) == (other.stdout, other.stderr, other.returncode)
+
+
+def test_exit_codes_are_those_of_one_program(tmp_path: Path) -> None:
+    (tmp_path / "faulty.dl").write_text("Stop(X) :- IsCar(X).\n")
+    (tmp_path / "p.dl").write_text('.decl p(x: symbol)\n.output p\np("a").\n')
+    for arguments, code, message in [
+        (["--version"], 0, ""),
+        (["query", str(tmp_path / "p.dl"), "-D", "-"], 0, ""),
+        (["check", str(tmp_path / "faulty.dl")], 1, "unknown-predicate"),
+        (["evaluate", "--policy", "foo", "--modes", "easy"], 1, "unknown policy `foo`"),
+        (["check", "no-such.dl"], 2, "no-such.dl"),
+        (["grade", "no-such.jsonl"], 2, "questions.jsonl"),
+        (["trian"], 2, "'train'"),
+        (["vap", "cocos"], 2, "'coco'"),
+        (["evaluate"], 2, "--policy"),
+        ([], 2, "Usage: logicity <COMMAND>"),
+    ]:
+        done = logicity(*arguments)
+        assert done.returncode == code and message in done.stderr, (arguments, done)
+
+
+def test_completions_know_the_commands_of_python() -> None:
+    script = logicity("completions", "bash").stdout
+    assert "logicity,evaluate)" in script and "logicity__subcmd__vap,coco)" in script
+
+
+def test_a_run_leaves_its_files(tmp_path: Path) -> None:
+    done = logicity("run", "expert", "--seed", "4", "--ticks", "3", "--out", str(tmp_path / "out"))
+    assert done.returncode == 0 and "dense executor" in done.stdout
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"city.gif", "last.png", "trace.jsonl"}
+
+
+def test_rust_commands_import_neither_numpy_nor_gymnasium() -> None:
+    text = """
+import sys
+from logicity.__main__ import main
+code = main(["--version"])
+print(code, [name for name in ("numpy", "gymnasium", "torch", "argparse") if name in sys.modules])
+"""
+    done = logicity("-c", text, program=(sys.executable,))
+    assert done.stdout.splitlines()[1] == "0 []" and done.stderr == ""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes and signals of POSIX")
+@pytest.mark.parametrize("arguments", [["describe"], ["completions", "bash"]])
+def test_a_closed_pipe_is_no_error(arguments: list[str]) -> None:
+    with subprocess.Popen([COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert (process.stderr.read(), process.wait()) == (b"", 0)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes and signals of POSIX")
+def test_ctrl_c_ends_every_command(tmp_path: Path) -> None:
+    (tmp_path / "count.dl").write_text(".decl n(x: number)\n.output n\nn(0).\nn(x + 1) :- n(x), x < 90000000.\n")
+    out = str(tmp_path / "out")
+    for arguments, code in [
+        # By the default action of the signal, as for any program that does not handle it.
+        (["query", str(tmp_path / "count.dl"), "-D", "-"], -signal.SIGINT),
+        # `run` handles the signal, and writes what was run.
+        (["run", "expert", "--ticks", "100000000", "--no-trace", "--out", out], 130),
+        (["evaluate", "--policy", "random", "--modes", "all"], 130),
+    ]:
+        with subprocess.Popen([COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+            time.sleep(2)
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=30)
+        assert process.returncode == code, arguments
