@@ -1,72 +1,82 @@
 """A city of cars and pedestrians governed by Datalog rules, for neuro-symbolic research.
 
-What to reach for:
+Where to start:
 
-- the faults of a rule text: `check`;
-- what the rules decide in a scene: `infer`, or `Inference` for many scenes;
-- a city that runs: `Simulation`;
-- Datalog without a city: `Program` and `Session`;
-- a car to drive: `gymnasium.make("logicity/SPF-Expert-v0")`, see `logicity.envs`; every car: `parallel_env`;
-- what the numbers of its observations stand for: `observation_names`;
-- how well a policy drives: `evaluate`, or `Benchmark` for many; what the oracle does, as data: `demonstrations`;
-- a language model to question about cars: `logicity.questions`;
-- pictures of cities, what is true in them and what cars do next: `logicity.vap`.
+- `check` finds the faults of a rule text.
+- `infer` decides a scene by the rules; `Inference` decides many.
+- `Simulation` runs a city.
+- `Program` and `Session` are Datalog without a city.
+- `gymnasium.make("logicity/SPF-Expert-v0")` makes an environment with one controlled car, see `logicity.envs`;
+  `parallel_env` makes one that controls every car.
+- `observation_names` names the numbers of an observation.
+- `evaluate` measures a policy, `Benchmark` several; `demonstrations` returns trajectories of the oracle.
+- `logicity.questions` asks a language model about cars.
+- `logicity.vap` reads data sets of Visual Action Prediction.
 
-`logicity.sb3`, `train`, `parallel` and `icons` need extras; they are imported when they are first asked for.
+The core needs numpy only. Environments and `demonstrations` need the extra `gym`; `logicity.sb3`, `train`, `parallel`
+and `icons` need extras of their own. Every module is imported on first use.
 
-Faulty input raises `InputError`, which has every fault with its place; input that is too large its subclass
-`LimitError`.
+Faulty input raises `InputError`, which holds every fault with its place. Its subclass `LimitError` means that a limit
+was exceeded, `UnsupportedError` that the dense executor cannot evaluate the rules. Ctrl-C raises `KeyboardInterrupt`.
 """
 
 import importlib
 from typing import TYPE_CHECKING
 
-from . import vap
 from ._logicity import __version__
-from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
-from .describe import observation_names
-from .errors import InputError, LimitError
-from .evaluation import Benchmark, EpisodeRecord, Evaluation, Interval, Policy, evaluate
-from .modes import ENVIRONMENTS, MODES, parallel_env
-from .offline import Demonstrations, Trajectory, demonstrations
-from .rules import Change, Column, Explanation, Program, Relation, Rows, Session, check
-from .types import (
-    Action,
-    Agent,
-    Answer,
-    Clause,
-    ClauseWork,
-    Diagnostic,
-    EgoAnswer,
-    Executor,
-    Heading,
-    Label,
-    Scene,
-    Split,
-    StratumWork,
-    SymbolicScene,
-)
+from .registration import register_with_gymnasium
 
 if TYPE_CHECKING:
+    from . import envs as envs
     from . import icons as icons
     from . import parallel as parallel
+    from . import questions as questions
     from . import sb3 as sb3
     from . import train as train
-else:
+    from . import vap as vap
+    from .city import ACTIONS, HEADINGS, REASONS, AgentInfo, Decision, Inference, Simulation, Tick, infer
+    from .describe import observation_names
+    from .errors import InputError, LimitError, UnsupportedError
+    from .evaluation import Benchmark, EpisodeRecord, Evaluation, Interval, Policy, evaluate
+    from .modes import ENVIRONMENTS, MODES, parallel_env
+    from .offline import Demonstrations, Trajectory, demonstrations
+    from .rules import Change, Column, Explanation, Program, Relation, Rows, Session, check
+    from .types import (
+        Action,
+        Agent,
+        Answer,
+        Clause,
+        ClauseWork,
+        Diagnostic,
+        EgoAnswer,
+        Executor,
+        Heading,
+        Label,
+        Scene,
+        Split,
+        StratumWork,
+        SymbolicScene,
+    )
 
-    def __getattr__(name):
-        """Import what needs an extra when it is first asked for."""
-        if name in ("icons", "parallel", "sb3", "train"):
-            return importlib.import_module(f".{name}", __name__)
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
+#: The public names by the module that defines them.
+_NAMES = {
+    "city": ["ACTIONS", "HEADINGS", "REASONS", "AgentInfo", "Decision", "Inference", "Simulation", "Tick", "infer"],
+    "describe": ["observation_names"],
+    "errors": ["InputError", "LimitError", "UnsupportedError"],
+    "evaluation": ["Benchmark", "EpisodeRecord", "Evaluation", "Interval", "Policy", "evaluate"],
+    "modes": ["ENVIRONMENTS", "MODES", "parallel_env"],
+    "offline": ["Demonstrations", "Trajectory", "demonstrations"],
+    "rules": ["Change", "Column", "Explanation", "Program", "Relation", "Rows", "Session", "check"],
+    "types": [
+        *["Action", "Agent", "Answer", "Clause", "ClauseWork", "Diagnostic", "EgoAnswer", "Executor", "Heading"],
+        *["Label", "Scene", "Split", "StratumWork", "SymbolicScene"],
+    ],
+}
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
+_MODULES = ("envs", "icons", "parallel", "questions", "sb3", "train", "vap")
 
 __all__ = [
     "ACTIONS",
-    "ENVIRONMENTS",
-    "HEADINGS",
-    "MODES",
-    "REASONS",
     "Action",
     "Agent",
     "AgentInfo",
@@ -79,19 +89,23 @@ __all__ = [
     "Decision",
     "Demonstrations",
     "Diagnostic",
+    "ENVIRONMENTS",
     "EgoAnswer",
     "EpisodeRecord",
     "Evaluation",
     "Executor",
     "Explanation",
+    "HEADINGS",
     "Heading",
     "Inference",
     "InputError",
     "Interval",
     "Label",
     "LimitError",
+    "MODES",
     "Policy",
     "Program",
+    "REASONS",
     "Relation",
     "Rows",
     "Scene",
@@ -102,6 +116,7 @@ __all__ = [
     "SymbolicScene",
     "Tick",
     "Trajectory",
+    "UnsupportedError",
     "__version__",
     "check",
     "demonstrations",
@@ -109,5 +124,22 @@ __all__ = [
     "infer",
     "observation_names",
     "parallel_env",
-    "vap",
 ]
+
+register_with_gymnasium()
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name):
+        """Import a public name, or a module, on first use (PEP 562)."""
+        if name in _MODULES:
+            return importlib.import_module(f".{name}", __name__)
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = getattr(importlib.import_module(f".{_HOMES[name]}", __name__), name)
+        globals()[name] = value
+        return value
+
+    def __dir__():
+        """List the lazy names, too."""
+        return sorted({*globals(), *__all__, *_MODULES})

@@ -1,7 +1,7 @@
-"""How well a policy follows its path: the measures of the paper on recorded episodes.
+"""The measures of the paper on recorded episodes: success rates and score of a policy.
 
-`evaluate` measures one policy once; a `Benchmark` measures many on the same episodes and drives the random policy,
-which every score is compared with, only once.
+`evaluate` measures one policy. A `Benchmark` measures several on the same episodes, and runs the random policy, the
+baseline of the score, only once.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _logicity
-from .envs import World
+from .city import ACTIONS
+from .env_config import EnvConfig, ObservationKind
 from .errors import InputError
 from .modes import checked_mode
 from .types import Diagnostic
@@ -35,7 +36,7 @@ Actions: TypeAlias = NDArray[np.int64]
 
 
 class Predictor(Protocol):
-    """A model of Stable-Baselines3, or anything that predicts as one."""
+    """A model of Stable-Baselines3, or an object with the same `predict`."""
 
     def predict(
         self,
@@ -44,7 +45,7 @@ class Predictor(Protocol):
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        """Actions for a batch of observations, and the next state."""
+        """Return actions for a batch of observations, and the next state."""
         ...
 
 
@@ -60,7 +61,7 @@ class Interval:
     high: float
 
     def __str__(self) -> str:
-        """The value, and the interval in brackets."""
+        """Format the value, and the interval in brackets."""
         # Adding 0 makes a rounded -0.001 print as 0.
         value, low, high = (f"{round(number, 2) + 0.0:.2f}" for number in (self.value, self.low, self.high))
         return f"{value} [{low}, {high}]"
@@ -68,11 +69,12 @@ class Interval:
 
 @dataclass(frozen=True)
 class EpisodeRecord:
-    """How one episode went.
+    """The result of one episode. The random policy has ten records for each episode.
 
-    `episode` is its number in the set, from 0. `constrained` says in how many steps the rules asked an action, by the
-    name of the action; `violations` names the clauses that the last action broke. The random policy has ten records for
-    each episode.
+    Attributes:
+        episode: Its number in the set, from 0.
+        constrained: The number of steps in which the rules required an action, by the name of the action.
+        violations: The clauses that the last action broke.
     """
 
     episode: int
@@ -86,17 +88,18 @@ class EpisodeRecord:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """How well a policy did on a set of episodes. Rates are shares, 0 to 1; their intervals are Wilson's.
+    """The measures of a policy on a set of episodes. Rates are shares from 0 to 1, with Wilson intervals.
 
-    - `mode`: the mode, or the configuration file as it was given.
-    - `tsr`: of all episodes, those that reach the goal in time without a rule broken.
-    - `dsr`: of all episodes, those in which the rules asked something at least once and were never broken, however they
-      ended.
-    - `dsr_by_action`: of the episodes in which the rules asked the action, those in which no clause that asks it was
-      broken.
-    - `mean_return`: the undiscounted sum of rewards.
-    - `score`: `mean_return` less that of the random policy on the same episodes, compared episode by episode.
-    - `episodes_hash`: SHA-256 of the set of episodes. Only results with the same hash can be compared.
+    Attributes:
+        mode: The mode, or the configuration file as given.
+        episodes_hash: SHA-256 of the set of episodes. Only results with the same hash are comparable.
+        tsr: Trajectory success rate: the share of all episodes that reach the goal in time and break no rule.
+        dsr: Decision success rate: the share of all episodes in which the rules required an action at least once and
+            were never broken, however the episode ended.
+        dsr_by_action: Of the episodes in which the rules required the action, the share in which no clause that
+            requires it was broken.
+        score: `mean_return` minus that of the random policy on the same episodes, compared episode by episode.
+        mean_return: The mean undiscounted sum of rewards.
     """
 
     policy: str
@@ -112,39 +115,39 @@ class Evaluation:
     episodes: tuple[EpisodeRecord, ...]
 
     def __repr__(self) -> str:
-        """The three measures; `episodes` has the rest."""
+        """Show the three measures; `episodes` has the rest."""
         return (
             f"<Evaluation of {self.policy} in {self.mode}, {self.split}: TSR {self.tsr}, DSR {self.dsr}, "
             f"Score {self.score}, {len(self.episodes)} episodes>"
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, as they are written to JSON."""
+        """Return plain values for JSON."""
         return asdict(self)
 
 
 class Progress:
-    """A line on a terminal that says how far something is; elsewhere nothing is written."""
+    """A progress line on a terminal. Prints nothing if standard error is no terminal."""
 
     def __init__(self, label: str, total: int) -> None:
-        """So much there is to do; `label` says of what."""
+        """Set the label of the line, and the number of items."""
         self._label, self._total = label, total
         self._shown = sys.stderr.isatty()
 
     def __enter__(self) -> Progress:
-        """Begin with nothing done."""
-        self.tell(0)
+        """Show that no item is done."""
+        self.update(0)
         return self
 
-    def tell(self, done: int) -> None:
-        """So much is done."""
+    def update(self, done: int) -> None:
+        """Show the number of items done."""
         if self._shown:
             print(f"\r{self._label}: {done} of {self._total}", end="", file=sys.stderr, flush=True)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave the line empty."""
+        """Clear the line."""
         if self._shown:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
@@ -154,41 +157,41 @@ def load_task(
     rules: str | os.PathLike[str] | None = None,
     overrides: Mapping[str, Any] | None = None,
 ) -> _logicity.Task:
-    """The task of a mode or configuration file; what is raised is as for `Benchmark`."""
-    return World(checked_mode(mode), rules=rules, overrides=overrides).task()
+    """Load the task of a mode or configuration file. Raises the exceptions of `Benchmark`."""
+    return EnvConfig(checked_mode(mode), rules=rules, overrides=overrides).task()
 
 
 @contextmanager
 def episodes_that_fit() -> Iterator[None]:
-    """Where recorded episodes are driven: of those that do not fit the agents or the map, say what helps."""
+    """Add a hint to errors about recorded episodes that do not fit the agents or the map."""
     try:
         yield
     except InputError as error:
         if not any(fault["code"] == "invalid-episode" for fault in error.diagnostics):
             raise
-        more = "make episodes with `logicity episodes make` and name them under `task.episodes`"
+        more = "record episodes with `logicity episodes make`, and name the file under `task.episodes`"
         faults = [{**fault, "help": [*fault["help"], more]} for fault in error.diagnostics]
         raise InputError(f"{str(error).rstrip()}\n |\n = help: {more}", cast(list[Diagnostic], faults)) from error
 
 
 class Benchmark:
-    """Recorded episodes of a mode, or of a city of one's own, on which policies are measured.
+    """Recorded episodes of a mode or of a configuration file, on which policies are measured.
 
-    An episode has at most so many times the oracle's steps as the task says under `patience`, twice in the modes. All
-    go on side by side, and what a policy says for one that has ended counts for nothing.
+    The number of steps of an episode is limited to a multiple of the oracle's, `patience` in the task: twice in the
+    modes. All episodes run side by side. Actions for episodes that have ended have no effect.
 
     Args:
-        mode: one of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file, whose recorded
-            episodes `logicity episodes make` makes.
-        split: `"train"`, `"val"` or `"test"`: whose agents and which episodes.
-        rules: a rule file instead of the mode's. The recorded episodes stay, so the oracle need not reach the goal.
-        overrides: changes to the task, as `gymnasium.make` takes them.
-        observation: `"atoms"` or `"points"`, as `gymnasium.make` takes it.
+        mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file. `logicity
+            episodes make` records its episodes.
+        split: The agents and episodes: `"train"`, `"val"` or `"test"`.
+        rules: A rule file that replaces the mode's. The recorded episodes stay, so the oracle need not reach the goal.
+        overrides: Changes to the task, as in `gymnasium.make`.
+        observation: `"groundings"` or `"state"`, as in `gymnasium.make`.
 
     Raises:
-        ValueError: an unknown mode, split or observation.
-        InputError: a faulty configuration, rules file or override, or no recorded episodes.
-        OSError: a file cannot be read.
+        InputError: A faulty configuration, rule file or override, or no recorded episodes.
+        OSError: A file cannot be read.
+        ValueError: An unknown mode, split or observation.
     """
 
     def __init__(
@@ -198,29 +201,29 @@ class Benchmark:
         *,
         rules: str | os.PathLike[str] | None = None,
         overrides: Mapping[str, Any] | None = None,
-        observation: str = "atoms",
+        observation: ObservationKind = "groundings",
     ) -> None:
         """Load the task and its episodes."""
         self.mode, self.split = checked_mode(mode), split
         self._observation = observation
-        self._world = World(self.mode, rules=rules, overrides=overrides)
-        self._task = self._world.task()
-        self._random = _logicity.Baseline(self._task, split)
+        self._config = EnvConfig(self.mode, rules=rules, overrides=overrides)
+        self._task = self._config.task()
+        self._random = _logicity.RandomBaseline(self._task, split)
         self.episodes_hash = self._random.hash()
         self._driven = 0
 
     def __len__(self) -> int:
-        """How many episodes there are."""
+        """Return the number of episodes."""
         return len(self._random)
 
-    def _baseline(self) -> _logicity.Baseline:
-        """How the random policy does; found out once."""
+    def _baseline(self) -> _logicity.RandomBaseline:
+        """Return the results of the random policy, which runs on the first call."""
         if self._driven < len(self):
             with Progress(f"{self.mode} {self.split}, random policy", len(self)) as progress:
                 while self._driven < len(self):
                     self._random.add()
                     self._driven += 1
-                    progress.tell(self._driven)
+                    progress.update(self._driven)
         return self._random
 
     def evaluate(
@@ -231,27 +234,27 @@ class Benchmark:
         name: str | None = None,
         traces: str | os.PathLike[str] | None = None,
     ) -> Evaluation:
-        """Let a policy drive every episode once, or the random policy ten times.
+        """Run a policy on every episode once, or the random policy ten times.
 
         Args:
             policy: `"oracle"`, `"random"`, a model of Stable-Baselines3, or a function. A model predicts
-                deterministically. A function is given one observation and returns one action, 0 to 3.
-            batched: the function is given all observations, float32 of shape (episodes, ...), and returns an integer
-                for each.
-            name: what to call the policy in the result.
-            traces: a folder, made if it does not exist, for the trace of every episode: `episode-7.jsonl` is that of
-                number 7, which `logicity view` makes a page of; see `SPFEnv.write_trace`. If overrides have changed the
-                configuration, what it became stands there as `config.yaml`. Nothing is replaced: the folder must have
-                no traces of episodes and no other `config.yaml`, which is told before the policy drives. Not of the
-                random policy, which drives every episode ten times.
+                deterministically. A function maps one observation to one action, 0 to 3.
+            batched: Whether the function maps all observations, float32 of shape (episodes, ...), to an integer for
+                each.
+            name: The name of the policy in the result.
+            traces: A folder for the trace of every episode; it is made if it does not exist. `episode-7.jsonl` is the
+                trace of episode 7, which `logicity view` makes a page of; see `SPFEnv.write_trace`. An overridden
+                configuration is written beside the traces as `config.yaml`. Nothing is replaced: the folder must have
+                no traces and no other `config.yaml`, which is checked before the first episode. The random policy has
+                no traces.
 
         Raises:
-            TypeError: the policy is nothing that can act, or its actions are not integers.
-            ValueError: an unknown name, not one action for each observation, or traces of the random policy.
-            FileExistsError: the folder has traces already, or another configuration.
-            OSError: a trace cannot be written.
-            gymnasium.error.InvalidAction: an action that is not 0, 1, 2 or 3.
-            InputError: the episodes do not fit the agents, as overrides can bring about.
+            FileExistsError: The folder has traces already, or another configuration.
+            InputError: The episodes do not fit the agents, for example because of overrides.
+            OSError: A trace cannot be written.
+            TypeError: The policy cannot act, or its actions are not integers.
+            ValueError: An unknown policy, an action that is not 0, 1, 2 or 3, a number of actions other than that of
+                observations, or traces of the random policy.
         """
         with episodes_that_fit():
             return self._evaluate(policy, batched, name, None if traces is None else Path(traces))
@@ -260,43 +263,47 @@ class Benchmark:
         named = name or (policy if isinstance(policy, str) else type(policy).__name__)
         if policy == "random":
             if traces is not None:
-                raise ValueError("the random policy drives every episode ten times: give a function for traces")
+                raise ValueError(
+                    "the random policy runs every episode ten times and has no traces: pass a function instead"
+                )
             return self._result(named, self._baseline().report())
-        exam = _logicity.Exam(self._random, self._observation)
-        observations = np.zeros((len(exam), *self._task.shape(self._observation)), np.float32)
-        running = np.ones(len(exam), np.bool_)
-        act = _actor(policy, batched, exam)
+        evaluator = _logicity.BatchEvaluator(self._random, self._observation)
+        observations = np.zeros((len(evaluator), *self._task.shape(self._observation)), np.float32)
+        running = np.ones(len(evaluator), np.bool_)
+        act = _actor(policy, batched, evaluator)
         write_traces = None if traces is None else self._traces_into(traces)
-        taken: list[list[int]] = [[] for _ in range(len(exam))]
-        with Progress(f"{self.mode} {self.split}, {named}", len(exam)) as progress:
+        taken: list[list[int]] = [[] for _ in range(len(evaluator))]
+        with Progress(f"{self.mode} {self.split}, {named}", len(evaluator)) as progress:
             while running.any():
-                exam.observe(observations)
-                actions = _checked(act(observations, running), len(exam))
-                exam.step(actions)
+                evaluator.observe(observations)
+                actions = _checked(act(observations, running), len(evaluator))
+                evaluator.step(actions)
                 if write_traces is not None:
                     for at in np.flatnonzero(running):
                         taken[at].append(int(actions[at]))
-                exam.running(running)
-                progress.tell(len(exam) - int(running.sum()))
+                evaluator.running(running)
+                progress.update(len(evaluator) - int(running.sum()))
         if write_traces is not None:
-            write_traces(exam, taken)
-        return self._result(named, exam.report(self._baseline()))
+            write_traces(evaluator, taken)
+        return self._result(named, evaluator.report(self._baseline()))
 
-    def _traces_into(self, folder: Path) -> Callable[[_logicity.Exam, list[list[int]]], None]:
-        """Prepare a folder, and return what writes the traces of the episodes into it, given the actions taken."""
+    def _traces_into(self, folder: Path) -> Callable[[_logicity.BatchEvaluator, list[list[int]]], None]:
+        """Prepare a folder. Return a function that writes the traces, given the actions taken."""
         check_no_traces(folder)
         _make_writable(folder)
-        return partial(self._write_traces, folder, self._world.written_config(folder / "config.yaml"))
+        return partial(self._write_traces, folder, self._config.written_config(folder / "config.yaml"))
 
-    def _write_traces(self, folder: Path, config: str, exam: _logicity.Exam, taken: list[list[int]]) -> None:
-        with Progress(f"{self.mode} {self.split}, traces", len(exam)) as progress:
+    def _write_traces(
+        self, folder: Path, config: str, evaluator: _logicity.BatchEvaluator, taken: list[list[int]]
+    ) -> None:
+        with Progress(f"{self.mode} {self.split}, traces", len(evaluator)) as progress:
             for at, actions in enumerate(taken):
                 path = folder / f"episode-{at}.jsonl"
-                self._task.write_trace(self.split, exam.episode(at), actions, path, config)
-                progress.tell(at + 1)
+                self._task.write_trace(self.split, evaluator.episode(at), actions, path, config)
+                progress.update(at + 1)
 
-    def _result(self, policy: str, told: Mapping[str, Any]) -> Evaluation:
-        summary = told["summary"]
+    def _result(self, policy: str, report: Mapping[str, Any]) -> Evaluation:
+        summary = report["summary"]
 
         def interval(of: Mapping[str, Any]) -> Interval:
             return Interval(of["value"], of["low"], of["high"])
@@ -313,20 +320,30 @@ class Benchmark:
             mean_return=interval(summary["mean_return"]),
             mean_steps=summary["mean_steps"],
             episodes=tuple(
-                EpisodeRecord(**{**record, "violations": tuple(record["violations"])}) for record in told["episodes"]
+                EpisodeRecord(**{**record, "violations": tuple(record["violations"])}) for record in report["episodes"]
             ),
         )
 
 
 def check_no_traces(folder: Path) -> None:
-    """See that a folder has no traces: those of more episodes would stand among new ones as if they were of them."""
+    """Check that a folder has no traces, which would mix with new ones.
+
+    Raises:
+        FileExistsError: It has traces.
+    """
     earlier = min((path.name for path in folder.glob("episode-*.jsonl")), default=None)
     if earlier is not None:
-        raise FileExistsError(f"`{folder}` has traces already, such as {earlier}: remove them, or give another folder")
+        raise FileExistsError(
+            f"`{folder}` has traces already, for example {earlier}: remove them, or choose another folder"
+        )
 
 
 def _make_writable(folder: Path) -> None:
-    """Make a folder, or see that it can be written to."""
+    """Make a folder, and check that it is writable.
+
+    Raises:
+        OSError: It is not.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with tempfile.TemporaryFile(dir=folder):
@@ -335,18 +352,20 @@ def _make_writable(folder: Path) -> None:
         raise OSError(error.errno, error.strerror, str(folder)) from error
 
 
-def _actor(policy: Policy, batched: bool, exam: _logicity.Exam) -> Callable[[Observations, NDArray[np.bool_]], Any]:
-    """A function from all observations, and which episodes go on, to an action for each episode."""
+def _actor(
+    policy: Policy, batched: bool, evaluator: _logicity.BatchEvaluator
+) -> Callable[[Observations, NDArray[np.bool_]], Any]:
+    """Return a function that maps all observations, and the mask of running episodes, to actions."""
     if isinstance(policy, str):
         if policy != "oracle":
-            raise ValueError(f"unknown policy `{policy}`: give oracle, random, a model or a function")
-        return lambda observations, running: exam.oracle_actions()
+            raise ValueError(f"unknown policy `{policy}`: expected oracle, random, a model or a function")
+        return lambda observations, running: evaluator.oracle_actions()
     predict = getattr(policy, "predict", None)
     if predict is not None:
         return _predicting(cast(Predictor, policy))
     if not callable(policy):
         raise TypeError(
-            f"a policy is oracle, random, a model with `predict` or a function, not {type(policy).__name__}"
+            f"expected a policy: oracle, random, a model with `predict` or a function, not {type(policy).__name__}"
         )
     function = policy
     if batched:
@@ -357,9 +376,7 @@ def _actor(policy: Policy, batched: bool, exam: _logicity.Exam) -> Callable[[Obs
         for at in np.flatnonzero(running):
             action = np.asarray(function(observations[at].copy()))
             if action.size != 1:
-                raise ValueError(
-                    f"a policy returns one action for an observation, not an array of shape {action.shape}"
-                )
+                raise ValueError(f"expected one action for an observation, not an array of shape {action.shape}")
             actions[at] = _checked(action.reshape(1), 1)[0]
         return actions
 
@@ -367,7 +384,7 @@ def _actor(policy: Policy, batched: bool, exam: _logicity.Exam) -> Callable[[Obs
 
 
 def _predicting(model: Predictor) -> Callable[[Observations, NDArray[np.bool_]], Any]:
-    """A model keeps a state between the steps if it is recurrent."""
+    """Return a function that predicts by a model, and keeps the state of a recurrent one between steps."""
     state: Any = None
     begins = True
 
@@ -384,12 +401,15 @@ def _predicting(model: Predictor) -> Callable[[Observations, NDArray[np.bool_]],
 def _checked(actions: Any, count: int) -> Actions:
     array = np.asarray(actions)
     if array.shape != (count,):
-        raise ValueError(
-            f"a policy returns an action for each of {count} observations, not an array of shape {array.shape}"
-        )
+        raise ValueError(f"expected one action for each of {count} observations, not an array of shape {array.shape}")
     if not np.issubdtype(array.dtype, np.integer):
-        raise TypeError(f"actions are integers, not {array.dtype}")
-    return array.astype(np.int64)
+        raise TypeError(f"expected integers as actions, not {array.dtype}")
+    numbers = array.astype(np.int64)
+    wrong = np.flatnonzero((numbers < 0) | (numbers >= len(ACTIONS)))
+    if len(wrong):
+        known = ", ".join(f"{number} {name}" for number, name in enumerate(ACTIONS))
+        raise ValueError(f"{numbers[wrong[0]]} (of episode {wrong[0]}) is no action; known: {known}")
+    return numbers
 
 
 def evaluate(
@@ -400,19 +420,33 @@ def evaluate(
     batched: bool = False,
     rules: str | os.PathLike[str] | None = None,
     overrides: Mapping[str, Any] | None = None,
-    observation: str = "atoms",
+    observation: ObservationKind = "groundings",
     traces: str | os.PathLike[str] | None = None,
 ) -> Evaluation:
     """Measure a policy on the recorded episodes of a mode or of a configuration file.
 
-    What is given and raised is as for `Benchmark` and `Benchmark.evaluate`.
+    Args:
+        policy: As for `Benchmark.evaluate`.
+        mode: As for `Benchmark`.
+        split: As for `Benchmark`.
+        batched: As for `Benchmark.evaluate`.
+        rules: As for `Benchmark`.
+        overrides: As for `Benchmark`.
+        observation: As for `Benchmark`.
+        traces: As for `Benchmark.evaluate`.
+
+    Raises:
+        InputError: As for `Benchmark` and `Benchmark.evaluate`.
+        OSError: As for `Benchmark` and `Benchmark.evaluate`.
+        TypeError: As for `Benchmark.evaluate`.
+        ValueError: As for `Benchmark` and `Benchmark.evaluate`.
     """
     benchmark = Benchmark(mode, split, rules=rules, overrides=overrides, observation=observation)
     return benchmark.evaluate(policy, batched=batched, traces=traces)
 
 
 def table(results: list[Evaluation]) -> str:
-    """Rows as in the paper, one for each result."""
+    """Format a table like the paper's, one row for each result."""
     head = ("policy", "mode", "TSR", "DSR", "Score", "return", "steps")
     rows = [
         (r.policy, r.mode, str(r.tsr), str(r.dsr), str(r.score), str(r.mean_return), f"{r.mean_steps:.1f}")

@@ -1,12 +1,10 @@
-"""The modes of Safe Path Following, registered as environments of gymnasium when the package is imported."""
+"""The modes of Safe Path Following, and the ids of their environments."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import gymnasium
 
 from .errors import did_you_mean
 
@@ -24,14 +22,18 @@ MODES = {
     "TransferMedium": "transfer-medium",
     "TransferHard": "transfer-hard",
 }
-"""The modes as environments are named, `logicity/SPF-Easy-v0` and so on, and their configurations."""
+"""The modes as the ids of environments spell them (`Easy` in `logicity/SPF-Easy-v0`), and their configurations."""
 
 ENVIRONMENTS = {config: f"logicity/SPF-{mode}-v0" for mode, config in MODES.items()}
-"""What environments are registered as, by configuration: `logicity/SPF-Expert-v0` for `expert`."""
+"""The ids of environments in gymnasium by configuration: `logicity/SPF-Expert-v0` for `expert`."""
 
 
 def checked_mode(mode: str | os.PathLike[str]) -> str:
-    """Return the name of a mode, or the path of a configuration file, if it can be one."""
+    """Return the name of a mode or the path of a configuration file.
+
+    Raises:
+        ValueError: `mode` is neither.
+    """
     name = os.fspath(mode)
     if name not in ENVIRONMENTS and not Path(name).suffix and not Path(name).exists():
         raise ValueError(f"unknown mode `{name}`, and no such file{did_you_mean(name, ENVIRONMENTS)}")
@@ -39,19 +41,16 @@ def checked_mode(mode: str | os.PathLike[str]) -> str:
 
 
 def parallel_env(config: str | os.PathLike[str] = "expert", **arguments: Any) -> SPFParallelEnv:
-    """Make a `ParallelEnv` of PettingZoo in which every car is driven: a `logicity.parallel.SPFParallelEnv`.
+    """Make a `ParallelEnv` of PettingZoo in which the policy controls every car.
 
-    `arguments` are its other parameters. Needs the extra `pettingzoo`: `pip install './python[pettingzoo]'`.
+    Args:
+        config: A run configuration: a built-in name such as `expert`, or a path.
+        arguments: The other parameters of `logicity.parallel.SPFParallelEnv`.
+
+    Raises:
+        ImportError: PettingZoo is not installed. The extra `pettingzoo` installs it:
+            `pip install './python[pettingzoo]'`.
     """
     from .parallel import SPFParallelEnv
 
     return SPFParallelEnv(config, **arguments)
-
-
-for _config, _name in ENVIRONMENTS.items():
-    gymnasium.register(
-        _name,
-        entry_point="logicity.envs:SPFEnv",
-        vector_entry_point="logicity.envs:SPFVectorEnv",
-        kwargs={"config": _config},
-    )

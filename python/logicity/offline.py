@@ -1,7 +1,7 @@
-"""What the oracle does, as data to learn from without an environment.
+"""Trajectories of the oracle, as data for offline learning.
 
-`demonstrations` drives the recorded episodes of a split with the oracle. What it returns can be used as numpy arrays or
-be written as a Minari dataset, as the files of an inductive learner (Popper), or as a table (Parquet).
+`demonstrations` runs the oracle on the recorded episodes of a split. Use the result as numpy arrays, or write it as a
+Minari dataset, as files for an inductive learner (Popper), or as a table (Parquet). Needs the extra `gym`.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _logicity
 from .city import ACTIONS
 from .describe import Atom, atoms_of
+from .env_config import ObservationKind
 from .errors import missing_extra
 from .evaluation import episodes_that_fit, load_task
 from .files import replacing
 from .modes import ENVIRONMENTS, checked_mode
 
 if TYPE_CHECKING:
+    import gymnasium
     from minari import MinariDataset
 
 __all__ = ["Demonstrations", "Trajectory", "demonstrations"]
@@ -37,12 +38,15 @@ __all__ = ["Demonstrations", "Trajectory", "demonstrations"]
 class Trajectory:
     """One episode of T steps.
 
-    - `episode`: its number in the set of recorded ones, from 0; `seed`: its seed.
-    - `observations`: float32, (T + 1, width); the last one is that at the goal.
-    - `actions`: int64, (T,): 0 Slow, 1 Normal, 2 Fast, 3 Stop.
-    - `rewards`: float64, (T,).
-    - `terminations`, `truncations`: bool, (T,); all but the last are false.
-    - `infos`: what `info` tells of every observation that is a number: arrays of T + 1.
+    Attributes:
+        episode: Its number in the set of recorded episodes, from 0.
+        seed: Its seed.
+        observations: float32 (T + 1, width); the last one is the observation at the goal.
+        actions: int64 (T,): 0 Slow, 1 Normal, 2 Fast, 3 Stop.
+        rewards: float64 (T,).
+        terminations: bool (T,); all but the last are false.
+        truncations: bool (T,); all but the last are false.
+        infos: The numeric keys of `info` for every observation: arrays of length T + 1.
     """
 
     episode: int
@@ -55,18 +59,20 @@ class Trajectory:
     infos: Mapping[str, NDArray[Any]]
 
     def __len__(self) -> int:
-        """How many steps it has."""
+        """Return the number of steps."""
         return len(self.actions)
 
 
 class Demonstrations(Sequence[Trajectory]):
     """Trajectories of the oracle.
 
-    - `mode`, `split`: whose agents; `mode` may be a configuration file.
-    - `atoms`: the atom that each number of an observation stands for; none if observations are points.
-    - `asked`: the actions that rules can ask.
-    - `episodes_hash`: SHA-256 of the set of episodes they come from.
-    - `env`: the spec of the environment they were taken in.
+    Attributes:
+        mode: The mode, or the configuration file.
+        split: The agents and episodes.
+        episodes_hash: SHA-256 of the set of episodes.
+        atoms: The atom of each number of an observation; empty if observations are of the kind `state`.
+        asked: The actions that the rules can require.
+        env: The spec of the environment.
     """
 
     def __init__(
@@ -79,18 +85,18 @@ class Demonstrations(Sequence[Trajectory]):
         env: gymnasium.envs.registration.EnvSpec,
         trajectories: Sequence[Trajectory],
     ) -> None:
-        """Keep what is given."""
+        """Store the arguments."""
         self.mode, self.split, self.episodes_hash = mode, split, episodes_hash
         self.atoms, self.asked, self.env = atoms, asked, env
         self._trajectories = tuple(trajectories)
 
     def __repr__(self) -> str:
-        """How much there is of what."""
+        """Show the numbers of trajectories and steps."""
         steps = sum(len(trajectory) for trajectory in self)
         return f"<Demonstrations of {self.mode}, {self.split}: {len(self)} trajectories, {steps} steps>"
 
     def __len__(self) -> int:
-        """How many trajectories there are."""
+        """Return the number of trajectories."""
         return len(self._trajectories)
 
     @overload
@@ -100,24 +106,24 @@ class Demonstrations(Sequence[Trajectory]):
     def __getitem__(self, index: slice) -> Sequence[Trajectory]: ...
 
     def __getitem__(self, index: int | slice) -> Trajectory | Sequence[Trajectory]:
-        """One of them, or several."""
+        """Return one trajectory, or several."""
         return self._trajectories[index]
 
     def to_minari(self, dataset_id: str | None = None, **metadata: Any) -> MinariDataset:
-        """Make a Minari dataset of them, from which `recover_environment()` makes the environment again.
+        """Make a Minari dataset, from which `recover_environment()` makes the environment again.
 
-        Minari keeps its datasets under the folder that the environment variable `MINARI_DATASETS_PATH` names, or else
-        in `~/.minari/datasets`; it has to be set when this is called.
+        Minari stores datasets in the folder that the environment variable `MINARI_DATASETS_PATH` names when this is
+        called, or else in `~/.minari/datasets`.
 
         Args:
-            dataset_id: its name; unless given `logicity/spf-MODE/oracle-v0`, where a configuration file counts by its
-                name without the folder and the ending.
-            metadata: what else `minari.create_dataset_from_buffers` takes, such as `author`, `author_email` and
-                `code_permalink`, which Minari warns about if they are missing.
+            dataset_id: The name of the dataset. The default is `logicity/spf-MODE/oracle-v0`, where MODE of a
+                configuration file is its name without folder and ending.
+            metadata: Other arguments of `minari.create_dataset_from_buffers`, such as `author`, `author_email` and
+                `code_permalink`. Minari warns if these three are missing.
 
         Raises:
-            ImportError: Minari is not installed; the extra `offline` has it: `pip install './python[offline]'`.
-            ValueError: there is such a dataset already.
+            ImportError: Minari is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
+            ValueError: The dataset exists already.
         """
         try:
             import minari
@@ -145,42 +151,42 @@ class Demonstrations(Sequence[Trajectory]):
             **{
                 "eval_env": ENVIRONMENTS.get(self.mode, self.env),
                 "algorithm_name": "oracle",
-                "description": f"What the rules want in {self.mode} mode; recorded episodes {self.episodes_hash}.",
+                "description": f"The oracle in {self.mode} mode; recorded episodes {self.episodes_hash}.",
                 "requirements": ["logicity"],
                 **metadata,
             },
         )
 
     def to_popper(self, folder: str | os.PathLike[str], *, distinct: bool = False) -> list[Path]:
-        """Write the files of inductive logic programming in the format of Popper.
+        """Write files for inductive logic programming in the format of Popper.
 
-        For every action that the rules can ask there is a folder, named after it in lower case, with `bk.pl`, `exs.pl`
-        and `bias.pl`. A step is one example: positive if the oracle took the action, else negative. It is about the ego
-        of that step, `s7_e0` in step 7; `s7_e1` to `s7_e4` are what the ego sees. Facts are named as predicates are,
-        `is_at_inter` for `IsAtInter`. Popper does not learn negated literals, so of what is observed and false there is
-        a fact `not_is_at_inter`. `sees(s7_e0, s7_e1)` tells which entities belong to a step; a learned rule needs it to
-        speak of another entity that no other literal binds to the ego.
+        Every action that the rules can require gets a folder, named after it in lower case, with `bk.pl`, `exs.pl` and
+        `bias.pl`. Each step is one example, positive if the oracle took the action, and otherwise negative. Its subject
+        is the ego of that step, `s7_e0` in step 7; `s7_e1` to `s7_e4` are the entities in its view. Facts have the
+        names of the predicates, `is_at_inter` for `IsAtInter`. Popper does not learn negated literals, so every
+        observed atom that is false gets a fact such as `not_is_at_inter`. `sees(s7_e0, s7_e1)` states which entities
+        belong to a step. A learned rule needs it to mention an entity that no other literal binds to the ego.
 
         Args:
-            folder: made if it is not there; each action's folder is replaced as a whole.
-            distinct: write steps with the same observation and action only once. This keeps the rules that are
-                consistent with all examples, but changes the weight of an exception in noisy learning.
+            folder: The folder to write, made if it does not exist. Each action's folder is replaced as a whole.
+            distinct: Whether to write steps with the same observation and action only once. This keeps the rules that
+                are consistent with all examples, but changes the weight of an exception in noisy learning.
 
         Returns:
-            The folders that were written.
+            The folders of the actions.
 
         Raises:
-            ValueError: the observations are not atoms.
-            OSError: a file cannot be written.
+            OSError: A file cannot be written.
+            ValueError: The observations are not of the kind `groundings`.
         """
         if not self.atoms:
-            raise ValueError("facts are made of atoms: take the demonstrations with observation `atoms`")
+            raise ValueError("Popper needs atoms: make the demonstrations with the observation `groundings`")
         examples = list(self._examples(distinct))
         facts = [line for step, (observation, _) in enumerate(examples) for line in self._facts(step, observation)]
         arities = {name: len(entities) for name, entities in self.atoms}
         predicates = {"sees": 2}
         predicates |= {f"{sign}{_snake(name)}": arity for name, arity in arities.items() for sign in ("", "not_")}
-        # So that it is no error to ask a predicate without facts.
+        # A query of a predicate without facts is an error otherwise.
         facts += [f":- dynamic {name}/{arity}." for name, arity in predicates.items()]
         written = []
         for number, action in enumerate(ACTIONS):
@@ -198,7 +204,7 @@ class Demonstrations(Sequence[Trajectory]):
         return written
 
     def _examples(self, distinct: bool) -> Iterator[tuple[NDArray[np.float32], int]]:
-        """Observation and action of every step."""
+        """Yield the observation and the action of every step."""
         seen = set()
         for trajectory in self:
             for observation, action in zip(trajectory.observations[:-1], trajectory.actions, strict=True):
@@ -209,7 +215,7 @@ class Demonstrations(Sequence[Trajectory]):
                 yield observation, int(action)
 
     def _facts(self, step: int, observation: NDArray[np.float32]) -> Iterator[str]:
-        """What is true and what is false of the ego and the entities of which anything is true."""
+        """Yield the true and the false facts about the ego and every entity with a true atom."""
         true = observation[: len(self.atoms)] > 0.5
         there = {0}.union(*(entities for (_, entities), holds in zip(self.atoms, true, strict=True) if holds))
         yield from (f"sees(s{step}_e0,s{step}_e{entity})." for entity in sorted(there))
@@ -219,15 +225,18 @@ class Demonstrations(Sequence[Trajectory]):
                 yield f"{'' if holds else 'not_'}{_snake(name)}({of})."
 
     def to_parquet(self, path: str | os.PathLike[str]) -> None:
-        """Write a table with a row for each step, under a temporary name that becomes `path` when it is whole.
+        """Write a table with one row for each step, atomically.
 
-        Columns: `episode` (int32), `step` (int32), `observation` (fixed list of float32), `action` (int8), `reward`
-        (float64), `terminated`, `truncated` (bool), and what `info` tells of the observation. The metadata of the
-        schema has `mode`, `split`, `episodes_hash`, `actions` and, if the observations are atoms, `atoms`.
+        The columns are `episode` (int32), `step` (int32), `observation` (fixed list of float32), `action` (int8),
+        `reward` (float64), `terminated`, `truncated` (bool), and the numeric keys of `info`. The metadata of the schema
+        has `mode`, `split`, `episodes_hash`, `actions` and, for observations of the kind `groundings`, `atoms`.
+
+        Args:
+            path: The file to write.
 
         Raises:
-            ImportError: pyarrow is not installed; the extra `offline` has it: `pip install './python[offline]'`.
-            OSError: the file cannot be written.
+            ImportError: pyarrow is not installed. The extra `offline` installs it: `pip install './python[offline]'`.
+            OSError: The file cannot be written.
         """
         try:
             import pyarrow
@@ -262,12 +271,12 @@ class Demonstrations(Sequence[Trajectory]):
 
 
 def _snake(name: str) -> str:
-    """`IsAtInter` as Prolog writes it: `is_at_inter`."""
+    """Convert a name to Prolog's style: `IsAtInter` to `is_at_inter`."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
 def _write_folder(folder: Path, files: Mapping[str, Sequence[str]]) -> Path:
-    """Write a folder under a temporary name; it takes the place of the old one when it is whole."""
+    """Write a folder under a temporary name, which then replaces the old folder."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
@@ -288,54 +297,59 @@ def demonstrations(
     n: int | None = None,
     split: str = "train",
     *,
-    observation: str = "atoms",
+    observation: ObservationKind = "groundings",
     **options: Any,
 ) -> Demonstrations:
-    """Let the oracle drive the first n recorded episodes of a split.
+    """Run the oracle on the first n recorded episodes of a split.
 
     Args:
-        mode: one of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file, whose recorded
-            episodes `logicity episodes make` makes.
-        n: how many, from 1 to the number of recorded ones, which is the default; the modes have 40 for `"val"`, 100
-            otherwise.
+        mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file. `logicity
+            episodes make` records its episodes.
+        n: The number of episodes, by default all. The modes have 40 for `"val"`, 100 otherwise.
         split: `"train"`, `"val"` or `"test"`.
-        observation: `"atoms"` or `"points"`, as `gymnasium.make` takes it.
-        options: any other option that `gymnasium.make` takes, such as `overrides`.
+        observation: `"groundings"` or `"state"`, as in `gymnasium.make`.
+        options: Other options of `gymnasium.make`, such as `overrides`.
 
     Raises:
-        ValueError: an unknown mode, split or observation, or more episodes than there are.
-        InputError: a faulty configuration or option, no recorded episodes, or such as do not fit the agents.
-        OSError: a file cannot be read.
+        ImportError: gymnasium is not installed. The extra `gym` installs it: `pip install './python[gym]'`.
+        InputError: A faulty configuration or option, or no recorded episodes, or episodes that do not fit the agents.
+        OSError: A file cannot be read.
+        ValueError: An unknown mode, split or observation, or more episodes than are recorded.
     """
     name = checked_mode(mode)
     task = load_task(mode, options.get("rules"), options.get("overrides"))
     count = task.recorded(split)
     wanted = count if n is None else n
     if not 1 <= wanted <= count:
-        raise ValueError(f"{wanted} demonstrations wanted: {count} episodes are recorded for {name}, {split}")
+        raise ValueError(f"{wanted} demonstrations requested, but {count} episodes are recorded for {name}, {split}")
     env = _environment(name, split=split, observation=observation, **options)
     assert env.spec is not None
     try:
         with episodes_that_fit():
-            trajectories = [_drive(env, episode) for episode in range(wanted)]
+            trajectories = [_run_oracle(env, episode) for episode in range(wanted)]
     finally:
         env.close()
-    told = _logicity.describe(task)
-    atoms = tuple(atoms_of(told)) if observation == "atoms" else ()
-    asked = {demand["action"] for demand in told["demands"]}
+    description = _logicity.describe(task)
+    atoms = tuple(atoms_of(description)) if observation == "groundings" else ()
+    asked = {demand["action"] for demand in description["demands"]}
     named = tuple(action for action in ACTIONS if action in asked)
-    return Demonstrations(name, split, told["splits"][split]["hash"], atoms, named, env.spec, trajectories)
+    return Demonstrations(name, split, description["splits"][split]["hash"], atoms, named, env.spec, trajectories)
 
 
 def _environment(mode: str, **options: Any) -> gymnasium.Env[Any, Any]:
-    """The environment of a mode, or of a configuration file, whose spec is then good in every working directory."""
+    """Make the environment of a mode or of a configuration file; its spec then works in every directory."""
+    try:
+        import gymnasium
+    except ImportError as error:
+        raise missing_extra("gym", error) from error
+
     if mode in ENVIRONMENTS:
         return gymnasium.make(ENVIRONMENTS[mode], **options)
     config = str(Path(mode).resolve()) if Path(mode).exists() else mode
     return gymnasium.make("logicity/SPF-Expert-v0", config=config, **options)
 
 
-def _drive(env: gymnasium.Env[Any, Any], episode: int) -> Trajectory:
+def _run_oracle(env: gymnasium.Env[Any, Any], episode: int) -> Trajectory:
     observation, info = env.reset(options={"episode": episode})
     seed = int(info["seed"])
     observations, infos = [observation], [info]
@@ -347,7 +361,7 @@ def _drive(env: gymnasium.Env[Any, Any], episode: int) -> Trajectory:
         infos.append(info)
         steps.append((action, float(reward), terminated, truncated))
     actions, rewards, terminations, truncations = zip(*steps, strict=True)
-    told = ("oracle_action", "progress", "success", "steps")
+    keys = ("oracle_action", "progress", "success", "steps")
     return Trajectory(
         episode=episode,
         seed=seed,
@@ -356,5 +370,5 @@ def _drive(env: gymnasium.Env[Any, Any], episode: int) -> Trajectory:
         rewards=np.array(rewards, np.float64),
         terminations=np.array(terminations, np.bool_),
         truncations=np.array(truncations, np.bool_),
-        infos={name: np.array([info[name] for info in infos]) for name in told},
+        infos={name: np.array([info[name] for info in infos]) for name in keys},
     )

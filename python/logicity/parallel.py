@@ -1,34 +1,34 @@
-"""Every car of a city driven: a `ParallelEnv` of PettingZoo. Needs the extra `pettingzoo`."""
+"""A `ParallelEnv` of PettingZoo that controls every car of a city. Needs the extra `pettingzoo`."""
 
 from __future__ import annotations
 
 import os
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-import gymnasium
 import numpy as np
-from gymnasium.error import InvalidAction, ResetNeeded
-from gymnasium.spaces import Box, Discrete
-from gymnasium.utils.seeding import np_random
 
 from .errors import missing_extra
 
 try:
+    import gymnasium
+    from gymnasium.error import InvalidAction, ResetNeeded
+    from gymnasium.spaces import Box, Discrete
+    from gymnasium.utils.seeding import np_random
     from pettingzoo import ParallelEnv
 except ImportError as error:
     raise missing_extra("pettingzoo", error) from error
 
 from . import _logicity
+from .env_config import EnvConfig, EnvOptions
 from .envs import (
     EpisodeStart,
     Observations,
-    Options,
-    World,
-    begin_of,
     checked_action,
     checked_render_mode,
     checked_seed,
-    told_of,
+    info_dict,
+    observation_space,
+    parse_episode,
 )
 from .errors import did_you_mean
 
@@ -41,8 +41,13 @@ __all__ = ["SPFParallelEnv"]
 class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
     """Safe Path Following in which every car is an agent, named `Car_1`, `Car_2`, ...
 
-    Observations, actions, rewards and `info` of a car are those of `SPFEnv`. A car whose episode has ended goes on by
-    the rules; it is no longer in `agents`. Parameters are those of `SPFEnv`.
+    Observations, actions, rewards and `info` of a car are those of `SPFEnv`. After its episode ends, a car follows the
+    rules and is not in `agents` any more.
+
+    Args:
+        config: As for `SPFEnv`.
+        render_mode: As for `SPFEnv`.
+        options: As for `SPFEnv`.
     """
 
     metadata: dict[str, Any] = {"name": "logicity_spf_v0", "render_modes": ["rgb_array", "ansi"], "render_fps": 10}
@@ -52,28 +57,28 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
         config: str | os.PathLike[str] = "expert",
         *,
         render_mode: Literal["rgb_array", "ansi"] | None = None,
-        **options: Unpack[Options],
+        **options: Unpack[EnvOptions],
     ) -> None:
         """Load the configuration and the rules."""
         self.render_mode = checked_render_mode(render_mode, self.metadata)
-        world = World(config, SPFParallelEnv, **options)
-        task = world.task()
-        self._cars = _logicity.Cars(task, world.split, world.observation)
+        env_config = EnvConfig(config, SPFParallelEnv, **options)
+        task = env_config.task()
+        self._cars = _logicity.MultiCarEnv(task, env_config.split, env_config.observation)
         self.possible_agents = self._cars.names()
         self.agents: list[str] = []
         self._place = {name: car for car, name in enumerate(self.possible_agents)}
-        # Distinct for each environment, so that seeding one's spaces leaves the others alone.
-        self.observation_spaces = {name: world.space(task) for name in self.possible_agents}
+        # One space for each car, so that seeding one leaves the others alone.
+        self.observation_spaces = {name: observation_space(env_config, task) for name in self.possible_agents}
         self.action_spaces = {name: Discrete(4) for name in self.possible_agents}
         self._generator: np.random.Generator | None = None
         self._seeded = self._begun = False
 
     def observation_space(self, agent: str) -> Box:
-        """Return the space of observations of a car, the same object each time."""
+        """Return the observation space of a car, the same object each time."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Discrete:
-        """Return the space of actions of a car, the same object each time."""
+        """Return the action space of a car, the same object each time."""
         return self.action_spaces[agent]
 
     def reset(
@@ -81,8 +86,14 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
     ) -> tuple[dict[str, Observations], dict[str, dict[str, Any]]]:
         """Begin an episode, see `SPFEnv.reset`.
 
-        `options` may have `episode`, a mapping such as the property of that name. Others mean nothing: PettingZoo has
-        environments take any.
+        Args:
+            seed: From 0 to 2**64 - 1: begins a new sequence of episodes. `None` continues the sequence.
+            options: `episode`, a mapping such as the property of that name. Other keys have no effect, as PettingZoo
+                requires.
+
+        Raises:
+            InputError: A mapping that is no valid episode here (`invalid-episode`).
+            ValueError: The episode is not a mapping.
         """
         options = options or {}
         if seed is not None or not self._seeded:
@@ -90,13 +101,13 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
                 self._generator, _ = np_random(seed)
             self._cars.seed(checked_seed(seed, self._generator))
             self._seeded = True
-        episode = begin_of(options.get("episode"))
+        episode = parse_episode(options.get("episode"))
         if not (episode is True or isinstance(episode, dict)):
-            raise ValueError("an episode with all cars driven is a mapping, not a number")
+            raise ValueError("expected an episode as a mapping, not a number, where all cars are controlled")
         self.agents, self._begun = [], False
         self._cars.reset(None if episode is True else episode)
         self.agents, self._begun = list(self.possible_agents), True
-        infos = {name: told_of(self._cars.outcome(self._place[name])[3]) for name in self.agents}
+        infos = {name: info_dict(self._cars.outcome(self._place[name])[3]) for name in self.agents}
         return {name: self._look(name) for name in self.agents}, infos
 
     def _look(self, name: str) -> Observations:
@@ -107,14 +118,22 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
     def step(
         self, actions: dict[str, np.int64 | int]
     ) -> tuple[dict[str, Observations], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Drive for a tick; `actions` has one for each of `agents`."""
+        """Drive for a tick.
+
+        Args:
+            actions: An action for each of `agents`.
+
+        Raises:
+            gymnasium.error.ResetNeeded: No episode has begun.
+            gymnasium.error.InvalidAction: An action is missing, or not 0, 1, 2 or 3, or there is no such car.
+        """
         if not self._begun:
-            raise ResetNeeded("no episode has begun: `reset` begins one")
+            raise ResetNeeded("no episode has begun: call `reset`")
         live = self.agents
         missing = [name for name in live if name not in actions]
-        strange = [str(name) for name in actions if name not in self._place]
-        if missing or strange:
-            raise InvalidAction(f"no action for {', '.join(missing)}" if missing else f"no car {', '.join(strange)}")
+        unknown = [str(name) for name in actions if name not in self._place]
+        if missing or unknown:
+            raise InvalidAction(f"no action for {', '.join(missing)}" if missing else f"no car {', '.join(unknown)}")
         numbers = [0] * len(self.possible_agents)
         for name in live:
             numbers[self._place[name]] = checked_action(actions[name])
@@ -126,19 +145,21 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
             {name: outcome[0] for name, outcome in outcomes.items()},
             {name: outcome[1] for name, outcome in outcomes.items()},
             {name: outcome[2] for name, outcome in outcomes.items()},
-            {name: told_of(outcome[3]) for name, outcome in outcomes.items()},
+            {name: info_dict(outcome[3]) for name, outcome in outcomes.items()},
         )
 
     @property
     def episode(self) -> EpisodeStart:
-        """How the episode began; `reset(options={"episode": ...})` begins it again."""
+        """The start of this episode. `reset(options={"episode": ...})` begins it again."""
         self._check_begun()
         return cast(EpisodeStart, self._cars.episode())
 
     def explain(self, agent: str) -> str:
-        """Tell why the rules want what they want of a car, as `SPFEnv.explain` does.
+        """Explain the action that the rules derive for a car, as `SPFEnv.explain` does.
 
-        Raises `ValueError` if there is no such car.
+        Raises:
+            ValueError: There is no such car.
+            gymnasium.error.ResetNeeded: No episode has begun.
         """
         self._check_begun()
         if agent not in self._place:
@@ -147,17 +168,17 @@ class SPFParallelEnv(ParallelEnv[str, Observations, "np.int64 | int"]):
 
     def _check_begun(self) -> None:
         if not self._begun:
-            raise ResetNeeded("no episode has begun: `reset` begins one")
+            raise ResetNeeded("no episode has begun: call `reset`")
 
     def render(self) -> Any:
-        """Draw the city: an array of uint8, shape (height, width, 3), or text about all cars in the mode `ansi`."""
+        """Draw the city: a uint8 array of shape (height, width, 3), or text about all cars in the mode `ansi`."""
         if self.render_mode is None:
-            raise gymnasium.error.Error("no `render_mode` was chosen when the environment was made")
+            raise gymnasium.error.Error("the environment was made without a `render_mode`")
         self._check_begun()
         if self.render_mode == "rgb_array":
             return self._cars.picture()
         return "\n".join(self._cars.text(car) for car in range(len(self.possible_agents)))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Refuse: what goes to another process are the arguments."""
+        """Refuse to pickle: send the arguments to another process instead."""
         raise TypeError("an SPFParallelEnv cannot be pickled or copied: make another with the same arguments")

@@ -7,41 +7,48 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from .envs import Observations, SPFVectorEnv, check_options
 from .errors import missing_extra
 
 try:
+    from gymnasium.vector import AutoresetMode
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 except ImportError as error:
     raise missing_extra("train", error) from error
 
+from .envs import Observations, SPFVectorEnv, check_options
+
 __all__ = ["SPFVecEnv", "make_vec_env"]
 
-#: What `VecEnv` calls a choice of environments: one, several, or all.
+#: A selection of environments in `VecEnv`: one, several, or all.
 Indices = None | int | Sequence[int]
 
 
 class SPFVecEnv(VecEnv):
-    """Many environments of Safe Path Following as a `VecEnv`.
+    """A vectorized environment of Safe Path Following as a `VecEnv`.
 
     Rewards are float32. The `infos` of a step are dictionaries with the keys of `SPFEnv`'s `info`. An environment whose
-    episode ends begins the next one in the same step; its info is then that of the end and has `terminal_observation`,
+    episode ends begins the next one in the same step. Its info then describes the end, and adds `terminal_observation`,
     `TimeLimit.truncated` and `is_success`. `set_options` takes `episode`, as `SPFEnv.reset` does.
+
+    Args:
+        envs: Environments whose autoreset mode is SameStep.
+
+    Raises:
+        ValueError: Another autoreset mode.
     """
 
     def __init__(self, envs: SPFVectorEnv) -> None:
-        """Take environments whose autoreset mode is SameStep."""
+        """Wrap the environments."""
         if envs.autoreset_mode is not AutoresetMode.SAME_STEP:
-            raise ValueError(f"the autoreset mode is SameStep, not {envs.autoreset_mode.value}")
+            raise ValueError(f"expected the autoreset mode SameStep, not {envs.autoreset_mode.value}")
         self.envs = envs
         self._actions: NDArray[Any] | None = None
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> Observations:
-        """Begin episodes, with the seeds of `seed` and the options of `set_options` if they were called before."""
+        """Begin episodes, with the seeds of `seed` and the options of `set_options` if these were called before."""
         for options in self._options:
             check_options(options, ("episode",))
         episodes = [options.get("episode") for options in self._options]
@@ -52,32 +59,37 @@ class SPFVecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Keep the actions, of shape (num_envs,), for `step_wait`."""
+        """Store the actions, of shape (num_envs,), for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Take the step."""
+        """Step with the stored actions.
+
+        Raises:
+            RuntimeError: `step_async` was not called before.
+            gymnasium.error.InvalidAction: An action is not 0, 1, 2 or 3.
+        """
         if self._actions is None:
-            raise RuntimeError("`step_async` comes first")
+            raise RuntimeError("call `step_async` before `step_wait`")
         actions, self._actions = self._actions, None
         observations, rewards, terminated, truncated, infos = self.envs.step(actions)
         dones = terminated | truncated
-        told = self._dictionaries(infos)
+        step_infos = self._dictionaries(infos)
         ended = np.flatnonzero(dones)
         if len(ended):
             last = self._dictionaries(infos["final_info"])
             for at in ended.tolist():
-                told[at] = {
+                step_infos[at] = {
                     **last[at],
                     "terminal_observation": infos["final_obs"][at],
                     "TimeLimit.truncated": bool(truncated[at]),
                     "is_success": last[at]["success"],
                 }
-        return observations, rewards.astype(np.float32), dones, told
+        return observations, rewards.astype(np.float32), dones, step_infos
 
     @staticmethod
     def _dictionaries(infos: dict[str, Any]) -> list[dict[str, Any]]:
-        """Arrays by key to a dictionary for each environment."""
+        """Convert arrays by key to one dictionary for each environment."""
         keys = [key for key in infos if not key.startswith(("_", "final_"))]
         return [dict(zip(keys, row, strict=True)) for row in zip(*(infos[key].tolist() for key in keys), strict=True)]
 
@@ -89,13 +101,13 @@ class SPFVecEnv(VecEnv):
         return list(self._get_indices(indices))
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """Return an attribute, which all environments share; `episode` is each one's own."""
+        """Return an attribute, which all environments share, or `episode`, which differs."""
         if attr_name == "episode":
             return self.env_method("episode", indices=indices)
         return [getattr(self.envs, attr_name) for _ in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Refuse: environments have no attributes of their own."""
+        """Refuse: single environments have no attributes."""
         raise AttributeError(f"`{attr_name}` cannot be set: make environments with other arguments")
 
     def env_method(
@@ -103,12 +115,12 @@ class SPFVecEnv(VecEnv):
     ) -> list[Any]:
         """Call `episode` or `explain` of environments."""
         if method_name not in ("episode", "explain"):
-            raise AttributeError(f"`{method_name}` is no method of single environments: `episode` and `explain` are")
+            raise AttributeError(f"`{method_name}` is no method of single environments; known: `episode`, `explain`")
         method = getattr(self.envs, method_name)
         return [method(at, *method_args, **method_kwargs) for at in self._chosen(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
-        """Nothing is wrapped."""
+        """Return false for each environment."""
         return [False for _ in self._chosen(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
@@ -126,9 +138,16 @@ def make_vec_env(
 ) -> VecEnv:
     """Make environments for Stable-Baselines3.
 
-    `seed` is that of the first one, the others follow. `monitor=False` leaves out the `VecMonitor`, by which training
-    logs returns and lengths of episodes. `arguments` are other parameters of `SPFVectorEnv`, such as `split`,
-    `overrides` or `num_threads`.
+    Args:
+        config: A run configuration: a built-in name such as `expert`, or a path.
+        n_envs: The number of environments.
+        seed: The seed of the first environment; the others follow.
+        monitor: Whether to wrap them in a `VecMonitor`, which logs returns and lengths of episodes.
+        arguments: Other parameters of `SPFVectorEnv`, such as `split`, `overrides` or `num_threads`.
+
+    Raises:
+        InputError: A faulty configuration, rule file or override.
+        OSError: A file cannot be read.
     """
     envs = SPFVecEnv(SPFVectorEnv(n_envs, config, autoreset_mode=AutoresetMode.SAME_STEP, **arguments))
     if seed is not None:

@@ -37,13 +37,13 @@ def test_gymnasium_has_nothing_to_say_against(id: str) -> None:
     check_environments_match(env, gymnasium.make(id), 200)
 
 
-@pytest.mark.parametrize("observation", ["atoms", "points"])
+@pytest.mark.parametrize("observation", ["groundings", "state"])
 def test_options_keep_to_the_rules_of_gymnasium(observation: str) -> None:
     options: dict[str, Any] = {"observation": observation, "atoms": True, "split": "val", "episodes": "recorded"}
     overrides = {"task": {"route_length": True, "reward": {"overtime": -6}}}
     env = gymnasium.make("logicity/SPF-Hard-v0", render_mode="ansi", overrides=overrides, **options)
     check_env(env.unwrapped)
-    assert env.observation_space.shape == ((206,) if observation == "atoms" else (20, 19))
+    assert env.observation_space.shape == ((206,) if observation == "groundings" else (20, 19))
 
 
 def play(env: SPFEnv, steps: int, seed: int) -> list[Any]:
@@ -303,7 +303,7 @@ def test_overrides_may_be_of_numpy(tmp_path: Path) -> None:
     [
         (partial(gymnasium.make, IDS[0]), "observations", "did you mean `observation`"),
         (partial(gymnasium.make, IDS[0]), "episode", "did you mean `episodes`"),
-        (partial(gymnasium.make, IDS[0]), "colour", "there are: split, rules, .*, episodes, atoms, render_mode"),
+        (partial(gymnasium.make, IDS[0]), "colour", "known: split, rules, .*, episodes, atoms, render_mode"),
         (partial(gymnasium.make_vec, IDS[0], num_envs=2), "num_thread", "did you mean `num_threads`"),
         (partial(logicity.demonstrations, "easy", 1), "rule", "did you mean `rules`"),
     ],
@@ -446,7 +446,7 @@ def singles(count: int, id: str, mode: AutoresetMode, **options: Any) -> SyncVec
     [
         ("logicity/SPF-Expert-v0", 1, {}),
         ("logicity/SPF-Expert-v0", 3, {"split": "test", "episodes": "recorded"}),
-        ("logicity/SPF-Easy-v0", 2, {"observation": "points", "atoms": True}),
+        ("logicity/SPF-Easy-v0", 2, {"observation": "state", "atoms": True}),
     ],
 )
 def test_a_batch_is_as_many_singles(mode: AutoresetMode, id: str, threads: int, options: dict[str, Any]) -> None:
@@ -621,7 +621,7 @@ def test_a_batch_that_has_not_begun_has_nothing_to_tell() -> None:
 
 def test_ctrl_c_ends_the_making_of_many(ctrl_c: Interrupt) -> None:
     task = _logicity.Task("expert", None, None)
-    ctrl_c(lambda: _logicity.Environments(task, "train", 1_000_000, "Disabled", "atoms", False, 1))
+    ctrl_c(lambda: _logicity.VectorEnv(task, "train", 1_000_000, "Disabled", "groundings", False, 1))
 
 
 def test_recorded_seeds_are_kept_to_the_last_bit(tmp_path: Path) -> None:

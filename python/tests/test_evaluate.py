@@ -90,7 +90,7 @@ def test_traces_replace_nothing(own_city: Path, capsys: pytest.CaptureFixture[st
     (folder / "hard").mkdir()
     (folder / "hard" / "episode-0.jsonl").write_text("earlier")
     command = ["evaluate", "--policy", "oracle", "--split", "val", "--traces", str(folder), "--modes", "easy,hard"]
-    assert main(command) == 1 and "hard` has traces already" in capsys.readouterr().err
+    assert main(command) == 2 and "hard` has traces already" in capsys.readouterr().err
     assert not (folder / "easy").exists(), "of the second mode it is told before the first is driven"
 
 
@@ -160,10 +160,10 @@ def test_an_evaluation_is_what_single_environments_say() -> None:
     assert measured.score.value == pytest.approx(np.mean(gained))
 
 
-def test_overrides_and_points_are_measured_too() -> None:
-    lenient = evaluate(lambda points: 3, "easy", "val", overrides={"task": {"reward": {"overtime": -1}}})
+def test_overrides_and_states_are_measured_too() -> None:
+    lenient = evaluate(lambda state: 3, "easy", "val", overrides={"task": {"reward": {"overtime": -1}}})
     assert lenient.tsr.value == 0.0 and all(record.truncated for record in lenient.episodes)
-    strict = evaluate(lambda points: 3, "easy", "val", observation="points")
+    strict = evaluate(lambda state: 3, "easy", "val", observation="state")
     for one, other in zip(lenient.episodes, strict.episodes, strict=True):
         assert one.total - other.total == pytest.approx(2.0)
     shapes = set()
@@ -172,7 +172,7 @@ def test_overrides_and_points_are_measured_too() -> None:
         shapes.add(rows.shape)
         return np.ones(len(rows), np.int64)
 
-    evaluate(normal, "easy", "val", observation="points", batched=True)
+    evaluate(normal, "easy", "val", observation="state", batched=True)
     assert shapes == {(40, 20, 15)}
 
 
@@ -220,8 +220,8 @@ def test_recorded_episodes_come_with_replacement_or_each_once() -> None:
     [
         ("perfect", False, ValueError),
         (7, False, TypeError),
-        (lambda row: 4, False, gymnasium.error.InvalidAction),
-        (lambda row: -1, False, gymnasium.error.InvalidAction),
+        (lambda row: 4, False, ValueError),
+        (lambda row: -1, False, ValueError),
         (lambda row: 1.5, False, TypeError),
         (lambda row: float("nan"), False, TypeError),
         (lambda row: None, False, TypeError),
@@ -293,14 +293,17 @@ def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
-        (["evaluate", "--policy", "no-such.zip", "--modes", "easy"], 1, "error: `no-such.zip`: no such file"),
-        (["evaluate", "--policy", "runs/best", "--modes", "easy"], 1, "error: `runs/best`: no such file"),
-        (["evaluate", "--policy", "foo"], 1, "unknown policy `foo`: oracle, random, or a file that Stable-Baselines3"),
-        (["evaluate", "--policy", "oracle", "--modes", "easy", "--json", "no/such/folder.json"], 1, "error: "),
+        (["evaluate", "--policy", "no-such.zip", "--modes", "easy"], 2, "error: `no-such.zip`: no such file"),
+        (["evaluate", "--policy", "runs/best", "--modes", "easy"], 2, "error: `runs/best`: no such file"),
+        (
+            ["evaluate", "--policy", "foo"],
+            1,
+            "unknown policy `foo`: expected oracle, random, or a model",
+        ),
+        (["evaluate", "--policy", "oracle", "--modes", "easy", "--json", "no/such/folder.json"], 2, "error: "),
         (["evaluate", "--policy", "oracle", "--modes", "simple"], 2, "unknown mode `simple`"),
         (["evaluate", "--policy", "oracle", "--split", "exam"], 2, "invalid choice"),
         (["evaluate"], 2, "--policy"),
-        ([], 2, "COMMAND"),
     ],
 )
 def test_faulty_commands_end_with_a_message(
@@ -311,17 +314,6 @@ def test_faulty_commands_end_with_a_message(
     except SystemExit as exit:  # argparse ends so
         ended = int(exit.code or 0)
     assert ended == status and message in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("command", ["evaluate", "train", "describe"])
-def test_commands_say_what_they_do(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    listed = " ".join(capsys.readouterr().out.split())
-    with pytest.raises(SystemExit):
-        main([command, "--help"])
-    said = capsys.readouterr().out.split("\n\n")[1].replace("\n", " ").removesuffix(".")
-    assert f"{command} {said[0].lower()}{said[1:]}" in listed
 
 
 ATOM = re.compile(r"(\w+)\((\w+)(?:, (\w+))?\)")
@@ -386,7 +378,7 @@ def test_the_tables_say_what_environments_show(mode: str) -> None:
     assert f"({env.observation_space.shape[0]},)" in row
 
 
-def _columns_of_points(mode: str) -> list[str]:
+def _columns_of_state(mode: str) -> list[str]:
     """Predicates of the last columns of the exact observation, as the table has them."""
     lines = describe().split("### Exact observations")[1].splitlines()
     (row,) = [line for line in lines if re.search(rf"in (.*, )?{mode}(,.*)?: `", line)]
@@ -395,16 +387,16 @@ def _columns_of_points(mode: str) -> list[str]:
     return names
 
 
-@pytest.mark.parametrize("overrides", [{}, {"task": {"points": 3}}])
+@pytest.mark.parametrize("overrides", [{}, {"task": {"state_agents": 3}}])
 @pytest.mark.parametrize("mode", list(ENVIRONMENTS))
 def test_the_table_of_exact_observations_says_what_environments_show(mode: str, overrides: dict[str, Any]) -> None:
-    env = gymnasium.make(ENVIRONMENTS[mode], observation="points", atoms=True, overrides=overrides)
-    names = _columns_of_points(mode)
+    env = gymnasium.make(ENVIRONMENTS[mode], observation="state", atoms=True, overrides=overrides)
+    names = _columns_of_state(mode)
     assert env.observation_space.shape is not None and env.observation_space.shape[1] == 8 + len(names)
     told = _logicity.describe(load_task(mode))
     headed = 0
     for seed in range(5):
-        points, info = env.reset(seed=seed)
+        state, info = env.reset(seed=seed)
         start = env.unwrapped.episode["agents"]  # type: ignore[attr-defined]
         ego = next(agent for agent in start if agent["id"] == "Car_1")
         there = [
@@ -412,24 +404,24 @@ def test_the_table_of_exact_observations_says_what_environments_show(mode: str, 
             for agent in start
             if agent is not ego and max(abs(agent["start"][at] - ego["start"][at]) for at in (0, 1)) <= told["view"]
         ]
-        rows = [ego, *there][: len(points)]
-        assert points[:, 0].tolist() == [1.0] * len(rows) + [0.0] * (len(points) - len(rows))
-        assert not points[len(rows) :].any() and not points[:, 3:7].any()
-        for row, agent in zip(points, rows, strict=False):
+        rows = [ego, *there][: len(state)]
+        assert state[:, 0].tolist() == [1.0] * len(rows) + [0.0] * (len(state) - len(rows))
+        assert not state[len(rows) :].any() and not state[:, 3:7].any()
+        for row, agent in zip(state, rows, strict=False):
             cells = [agent["start"][at] - ego["start"][at] for at in (0, 1)]
             assert row[1:3] * told["view"] == pytest.approx(cells, abs=1e-4)
             assert row[7] * told["priority_scale"] == pytest.approx(agent["priority"], abs=1e-4)
         # What is true of the ego is among the atoms, too.
         true = {atom for atom in info["true_atoms"] if atom.endswith("(Car_1)") and "," not in atom}
-        assert {f"{name}(Car_1)" for name, value in zip(names, points[0, 8:], strict=True) if value} == true
+        assert {f"{name}(Car_1)" for name, value in zip(names, state[0, 8:], strict=True) if value} == true
         for _ in range(4):
-            before = points
-            points, _, over, _, _ = env.step(1)
+            before = state
+            state, _, over, _, _ = env.step(1)
             if over:
                 break
-            if points[0, 3:7].any() and not np.array_equal(points[0], before[0]):
+            if state[0, 3:7].any() and not np.array_equal(state[0], before[0]):
                 headed += 1
-                assert points[0, 3:7].sum() == 1
+                assert state[0, 3:7].sum() == 1
     assert headed
 
 
@@ -443,7 +435,7 @@ def test_ctrl_c_ends_an_evaluation(tmp_path: Path, ctrl_c: Interrupt) -> None:
 
 def test_ctrl_c_ends_many_short_steps(tmp_path: Path, ctrl_c: Interrupt) -> None:
     (tmp_path / "slow.dl").write_text(SLOW)
-    baseline = _logicity.Baseline(load_task("hard", tmp_path / "slow.dl"), "test")
+    baseline = _logicity.RandomBaseline(load_task("hard", tmp_path / "slow.dl"), "test")
     begun = time.monotonic()
     ctrl_c(baseline.add)
     interrupted = time.monotonic()

@@ -32,12 +32,13 @@ def test_what_an_extra_would_bring_is_told_with_its_name() -> None:
     # As if none of them were installed, wherever this runs.
     text = """
 import sys
-for name in ("stable_baselines3", "pettingzoo", "minari", "pyarrow"):
+for name in ("stable_baselines3", "pettingzoo", "minari", "pyarrow", "diffusers"):
     sys.modules[name] = None
 
 import logicity
 few = logicity.demonstrations("easy", 1)
 for use in (
+    lambda: logicity.icons.load_pipeline("model"),
     lambda: logicity.sb3.make_vec_env,
     lambda: logicity.train,
     lambda: logicity.parallel,
@@ -51,12 +52,60 @@ for use in (
         print(str(error).partition("install ")[2])
 """
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
-    extras = ["train", "train", "pettingzoo", "pettingzoo", "offline", "offline"]
+    extras = ["icons", "train", "train", "pettingzoo", "pettingzoo", "offline", "offline"]
     expected = [f"the extra `{extra}`: pip install './python[{extra}]'" for extra in extras]
     assert (done.stdout.splitlines(), done.stderr) == (expected, "")
 
 
-def test_there_is_no_more_than_there_is() -> None:
+def test_the_core_works_without_gymnasium() -> None:
+    text = """
+import sys
+sys.modules["gymnasium"] = None
+from logicity import *
+import logicity
+
+session = Session(Program('.decl p(x: number) .output p p(1).'))
+session.commit()
+print(session.rows("p"), infer({"entities": ["a"], "ego": "a"}, "easy")["egos"]["a"]["action"])
+print(evaluate("oracle", "easy", "val").tsr.value)
+for use in (lambda: logicity.envs, lambda: demonstrations("easy", 1), lambda: parallel_env("easy")):
+    try:
+        use()
+    except ImportError as error:
+        print(str(error).partition("install ")[2])
+"""
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
+    extras = ["gym", "gym", "pettingzoo"]
+    expected = [f"the extra `{extra}`: pip install './python[{extra}]'" for extra in extras]
+    assert (done.stdout.splitlines(), done.stderr) == (["[(1,)] Normal", "1.0", *expected], "")
+
+
+@pytest.mark.parametrize(
+    "order", ["gymnasium, logicity", "logicity, gymnasium", "logicity, gymnasium.envs.registration"]
+)
+def test_environments_are_registered_in_any_order_of_imports(order: str) -> None:
+    # The modules of others are loaded as they are without this package: by the same loader, once.
+    text = f"""
+import {order}
+import importlib, sys
+assert logicity.registration._RegisterOnImport not in map(type, sys.meta_path)
+assert "exec_module" not in vars(gymnasium.__spec__.loader)
+env = gymnasium.make("logicity/SPF-Easy-v0")
+importlib.reload(gymnasium)
+print(sum(name.startswith("logicity/") for name in gymnasium.registry), env.unwrapped.__class__.__name__)
+"""
+    done = subprocess.run([sys.executable, "-W", "error", "-c", text], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("7 SPFEnv\n", "")
+
+
+def test_gymnasium_is_imported_on_demand() -> None:
+    text = "import sys, logicity; print([name for name in ('gymnasium', 'numpy', 'torch') if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
+def test_the_names_of_the_package_are_those_of_its_table() -> None:
+    assert sorted(["__version__", *logicity._HOMES]) == logicity.__all__ == sorted(logicity.__all__)
     with pytest.raises(AttributeError, match="has no attribute 'sb4'"):
         getattr(logicity, "sb4")  # noqa: B009
 

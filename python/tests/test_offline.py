@@ -14,6 +14,7 @@ import pytest
 
 import logicity
 from logicity import ENVIRONMENTS, Demonstrations, demonstrations
+from logicity.env_config import ObservationKind
 
 
 @pytest.fixture(scope="module")
@@ -178,15 +179,15 @@ def test_expert_rules_ask_three_actions(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fast", "slow", "stop"]
 
 
-def test_points_are_no_facts(tmp_path: Path) -> None:
-    trajectories = demonstrations("easy", 1, observation="points")
+def test_states_are_no_facts(tmp_path: Path) -> None:
+    trajectories = demonstrations("easy", 1, observation="state")
     assert trajectories[0].observations.shape[1:] == (20, 15)
     with pytest.raises(ValueError):
         trajectories.to_popper(tmp_path)
 
 
-@pytest.mark.parametrize("observation", ["atoms", "points"])
-def test_a_table_has_every_step(observation: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("observation", ["groundings", "state"])
+def test_a_table_has_every_step(observation: ObservationKind, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="needs the extra `offline`: `make python-all` installs it")
     trajectories = demonstrations("easy", 3, "val", observation=observation)
     trajectories.to_parquet(tmp_path / "steps.parquet")

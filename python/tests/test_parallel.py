@@ -25,7 +25,7 @@ def test_options_that_there_are_not_are_told() -> None:
 
 
 def test_cars_that_have_ended_go_on_by_the_rules() -> None:
-    env = logicity.parallel_env("expert", observation="points", render_mode="ansi")
+    env = logicity.parallel_env("expert", observation="state", render_mode="ansi")
     observations, infos = env.reset(seed=3)
     assert list(observations) == env.agents == env.possible_agents == [f"Car_{number}" for number in range(1, 8)]
     start = env.episode

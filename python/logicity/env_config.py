@@ -1,0 +1,121 @@
+"""The configuration that every kind of environment takes. This module does not need gymnasium."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from inspect import signature
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, TypedDict
+
+import numpy as np
+
+from . import _logicity
+from .errors import did_you_mean
+from .files import write_new
+from .rules import rule_file
+from .types import Split
+
+__all__ = ["EnvConfig", "EnvOptions", "ObservationKind"]
+
+ObservationKind: TypeAlias = Literal["groundings", "state"]
+"""What an observation holds: truth values of ground atoms, or the exact state. See `logicity.envs.SPFEnv`."""
+
+
+class EnvOptions(TypedDict, total=False):
+    """The keyword arguments that every kind of environment takes. `SPFEnv` documents them."""
+
+    split: Split
+    rules: str | os.PathLike[str] | None
+    overrides: Mapping[str, Any] | None
+    observation: ObservationKind
+
+
+class EnvConfig:
+    """A run configuration with its overrides, a split, and a kind of observation.
+
+    Args:
+        config: A run configuration: a built-in name such as `expert`, or a path.
+        env_class: The class of the environments. Messages about unknown options list its options.
+        split: The set of agents.
+        rules: A rule file that replaces the configuration's.
+        overrides: A mapping that is merged over the configuration.
+        observation: The kind of observation.
+        unknown: Any other option, which raises `TypeError`.
+
+    Raises:
+        TypeError: An unknown option.
+        ValueError: Rules as text instead of a path, or overrides with the key `base`.
+    """
+
+    def __init__(
+        self,
+        config: str | os.PathLike[str],
+        env_class: type | None = None,
+        *,
+        split: Split = "train",
+        rules: str | os.PathLike[str] | None = None,
+        overrides: Mapping[str, Any] | None = None,
+        observation: ObservationKind = "groundings",
+        **unknown: Any,
+    ) -> None:
+        """Check and store the arguments."""
+        if unknown:
+            name = next(iter(unknown))
+            own = signature(env_class).parameters.values() if env_class else ()
+            known = [*EnvOptions.__annotations__, *(each.name for each in own if each.kind is each.KEYWORD_ONLY)]
+            raise TypeError(f"environments have no option `{name}`{did_you_mean(name, known)}")
+        self.config, self.split, self.observation = os.fspath(config), split, observation
+        self.rules = rule_file(rules)
+        self.overrides = dict(overrides or {})
+        if "base" in self.overrides:
+            raise ValueError("overrides have no `base`: the argument `config` is the base")
+
+    def task(self, **more: Any) -> _logicity.Task:
+        """Load the task, with more overrides.
+
+        Raises:
+            InputError: A faulty configuration, rule file or override.
+            OSError: A file cannot be read.
+        """
+        return _logicity.Task(self.config, self.rules, self._as_json(more))
+
+    def _as_json(self, more: Mapping[str, Any], *, absolute: bool = False) -> str | None:
+        """Return the configuration with its overrides as JSON, or `None` without overrides.
+
+        With `absolute`, the base is an absolute path.
+        """
+        overrides = {**self.overrides, **more}
+        if not overrides:
+            return None
+        base = Path(self.config)
+        if len(base.parts) == 1 and not base.suffix and not base.exists():
+            base = Path("configs") / f"{base}.yaml"
+        if absolute and base.exists():
+            base = base.resolve()
+        return json.dumps({"base": base.as_posix(), **overrides}, default=to_json)
+
+    def written_config(self, path: Path, **more: Any) -> str:
+        """Return the configuration file that a trace names.
+
+        Without overrides that is the configuration itself. Otherwise this writes the overridden configuration to `path`
+        and returns `path`.
+
+        Raises:
+            FileExistsError: `path` has another content.
+        """
+        text = self._as_json(more, absolute=True)
+        if text is None:
+            return self.config
+        write_new(path, text + "\n")
+        return str(path)
+
+
+def to_json(value: Any) -> Any:
+    """Convert numbers and arrays of numpy, and paths, to values that JSON can represent."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    raise TypeError(f"a configuration cannot hold a {type(value).__name__}: {value!r}")

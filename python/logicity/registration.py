@@ -1,0 +1,62 @@
+"""Registers the environments with gymnasium, without importing gymnasium before the user does."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+from .modes import ENVIRONMENTS
+
+__all__ = ["register_environments", "register_with_gymnasium"]
+
+
+def register_with_gymnasium() -> None:
+    """Register the environments now if gymnasium is imported, or else as soon as it is."""
+    if sys.modules.get("gymnasium") is not None:
+        register_environments()
+    else:
+        sys.meta_path.insert(0, _RegisterOnImport())
+
+
+def register_environments() -> None:
+    """Register the environments. Imports gymnasium."""
+    import gymnasium
+
+    for config, name in ENVIRONMENTS.items():
+        gymnasium.register(
+            name,
+            entry_point="logicity.envs:SPFEnv",
+            vector_entry_point="logicity.envs:SPFVectorEnv",
+            kwargs={"config": config},
+        )
+
+
+class _RegisterOnImport(MetaPathFinder):
+    """Finds gymnasium as the other finders do, and registers the environments after it is loaded."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of gymnasium, whose loader also registers; `None` for other modules."""
+        if fullname != "gymnasium":
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(fullname)
+        if spec is None or spec.loader is None:
+            # A later import may find it.
+            sys.meta_path.insert(0, self)
+            return spec
+        loader, load = spec.loader, spec.loader.exec_module
+
+        def exec_module(module: ModuleType) -> None:
+            delattr(loader, "exec_module")
+            load(module)
+            register_environments()
+
+        # On the loader itself, since everything else about it stays as it is.
+        setattr(loader, "exec_module", exec_module)  # noqa: B010
+        return spec
