@@ -1,34 +1,42 @@
-"""Train DQN, PPO or A2C of Stable-Baselines3 as a configuration says. Needs the extra `train`.
+"""Training of DQN, PPO or A2C of Stable-Baselines3 by a configuration file. Needs the extra `train`.
 
-A run has a folder. `checkpoint-STEPS` holds all that it takes to go on after a kill: the model, the replay buffer,
-the model that did best on the validation episodes so far, and what validation said. `tensorboard` has the curves. At
-the end there is the best model as `best.zip`, and `result.json` says how it does on the test episodes.
+A run has a folder. `checkpoint-STEPS` holds the state needed to resume: the model, the replay buffer, the model with
+the best validation so far, and the results of validation. `tensorboard` has the curves. At the end, `best.zip` is the
+best model, and `result.json` has its measures on the test episodes.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import time
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cache
 from inspect import signature
-from math import isfinite
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Union, get_args, get_origin
+from typing import Annotated, Any, TypeAlias, Union, get_args, get_origin
 from zipfile import BadZipFile, ZipFile
-
-import gymnasium
 
 from .errors import missing_extra
 
 try:
+    import gymnasium
     import stable_baselines3
     import torch
-    import yaml
+    from pydantic import (
+        BaseModel,
+        ConfigDict,
+        Field,
+        Strict,
+        ValidationError,
+        ValidationInfo,
+        create_model,
+        field_validator,
+    )
+    from pydantic_core import ErrorDetails, PydanticCustomError
 except ImportError as error:
     raise missing_extra("train", error) from error
 from stable_baselines3 import A2C, DQN, PPO
@@ -55,7 +63,7 @@ class FeatureLayers(BaseFeaturesExtractor):
     """Linear layers with ReLU after each, shared by all heads."""
 
     def __init__(self, observation_space: gymnasium.Space[Any], widths: tuple[int, ...]) -> None:
-        """Layers of these widths after the flattened observation."""
+        """Make layers of these widths after the flattened observation."""
         super().__init__(observation_space, widths[-1])
         ends = [gymnasium.spaces.flatdim(observation_space), *widths]
         layers: list[torch.nn.Module] = [torch.nn.Flatten()]
@@ -64,146 +72,154 @@ class FeatureLayers(BaseFeaturesExtractor):
         self._layers = torch.nn.Sequential(*layers)
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Features, shape (batch, last width)."""
+        """Return features of shape (batch, last width)."""
         features: torch.Tensor = self._layers(observations)
         return features
 
 
-@dataclass(frozen=True)
-class TrainConfig:
-    """What a training run is.
+#: A whole number from 1; truth values and texts do not count.
+Count: TypeAlias = Annotated[int, Field(strict=True, ge=1)]
 
-    - `algorithm`: `dqn`, `ppo` or `a2c`; `settings` are arguments of its class in Stable-Baselines3 that JSON can say.
-    - `mode`: whose rules and episodes; `overrides` change the task in training only: validation and test are the mode's
-      own.
-    - `network`: widths of the feature layers, each with ReLU, between the observation and the heads.
-    - `envs`: how many environments are stepped together. `steps` counts the steps of all.
-    - `seed`: of networks, exploration and episodes.
-    - `validate_every`: so many steps lie between two validations, each followed by a checkpoint.
-    - `threads`: of torch.
+
+class TrainConfig(BaseModel):
+    """The configuration of a training run.
+
+    Attributes:
+        algorithm: `dqn`, `ppo` or `a2c`.
+        mode: The mode, which determines rules and episodes.
+        network: The widths of the feature layers, each with ReLU, between the observation and the heads.
+        settings: Arguments of the algorithm's class in Stable-Baselines3 that a file can express.
+        overrides: Changes to the task in training. Validation and test use the mode unchanged.
+        steps: The total number of steps of all environments.
+        envs: The number of environments that are stepped together.
+        seed: The seed of networks, exploration and episodes.
+        validate_every: The number of steps between two validations. Each is followed by a checkpoint.
+        threads: The number of threads of torch.
     """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     algorithm: str
     mode: str
-    network: tuple[int, ...]
-    settings: Mapping[str, Any]
-    overrides: Mapping[str, Any] = field(default_factory=dict)
-    steps: int = 200_000
-    envs: int = 1
-    seed: int = 0
-    validate_every: int = 10_000
-    threads: int = 1
+    network: Annotated[tuple[Count, ...], Field(min_length=1)]
+    settings: dict[str, Any]
+    overrides: dict[str, Any] = Field(default_factory=dict)
+    steps: Count = 200_000
+    envs: Count = 1
+    seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 0
+    validate_every: Count = 10_000
+    threads: Count = 1
 
-    def __post_init__(self) -> None:
-        """Find what cannot be meant."""
-        if self.algorithm not in ALGORITHMS:
-            raise ValueError(f"unknown algorithm `{self.algorithm}`: it is one of {', '.join(ALGORITHMS)}")
-        if self.mode not in ENVIRONMENTS:
-            raise ValueError(f"unknown mode `{self.mode}`: it is one of {', '.join(ENVIRONMENTS)}")
-        for name in ("steps", "envs", "validate_every", "threads"):
-            if not _is_count(getattr(self, name)):
-                raise ValueError(f"`{name}` is a number from 1 on, not {getattr(self, name)!r}")
-        if not isinstance(self.seed, int) or not 0 <= self.seed < 2**32:
-            raise ValueError(f"`seed` is a number from 0 to 2**32 - 1, not {self.seed!r}")
-        if (
-            not isinstance(self.network, tuple)
-            or not self.network
-            or not all(_is_count(width) for width in self.network)
-        ):
-            raise ValueError(f"`network` is a list of widths from 1 on, not {self.network!r}")
-        for name in ("settings", "overrides"):
-            if not isinstance(getattr(self, name), Mapping):
-                raise ValueError(f"`{name}` is a mapping, not {getattr(self, name)!r}")
-        hints = _settings_of(self.algorithm)
-        for name, value in self.settings.items():
-            if name not in hints:
-                raise ValueError(f"`settings`: {self.algorithm.upper()} has no `{name}`{did_you_mean(name, hints)}")
-            if not _fits(value, hints[name]):
-                raise ValueError(f"`settings`: `{name}` cannot be {value!r}")
+    @field_validator("algorithm")
+    @classmethod
+    def _known_algorithm(cls, name: str) -> str:
+        return _known("algorithm", name, ALGORITHMS)
 
-    @staticmethod
-    def load(path: str | os.PathLike[str]) -> TrainConfig:
-        """Read a YAML file. `base` names another one, relative to it, that it changes; mappings are merged.
+    @field_validator("mode")
+    @classmethod
+    def _known_mode(cls, name: str) -> str:
+        return _known("mode", name, ENVIRONMENTS)
+
+    @field_validator("settings")
+    @classmethod
+    def _valid_settings(cls, settings: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        algorithm = info.data.get("algorithm")
+        if algorithm is None:
+            # Its own fault is reported.
+            return settings
+        return _settings_model(algorithm).model_validate(settings).model_dump(exclude_unset=True)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], *, seed: int | None = None) -> TrainConfig:
+        """Read a YAML file.
+
+        Its key `base` names another file, relative to it, whose mappings are merged with its own. A bare name such as
+        `dqn-easy` is a built-in configuration.
+
+        Args:
+            path: The file.
+            seed: A seed that replaces the file's.
 
         Raises:
-            OSError: a file cannot be read.
-            ValueError: it is not YAML, has an unknown key or lacks one, or a value cannot be meant.
+            InputError: The file is not YAML, has an unknown key or value, or lacks a key. All faults are reported.
+            OSError: A file cannot be read.
         """
-        tree = _load_tree(Path(path), ())
-        known = {each.name for each in fields(TrainConfig)}
-        if unknown := sorted(set(tree) - known):
-            raise ValueError(f"{path}: unknown key `{unknown[0]}`: known are {', '.join(sorted(known))}")
-        if isinstance(tree.get("network"), list):
-            tree["network"] = tuple(tree["network"])
+        file = _logicity.ConfigFile(path, "configs/baselines")
+        values = file.value()
+        if not isinstance(values, dict):
+            raise file.error([("invalid-value", [], "a training configuration must be a mapping", "")])
+        if seed is not None:
+            values["seed"] = seed
         try:
-            return TrainConfig(**tree)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{path}: {error}") from None
+            return cls.model_validate(values)
+        except ValidationError as error:
+            raise file.error(_faults(error, values)) from None
 
 
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 1
+def _known(what: str, name: str, known: Iterable[str]) -> str:
+    if name in known:
+        return name
+    message = f"unknown {what} `{name}`{did_you_mean(name, known)}"
+    raise PydanticCustomError("unknown_name", "{message}", {"message": message})
 
 
-def _settings_of(algorithm: str) -> dict[str, Any]:
-    """The arguments of an algorithm that a configuration may give, with their types."""
-    ours = {"policy", "env", "policy_kwargs", "seed", "tensorboard_log", "device"}
-    known = signature(ALGORITHMS[algorithm]).parameters.values()
-    return {each.name: each.annotation for each in known if each.name not in ours and not each.name.startswith("_")}
+@cache
+def _settings_model(algorithm: str) -> type[BaseModel]:
+    """Make the model of the settings of an algorithm, from the signature of its class."""
+    set_elsewhere = {"policy", "env", "policy_kwargs", "seed", "tensorboard_log", "device"}
+    parameters = signature(ALGORITHMS[algorithm]).parameters.values()
+    hints = {each.name: _expressible(each.annotation) for each in parameters if not each.name.startswith("_")}
+    fields: dict[str, Any] = {
+        name: (hint, None) for name, hint in hints.items() if hint is not None and name not in set_elsewhere
+    }
+    config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    return create_model(f"{algorithm.upper()} settings", __config__=config, **fields)
 
 
-def _fits(value: Any, hint: Any) -> bool:
-    """Whether a value is of a type. Of what a file cannot say, such as functions, nothing is."""
+def _expressible(hint: Any) -> Any:
+    """Return the part of a type that a file can express, or `None`: no functions and classes."""
     if get_origin(hint) in (Union, UnionType):
-        return any(_fits(value, each) for each in get_args(hint))
+        parts = tuple(part for each in get_args(hint) if (part := _expressible(each)) is not None)
+        return Union[parts] if parts else None  # noqa: UP007
     if get_origin(hint) is tuple:
-        parts = get_args(hint)
-        return isinstance(value, (list, tuple)) and len(value) == len(parts) and all(map(_fits, value, parts))
-    if get_origin(hint) is dict:
-        return isinstance(value, dict)
-    if hint in (int, float):
-        # A truth value is an `int` to Python, and no number to whoever writes it.
-        allowed = (int, float) if hint is float else int
-        return isinstance(value, allowed) and not isinstance(value, bool) and isfinite(value)
-    return hint in (bool, str, NoneType) and isinstance(value, hint)
+        # Files have lists in place of tuples.
+        return Annotated[hint, Strict(False)]
+    return hint if get_origin(hint) is dict or hint in (bool, dict, float, int, str, NoneType) else None
 
 
-class _Loader(yaml.SafeLoader):
-    """Reads `3e-5` as the number that YAML 1.2 says it is; 1.1 wants a point in it."""
+def _faults(error: ValidationError, values: Mapping[str, Any]) -> list[tuple[str, list[str], str, str]]:
+    """Return code, path, message and help of each fault."""
+    by_key: dict[tuple[str, ...], list[ErrorDetails]] = {}
+    for each in error.errors(include_url=False):
+        # For a union, every alternative reports an error, and appends its name to the path.
+        by_key.setdefault(tuple(map(str, each["loc"][:2])), []).append(each)
+    return [_fault(path, errors, values) for path, errors in by_key.items()]
 
 
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+\Z"), list("-+.0123456789")
-)
-
-
-def _load_tree(path: Path, users: tuple[Path, ...]) -> dict[str, Any]:
-    if path.resolve() in users:
-        raise ValueError(f"{path}: its `base` leads back to it")
-    text = _logicity.read_file(path)
-    try:
-        tree = yaml.load(text, _Loader)
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path}: {error}") from None
-    if not isinstance(tree, dict):
-        raise ValueError(f"{path}: it is no mapping")
-    base = tree.pop("base", None)
-    if base is None:
-        return tree
-    return _merged(_load_tree(path.parent / str(base), (*users, path.resolve())), tree)
-
-
-def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in changes.items():
-        both = isinstance(merged.get(key), dict) and isinstance(value, dict)
-        merged[key] = _merged(merged[key], value) if both else value
-    return merged
+def _fault(
+    path: tuple[str, ...], errors: Sequence[ErrorDetails], values: Mapping[str, Any]
+) -> tuple[str, list[str], str, str]:
+    first, name = errors[0], path[-1]
+    if first["type"] == "extra_forbidden":
+        algorithm = values["algorithm"]
+        known = list(TrainConfig.model_fields if len(path) == 1 else _settings_model(algorithm).model_fields)
+        message = f"unknown key `{name}`" if len(path) == 1 else f"{algorithm.upper()} has no setting `{name}`"
+        return "unknown-key", list(path), message, did_you_mean(name, known).removeprefix("; ")
+    if first["type"] == "missing":
+        return "missing-key", list(path), f"the key `{name}` is missing", ""
+    if first["type"] == "unknown_name":
+        return "invalid-value", list(path), first["msg"], ""
+    expected = [each["msg"].removeprefix("Input should be ") for each in errors if each["msg"].startswith("Input ")]
+    if not expected:
+        return "invalid-value", list(path), f"`{'.'.join(path)}`: {first['msg']}", ""
+    shown = first["input"] if isinstance(first["input"], str) else json.dumps(first["input"], default=repr)
+    message = f"`{'.'.join(path)}` must be {' or '.join(dict.fromkeys(expected))}, not `{shown:.40}`"
+    return "invalid-value", list(path), message, ""
 
 
 @dataclass
 class State:
-    """How far a run is, beside the model."""
+    """The progress of a run, without the model."""
 
     steps: int = 0
     seconds: float = 0.0
@@ -212,17 +228,17 @@ class State:
 
 
 class Validation(BaseCallback):
-    """Validates the model every so many steps, keeps the best one, and writes a checkpoint."""
+    """Validates the model at intervals, keeps the best one, and writes checkpoints."""
 
     def __init__(self, run: Path, config: TrainConfig, state: State) -> None:
-        """A run goes on from a state."""
+        """Start from a state."""
         super().__init__()
         self._run, self._config, self._state = run, config, state
         self._benchmark = Benchmark(config.mode, "val")
         self._since = time.monotonic() - state.seconds
 
     def _on_step(self) -> bool:
-        # The first step at or after each multiple: several environments may step over it.
+        # The first step at or after each multiple, since several environments may step over it.
         if self.num_timesteps // self._config.validate_every > self._state.steps // self._config.validate_every:
             self.validate()
         return True
@@ -232,7 +248,7 @@ class Validation(BaseCallback):
             self.validate()
 
     def validate(self) -> None:
-        """Measure, and write a checkpoint."""
+        """Validate the model, and write a checkpoint."""
         measured = self._benchmark.evaluate(self.model)
         self._state.steps = self.num_timesteps
         self._state.seconds = time.monotonic() - self._since
@@ -246,7 +262,7 @@ class Validation(BaseCallback):
         self._checkpoint()
 
     def _checkpoint(self) -> None:
-        """Write all that it takes to go on, under a temporary name; then the older ones are not needed."""
+        """Write a checkpoint under a temporary name, then remove the older ones."""
         name = f"checkpoint-{self._state.steps:010}"
         temporary = self._run / f".{name}"
         shutil.rmtree(temporary, ignore_errors=True)
@@ -268,8 +284,8 @@ def _rank(point: Mapping[str, Any]) -> tuple[float, float]:
 
 
 def _figures(measured: Evaluation) -> dict[str, Any]:
-    told = measured.to_dict()
-    return {name: told[name] for name in ("tsr", "dsr", "dsr_by_action", "score", "mean_return", "mean_steps")}
+    measures = measured.to_dict()
+    return {name: measures[name] for name in ("tsr", "dsr", "dsr_by_action", "score", "mean_return", "mean_steps")}
 
 
 def _checkpoints(run: Path) -> list[Path]:
@@ -280,17 +296,17 @@ def load_model(path: str | os.PathLike[str]) -> BaseAlgorithm:
     """Load a model of DQN, PPO or A2C that Stable-Baselines3 saved.
 
     Raises:
-        OSError: the file cannot be read.
-        ValueError: it is no such model.
+        OSError: The file cannot be read.
+        ValueError: The file is no such model.
     """
     try:
         with ZipFile(path) as archive:
             saved = json.loads(archive.read("data"))
     except (BadZipFile, KeyError, ValueError) as error:
         raise ValueError(f"{os.fspath(path)} is no model of Stable-Baselines3: {error}") from None
-    # The archive does not name its algorithm; each has a setting that the others lack.
-    telling = {"dqn": "exploration_fraction", "ppo": "clip_range", "a2c": "normalize_advantage"}
-    found = [name for name, setting in telling.items() if setting in saved]
+    # The archive does not name its algorithm; each algorithm has a setting that the others lack.
+    distinctive = {"dqn": "exploration_fraction", "ppo": "clip_range", "a2c": "normalize_advantage"}
+    found = [name for name, setting in distinctive.items() if setting in saved]
     if not found:
         raise ValueError(f"{os.fspath(path)} is no model of {', '.join(ALGORITHMS)}")
     name = "ppo" if "ppo" in found else found[0]
@@ -300,30 +316,32 @@ def load_model(path: str | os.PathLike[str]) -> BaseAlgorithm:
 def train(
     config: TrainConfig, run: str | os.PathLike[str], *, progress: bool = False, tensorboard: bool = True
 ) -> dict[str, Any]:
-    """Train, or go on from the last checkpoint of the same configuration; return what `result.json` has.
+    """Train, or resume from the last checkpoint of the same configuration.
 
-    After a kill it goes on from the last validation: weights, optimizer, replay buffer, number of steps and with it the
-    rate of exploration, and the best model so far are as they were then. Lost are the episodes that went on, a rollout
-    of PPO or A2C that was not full, and the states of the random streams; new episodes and draws follow from the sum of
-    the seed and the number of steps. So a run that was killed does not end as one that was not, bit for bit, but as any
-    other that was killed there.
+    A resumed run continues from the last validation: weights, optimizer, replay buffer, number of steps with the rate
+    of exploration, and the best model are restored. Running episodes, an incomplete rollout of PPO or A2C, and the
+    states of random streams are not; new episodes and draws follow from the sum of the seed and the number of steps. A
+    resumed run therefore differs from an uninterrupted one, but two runs interrupted at the same point are identical.
 
     Args:
-        config: what to train.
-        run: the folder of the run; made if it is not there.
-        progress: whether to show a bar on the terminal.
-        tensorboard: whether to write curves.
+        config: The configuration.
+        run: The folder of the run; made if it does not exist.
+        progress: Whether to show a progress bar on the terminal.
+        tensorboard: Whether to write curves.
+
+    Returns:
+        The content of `result.json`.
 
     Raises:
-        ValueError: the folder has another run, or the algorithm cannot be made with the settings. No run begins then.
-        InputError: a faulty override.
+        InputError: A faulty override.
+        ValueError: The folder has another run, or the algorithm refuses the settings. No run begins then.
     """
     run = Path(run)
     claimed = _is_claimed(run, config)
     torch.set_num_threads(config.threads)
     checkpoints = _checkpoints(run)
     state = State(**json.loads((checkpoints[-1] / "state.json").read_text())) if checkpoints else State()
-    # The model seeds it.
+    # The model seeds the environments.
     env = make_vec_env(config.mode, config.envs, split="train", overrides=config.overrides)
     log = str(run / "tensorboard") if tensorboard else None
     try:
@@ -333,13 +351,13 @@ def train(
             )
             if isinstance(model, OffPolicyAlgorithm):
                 model.load_replay_buffer(checkpoints[-1] / "replay.pkl")
-            # Loading has seeded everything as at the beginning, which would bring the same episodes again.
+            # Loading seeds everything as at the start, which would repeat the same episodes.
             model.set_random_seed((config.seed + state.steps) % 2**32)
         else:
             model = new_model(config, env, log)
         if not claimed:
             run.mkdir(parents=True, exist_ok=True)
-            write_json(run / "config.json", asdict(config))
+            write_json(run / "config.json", config.model_dump(mode="json"))
         validation = Validation(run, config, state)
         bar = [ProgressBarCallback()] if progress else []
         model.learn(
@@ -357,28 +375,35 @@ def train(
 
 
 def _is_claimed(run: Path, config: TrainConfig) -> bool:
-    """Whether a folder has this run, of which a note is there; another run is refused."""
+    """Return whether the folder has this run.
+
+    Raises:
+        ValueError: The folder has another run.
+    """
     note = run / "config.json"
     if not note.exists():
         return False
-    if json.loads(note.read_text(encoding="utf-8")) != json.loads(json.dumps(asdict(config))):
-        raise ValueError(f"{run} has a run of another configuration; remove it or name another folder")
+    if json.loads(note.read_text(encoding="utf-8")) != config.model_dump(mode="json"):
+        raise ValueError(f"{run} has a run of another configuration; remove it or choose another folder")
     return True
 
 
 def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseAlgorithm:
-    """Make an untrained model; `log` is the folder of the curves.
+    """Make an untrained model.
+
+    Args:
+        config: The configuration.
+        env: The environments.
+        log: The folder of the curves.
 
     Raises:
-        ValueError: the algorithm cannot be made with the settings.
+        ValueError: The algorithm refuses the settings.
     """
     policy = {
         "features_extractor_class": FeatureLayers,
         "features_extractor_kwargs": {"widths": config.network},
         "net_arch": [],
     }
-    # Files have lists where the algorithms want tuples, as in `train_freq: [4, step]`.
-    settings = {name: tuple(value) if isinstance(value, list) else value for name, value in config.settings.items()}
     try:
         return ALGORITHMS[config.algorithm](
             "MlpPolicy",
@@ -387,7 +412,7 @@ def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseA
             seed=config.seed,
             tensorboard_log=log,
             device="cpu",
-            **settings,
+            **config.settings,
         )
     except (AssertionError, TypeError, ValueError) as error:
         raise ValueError(f"`settings`: {config.algorithm.upper()} cannot be made with them: {error}") from error
@@ -396,7 +421,7 @@ def new_model(config: TrainConfig, env: VecEnv, log: str | None = None) -> BaseA
 def _result(config: TrainConfig, state: State, best: BaseAlgorithm) -> dict[str, Any]:
     measured = Benchmark(config.mode, "test").evaluate(best, name=config.algorithm)
     return {
-        "config": asdict(config),
+        "config": config.model_dump(mode="json"),
         "versions": {
             "logicity": __version__,
             "stable_baselines3": stable_baselines3.__version__,

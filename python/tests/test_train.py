@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +131,7 @@ def test_a_killed_run_goes_on(algorithm: str, tmp_path: Path, monkeypatch: pytes
     # The step that was validated is not in the buffer yet.
     assert loaded == ([state["steps"] - 2] if algorithm == "dqn" else [])
     with pytest.raises(ValueError, match="another configuration"):
-        train(replace(short(algorithm), seed=1), tmp_path)
+        train(short(algorithm).model_copy(update={"seed": 1}), tmp_path)
     # It does not begin with the episodes that it has begun with before.
     train(short(algorithm), tmp_path / "whole")
     went_on, whole = seeds
@@ -143,7 +142,7 @@ def test_a_killed_run_goes_on(algorithm: str, tmp_path: Path, monkeypatch: pytes
 
 def test_the_same_seed_learns_the_same(tmp_path: Path) -> None:
     def weights(seed: int, name: str) -> Any:
-        train(replace(short("dqn"), seed=seed), tmp_path / name, tensorboard=False)
+        train(short("dqn").model_copy(update={"seed": seed}), tmp_path / name, tensorboard=False)
         (checkpoint,) = (tmp_path / name).glob("checkpoint-*")
         parameters = load_model(checkpoint / "model.zip").policy.state_dict()
         return np.concatenate([values.numpy().ravel() for values in parameters.values()])
@@ -170,16 +169,36 @@ def test_the_network_has_the_layers_of_the_configuration(tmp_path: Path) -> None
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nseed: -1", "`seed`"),
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: 3", "`settings`"),
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nepochs: 3", "unknown key `epochs`"),
-        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {gama: 0.9}", "DQN has no `gama`; did you mean `gamma`"),
-        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {gamma: x}", "`gamma` cannot be 'x'"),
-        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {gamma: .nan}", "`gamma` cannot be nan"),
-        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {batch_size: 1.5}", "`batch_size` cannot be 1.5"),
-        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {learning_rate: true}", "`learning_rate` cannot be"),
-        ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {seed: 3}", "DQN has no `seed`"),
-        ("algorithm: dqn", "mode"),
-        ("- dqn", "no mapping"),
-        ("algorithm: [", "while parsing"),
-        ("base: config.yaml", "leads back"),
+        (
+            "{gama: 0.9}",
+            "DQN has no setting `gama`[^?]*did you mean `gamma`",
+        ),
+        (
+            "{gamma: x}",
+            "`settings.gamma` must be a valid number, not `x`",
+        ),
+        (
+            "{gamma: .nan}",
+            "`settings.gamma` must be a valid number, not `.nan`",
+        ),
+        (
+            "{batch_size: 1.5}",
+            "`settings.batch_size` must be a valid integer.*, not `1.5`",
+        ),
+        (
+            "{learning_rate: true}",
+            "`settings.learning_rate` must be a valid number, not `true`",
+        ),
+        *[
+            (f"algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {settings}", message)
+            for settings, message in [
+                ("{seed: 3}", "DQN has no setting `seed`"),
+            ]
+        ],
+        ("algorithm: dqn", "the key `mode` is missing"),
+        ("- dqn", "must be a mapping"),
+        ("algorithm: [", "yaml-syntax"),
+        ("base: config.yaml", "builds on itself"),
     ],
 )
 def test_faulty_configurations_are_told(
@@ -210,7 +229,7 @@ def test_settings_that_the_algorithm_refuses_leave_no_run(
     algorithm: str, setting: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, run = tmp_path / "config.json", tmp_path / "run"
-    config = asdict(short(algorithm))
+    config = short(algorithm).model_dump()
     file.write_text(json.dumps({**config, "settings": {**config["settings"], **setting}}))
     assert main(["train", str(file), "--run", str(run)]) == 1
     assert capsys.readouterr().err.startswith(f"error: {file}: {message}") and not run.exists()
