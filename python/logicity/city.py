@@ -1,4 +1,4 @@
-"""What the rules decide: in single scenes, and in a city that runs."""
+"""Decisions of the rules, in single scenes and in a running city."""
 
 from __future__ import annotations
 
@@ -21,53 +21,44 @@ from .types import Action, Answer, Executor, Heading, Scene, Split, SymbolicScen
 __all__ = ["ACTIONS", "HEADINGS", "REASONS", "AgentInfo", "Decision", "Inference", "Simulation", "Tick", "infer"]
 
 ACTIONS: tuple[Action, ...] = cast("tuple[Action, ...]", tuple(_logicity.ACTIONS))
-"""The actions; arrays hold their positions, 0 to 3."""
+"""The actions. Arrays hold their positions, 0 to 3."""
 
 HEADINGS: tuple[Heading, ...] = cast("tuple[Heading, ...]", tuple(_logicity.HEADINGS))
-"""The headings; arrays hold their positions, 0 to 3, and -1 for an agent that has not moved on its route yet."""
+"""The headings. Arrays hold their positions, 0 to 3, and -1 for an agent that has not moved on its route yet."""
 
 REASONS: tuple[str, ...] = tuple(_logicity.REASONS)
-"""Why an agent moved as it did; arrays hold their positions.
+"""The reasons for an agent's move. Arrays hold their positions.
 
-It was decided so; the route allowed no other move; several moves were possible, none of the decided speed, and one
-was drawn; it rests at its goal."""
+The rules decided it; the route allowed no other move; none of several possible moves had the decided speed, and one was
+drawn; the agent rests at its goal.
+"""
 
 
-#: What an action is given by: its name, or its position in `ACTIONS`.
+#: An action: its name, or its position in `ACTIONS`.
 _Act: TypeAlias = str | SupportsIndex
 
-#: What agents are named by in one mapping. Mappings are not covariant in their keys: this lets each have its own.
+#: The keys of one mapping: names or positions of agents. Mappings are invariant in their keys, hence a type variable.
 _Named = TypeVar("_Named", bound=str | SupportsIndex)
 
 
 class Inference:
-    """Answers what the rules decide in scenes.
+    """Decides scenes by the rules.
 
-    Can be pickled and copied: it is made again from the texts that were read, without reading a file. One thread at a
-    time: a second one gets a `RuntimeError`.
+    Pickling and copying store the texts that were read, so a copy reads no file. Not thread-safe: concurrent use raises
+    `RuntimeError`.
 
-    Parameters
-    ----------
-    config
-        A run configuration: a path, or a built-in one such as `configs/expert.yaml` or `expert`.
-    rules
-        A rule file instead of the configuration's.
-    seed
-        From 0 to 2**64 - 1, for predicates that hold with a probability and are not given.
-    executor
-        What evaluates the rules. Answers are the same.
+    Args:
+        config: A run configuration: a path, or a built-in one such as `configs/expert.yaml` or `expert`.
+        rules: A rule file that replaces the configuration's.
+        seed: From 0 to 2**64 - 1, for predicates that hold with a probability and are not given.
+        executor: The executor of the rules. Answers are the same.
 
-    Raises
-    ------
-    InputError
-        For a faulty configuration or rule file; `LimitError` for rules that `executor="dense"` cannot evaluate.
-    OSError
-        For a file that cannot be read.
-    OverflowError
-        For a seed out of range.
-    ValueError
-        For an unknown executor.
-
+    Raises:
+        InputError: A faulty configuration or rule file. `UnsupportedError`: `executor="dense"` cannot evaluate the
+            rules.
+        OSError: A file cannot be read.
+        OverflowError: A seed out of range.
+        ValueError: An unknown executor.
     """
 
     def __init__(
@@ -90,14 +81,18 @@ class Inference:
         return inference
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle by the texts."""
+        """Pickle the texts."""
         return type(self)._restore, (self._made_of, dict(self._inference.files()))
 
     def answer(self, scene: Scene | SymbolicScene) -> Answer:
         """Decide a scene.
 
-        Raises `InputError` if it is faulty, `LimitError` if it is too large or the rules derive too much from it, and
-        `TypeError` if it holds what JSON has no form for.
+        Args:
+            scene: Agents on a map, or entities and facts.
+
+        Raises:
+            InputError: A faulty scene. `LimitError`: a scene that is too large, or rules that derive too much from it.
+            TypeError: The scene holds a value that JSON cannot represent.
         """
         return cast(Answer, self._inference.answer(json.dumps(scene)))
 
@@ -109,13 +104,28 @@ def infer(
     seed: int = 0,
     executor: Executor = "auto",
 ) -> Answer:
-    """Decide one scene. For many, make an `Inference`, which reads its files once and raises the same."""
+    """Decide one scene. For several scenes make an `Inference`, which reads its files once.
+
+    Args:
+        scene: As for `Inference.answer`.
+        config: As for `Inference`.
+        rules: As for `Inference`.
+        seed: As for `Inference`.
+        executor: As for `Inference`.
+
+    Raises:
+        InputError: As for `Inference` and `Inference.answer`.
+        OSError: As for `Inference`.
+        OverflowError: As for `Inference`.
+        TypeError: As for `Inference.answer`.
+        ValueError: As for `Inference`.
+    """
     return Inference(config, rules, seed, executor).answer(scene)
 
 
 @dataclass(frozen=True)
 class AgentInfo:
-    """What does not change of an agent; a smaller priority goes first."""
+    """The constant properties of an agent. A smaller priority has the right of way."""
 
     name: str
     type: str
@@ -125,27 +135,17 @@ class AgentInfo:
 
 @dataclass(frozen=True, eq=False)
 class Tick:
-    """What happened in a tick; rows are agents, in the order of `Simulation.agents`.
+    """The events of a tick. Rows are agents, in the order of `Simulation.agents`.
 
-    Attributes
-    ----------
-    tick
-        Number of the tick, from 0.
-    at
-        int32 (n, 2): row and column in cells where each was when it decided.
-    heading
-        int8 (n,): its heading then, a position in `HEADINGS`, or -1.
-    derived
-        bool (n, 4): the actions that the rules derived, before the default, in the order of `ACTIONS`.
-    action
-        int8 (n,): what it did, a position in `ACTIONS`: by the rules, or from outside.
-    next
-        int32 (n, 2): where it went.
-    reason
-        int8 (n,): why it went there, a position in `REASONS`.
-    replanned
-        bool (n,): whether it set out for a new goal.
-
+    Attributes:
+        tick: Number of the tick, from 0.
+        at: int32 (n, 2): row and column in cells when the agents decided.
+        heading: int8 (n,): heading then, a position in `HEADINGS`, or -1.
+        derived: bool (n, 4): the actions that the rules derived, before the default, in the order of `ACTIONS`.
+        action: int8 (n,): the action taken, by the rules or by control, a position in `ACTIONS`.
+        next: int32 (n, 2): row and column after the move.
+        reason: int8 (n,): the reason for the move, a position in `REASONS`.
+        replanned: bool (n,): whether the agent set out for a new goal.
     """
 
     tick: int
@@ -160,11 +160,13 @@ class Tick:
 
 @dataclass(frozen=True)
 class Decision:
-    """Why an agent did what it did in a tick, or why another action was not derived.
+    """An explanation of an agent's action in a tick, or of why another action was not derived.
 
-    `text` (and `str()`) is for readers. `derived` are the actions derived before the default; `explanations` has an
-    entry for each action that is spoken of, with its `action` and, unless the rules do not mention it, its `nodes`,
-    which are those of `Explanation`.
+    Attributes:
+        derived: The derived actions, before the default.
+        explanations: An entry for each explained action, with its `action` and, if a rule mentions it, its `nodes`,
+            which are those of `Explanation`.
+        text: The explanation for readers, also `str()`.
     """
 
     tick: int
@@ -177,46 +179,32 @@ class Decision:
     text: str
 
     def __str__(self) -> str:
-        """Tell it for readers."""
+        """Return the text."""
         return self.text
 
 
 class Simulation:
-    """A city in motion. The same configuration, rules, split, seed and controls give the same ticks.
+    """A running city. The same configuration, rules, split, seed and controls give the same ticks.
 
-    One thread at a time: a second one gets a `RuntimeError`. Long work lets other threads of Python run, and `run`
-    ends on Ctrl-C after the tick at hand. Simulations cannot be pickled or copied; make another with the same
-    arguments, which goes the same way.
+    Not thread-safe: concurrent use raises `RuntimeError`. Long calls release the GIL. Ctrl-C ends `run` after the
+    current tick. A simulation cannot be pickled or copied; one made with the same arguments gives the same ticks.
 
-    Parameters
-    ----------
-    config
-        A run configuration: a path, or a built-in one such as `configs/expert.yaml` or `expert`.
-    rules
-        A rule file instead of the configuration's.
-    split
-        Whose agents: `"train"`, `"val"` or `"test"`.
-    seed
-        From 0 to 2**64 - 1.
-    threads
-        How many a city of more than 256 agents uses; 0 is one for each core. Ticks are the same.
-    executor
-        What evaluates the rules. Ticks are the same.
-    count_firings
-        Whether it is counted which clauses fire; see `firings`, and `run` for traces.
+    Args:
+        config: A run configuration: a path, or a built-in one such as `configs/expert.yaml` or `expert`.
+        rules: A rule file that replaces the configuration's.
+        split: The agents: `"train"`, `"val"` or `"test"`.
+        seed: From 0 to 2**64 - 1.
+        threads: Threads for a city of more than 256 agents; 0 means one for each core. Ticks are the same.
+        executor: The executor of the rules. Ticks are the same.
+        count_firings: Whether to count the firings of clauses; see `firings`, and `run` for traces.
 
-    Raises
-    ------
-    InputError
-        For a faulty configuration or rule file, a split that the configuration does not have, or agents that have no
-        room on the map; `LimitError` for more agents or threads, or other rules, than can be.
-    OSError
-        For a file that cannot be read.
-    OverflowError
-        For a seed or number of threads out of range.
-    ValueError
-        For an unknown split or executor.
-
+    Raises:
+        InputError: A faulty configuration or rule file, a split that the configuration does not have, or agents that
+            have no room on the map. `LimitError`: too many agents or threads. `UnsupportedError`: `executor="dense"`
+            cannot evaluate the rules.
+        OSError: A file cannot be read.
+        OverflowError: A seed or number of threads out of range.
+        ValueError: An unknown split or executor.
     """
 
     def __init__(
@@ -236,29 +224,29 @@ class Simulation:
         self._city = _logicity.Simulation(config, rule_file(rules), split, seed, threads, executor, count_firings)
 
     def __reduce__(self) -> NoReturn:
-        """Refuse to be pickled or copied."""
+        """Refuse to pickle and to copy."""
         raise TypeError(
             "a Simulation cannot be pickled or copied: make another with the same arguments, "
             "and give it the same controls in as many ticks"
         )
 
     def __repr__(self) -> str:
-        """Tell configuration, split, seed and time."""
+        """Show configuration, split, seed and time."""
         return f"<Simulation {self._config}, split {self._split}, seed {self._seed}, after {self.now} ticks>"
 
     @property
     def now(self) -> int:
-        """How many ticks have passed."""
+        """Ticks since the start of the run."""
         return self._city.now()
 
     @property
     def executor(self) -> Executor:
-        """What evaluates the rules: `"dense"` or `"relational"`."""
+        """The executor in use: `"dense"` or `"relational"`."""
         return cast(Executor, self._city.executor())
 
     @property
     def map_name(self) -> str:
-        """Name of the map."""
+        """The name of the map."""
         return self._city.map()[0]
 
     @property
@@ -269,7 +257,7 @@ class Simulation:
 
     @cached_property
     def agents(self) -> tuple[AgentInfo, ...]:
-        """The agents; the rows of arrays are in this order."""
+        """The agents, in the order of rows of arrays."""
         return tuple(
             AgentInfo(name, kind, tuple(concepts), priority) for name, kind, concepts, priority in self._city.agents()
         )
@@ -280,98 +268,81 @@ class Simulation:
 
     @property
     def positions(self) -> npt.NDArray[np.int32]:
-        """Where the agents are now: int32 (n, 2), row and column in cells. A copy."""
+        """The current positions: int32 (n, 2), row and column in cells. A copy."""
         return self._city.positions()
 
     @property
     def goals(self) -> npt.NDArray[np.int32]:
-        """Where the agents are going: int32 (n, 2), row and column in cells. A copy."""
+        """The current goals: int32 (n, 2), row and column in cells. A copy."""
         return self._city.goals()
 
     @property
     def headings(self) -> npt.NDArray[np.int8]:
-        """The directions of their last moves: int8 (n,), positions in `HEADINGS`; a copy.
-
-        -1 stands for an agent that has not moved on its route yet.
-        """
+        """The directions of the last moves: int8 (n,), positions in `HEADINGS`, or -1 before the first. A copy."""
         return self._city.headings()
 
     @property
     def actions(self) -> npt.NDArray[np.int8]:
-        """What they did in the last tick: int8 (n,), positions in `ACTIONS`; a copy. Before the first all stop."""
+        """The actions of the last tick: int8 (n,), positions in `ACTIONS`; Stop before the first. A copy."""
         return self.last.action
 
     @property
     def last(self) -> Tick:
-        """The last tick; before the first, agents that rest."""
+        """The last tick; before the first one, agents that rest."""
         return Tick(*self._city.last())
 
     def tick(self, controls: Mapping[str | SupportsIndex, _Act] | Mapping[_Named, _Act] | None = None) -> Tick:
-        """Let every agent decide, then all move.
+        """Let every agent decide, then move all agents.
 
-        Parameters
-        ----------
-        controls
-            Agents, by name or by position in `agents`, that do not do what the rules say but this action, given by
-            name or by position in `ACTIONS`: `{"Car_1": "Stop"}`, `{0: 3}`.
+        Args:
+            controls: Actions that replace those of the rules, by agent. Agents are names or positions in `agents`,
+                actions are names or positions in `ACTIONS`: `{"Car_1": "Stop"}`, `{0: 3}`.
 
-        Raises
-        ------
-        KeyError
-            For an unknown agent.
-        ValueError
-            For an unknown action.
-        TypeError
-            For an agent or action that is neither str nor int.
-        LimitError
-            If the rules derive too much, or too many agents are in one place. The city is then as before.
-
+        Raises:
+            KeyError: An unknown agent.
+            LimitError: The rules derive too much, or too many agents are in one place. The city is unchanged.
+            TypeError: An agent or action that is neither str nor int.
+            ValueError: An unknown action.
         """
         given: Mapping[Any, _Act] = {} if controls is None else controls
         return Tick(*self._city.tick([(self._agent(agent), _action(action)) for agent, action in given.items()]))
 
     def run(self, ticks: int, *, trace: str | os.PathLike[str] | None = None) -> None:
-        """Go on for so many ticks, in one call.
+        """Run a number of ticks in one call.
 
-        Parameters
-        ----------
-        ticks
-            How many, from 0 on.
-        trace
-            A file for the trace of these ticks, which `logicity explain` and `logicity check --coverage` read. It
-            appears when it is complete; what was run before an exception is in it. A trace tells which clauses fired,
-            so `count_firings` must have been set.
+        Args:
+            ticks: The number of ticks, from 0.
+            trace: A file for the trace of these ticks, which `logicity explain` and `logicity check --coverage` read.
+                It appears when it is complete, also after an exception. A trace records firings, so it needs
+                `count_firings`.
 
-        Raises
-        ------
-        ValueError
-            For a trace without counted firings.
-        OSError
-            For a trace that cannot be written.
-        LimitError
-            As `tick`; or if there are too many agents for a trace.
-        OverflowError
-            For a negative number of ticks.
-        KeyboardInterrupt
-            On Ctrl-C. The city stays as it is after the last tick that was complete.
-
+        Raises:
+            KeyboardInterrupt: Ctrl-C. The city is as after the last complete tick.
+            LimitError: As for `tick`, or too many agents for a trace.
+            OSError: The trace cannot be written.
+            OverflowError: A negative number of ticks.
+            ValueError: A trace without counted firings.
         """
         if trace is not None and not self._counts:
-            raise ValueError("a trace tells which clauses fired: make the Simulation with count_firings=True")
+            raise ValueError("a trace records which clauses fired: make the Simulation with count_firings=True")
         self._city.run(ticks, trace)
 
     def semantic_map(self) -> npt.NDArray[np.float32]:
-        """Draw the present state as float32 (rows, columns, 8 + n), each value 0 or 1.
+        """Return the current state as float32 (rows, columns, 8 + n), each value 0 or 1.
 
-        Layers 0 to 7 are walking street, traffic street, crossing, house, office, garage, store and gas station, of
-        which a cell has at most one; layer 8 + i is 1 in the cell of agent i.
+        Layers 0 to 7 are walking street, traffic street, crossing, house, office, garage, store and gas station; a cell
+        has at most one. Layer 8 + i is 1 in the cell of agent i.
+
+        Raises:
+            LimitError: The array would have too many values.
         """
         return self._city.semantic_map()
 
     def facts(self) -> dict[str, list[tuple[str, ...]]]:
-        """Tell the base facts on which the last tick was decided (before the first: those of now), as names of agents.
+        """Return the base facts of the last tick (before the first: the current ones), as names of agents.
 
-        Raises `LimitError` if there are too many agents for facts about pairs of them.
+        Raises:
+            LimitError: Too many agents for facts about pairs.
         """
         names = [agent.name for agent in self.agents]
         return {
@@ -380,44 +351,49 @@ class Simulation:
         }
 
     def fact_indices(self) -> dict[str, npt.NDArray[np.int32]]:
-        """Tell the same as positions of agents: int32 of shape (rows, columns of the predicate)."""
+        """Return the same facts as positions of agents: int32 of shape (rows, columns of the predicate).
+
+        Raises:
+            LimitError: Too many agents for facts about pairs.
+        """
         return self._city.facts()
 
     @property
     def firings(self) -> list[tuple[str, int]]:
-        """The clauses by their labels, and how many rows each derived in the last tick.
-
-        Empty unless `count_firings` was set.
-        """
+        """The clauses by label, with the rows each derived in the last tick. Empty without `count_firings`."""
         return self._city.firings()
 
     def explain(self, agent: str | int) -> Decision:
-        """Tell why an agent did what it did in the last tick; before the first, why the rules want what they want now.
+        """Explain an agent's action in the last tick; before the first, the action that the rules derive now.
 
-        Raises `KeyError` for an unknown agent, and `LimitError` if there are too many agents or the search for an
-        explanation takes too many steps.
+        Raises:
+            KeyError: An unknown agent.
+            LimitError: Too many agents, or the search for an explanation takes too many steps.
         """
         return self._decision(agent, None)
 
     def why_not(self, agent: str | int, action: Action | int) -> Decision:
-        """Tell why an action was not derived for an agent in the last tick, or why it was.
+        """Explain why an action was not derived for an agent in the last tick, or why it was.
 
-        Raises what `explain` raises, and `ValueError` for an unknown action.
+        Raises:
+            KeyError: An unknown agent.
+            LimitError: As for `explain`.
+            ValueError: An unknown action.
         """
         return self._decision(agent, _action(action))
 
     def _decision(self, agent: str | int, why_not: int | None) -> Decision:
-        text, told = self._city.explain(self._agent(agent), why_not)
-        told["at"], told["derived"] = tuple(told["at"]), tuple(told["derived"])
-        return Decision(text=text, **told)
+        text, data = self._city.explain(self._agent(agent), why_not)
+        data["at"], data["derived"] = tuple(data["at"]), tuple(data["derived"])
+        return Decision(text=text, **data)
 
     def _agent(self, agent: str | SupportsIndex) -> int:
         if isinstance(agent, str):
             if (position := self._index.get(agent)) is not None:
                 return position
-            raise KeyError(f"there is no agent `{agent}`{did_you_mean(agent, self._index)}")
+            raise KeyError(f"unknown agent `{agent}`{did_you_mean(agent, self._index)}")
         if not 0 <= index(agent) < len(self.agents):
-            raise KeyError(f"there is no agent {agent}; there are {len(self.agents)}, from 0 on")
+            raise KeyError(f"unknown agent {agent}: expected 0 to {len(self.agents) - 1}")
         return index(agent)
 
 

@@ -1,4 +1,4 @@
-"""What observations are made of, and tables of the environments as Markdown, both as the tasks say of themselves."""
+"""The layout of observations, and tables of the environments as Markdown, both generated from the tasks."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from .modes import ENVIRONMENTS
 
 __all__ = ["Atom", "atoms_of", "describe", "observation_names"]
 
-#: A predicate, and the observed entities it is about: 0 is the ego.
+#: A predicate and its arguments, observed entities: 0 is the ego.
 Atom: TypeAlias = tuple[str, tuple[int, ...]]
 
 SPLITS = ("train", "val", "test")
 
 
 def describe() -> str:
-    """Environments, rewards and the layout of observations of every mode."""
+    """Return Markdown tables of the environments, the rewards and the observations of every mode."""
     tasks = {mode: _logicity.describe(load_task(mode)) for mode in ENVIRONMENTS}
     sections = [
         ("Environments", _environments(tasks)),
         ("Rewards", _rewards(tasks)),
-        ("Observations", _observations(tasks)),
-        ("Exact observations", _points(tasks)),
+        ("Observations of the kind `groundings`", _groundings(tasks)),
+        ("Observations of the kind `state`", _state(tasks)),
     ]
     return "\n".join(f"### {title}\n\n{text}" for title, text in sections)
 
@@ -39,29 +39,30 @@ def observation_names(
     rules: str | os.PathLike[str] | None = None,
     overrides: Mapping[str, Any] | None = None,
 ) -> tuple[str, ...]:
-    """What each number of an observation of atoms stands for, such as `IsTiro(0)` or `CollidingClose(0, 3)`.
+    """Return the names of the numbers of a `groundings` observation, such as `IsTiro(0)` or `CollidingClose(0, 3)`.
 
-    Entity 0 is the ego, 1, 2, ... are what it sees. The last is `route length` if the task observes it, too.
+    Entity 0 is the ego; 1, 2, ... are the entities in its view. The last name is `route length` if the task observes
+    it.
 
     Args:
-        mode: one of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file.
-        rules: a rule file instead of the configuration's.
-        overrides: changes to the configuration, as `gymnasium.make` takes them.
+        mode: One of `logicity.ENVIRONMENTS`, such as `"expert"`, or the path of a configuration file.
+        rules: A rule file that replaces the configuration's.
+        overrides: Changes to the configuration, as in `gymnasium.make`.
 
     Raises:
-        ValueError: an unknown mode.
-        InputError: a faulty configuration, rule file or override.
-        OSError: a file cannot be read.
+        InputError: A faulty configuration, rule file or override.
+        OSError: A file cannot be read.
+        ValueError: An unknown mode.
     """
-    told = _logicity.describe(load_task(mode, rules, overrides))
-    atoms = (f"{predicate}({', '.join(map(str, entities))})" for predicate, entities in atoms_of(told))
-    return (*atoms, "route length") if told["route_length"] else tuple(atoms)
+    description = _logicity.describe(load_task(mode, rules, overrides))
+    atoms = (f"{predicate}({', '.join(map(str, entities))})" for predicate, entities in atoms_of(description))
+    return (*atoms, "route length") if description["route_length"] else tuple(atoms)
 
 
-def atoms_of(told: Mapping[str, Any]) -> Iterator[Atom]:
-    """The atoms of an observation, in order, of a task as it says of itself; the length of the route is no atom."""
-    for column in told["columns"]:
-        for entities in itertools.product(range(told["entities"]), repeat=column["arity"]):
+def atoms_of(description: Mapping[str, Any]) -> Iterator[Atom]:
+    """Yield the atoms of a `groundings` observation in order. `description` is that of the task."""
+    for column in description["columns"]:
+        for entities in itertools.product(range(description["entities"]), repeat=column["arity"]):
             yield column["predicate"], entities
 
 
@@ -75,9 +76,9 @@ def _environments(tasks: dict[str, Any]) -> str:
     head = (
         "id",
         "agents train / val / test",
-        "steps at most",
-        "`atoms`",
-        "`points`",
+        "horizon (steps)",
+        "`groundings`",
+        "`state`",
         "recorded train / val / test",
         "test set",
     )
@@ -90,22 +91,22 @@ def _environments(tasks: dict[str, Any]) -> str:
                 " / ".join(str(split["agents"]) for split in splits),
                 task["horizon"],
                 f"({task['width']},)",
-                f"({', '.join(map(str, task['points']))})",
+                f"({', '.join(map(str, task['state']))})",
                 " / ".join(str(split["episodes"]) for split in splits),
                 f"`{splits[2]['hash'][:12]}`",
             )
         )
     patience = {task["patience"] for task in tasks.values()}
-    told = " or ".join(str(number) for number in sorted(patience))
+    factors = " or ".join(str(number) for number in sorted(patience))
     return (
         _table(head, rows)
-        + f"\nRecorded episodes have at most {told} times the oracle's steps. The last column begins the SHA-256 "
-        "of the set of test episodes.\n"
+        + f"\nThe limit of steps in a recorded episode is {factors} times the oracle's number. The last column is the "
+        "start of the SHA-256 of the set of test episodes.\n"
     )
 
 
 def _rewards(tasks: dict[str, Any]) -> str:
-    head = ("mode", *ACTIONS, "overtime", "a clause broken")
+    head = ("mode", *ACTIONS, "overtime", "broken clause")
     rows: list[tuple[object, ...]] = []
     for mode, task in tasks.items():
         by_action: dict[str, dict[float, list[str]]] = {}
@@ -119,17 +120,18 @@ def _rewards(tasks: dict[str, Any]) -> str:
         )
         rows.append((mode, *(f"{task['actions'][action]:g}" for action in ACTIONS), f"{task['overtime']:g}", broken))
     return (
-        "The four numbers of the actions are divided by four times the cells of the route. A step that breaks clauses "
-        "is worth, instead of that, the sum over the actions they ask of the worst of each, and ends the episode; so "
-        "does the goal. Overtime is added to the last step at the horizon.\n\n" + _table(head, rows)
+        "The reward of a step is the number of its action divided by four times the cells of the route. A step that "
+        "breaks clauses ends the episode. Its reward is a sum over the actions that these clauses require: for each "
+        "action, the lowest number of its broken clauses. The goal ends the episode, too. At the horizon, the last "
+        "step also gets the overtime.\n\n" + _table(head, rows)
     )
 
 
-def _observations(tasks: dict[str, Any]) -> str:
+def _groundings(tasks: dict[str, Any]) -> str:
     layouts: dict[str, list[str]] = {}
     for mode, task in tasks.items():
         layouts.setdefault(json.dumps([task["columns"], task["entities"]]), []).append(mode)
-    told = []
+    sections = []
     for layout, modes in layouts.items():
         columns, entities = json.loads(layout)
         rows: list[tuple[object, ...]] = []
@@ -140,28 +142,29 @@ def _observations(tasks: dict[str, Any]) -> str:
             variables = "(i)" if unary else "(i, j)"
             rows.append((f"{base} to {base + column['width'] - 1}", f"`{column['predicate']}{variables}`", where))
             base += column["width"]
-        told.append(f"{', '.join(modes)}:\n\n" + _table(("numbers", "atom", "at"), rows))
+        sections.append(f"{', '.join(modes)}:\n\n" + _table(("numbers", "atom", "at"), rows))
     return (
-        "Each number of `atoms` is 1 if an atom is true and else 0. Entity 0 is the ego, the others are what it sees; "
-        "i and j count from 0. Of entities that are not there nothing is true.\n\n" + "\n".join(told)
+        "Each number is the truth value of a ground atom: 1 if it is true, else 0. Entity 0 is the ego, the others are "
+        "the entities in its view; i and j count from 0. Atoms over absent entities are false.\n\n"
+        + "\n".join(sections)
     )
 
 
-def _points(tasks: dict[str, Any]) -> str:
+def _state(tasks: dict[str, Any]) -> str:
     def each(key: str) -> str:
-        """What modes have of something: said once if they agree."""
+        """Format the values of a key by mode, or the one value if the modes agree."""
         by_value: dict[str, list[str]] = {}
         for mode, task in tasks.items():
             by_value.setdefault(f"{task[key]:g}", []).append(mode)
-        told = [f"{value} in {', '.join(modes)}" for value, modes in by_value.items()]
-        return next(iter(by_value)) if len(by_value) == 1 else "; ".join(told)
+        values = [f"{value} in {', '.join(modes)}" for value, modes in by_value.items()]
+        return next(iter(by_value)) if len(by_value) == 1 else "; ".join(values)
 
     rows: list[tuple[object, ...]] = [
-        (0, "1: there is an agent", "0, 1"),
-        (1, "rows from the ego down to it, as a share of the half-width of the field of view", "-1 to 1"),
-        (2, "columns from the ego right to it, as that share", "-1 to 1"),
-        ("3 to 6", f"1 for its heading: {', '.join(HEADINGS)}; all 0 before its first move", "0, 1"),
-        (7, "its priority as a share of the greatest; a smaller one goes first", "-1 to 1"),
+        (0, "1: the row is in use", "0, 1"),
+        (1, "rows from the ego down to the agent, as a share of the half-width of the field of view", "-1 to 1"),
+        (2, "columns from the ego right to the agent, as a share of the same", "-1 to 1"),
+        ("3 to 6", f"one-hot heading: {', '.join(HEADINGS)}; all 0 before the first move", "0, 1"),
+        (7, "priority as a share of the greatest; a smaller number has the right of way", "-1 to 1"),
     ]
     predicates: dict[str, list[str]] = {}
     for mode, task in tasks.items():
@@ -169,11 +172,10 @@ def _points(tasks: dict[str, Any]) -> str:
         predicates.setdefault(names, []).append(mode)
     for names, modes in predicates.items():
         last = 7 + names.count(",") + 1
-        rows.append((f"8 to {last}", f"1 for each that it is, in {', '.join(modes)}: {names}", "0, 1"))
+        rows.append((f"8 to {last}", f"truth values in {', '.join(modes)}: {names}", "0, 1"))
     return (
-        "`points` has a row for each agent: the ego first, then the others in its field of view in the order of the "
-        "list of agents (`episode` tells it), not of their distance. Those for which there is no row left are not "
-        "seen at all; rows that are left are 0. The field of view goes so many cells from the ego to each side: "
-        f"{each('view')}. The greatest priority: {each('priority_scale')}.\n\n"
-        + _table(("column", "meaning", "values"), rows)
+        "Each row is an agent: the ego first, then the others in its field of view, in the order of the list of agents "
+        "(see `episode`), not by distance. Agents beyond the number of rows are left out; unused rows are 0. "
+        f"Half-width of the field of view in cells: {each('view')}. "
+        f"The greatest priority: {each('priority_scale')}.\n\n" + _table(("column", "meaning", "values"), rows)
     )

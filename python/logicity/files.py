@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Atomic writes: a file is either complete or absent."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["replacing", "write_json", "write_new"]
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[str]:
-    """A temporary name to write under, which is renamed to `path` in the end: nobody finds half a file there."""
+    """Yield a temporary name to write to, which replaces `path` at the end."""
     temporary = f"{os.fspath(path)}.{os.getpid()}.tmp"
     try:
         yield temporary
@@ -25,18 +25,22 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[str]:
 
 
 def write_json(path: str | os.PathLike[str], value: Any) -> None:
-    """Write JSON, in place of what was there."""
+    """Write JSON, replacing an existing file."""
     with replacing(path) as temporary, open(temporary, "w", encoding="utf-8") as out:
         json.dump(value, out, indent=1, allow_nan=False)
         out.write("\n")
 
 
 def write_new(path: Path, text: str) -> None:
-    """Write a text where there is nothing yet, or the same text; raises `FileExistsError` for anything else."""
+    """Write a text to a file that does not exist, or that has the same content.
+
+    Raises:
+        FileExistsError: The file has another content.
+    """
     content = text.encode()
     if path.exists():
         if path.read_bytes() != content:
-            raise FileExistsError(f"`{path}` is there already and is another: remove it, or write elsewhere")
+            raise FileExistsError(f"`{path}` exists with another content: remove it, or write elsewhere")
         return
     with replacing(path) as temporary:
         Path(temporary).write_bytes(content)

@@ -1,11 +1,11 @@
 """Fill a pack of icons with a diffusion model (`pip install './python[icons]'`).
 
-A pack is a folder that `logicity icons sheet --pack` and `logicity run --pack` take: a folder a class, PNG files in it.
-What the model is asked for is written from templates, or by whatever turns one text into another, such as a language
-model.
+`logicity icons sheet --pack` and `logicity run --pack` take a pack: one folder for each class, with PNG files. The
+prompts come from templates. A function that maps text to text, such as a language model, can rewrite them.
 
->>> pipeline = load_pipeline("stabilityai/sd-turbo")  # doctest: +SKIP
->>> fill("pack", ["ambulance", "bus+tiro"], 20, pipeline)  # doctest: +SKIP
+Example:
+    >>> pipeline = load_pipeline("stabilityai/sd-turbo")  # doctest: +SKIP >>> fill("pack", ["ambulance", "bus+tiro"],
+    20, pipeline)  # doctest: +SKIP
 """
 
 from __future__ import annotations
@@ -17,9 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from .errors import missing_extra
+
 __all__ = ["SUBJECTS", "cut_out", "fill", "load_pipeline", "prompts"]
 
-#: What is to be seen for each concept, kind of agent and building.
+#: Descriptions for each concept, kind of agent and building.
 SUBJECTS = {
     "car": ["a saloon car", "a hatchback", "an estate car", "a pickup"],
     "ambulance": ["an ambulance van with a light bar and a large cross on its roof"],
@@ -38,21 +40,27 @@ SUBJECTS = {
 }
 _CARS = {"car", "ambulance", "bus", "police", "tiro", "reckless"}
 _BUILDINGS = {"house", "office", "garage", "store", "gas-station"}
-_COLOURS = ["white", "silver", "black", "red", "blue", "green", "yellow", "orange", "brown"]
+_COLORS = ["white", "silver", "black", "red", "blue", "green", "yellow", "orange", "brown"]
 _STYLES = ["flat vector icon", "clean 3D render", "hand-painted game sprite", "photo"]
 
 
 def prompts(name: str, count: int, *, seed: int = 0, write: Callable[[str], str] | None = None) -> list[str]:
-    """Texts that ask for `count` different icons of a class, the same for the same `seed`.
+    """Return prompts for `count` different icons of a class, the same for the same seed.
 
-    `name` is a class as `logicity icons` names it: `bus`, `bus+tiro`, `car+taxi`. `write` is given each text of the
-    template and returns the one to use: a call of a language model, for example.
+    Args:
+        name: A class as `logicity icons` names it: `bus`, `bus+tiro`, `car+taxi`.
+        count: The number of prompts.
+        seed: The seed.
+        write: Maps each text of the template to the prompt, for example by a language model.
+
+    Raises:
+        ValueError: An unknown class, or a negative count.
     """
     parts = name.split("+")
     if any(not part or {"/", "\\"} & set(part) for part in parts):
-        raise ValueError(f"`{name}` is no name of a class")
+        raise ValueError(f"`{name}` is no class")
     if parts[0] not in SUBJECTS:
-        raise ValueError(f"there is no class `{name}`: it begins with one of {', '.join(SUBJECTS)}")
+        raise ValueError(f"unknown class `{name}`: it must begin with one of {', '.join(SUBJECTS)}")
     if count < 0:
         raise ValueError(f"cannot write {count} prompts")
     draw = random.Random(f"{seed} {name}")
@@ -66,7 +74,7 @@ def prompts(name: str, count: int, *, seed: int = 0, write: Callable[[str], str]
     for _ in range(count):
         subject = " that is also ".join(draw.choice(SUBJECTS.get(part, [f"a {part}"])) for part in parts)
         text = (
-            f"{draw.choice(_STYLES)} of {subject}, {draw.choice(_COLOURS)}, {view}, one object, centred, "
+            f"{draw.choice(_STYLES)} of {subject}, {draw.choice(_COLORS)}, {view}, one object, centered, "
             "plain white background, no text, no shadow"
         )
         texts.append(text if write is None else write(text))
@@ -74,12 +82,20 @@ def prompts(name: str, count: int, *, seed: int = 0, write: Callable[[str], str]
 
 
 def cut_out(image: Any, tolerance: int = 24) -> Any:
-    """The picture with its background transparent, cropped to the rest.
+    """Make the background of a picture transparent, and crop the picture to the rest.
 
-    The background is what hangs together with the border and differs from the mean colour of the corners by at most
-    `tolerance` of 255 in every channel. `image` is a `PIL.Image.Image`, and so is what is returned.
+    The background is connected to the border, and differs from the mean color of the corners by at most `tolerance` of
+    255 in every channel.
 
-    :raises ValueError: if nothing but background is left.
+    Args:
+        image: A `PIL.Image.Image`.
+        tolerance: The largest difference.
+
+    Returns:
+        A `PIL.Image.Image`.
+
+    Raises:
+        ValueError: Only background is left.
     """
     from PIL import Image
 
@@ -100,23 +116,28 @@ def cut_out(image: Any, tolerance: int = 24) -> Any:
             break
         outside = grown
     if outside.all():
-        raise ValueError("the picture is of one colour: there is nothing to cut out")
+        raise ValueError("the picture has one color: nothing to cut out")
     rows, columns = (np.flatnonzero((~outside).any(axis=axis)) for axis in (1, 0))
     rgba = np.dstack([pixels.astype(np.uint8), np.where(outside, 0, 255).astype(np.uint8)])
     return Image.fromarray(rgba[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])
 
 
 def load_pipeline(model: str | Path, *, device: str | None = None, **options: Any) -> Any:
-    """A text-to-image pipeline of `diffusers`, from the hub or a folder.
+    """Load a text-to-image pipeline of `diffusers`, from the hub or a folder.
 
-    :param device: where it runs, such as `cuda`; a GPU if there is one, unless given.
-    :param options: passed on to `AutoPipelineForText2Image.from_pretrained`, such as `torch_dtype`.
+    Args:
+        model: The name on the hub, or the folder.
+        device: The device, such as `cuda`; by default a GPU if one is available.
+        options: Arguments of `AutoPipelineForText2Image.from_pretrained`, such as `torch_dtype`.
+
+    Raises:
+        ImportError: diffusers is not installed. The extra `icons` installs it.
     """
     try:
         import torch
         from diffusers import AutoPipelineForText2Image
     except ImportError as error:
-        raise ImportError("icons need diffusers: pip install './python[icons]'") from error
+        raise missing_extra("icons", error) from error
     pipeline = AutoPipelineForText2Image.from_pretrained(str(model), **options)
     pipeline.set_progress_bar_config(disable=True)
     return pipeline.to(device or ("cuda" if torch.cuda.is_available() else "cpu"))
@@ -136,25 +157,35 @@ def fill(
 ) -> list[Path]:
     """Draw `count` icons of every class into a pack and return their files.
 
-    Icon `k` of a class is drawn from prompt `k` with a generator seeded by `seed + k`; where its file is there already,
-    nothing is drawn, so that a run that was broken off goes on.
+    Icon `k` of a class is drawn from prompt `k` with a generator seeded by `seed + k`. Existing files are kept, so that
+    an interrupted run resumes.
 
-    :param pipeline: from :func:`load_pipeline`, or anything that is called with `prompt`, `generator` and `options` and
-        returns an object whose `images` are PIL images.
-    :param side: the longest side of an icon in pixels, at most 2048; the model draws at the size it was trained for, or
-        that of `options`.
-    :param tolerance: see :func:`cut_out`; buildings keep their background.
-    :param options: passed on to the pipeline, such as `num_inference_steps` and `guidance_scale`.
+    Args:
+        folder: The folder of the pack.
+        names: The classes.
+        count: The number of icons of each class.
+        pipeline: The result of `load_pipeline`, or a callable that takes `prompt`, `generator` and `options` and
+            returns an object whose `images` are PIL images.
+        seed: The seed.
+        side: The longest side of an icon in pixels, at most 2048. The model draws at its own size, or that of
+            `options`.
+        tolerance: As for `cut_out`. Buildings keep their background.
+        write: As for `prompts`.
+        options: Arguments of the pipeline, such as `num_inference_steps` and `guidance_scale`.
+
+    Raises:
+        OSError: A file cannot be written.
+        ValueError: A side out of range, an unknown class, or a negative count.
     """
     if not 1 <= side <= 2048:
-        raise ValueError(f"an icon of {side} pixels: it has 1 to 2048")
+        raise ValueError(f"an icon of {side} pixels: expected 1 to 2048")
     texts = {name: prompts(name, count, seed=seed, write=write) for name in names}
     files = []
-    for name, asked in texts.items():
-        place = Path(folder) / name
-        place.mkdir(parents=True, exist_ok=True)
-        for number, text in enumerate(asked):
-            file = place / f"{number:04}.png"
+    for name, wanted in texts.items():
+        class_folder = Path(folder) / name
+        class_folder.mkdir(parents=True, exist_ok=True)
+        for number, text in enumerate(wanted):
+            file = class_folder / f"{number:04}.png"
             files.append(file)
             if not file.exists():
                 image = _draw(pipeline, text, seed + number, options)
@@ -167,7 +198,7 @@ def fill(
 def _draw(pipeline: Any, text: str, seed: int, options: dict[str, Any]) -> Any:
     import torch
 
-    # On the CPU whatever the pipeline runs on, so that the noise is the same everywhere.
+    # On the CPU, so that the noise does not depend on the device of the pipeline.
     generator = torch.Generator("cpu").manual_seed(seed)
     images: Sequence[Any] = pipeline(prompt=text, generator=generator, **options).images
     return images[0]

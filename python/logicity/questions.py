@@ -1,7 +1,7 @@
-"""Language questions: ask a model over HTTP, read what it replies, grade it.
+"""Multiple-choice questions for language models: ask a model over HTTP, read its replies, grade them.
 
-`logicity questions` makes the questions. `ask` sends them to a chat endpoint and writes the replies down; `grade`
-compares replies, from there or from anywhere else, with what the rules want.
+`logicity questions` makes the questions. `ask` sends them to a chat endpoint and stores the replies. `grade` compares
+replies from any source with the actions that the rules derive.
 """
 
 from __future__ import annotations
@@ -33,10 +33,12 @@ RESPONSE_BYTES = 16 << 20
 
 @dataclass(frozen=True)
 class Question:
-    """A question of a file that `logicity questions` has written.
+    """A question from the output of `logicity questions`.
 
-    `demonstrations` are pairs of a question and the letter of its answer; `options` are the actions by letter; `answer`
-    is the letter that is right.
+    Attributes:
+        demonstrations: Pairs of a question and the letter of its answer.
+        options: The actions by letter.
+        answer: The letter of the right action.
     """
 
     id: str
@@ -47,7 +49,7 @@ class Question:
     answer: str
 
     def messages(self) -> list[dict[str, str]]:
-        """What a chat model is told: the instructions, then the examples and the question."""
+        """Return the messages for a chat model: the instructions, then the examples and the question."""
         options = "\n".join(f"({letter}) {action}" for letter, action in self.options.items())
         shown = [
             f"Example {number}\n{text}\n{options}\nAnswer: {answer}"
@@ -58,7 +60,7 @@ class Question:
 
 
 def _lines(path: str | os.PathLike[str]) -> Iterable[tuple[str, dict[str, Any]]]:
-    """The objects of a file of JSON lines, and where each stands."""
+    """Yield the objects of a file of JSON lines, each with its place."""
     with open(path, encoding="utf-8") as file:
         for number, line in enumerate(file, 1):
             if not line.strip():
@@ -69,7 +71,7 @@ def _lines(path: str | os.PathLike[str]) -> Iterable[tuple[str, dict[str, Any]]]
             except json.JSONDecodeError as error:
                 raise ValueError(f"{place}: not JSON: {error}") from None
             if not isinstance(value, dict) or not isinstance(value.get("id"), str):
-                raise ValueError(f"{place}: expected an object with an `id`, a text")
+                raise ValueError(f"{place}: expected an object with a text as `id`")
             yield place, value
 
 
@@ -77,8 +79,8 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
     """Read a file of questions.
 
     Raises:
-        OSError: the file cannot be read.
-        ValueError: it is not as `logicity questions` writes it; the message tells the line.
+        OSError: The file cannot be read.
+        ValueError: The file is no output of `logicity questions`; the message names the line.
     """
     questions: dict[str, Question] = {}
     for place, line in _lines(path):
@@ -96,26 +98,26 @@ def load_questions(path: str | os.PathLike[str]) -> list[Question]:
         if list(question.options.items()) != list(zip(LETTERS, ACTIONS, strict=True)):
             raise ValueError(f"{place}: the options are not {', '.join(ACTIONS)}")
         if question.answer not in question.options:
-            raise ValueError(f"{place}: the answer {question.answer!r} is none of the options")
+            raise ValueError(f"{place}: the answer {question.answer!r} is no option")
         if question.id in questions:
-            raise ValueError(f"{place}: the id {question.id!r} is there twice")
+            raise ValueError(f"{place}: the id {question.id!r} occurs twice")
         questions[question.id] = question
     if not questions:
-        raise ValueError(f"{os.fspath(path)}: there are no questions")
+        raise ValueError(f"{os.fspath(path)}: no questions")
     return list(questions.values())
 
 
 def load_answers(path: str | os.PathLike[str]) -> dict[str, str]:
-    """Read a file of answers, `{"id": .., "answer": ..}` a line: the answers by id. An answer is a letter or any text.
+    """Read a file of answers by id, one `{"id": .., "answer": ..}` in each line. An answer is a letter or any text.
 
     Raises:
-        OSError: the file cannot be read.
-        ValueError: a line is otherwise, or an id is there twice; the message tells the line.
+        OSError: The file cannot be read.
+        ValueError: A faulty line, or a repeated id; the message names the line.
     """
     answers: dict[str, str] = {}
     for place, line in _lines(path):
         if not isinstance(line.get("answer"), str):
-            raise ValueError(f"{place}: expected an `answer`, a text")
+            raise ValueError(f"{place}: expected a text as `answer`")
         if line["id"] in answers:
             raise ValueError(f"{place}: the id {line['id']!r} is answered twice")
         answers[line["id"]] = line["answer"]
@@ -123,10 +125,10 @@ def load_answers(path: str | os.PathLike[str]) -> dict[str, str]:
 
 
 _NAMES = "|".join(ACTIONS)
-# Emphasis, code and TeX around an answer.
+# Emphasis, code and TeX markup.
 _MARKUP = re.compile(r"\\boxed|\\text|[*_`${}\"']")
 _MARKER = re.compile(r"\banswer\b(?:\s+(?:is|would\s+be|should\s+be))?\s*[:=-]?\s*(?:option\s+)?", flags=re.IGNORECASE)
-# A letter, or nothing before a name; what stands between; perhaps a name; the rest.
+# A letter, or nothing before a name; a separator; an optional name; the rest.
 _OPTION = re.compile(
     rf"[(\[]?\s*(?:([A-D])\b\s*[)\]]?|(?=(?:{_NAMES})\b))([\s.:)\-–—]*)((?:{_NAMES})\b)?(.*)", flags=re.IGNORECASE
 )
@@ -135,10 +137,9 @@ _REMARK = re.compile(r"\s*(?:$|[.,;:!)\]]|\(|because\b|since\b)", flags=re.IGNOR
 
 
 def read_letter(reply: str) -> str | None:
-    """Read the option that a reply chooses: `"A"` to `"D"`, or `None` if it chooses none or several.
+    """Read the option that a reply chooses: `"A"` to `"D"`, or `None` if it chooses no option or several.
 
-    What follows the last "answer:" or "answer is" that can be read counts; else the last line, if it is no more than an
-    option.
+    The text after the last legible "answer:" or "answer is" counts, or else the last line if it holds only an option.
     """
     text = re.sub(r"<(\w+)>", r"\1: ", re.sub(r"</\w+>", "\n", reply))
     text = _MARKUP.sub("", text)
@@ -151,7 +152,7 @@ def read_letter(reply: str) -> str | None:
 
 
 def _option(text: str) -> str | None:
-    """The option with which a text begins: a letter, a name or both, then nothing, or a remark set apart."""
+    """Read the option at the start of a text: a letter, a name or both, then the end or a separate remark."""
     found = _OPTION.match(text.strip())
     if found is None:
         return None
@@ -159,7 +160,7 @@ def _option(text: str) -> str | None:
     named = LETTERS[[action.lower() for action in ACTIONS].index(name.lower())] if name else None
     if (letter and named and letter.upper() != named) or _ALTERNATIVE.match(rest):
         return None
-    # "A car" and "Stop signs" go on as a sentence; "B. The car" does not.
+    # "A car" and "Stop signs" continue a sentence; "B. The car" does not.
     set_apart = name is None and any(mark in gap for mark in ".:)-–—")
     if not set_apart and not _REMARK.match(rest):
         return None
@@ -168,7 +169,7 @@ def _option(text: str) -> str | None:
 
 @dataclass(frozen=True)
 class Recall:
-    """How many questions were answered right: `correct` of `total`, as a share with its interval."""
+    """The number of questions answered correctly, out of `total`, and their share with its interval."""
 
     correct: int
     total: int
@@ -176,7 +177,7 @@ class Recall:
 
     @classmethod
     def of(cls, correct: int, total: int) -> Recall:
-        """The share and its 95 % interval after Wilson (1927); of nothing, 0 with the interval 0 to 1."""
+        """Compute the share and its 95 % interval after Wilson (1927); 0 and [0, 1] for a total of 0."""
         if total == 0:
             return cls(0, 0, Interval(0.0, 0.0, 1.0))
         z = 1.959963984540054
@@ -188,14 +189,16 @@ class Recall:
 
 @dataclass(frozen=True)
 class Grade:
-    """How well questions were answered.
+    """The result of grading.
 
-    - `overall`: of all questions; what was not answered, or not legibly, is wrong.
-    - `by_action`: of the questions with this right answer, for actions that are the right answer of some.
-    - `confusion`: by right answer, how often each letter was chosen, `"unread"` for replies that choose none,
-      `"missing"` for questions without a reply.
-    - `missing`, `unread`: the ids of those questions.
-    - `unknown`: ids of answers to questions that are not in the file.
+    Attributes:
+        overall: Recall over all questions; a missing or illegible answer is wrong.
+        by_action: Recall by right action, for actions with questions.
+        confusion: By right answer, the counts of chosen letters, of `"unread"` replies (no option chosen), and of
+            `"missing"` ones.
+        missing: The ids of questions without a reply.
+        unread: The ids of questions whose reply chooses no option.
+        unknown: The ids of answers without a question.
     """
 
     overall: Recall
@@ -206,11 +209,11 @@ class Grade:
     unknown: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, as they are written to JSON."""
+        """Return plain values for JSON."""
         return asdict(self)
 
     def __str__(self) -> str:
-        """A table for people."""
+        """Format a table."""
         columns = [*LETTERS, UNREAD, MISSING]
         head = ["right answer", "questions", "accuracy", *columns]
         rows = [
@@ -255,16 +258,16 @@ def grade(questions: Sequence[Question], answers: Mapping[str, str]) -> Grade:
     )
 
 
-class _Again(Exception):
-    """A request failed in a way that may pass; `wait` is how many seconds the server asks for."""
+class _RetryableError(Exception):
+    """A request failed, and a later try may succeed. `wait` is the delay in seconds that the server requests."""
 
     def __init__(self, reason: str, wait: float | None = None) -> None:
         super().__init__(reason)
         self.wait = wait
 
 
-class _Stay(urllib.request.HTTPRedirectHandler):
-    """Follows no redirection: the key would go along to wherever it leads."""
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    """Follows no redirect, since a redirect would send the key to another server."""
 
     def redirect_request(self, *given: Any, **named: Any) -> None:
         return None
@@ -272,20 +275,20 @@ class _Stay(urllib.request.HTTPRedirectHandler):
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A chat endpoint as OpenAI's and many local servers have it.
+    """A chat endpoint with the interface of OpenAI, which many local servers have, too.
 
     Args:
-        url: of the interface, such as `http://localhost:8000/v1`; `/chat/completions` is added unless it ends so.
-        model: the name the server knows the model by.
-        key: sent as a bearer token; none for servers that want none.
-        settings: more values of the request, such as a temperature.
-        timeout: seconds without a byte after which a request has failed.
-        tries: how often a request is made before giving up.
-        pause: seconds before the second try, doubled before each further one up to 60, unless the server asks for
+        url: The base URL, such as `http://localhost:8000/v1`. `/chat/completions` is added if it is missing.
+        model: The server's name of the model.
+        key: The bearer token, if the server requires one.
+        settings: More fields of the request, such as a temperature.
+        timeout: Seconds without data after which a request fails.
+        tries: The number of attempts.
+        pause: Seconds before the second attempt. The delay doubles up to 60 for later ones, unless the server requests
             another.
 
     Raises:
-        ValueError: a URL that is not http or https, a key that no header can hold, or `settings` that set the model or
+        ValueError: A URL that is not http or https, a key with invalid characters, or `settings` that set the model or
             the messages.
     """
 
@@ -298,28 +301,28 @@ class Endpoint:
     pause: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse what could only fail later."""
+        """Check the arguments."""
         parts = urllib.parse.urlsplit(self.url)
         if parts.scheme not in ("http", "https") or not parts.hostname:
-            raise ValueError(f"not a URL of http or https: `{self.url}`")
-        # The key is not to be told, so it is not in the message.
+            raise ValueError(f"expected a URL of http or https, not `{self.url}`")
+        # The message must not reveal the key.
         if self.key is not None and not re.fullmatch(r"[\x21-\x7e]+", self.key):
             raise ValueError("the key is empty, or has characters other than printable ASCII")
         if set(self.settings or ()) & {"model", "messages", "stream"}:
-            raise ValueError("the settings of a request cannot hold model, messages or stream")
+            raise ValueError("`settings` must not hold model, messages or stream")
         if not (self.timeout > 0 and self.tries >= 1 and self.pause >= 0):
-            raise ValueError("timeout and tries are positive, pause is not negative")
+            raise ValueError("timeout and tries must be positive, pause must not be negative")
 
     def reply(self, messages: list[dict[str, str]]) -> str:
-        """What the model replies; "" if it replies with no text.
+        """Return the reply of the model, or `""` if it has no text.
 
         Raises:
-            ConnectionError: the server refuses the request, or it failed as often as there are tries.
+            ConnectionError: The server refuses the request, or every attempt failed.
         """
         for tried in range(1, self.tries + 1):
             try:
                 return self._once(messages)
-            except _Again as error:
+            except _RetryableError as error:
                 if tried == self.tries:
                     raise ConnectionError(f"no reply from {self.url} in {tried} tries: {error}") from None
                 usual = min(self.pause * 2 ** (tried - 1), 60.0)
@@ -329,32 +332,32 @@ class Endpoint:
     def _once(self, messages: list[dict[str, str]]) -> str:
         url = self.url.rstrip("/")
         url = url if url.endswith("/chat/completions") else f"{url}/chat/completions"
-        body = json.dumps({"model": self.model, "messages": messages, **(self.settings or {})}).encode()
+        request_body = json.dumps({"model": self.model, "messages": messages, **(self.settings or {})}).encode()
         headers = {"Content-Type": "application/json", "Accept": "application/json"}
         if self.key is not None:
             headers["Authorization"] = f"Bearer {self.key}"
-        request = urllib.request.Request(url, body, headers, method="POST")
+        request = urllib.request.Request(url, request_body, headers, method="POST")
         try:
-            with urllib.request.build_opener(_Stay).open(request, timeout=self.timeout) as response:
+            with urllib.request.build_opener(_NoRedirect).open(request, timeout=self.timeout) as response:
                 text = response.read(RESPONSE_BYTES)
         except urllib.error.HTTPError as error:
             with error:
-                said = error.read(2000).decode(errors="replace").strip()
-            reason = f"{error.code} {error.reason}" + (f": {said}" if said else "")
+                body = error.read(2000).decode(errors="replace").strip()
+            reason = f"{error.code} {error.reason}" + (f": {body}" if body else "")
             if error.code in (408, 409, 425, 429) or error.code >= 500:
-                raise _Again(reason, _seconds(error.headers.get("Retry-After"))) from None
+                raise _RetryableError(reason, _seconds(error.headers.get("Retry-After"))) from None
             raise ConnectionError(f"{url} refuses the request: {reason}") from None
         except (OSError, http.client.HTTPException) as error:
-            raise _Again(str(getattr(error, "reason", None) or error) or type(error).__name__) from None
+            raise _RetryableError(str(getattr(error, "reason", None) or error) or type(error).__name__) from None
         try:
             content = json.loads(text)["choices"][0]["message"].get("content")
         except (ValueError, KeyError, IndexError, TypeError, AttributeError):
-            raise _Again(f"not a reply of a chat endpoint: {text[:200].decode(errors='replace')}") from None
+            raise _RetryableError(f"not a reply of a chat endpoint: {text[:200].decode(errors='replace')}") from None
         return content if isinstance(content, str) else ""
 
 
 def _seconds(header: str | None) -> float | None:
-    """How long a server asks to wait, in seconds, at most ten minutes; it may also name a date, which is not read."""
+    """Parse a Retry-After header in seconds, at most ten minutes. A date is ignored."""
     try:
         wait = float(header or "")
     except ValueError:
@@ -368,15 +371,23 @@ def ask(
     path: str | os.PathLike[str],
     watch: Callable[[int], None] = lambda answered: None,
 ) -> dict[str, str]:
-    """Ask every question that the file at `path` has no answer to, and append the replies to it, one at a time.
+    """Ask every question without an answer in the file at `path`, and append each reply to it.
 
-    A line is `{"id": .., "model": .., "answer": ..}`. Where a run has ended early, by whatever cause, the next goes on.
-    `watch` is told how many questions are answered. Returns all replies by id.
+    A line is `{"id": .., "model": .., "answer": ..}`. After an interruption, the next call resumes.
+
+    Args:
+        questions: The questions.
+        endpoint: The endpoint.
+        path: The file of replies.
+        watch: Called with the number of answered questions after each reply.
+
+    Returns:
+        All replies by id.
 
     Raises:
-        ConnectionError: as `Endpoint.reply`; what was replied before is in the file.
-        ValueError: the file has answers to other questions or of another model.
-        OSError: the file cannot be read or written.
+        ConnectionError: As for `Endpoint.reply`. Earlier replies are in the file.
+        OSError: The file cannot be read or written.
+        ValueError: The file has answers to other questions or of another model.
     """
     _cut_torn_line(Path(path))
     known = {question.id for question in questions}
@@ -384,9 +395,11 @@ def ask(
     with open(path, "a+", encoding="utf-8") as file:
         for place, line in _lines(path):
             if line["id"] not in known:
-                raise ValueError(f"{place}: answers `{line['id']}`, which is not asked: give another file to write")
+                raise ValueError(
+                    f"{place}: an answer to `{line['id']}`, which is no question here: choose another output file"
+                )
             if line.get("model") != endpoint.model:
-                raise ValueError(f"{place}: an answer of `{line.get('model')}`: give another file to write")
+                raise ValueError(f"{place}: an answer of the model `{line.get('model')}`: choose another output file")
         answers = load_answers(path)
         watch(len(answers))
         for question in questions:
@@ -401,7 +414,7 @@ def ask(
 
 
 def _cut_torn_line(path: Path) -> None:
-    """Drop the end of a last line that was not written to its end."""
+    """Remove an incomplete last line."""
     if not path.exists():
         return
     with open(path, "r+b") as file:
@@ -412,6 +425,6 @@ def _cut_torn_line(path: Path) -> None:
 
 
 def ask_with_progress(questions: Sequence[Question], endpoint: Endpoint, path: Path) -> dict[str, str]:
-    """The same as `ask`, with a line on a terminal that says how far it is."""
+    """Call `ask` with a progress line on a terminal."""
     with Progress(f"questions answered by {endpoint.model}", len(questions)) as progress:
-        return ask(questions, endpoint, path, progress.tell)
+        return ask(questions, endpoint, path, progress.update)

@@ -1,4 +1,4 @@
-"""The shapes of what goes in and comes out: diagnostics, scenes, answers, clauses, work logs, explanations."""
+"""The types of inputs and outputs: diagnostics, scenes, answers, clauses, statistics of commits."""
 
 from __future__ import annotations
 
@@ -25,21 +25,22 @@ __all__ = [
 ]
 
 Action = Literal["Slow", "Normal", "Fast", "Stop"]
-"""What an agent can do: cars go 1, 2, 3 or 0 cells a tick."""
+"""The actions of an agent. Cars move 1, 2, 3 or 0 cells in a tick."""
 
 Heading = Literal["Left", "Right", "Up", "Down"]
-"""A direction on the map; up is towards row 0, left towards column 0."""
+"""A direction on the map. Up is towards row 0, left towards column 0."""
 
 Split = Literal["train", "val", "test"]
 """The sets of agents of a configuration."""
 
 Executor = Literal["auto", "dense", "relational"]
-"""What evaluates the rules; answers are the same. `auto` is `dense` (bits) where that can take the rules, else
-`relational`."""
+"""The executor of the rules. Answers are the same. `auto` is `dense` (bits) if it can evaluate the rules, or else
+`relational`.
+"""
 
 
 class Label(TypedDict):
-    """A place in a text and what to say there. Lines and columns count from 1."""
+    """A place in a text, with a message. Lines and columns count from 1."""
 
     file: str
     line: int
@@ -51,7 +52,7 @@ class Label(TypedDict):
 
 
 class Diagnostic(TypedDict):
-    """One fault: `code` is its stable name, the first of `labels` its place."""
+    """One fault or warning. `code` is its stable name, the first of `labels` its place."""
 
     code: str
     severity: Literal["error", "warning"]
@@ -62,7 +63,7 @@ class Diagnostic(TypedDict):
 
 
 class Agent(TypedDict):
-    """An agent of a scene; `at` is [row, column] in cells."""
+    """An agent of a scene. `at` is [row, column] in cells."""
 
     id: str
     type: Literal["Car", "Pedestrian"]
@@ -75,8 +76,10 @@ class Agent(TypedDict):
 class Scene(TypedDict):
     """Agents on a map.
 
-    `egos` are the agents to decide for (default: all); `given` replaces the computed atoms of a predicate; `tick`
-    (default 0) tells apart the random draws of one seed.
+    Attributes:
+        egos: The agents to decide for (default: all).
+        given: Atoms that replace the computed atoms of a predicate, by predicate.
+        tick: The tick, which selects the random draws (default 0).
     """
 
     map: str
@@ -87,7 +90,7 @@ class Scene(TypedDict):
 
 
 class SymbolicScene(TypedDict):
-    """Entities and the facts that are true of them."""
+    """Entities and the facts that hold."""
 
     entities: list[str]
     ego: str
@@ -95,7 +98,14 @@ class SymbolicScene(TypedDict):
 
 
 class EgoAnswer(TypedDict):
-    """What an ego sees (itself first), the true atoms over that, the actions derived before the default, the action."""
+    """The answer for one ego.
+
+    Attributes:
+        sees: The entities in its view, itself first.
+        true: The true atoms over these entities, by predicate.
+        derived: The derived actions, before the default.
+        action: The action taken.
+    """
 
     sees: list[str]
     true: dict[str, list[Any]]
@@ -104,7 +114,7 @@ class EgoAnswer(TypedDict):
 
 
 class Answer(TypedDict):
-    """What the rules decide, by ego."""
+    """The decisions of the rules, by ego."""
 
     egos: dict[str, EgoAnswer]
 
@@ -112,7 +122,9 @@ class Answer(TypedDict):
 class Clause(TypedDict):
     """A clause or fact of a program.
 
-    `label` is what stands before the colon of its doc comment, such as `S2`, else `file:line`; `head` is its predicate.
+    Attributes:
+        label: The text before the colon of its doc comment, such as `S2`, or else `file:line`.
+        head: The predicate of its head.
     """
 
     label: str
@@ -125,10 +137,12 @@ class Clause(TypedDict):
 
 
 class ClauseWork(TypedDict):
-    """What a clause did in a commit.
+    """The work of a clause in a commit.
 
-    `given` is the number of changed rows it was evaluated from (0: once over all rows), `looked_at` the rows its
-    scans and tests looked at, `derived` the rows it derived, repetitions included.
+    Attributes:
+        given: Changed rows it was evaluated from (0: one evaluation over all rows).
+        looked_at: Rows that its scans and tests read.
+        derived: Rows it derived, including repeated ones.
     """
 
     clause: str
@@ -138,7 +152,7 @@ class ClauseWork(TypedDict):
 
 
 class StratumWork(TypedDict):
-    """What a commit did with predicates that are computed together; `rounds` is 1 if they are not recursive."""
+    """The work of a commit on a stratum. `rounds` is 1 if the stratum is not recursive."""
 
     relations: list[str]
     how: Literal["skipped", "maintained", "recomputed"]

@@ -83,10 +83,10 @@ SETS = {
 
 @pytest.fixture(scope="session")
 def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Data sets without pictures, by the program that a user has."""
+    """Data sets without pictures, by the command that the package installs."""
     folder = tmp_path_factory.mktemp("sets")
     for name, options in SETS.items():
-        command = ["cargo", "run", "--quiet", "--locked", "--", "vap", "make", "--no-pictures"]
+        command = [sys.executable, "-m", "logicity", "vap", "make", "--no-pictures"]
         command += ["--out", str(folder / name), *options]
         subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
     return folder

@@ -1,12 +1,12 @@
-"""Visual Action Prediction: what does every car do next, given a picture of the city?
+"""Visual Action Prediction: predict the next action of every car from a picture of the city.
 
-`logicity vap make` makes data sets. What to reach for:
+`logicity vap make` makes data sets.
 
-- the samples of one as numpy arrays: `VapDataset`;
-- the same for a `DataLoader` of PyTorch: `torch_dataset` with `collate`, which need the extra `vap`;
-- how good predictions are, as the paper measures it: `vap_metrics`;
-- what simple predictors reach: `measure_baselines`, or `python -m logicity vap baselines`;
-- the data set in another format: `to_webdataset`, `to_coco`.
+- `VapDataset` reads samples as numpy arrays.
+- `torch_dataset` and `collate` serve a `DataLoader` of PyTorch. They need the extra `vap`.
+- `vap_metrics` measures predictions as the paper does.
+- `measure_baselines`, or `logicity vap baselines`, measures simple predictors.
+- `to_webdataset` and `to_coco` convert data sets.
 """
 
 from __future__ import annotations
@@ -44,15 +44,21 @@ __all__ = [
 def torch_dataset(
     folder: str | os.PathLike[str], images: bool = True, *, cached_worlds: int = 128, threads: int = 1
 ) -> TorchVapDataset:
-    """Make a `torch.utils.data.Dataset` of a data set; its arguments are those of `VapDataset`, and `threads`.
+    """Make a `torch.utils.data.Dataset` of a data set.
 
-    A sample is a dictionary with the fields of `VapSample`, arrays as tensors; `image` has the shape (3, 1024, 1024),
-    in the memory format `channels_last`, and is left out with `images=False`. Worker processes can be forked or
-    spawned; `threads`, from 1 on, is how many threads of each process decode the pictures of a batch.
+    A sample is a dictionary with the fields of `VapSample`, arrays as tensors. `image` has the shape (3, 1024, 1024) in
+    the memory format `channels_last`; it is absent with `images=False`. Worker processes may be forked or spawned.
+
+    Args:
+        folder: As for `VapDataset`.
+        images: As for `VapDataset`.
+        cached_worlds: As for `VapDataset`.
+        threads: Threads of each process that decode the pictures of a batch, at least 1.
 
     Raises:
-        ImportError: PyTorch is not installed; the extra `vap` has it: `pip install './python[vap]'`.
-        OSError, ValueError: as `VapDataset`.
+        ImportError: PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
+        OSError: As for `VapDataset`.
+        ValueError: As for `VapDataset`.
     """
     from .loader import TorchVapDataset
 
@@ -60,16 +66,16 @@ def torch_dataset(
 
 
 def collate(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Make a batch of samples of `torch_dataset`, for the argument `collate_fn` of a `DataLoader`.
+    """Collate samples of `torch_dataset` into a batch: the argument `collate_fn` of a `DataLoader`.
 
     With B samples, the largest of N entities: `image` uint8 (B, 3, 1024, 1024), `boxes` (B, N, 4), `h` (B, N, 9),
     `unary` (B, N, 11), `binary` (B, N, N, 6), `sees` (B, N, N), `actions` and `mask` (B, N), `world` and `tick` int64
-    (B,); `names` and `concepts` are lists of B tuples. `valid`, bool (B, N), is the padding mask: true for entities;
-    behind the last entity of a sample boxes are NaN, actions -1 and all else 0 or false.
+    (B,); `names` and `concepts` are lists of B tuples. `valid`, bool (B, N), is the padding mask: true for entities. In
+    the padding, boxes are NaN, actions -1, and all other values 0 or false.
 
     Raises:
-        ImportError: PyTorch is not installed; the extra `vap` has it.
-        ValueError: there are no samples.
+        ImportError: PyTorch is not installed. The extra `vap` installs it.
+        ValueError: An empty list of samples.
     """
     from .loader import padded_batch
 

@@ -1,4 +1,4 @@
-"""What simple predictors of actions reach: the most frequent action, a small network on the facts, and the rules."""
+"""Simple predictors of actions: the majority action, a small network on the facts, and the rules."""
 
 from __future__ import annotations
 
@@ -21,63 +21,69 @@ __all__ = ["BaselineResult", "baseline_table", "measure_baselines", "rule_action
 
 @dataclass(frozen=True)
 class BaselineResult:
-    """How good a predictor is. `name` is `"majority"`, `"network"` or `"rules"`."""
+    """The measures of a predictor. `name` is `"majority"`, `"network"` or `"rules"`."""
 
     name: str
     mode: str
     metrics: VapMetrics
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, as they are written to JSON."""
+        """Return plain values for JSON."""
         return asdict(self)
 
 
 def measure_baselines(
     train: str | os.PathLike[str], test: str | os.PathLike[str], seed: int = 0, epochs: int = 30
 ) -> list[BaselineResult]:
-    """Measure three predictors on a data set; pictures are not needed.
+    """Measure three predictors on a data set. They use no pictures.
 
-    - `majority` says of every car what the rules want of most cars of `train`;
-    - `network` learns on `train`, from what is true, two rounds of messages between entities that see each other;
-    - `rules` is what the rules derive from what is true, and right always.
+    - `majority` predicts the most frequent action of `train`.
+    - `network` is trained on the facts of `train`, with two rounds of message passing between entities in view.
+    - `rules` predicts the action that the rules derive from the facts, which is always right.
 
-    The tensors of both data sets are in memory at once, and while a set is read, its samples beside them: padded to
-    the N entities of its largest sample, one takes 7 N² + 73 N + 16 bytes.
+    The tensors of both data sets are in memory at once; while a set is read, its samples are, too. Padded to the N
+    entities of the largest sample, one sample takes 7 N² + 73 N + 16 bytes.
 
     Args:
-        train: the folder of the data set to learn on.
-        test: that of the data set to measure on, of the same mode.
-        seed: of the network's weights and the order of samples.
-        epochs: how often the network sees every sample.
+        train: The folder of the data set to train on.
+        test: The folder of the data set to measure on, of the same mode.
+        seed: The seed of the network's weights and of the order of samples.
+        epochs: The number of epochs.
 
     Raises:
-        ImportError: PyTorch is not installed; the extra `vap` has it: `pip install './python[vap]'`.
-        OSError: a file cannot be read.
-        ValueError: as `VapDataset`, no cars in a data set, data sets of different modes, or a negative number of
-            epochs.
+        ImportError: PyTorch is not installed. The extra `vap` installs it: `pip install './python[vap]'`.
+        OSError: A file cannot be read.
+        ValueError: As for `VapDataset`, or a data set without cars, data sets of different modes, or a negative number
+            of epochs.
     """
-    # Told at once if it is missing.
+    # Before the data sets are read, so that a missing PyTorch is found at once.
     from .network import train_network
 
-    known, asked = VapDataset(train, images=False), VapDataset(test, images=False)
-    if known.mode != asked.mode:
-        raise ValueError(f"`{known.folder}` is of {known.mode} mode, `{asked.folder}` of {asked.mode} mode")
+    train_set, test_set = VapDataset(train, images=False), VapDataset(test, images=False)
+    if train_set.mode != test_set.mode:
+        raise ValueError(
+            f"`{train_set.folder}` is of {train_set.mode} mode, `{test_set.folder}` of {test_set.mode} mode"
+        )
     if epochs < 0:
-        raise ValueError(f"{epochs} epochs")
-    train_labels, labels = _labels(known), _labels(asked)
-    frames = np.repeat(np.arange(len(asked)), [int(sample.mask.sum()) for sample in asked])
+        raise ValueError(f"{epochs} epochs: expected 0 or more")
+    train_labels, labels = _labels(train_set), _labels(test_set)
+    frames = np.repeat(np.arange(len(test_set)), [int(sample.mask.sum()) for sample in test_set])
     majority = np.bincount(train_labels, minlength=len(ACTIONS)).argmax()
     with Progress("epoch", epochs) as progress:
-        learned = train_network(known, asked, seed, epochs, progress.tell)
-    predictions = {"majority": np.full_like(labels, majority), "network": learned, "rules": rule_actions(asked)}
+        learned = train_network(train_set, test_set, seed, epochs, progress.update)
+    predictions = {"majority": np.full_like(labels, majority), "network": learned, "rules": rule_actions(test_set)}
     return [
-        BaselineResult(name, asked.mode, vap_metrics(labels, predicted, frames))
+        BaselineResult(name, test_set.mode, vap_metrics(labels, predicted, frames))
         for name, predicted in predictions.items()
     ]
 
 
 def _labels(samples: VapDataset) -> NDArray[np.int64]:
-    """What the rules want of the cars of all samples, one after the other; there is a car."""
+    """Return the labels of the cars of all samples.
+
+    Raises:
+        ValueError: The data set has no cars.
+    """
     labels = [sample.actions[sample.mask] for sample in samples]
     if not any(map(len, labels)):
         raise ValueError(f"`{samples.folder}` has no cars")
@@ -85,7 +91,7 @@ def _labels(samples: VapDataset) -> NDArray[np.int64]:
 
 
 def rule_actions(samples: VapDataset) -> NDArray[np.int64]:
-    """What the rules derive from what is true."""
+    """Return the actions that the rules derive from the facts."""
     inference = Inference(f"configs/vap-{samples.mode}.yaml")
     derived: list[int] = []
     with Progress("sample", len(samples)) as progress:
@@ -95,12 +101,12 @@ def rule_actions(samples: VapDataset) -> NDArray[np.int64]:
                 ego = sample.names[car]
                 scene: SymbolicScene = {"entities": list(sample.names), "ego": ego, "facts": facts}
                 derived.append(ACTIONS.index(inference.answer(scene)["egos"][ego]["action"]))
-            progress.tell(done)
+            progress.update(done)
     return np.array(derived, np.int64)
 
 
 def _facts(sample: VapSample) -> dict[str, list[Any]]:
-    """What is true of a sample, as scenes have it."""
+    """Return the facts of a sample in the format of scenes."""
     names = sample.names
     facts: dict[str, list[Any]] = {
         predicate: [names[entity] for entity in np.flatnonzero(holds)]
@@ -113,7 +119,7 @@ def _facts(sample: VapSample) -> dict[str, list[Any]]:
 
 
 def baseline_table(results: Sequence[BaselineResult]) -> str:
-    """A table in Markdown; a dash for actions that do not occur."""
+    """Format a table in Markdown, with a dash for actions that do not occur."""
     head = ["mode", "predictor", *(f"recall {action}" for action in ACTIONS), "aAcc", "wAcc"]
     rows = [
         [

@@ -1,4 +1,4 @@
-"""Samples of a data set that `logicity vap make` has made, as numpy arrays."""
+"""Samples of a data set of `logicity vap make`, as numpy arrays."""
 
 from __future__ import annotations
 
@@ -34,47 +34,38 @@ UNARY = (
     "IsAtInter",
     "IsInInter",
 )
-"""The predicates over one entity in the order of the paper, which is that of the columns of `VapSample.unary`."""
+"""The unary predicates in the order of the paper, which is the order of the columns of `VapSample.unary`."""
 
 BINARY = ("IsClose", "HigherPri", "CollidingClose", "LeftOf", "RightOf", "NextTo")
-"""The predicates over two entities in the order of the paper, which is that of the last axis of `VapSample.binary`."""
+"""The binary predicates in the order of the paper, which is the order of the last axis of `VapSample.binary`."""
 
 PICTURE_SIDE = _logicity.PICTURE_SIDE
 """The side of a picture in pixels, 1024."""
 
-#: The version of the format that is read.
+#: The supported version of the format.
 VERSION = 2
 
 
 @dataclass(frozen=True, eq=False)
 class VapSample:
-    """A state of a city with N entities, in the order of the list of agents, and what the rules want in it.
+    """A state of a city with N entities, in the order of the list of agents, and the actions that the rules derive.
 
-    Attributes
-    ----------
-    world, tick
-        Where it comes from; together they name the sample.
-    names, concepts
-        Such as `"Car_1"` and `"ambulance"`; concepts are joined by `+`, and an empty text if there are none.
-    image
-        uint8 (1024, 1024, 3): rows, columns, and red, green and blue; `None` if pictures are not read.
-    boxes
-        float32 (N, 4): left and upper edge, width and height in pixels; NaN for entities outside of the picture.
-    h
-        float32 (N, 9), the node vector of the paper: the box as shares of the picture's side, 0 to 1, or 0 for entities
-        outside; 1 for the heading, left, right, up or down, or 0 before the first move; priority as a share of the
-        largest of the sample. A smaller priority goes first.
-    unary
-        bool (N, 11): whether predicate k of `UNARY` holds of entity i, at [i, k].
-    binary
-        bool (N, N, 6): whether predicate k of `BINARY` holds of entities i and j, at [i, j, k].
-    sees
-        bool (N, N): whether entity i sees entity j.
-    actions
-        int64 (N,): what the rules want of a car, a position in `logicity.ACTIONS`; -1 for pedestrians.
-    mask
-        bool (N,): whether it is a car, the actions of which are scored.
-
+    Attributes:
+        world: The number of the world. World and tick identify the sample.
+        tick: The number of the tick.
+        names: Names such as `"Car_1"`.
+        concepts: Concepts such as `"ambulance"`, joined by `+`; empty without concepts.
+        image: uint8 (1024, 1024, 3): rows, columns, and red, green and blue; `None` if pictures are not read.
+        boxes: float32 (N, 4): left and upper edge, width and height in pixels; NaN for entities outside the picture.
+        h: float32 (N, 9), the node vector of the paper: the box as shares of the picture's side, 0 to 1, or 0 for
+            entities outside; the one-hot heading, left, right, up or down, or 0 before the first move; priority as a
+            share of the largest in the sample. A smaller priority has the right of way.
+        unary: bool (N, 11): whether predicate k of `UNARY` holds of entity i, at [i, k].
+        binary: bool (N, N, 6): whether predicate k of `BINARY` holds of entities i and j, at [i, j, k].
+        sees: bool (N, N): whether entity j is in the view of entity i.
+        actions: int64 (N,): the action that the rules derive for a car, a position in `logicity.ACTIONS`; -1 for
+            pedestrians.
+        mask: bool (N,): whether the entity is a car, whose action is scored.
     """
 
     world: int
@@ -92,7 +83,7 @@ class VapSample:
 
 
 class _Tables(NamedTuple):
-    """The tables of a world; rows of all its samples one after the other, of entities or of pairs of them."""
+    """The tables of a world. The rows, entities or pairs, of all samples are concatenated."""
 
     ticks: NDArray[np.int32]
     starts: NDArray[np.int64]
@@ -108,41 +99,28 @@ class _Tables(NamedTuple):
 class VapDataset(Sequence[VapSample]):
     """The samples of a data set, by world and tick.
 
-    Tables are read once for each world, and kept for some; pictures are read when their sample is asked for. Several
-    threads can read, and pictures are decoded beside other threads. Can be pickled and copied: it is made again of its
-    folder, and nothing that was read goes along.
+    The tables of a world are read once and cached; a picture is read when its sample is accessed. Threads may read
+    concurrently; decoding pictures releases the GIL. Pickling and copying store the folder, not the data.
 
-    Parameters
-    ----------
-    folder
-        That `logicity vap make` has made.
-    images
-        Whether to read pictures.
-    cached_worlds
-        The tables of so many worlds are kept; those of one take about 0.3 MB. Reading the samples in a random order
-        wants as many as there are.
+    Args:
+        folder: A folder made by `logicity vap make`.
+        images: Whether to read pictures.
+        cached_worlds: The number of worlds whose tables are cached, at about 0.3 MB each. For a random order of
+            samples, cache all worlds.
 
-    Attributes
-    ----------
-    folder
-        As it was given.
-    mode, split, agents
-        Whose rules, `"easy"` or `"hard"`; `"train"`, `"val"` or `"test"`; `"fixed"` or `"random"` agents.
-    images
-        Whether pictures are read.
-    has_pictures
-        Whether there are any, as the manifest tells.
-    predicates
-        `UNARY` and `BINARY`.
+    Attributes:
+        folder: The folder as given.
+        mode: The rules, `"easy"` or `"hard"`.
+        split: `"train"`, `"val"` or `"test"`.
+        agents: `"fixed"` or `"random"`.
+        images: Whether pictures are read.
+        has_pictures: Whether the data set has pictures, according to the manifest.
+        predicates: `UNARY` and `BINARY`.
 
-    Raises
-    ------
-    OSError
-        For a file that cannot be read.
-    ValueError
-        If it is no data set of this version, or has no pictures though they are to be read; `InputError`, also later,
-        for faulty tables and pictures.
-
+    Raises:
+        OSError: A file cannot be read.
+        ValueError: The folder is no data set of this version, or has no pictures with `images=True`. Faulty tables and
+            pictures raise `InputError`, also on later access.
     """
 
     predicates = (UNARY, BINARY)
@@ -153,7 +131,7 @@ class VapDataset(Sequence[VapSample]):
         settings, counts = _read_manifest(self.folder)
         self.has_pictures: bool = settings["pictures"]
         if images and not self.has_pictures:
-            raise ValueError(f"`{self.folder}` was made with `--no-pictures`: images=False reads it")
+            raise ValueError(f"`{self.folder}` was made with `--no-pictures`: read it with images=False")
         self.mode: str = settings["mode"]
         self.agents: str = settings["agents"]
         self.split = cast(Split, settings["split"])
@@ -163,19 +141,19 @@ class VapDataset(Sequence[VapSample]):
         self._tables = lru_cache(maxsize=cached_worlds)(self._read_tables)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle by the folder."""
+        """Pickle the folder."""
         return _restore, (self.folder, self.images, self._cached_worlds)
 
     def __repr__(self) -> str:
-        """How much there is of what."""
+        """Show mode, agents, split and number of samples."""
         return f"<VapDataset {self.mode}, {self.agents} agents, {self.split}: {len(self)} samples>"
 
     def __len__(self) -> int:
-        """How many samples there are."""
+        """Return the number of samples."""
         return self._ends[-1] if self._ends else 0
 
     def __getitem__(self, index: SupportsIndex) -> VapSample:  # type: ignore[override]
-        """Read a sample. Its arrays belong to whoever asks."""
+        """Read a sample. Its arrays are copies."""
         sample = self.facts(index)
         if not self.images:
             return sample
@@ -188,7 +166,7 @@ class VapDataset(Sequence[VapSample]):
         tables, world, place = self._locate(index)
         begin, end = tables.starts[place : place + 2].tolist()
         count = end - begin
-        # The pairs of the samples before this one, each of which has the square of its entities.
+        # The number of pairs in earlier samples: the square of the number of entities for each.
         before = int((np.diff(tables.starts[: place + 1]) ** 2).sum())
         pairs = slice(before, before + count * count)
         priorities, headings, actions = (numbers[begin:end] for numbers in tables.numbers)
@@ -209,42 +187,47 @@ class VapDataset(Sequence[VapSample]):
         )
 
     def picture_path(self, index: SupportsIndex) -> Path:
-        """Where the picture of a sample is, as PNG."""
+        """Return the path of a sample's picture, a PNG file."""
         tables, world, place = self._locate(index)
         return self._world_folder(world) / f"frame-{tables.ticks[place]:03}.png"
 
     def read_picture(self, index: SupportsIndex, out: NDArray[np.uint8]) -> None:
         """Read the picture of a sample into an array of shape (1024, 1024, 3).
 
-        Raises `ValueError` for an array of another shape, or one whose numbers do not lie side by side.
+        Args:
+            index: The position of the sample.
+            out: A contiguous uint8 array.
+
+        Raises:
+            InputError: A faulty picture.
+            OSError: The file cannot be read.
+            ValueError: An array of another shape, or one that is not contiguous.
         """
         if out.shape != (PICTURE_SIDE, PICTURE_SIDE, 3):
-            raise ValueError(f"a picture has the shape (1024, 1024, 3), not {out.shape}")
+            raise ValueError(f"expected an array of shape (1024, 1024, 3), not {out.shape}")
         _logicity.read_picture(self.picture_path(index), out)
 
     def iterate(self, seed: int = 0, *, shuffle: bool = True, shard: tuple[int, int] = (0, 1)) -> Iterator[VapSample]:
-        """Go through the samples once, in an order that is a function of the seed.
+        """Iterate over the samples once, in an order that the seed determines.
 
-        Parameters
-        ----------
-        seed
-            From 0 on. Another one for each epoch gives each its own order.
-        shuffle
-            Whether to; else the order is that of worlds and ticks.
-        shard
-            (i, n): only every n-th sample of that order, from the i-th on, so that the shards 0 to n - 1 have every
-            sample once.
+        Args:
+            seed: From 0. A different seed for each epoch gives each a different order.
+            shuffle: Whether to shuffle; otherwise the order is by world and tick.
+            shard: (i, n): every n-th sample of that order, starting at the i-th. The shards 0 to n - 1 partition the
+                samples.
 
+        Raises:
+            ValueError: A shard that is not from 0 to n - 1.
         """
         part, parts = shard
         if not 0 <= part < parts:
-            raise ValueError(f"shard {part} of {parts}: they count from 0")
+            raise ValueError(f"shard {part} of {parts}: expected 0 to {parts - 1}")
         order = np.random.default_rng(seed).permutation(len(self)) if shuffle else np.arange(len(self))
         return (self[position] for position in order[part::parts])
 
     def _locate(self, index: SupportsIndex) -> tuple[_Tables, int, int]:
-        """The tables with a sample, the number of its world, and its place in it."""
-        # Negative positions count from the end, and those that are not there raise `IndexError`.
+        """Return the tables with a sample, the number of its world, and its position there."""
+        # Negative positions count from the end; `range` raises `IndexError` for positions out of range.
         position = range(len(self))[as_index(index)]
         which = bisect_right(self._ends, position)
         world, begin = self._worlds[which], self._ends[which - 1] if which else 0
@@ -267,7 +250,7 @@ def _restore(folder: Path, images: bool, cached_worlds: int) -> VapDataset:
 
 
 def _read_manifest(folder: Path) -> tuple[dict[str, Any], dict[int, int]]:
-    """The settings of a data set, and how many frames each of its worlds has, by number."""
+    """Return the settings of a data set, and the number of frames by world."""
     path = folder / "manifest.json"
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))

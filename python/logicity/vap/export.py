@@ -1,4 +1,4 @@
-"""A data set in other formats."""
+"""Conversions of a data set to other formats."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .data import BINARY, PICTURE_SIDE, UNARY, VapDataset, VapSample
 
 __all__ = ["to_coco", "to_webdataset"]
 
-#: What entities are, in the order of the categories; those with several concepts come behind.
+#: The categories and their types, in order; combinations of concepts follow.
 CATEGORIES = {
     **dict.fromkeys(("car", "ambulance", "bus", "police", "tiro", "reckless"), "Car"),
     **dict.fromkeys(("pedestrian", "old", "young"), "Pedestrian"),
@@ -33,51 +33,51 @@ CATEGORIES = {
 def to_webdataset(
     folder: str | os.PathLike[str], out_dir: str | os.PathLike[str], shard_size: int = 1000, *, images: bool = True
 ) -> list[Path]:
-    """Write a data set as tar files of samples one after the other, as the package `webdataset` reads them.
+    """Write a data set as consecutive samples in tar files, the format of the package `webdataset`.
 
     A sample `world-00000-frame-011` has `.png`, the picture; `.npz`, the arrays of `VapSample`; and `.json`, an object
     with `world`, `tick`, `names`, `concepts`, `mode`, `split`, and `unary` and `binary`, the names of predicates. The
     same data set gives the same bytes.
 
     Args:
-        folder: that `logicity vap make` has made.
-        out_dir: made under another name and renamed when all is there: `shard-000000.tar` and so on.
-        shard_size: so many samples a file, but for the last.
-        images: whether pictures go along.
+        folder: A folder made by `logicity vap make`.
+        out_dir: The folder to make, atomically: `shard-000000.tar` and so on.
+        shard_size: Samples of a file; the last file may have fewer.
+        images: Whether to include pictures.
 
     Returns:
         The files.
 
     Raises:
-        FileExistsError: there is something at `out_dir`.
-        OSError: a file cannot be read or written.
-        ValueError: as `VapDataset`, or a `shard_size` below 1.
+        FileExistsError: `out_dir` exists.
+        OSError: A file cannot be read or written.
+        ValueError: As for `VapDataset`, or a `shard_size` below 1.
     """
     if shard_size < 1:
-        raise ValueError(f"a shard has at least one sample, not {shard_size}")
+        raise ValueError(f"expected a shard of at least one sample, not {shard_size}")
     samples = VapDataset(folder, images)
     with _new_folder(Path(out_dir)) as partial, Progress("sample", len(samples)) as progress:
         for first in range(0, len(samples), shard_size):
             with tarfile.open(partial / f"shard-{first // shard_size:06}.tar", "w") as tar:
                 for index in range(first, min(first + shard_size, len(samples))):
                     _add_sample(tar, samples, index)
-                    progress.tell(index + 1)
+                    progress.update(index + 1)
     return sorted(Path(out_dir).iterdir())
 
 
 def _add_sample(tar: tarfile.TarFile, samples: VapDataset, index: int) -> None:
     sample = samples.facts(index)
-    told = {
+    record = {
         **{name: getattr(sample, name) for name in ("world", "tick", "names", "concepts")},
         **{"mode": samples.mode, "split": samples.split, "unary": UNARY, "binary": BINARY},
     }
     arrays = io.BytesIO()
     np.savez_compressed(arrays, **_arrays(sample))
-    contents = {"json": json.dumps(told).encode(), "npz": arrays.getvalue()}
+    contents = {"json": json.dumps(record).encode(), "npz": arrays.getvalue()}
     if samples.images:
         contents["png"] = samples.picture_path(index).read_bytes()
     for ending, content in contents.items():
-        # The name up to the first dot is that of the sample; owner and time stay zero.
+        # The name up to the first dot identifies the sample. Owner and time stay zero, for reproducible bytes.
         entry = tarfile.TarInfo(f"world-{sample.world:05}-frame-{sample.tick:03}.{ending}")
         entry.size = len(content)
         tar.addfile(entry, io.BytesIO(content))
@@ -90,9 +90,9 @@ def _arrays(sample: VapSample) -> dict[str, Any]:
 
 @contextmanager
 def _new_folder(path: Path) -> Iterator[Path]:
-    """A folder under another name, which becomes `path` when it is whole."""
+    """Yield a temporary folder, which is renamed to `path` at the end."""
     if path.exists():
-        raise FileExistsError(f"`{path}` is there already")
+        raise FileExistsError(f"`{path}` exists already")
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
     try:
@@ -105,23 +105,23 @@ def _new_folder(path: Path) -> Iterator[Path]:
 
 
 def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, images: bool = True) -> None:
-    """Write the boxes of a data set as JSON in the format of COCO, under a temporary name that becomes `out`.
+    """Write the boxes of a data set as COCO JSON, atomically.
 
-    `images` have a `file_name` below the folder of the data set, `world` and `tick`; `info` has `pictures`, false if
-    the data set was made without them, so that no such files are there. `annotations` are of entities in the picture:
-    `bbox` (left and upper edge, width and height in pixels), `area` of the box, `category_id`, and beside what COCO
-    has, `name`, `concepts`, and `action` for cars. `categories` are `car`, `ambulance`, `bus`, `police`, `tiro`,
-    `reckless`, `pedestrian`, `old` and `young`, from 1 on, and behind them those with several concepts, such as
-    `bus+tiro`, that occur; the `supercategory` is `Car` or `Pedestrian`.
+    `images` have a `file_name` relative to the folder of the data set, `world` and `tick`. `info` has `pictures`, false
+    if the data set has no such files. `annotations` are the entities in the picture: `bbox` (left and upper edge, width
+    and height in pixels), `area` of the box, `category_id`, and in addition to COCO `name`, `concepts`, and `action`
+    for cars. `categories` are `car`, `ambulance`, `bus`, `police`, `tiro`, `reckless`, `pedestrian`, `old` and `young`,
+    from 1, and then the occurring combinations of concepts, such as `bus+tiro`. The `supercategory` is `Car` or
+    `Pedestrian`.
 
     Args:
-        folder: that `logicity vap make` has made.
-        out: the file.
-        images: whether the data set has to have pictures, which themselves are not read.
+        folder: A folder made by `logicity vap make`.
+        out: The file.
+        images: Whether the data set must have pictures, which are not read.
 
     Raises:
-        OSError: a file cannot be read or written.
-        ValueError: as `VapDataset`.
+        OSError: A file cannot be read or written.
+        ValueError: As for `VapDataset`.
     """
     samples = VapDataset(folder, images)
     pictures: list[dict[str, Any]] = []
@@ -137,10 +137,10 @@ def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, imag
                     **{"world": sample.world, "tick": sample.tick},
                 }
             )
-            for told in _annotations(sample):
-                kinds[told["category"]] = told.pop("type")
-                annotations.append({"id": len(annotations) + 1, "image_id": index, **told})
-            progress.tell(index + 1)
+            for annotation in _annotations(sample):
+                kinds[annotation["category"]] = annotation.pop("type")
+                annotations.append({"id": len(annotations) + 1, "image_id": index, **annotation})
+            progress.update(index + 1)
     several = sorted(set(kinds) - set(CATEGORIES))
     categories = [
         {"id": number, "name": name, "supercategory": CATEGORIES.get(name) or kinds[name]}
@@ -157,11 +157,11 @@ def to_coco(folder: str | os.PathLike[str], out: str | os.PathLike[str], *, imag
 
 
 def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:
-    """The entities in a picture, with the names of type and category."""
+    """Yield the entities in a picture, with the names of type and category."""
     for entity in np.flatnonzero(~np.isnan(sample.boxes[:, 0])).tolist():
         box = sample.boxes[entity].tolist()
         kind = "Car" if sample.mask[entity] else "Pedestrian"
-        told = {
+        annotation = {
             "category": sample.concepts[entity] or kind.lower(),
             "type": kind,
             "bbox": box,
@@ -171,5 +171,5 @@ def _annotations(sample: VapSample) -> Iterator[dict[str, Any]]:
             "concepts": sample.concepts[entity],
         }
         if sample.mask[entity]:
-            told["action"] = ACTIONS[sample.actions[entity]]
-        yield told
+            annotation["action"] = ACTIONS[sample.actions[entity]]
+        yield annotation

@@ -19,7 +19,7 @@ except ImportError as error:
 
 __all__ = ["TorchVapDataset", "padded_batch"]
 
-#: How many of the first axes of a field count entities, and what stands where there are none.
+#: The number of leading axes over entities of each field, and its padding value.
 PADDED: dict[str, tuple[int, float]] = {
     "boxes": (1, float("nan")),
     "h": (1, 0),
@@ -32,16 +32,24 @@ PADDED: dict[str, tuple[int, float]] = {
 
 
 class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
-    """A data set as `torch_dataset` tells."""
+    """A data set for PyTorch, see `torch_dataset`."""
 
     def __init__(self, samples: VapDataset, threads: int = 1) -> None:
-        """Take the samples of a data set, and how many threads decode the pictures of a batch."""
+        """Wrap a data set.
+
+        Args:
+            samples: The data set.
+            threads: Threads that decode the pictures of a batch.
+
+        Raises:
+            ValueError: Fewer than one thread.
+        """
         if threads < 1:
-            raise ValueError(f"{threads} threads: 1 or more decode pictures")
+            raise ValueError(f"{threads} threads: expected 1 or more")
         self.samples, self.threads = samples, threads
 
     def __len__(self) -> int:
-        """How many samples there are."""
+        """Return the number of samples."""
         return len(self.samples)
 
     def __getitem__(self, index: int) -> dict[str, Any]:
@@ -49,10 +57,10 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
         return self.__getitems__([index])[0]
 
     def __getitems__(self, indices: Sequence[int]) -> list[dict[str, Any]]:
-        """Read samples. Their pictures lie side by side, so that a batch of them is made without a copy."""
+        """Read samples. Their pictures are contiguous, so that collating them needs no copy."""
         samples = [as_tensors(self.samples.facts(index)) for index in indices]
         if self.samples.images:
-            images = _room((len(indices), PICTURE_SIDE, PICTURE_SIDE, 3))
+            images = _allocate((len(indices), PICTURE_SIDE, PICTURE_SIDE, 3))
             self._read_pictures(indices, images)
             for image, sample in zip(images, samples, strict=True):
                 sample["image"] = image.permute(2, 0, 1)
@@ -65,12 +73,12 @@ class TorchVapDataset(torch.utils.data.Dataset[dict[str, Any]]):
                 self.samples.read_picture(index, array)
             return
         with ThreadPoolExecutor(self.threads) as pool:
-            # A list, since a fault is raised where its result is asked for.
+            # A list, since `map` raises an exception only when its result is read.
             list(pool.map(self.samples.read_picture, indices, arrays))
 
 
-def _room(shape: tuple[int, ...]) -> torch.Tensor:
-    """Bytes to be written; in a worker, where the process that trains finds them, as `default_collate` has them."""
+def _allocate(shape: tuple[int, ...]) -> torch.Tensor:
+    """Allocate bytes. In a worker they are in shared memory, as in `default_collate`."""
     if torch.utils.data.get_worker_info() is None:
         return torch.empty(shape, dtype=torch.uint8)
     storage = torch.UntypedStorage._new_shared(math.prod(shape))
@@ -78,35 +86,35 @@ def _room(shape: tuple[int, ...]) -> torch.Tensor:
 
 
 def as_tensors(sample: VapSample) -> dict[str, Any]:
-    """All of a sample but its picture."""
-    told = {field.name: getattr(sample, field.name) for field in fields(sample) if field.name != "image"}
-    return {name: torch.from_numpy(value) if name in PADDED else value for name, value in told.items()}
+    """Convert a sample without its picture."""
+    values = {field.name: getattr(sample, field.name) for field in fields(sample) if field.name != "image"}
+    return {name: torch.from_numpy(value) if name in PADDED else value for name, value in values.items()}
 
 
 def padded_batch(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Make a batch as `collate` tells."""
+    """Make a batch, see `collate`."""
     if not samples:
-        raise ValueError("there are no samples")
+        raise ValueError("expected at least one sample")
     counts = torch.tensor([len(sample["mask"]) for sample in samples])
     batch: dict[str, Any] = {name: [sample[name] for sample in samples] for name in ("names", "concepts")}
     batch |= {name: torch.tensor([sample[name] for sample in samples]) for name in ("world", "tick")}
     batch["valid"] = torch.arange(int(counts.max())) < counts[:, None]
-    for name, (axes, filler) in PADDED.items():
-        batch[name] = _padded([sample[name] for sample in samples], axes, int(counts.max()), filler)
+    for name, (axes, padding) in PADDED.items():
+        batch[name] = _padded([sample[name] for sample in samples], axes, int(counts.max()), padding)
     if "image" in samples[0]:
         batch["image"] = _stacked([sample["image"] for sample in samples])
     return batch
 
 
-def _padded(tensors: list[torch.Tensor], axes: int, most: int, filler: float) -> torch.Tensor:
-    all_of_them = tensors[0].new_full((len(tensors), *(most,) * axes, *tensors[0].shape[axes:]), filler)
-    for row, tensor in zip(all_of_them, tensors, strict=True):
+def _padded(tensors: list[torch.Tensor], axes: int, most: int, padding: float) -> torch.Tensor:
+    padded = tensors[0].new_full((len(tensors), *(most,) * axes, *tensors[0].shape[axes:]), padding)
+    for row, tensor in zip(padded, tensors, strict=True):
         row[tuple(slice(count) for count in tensor.shape[:axes])] = tensor
-    return all_of_them
+    return padded
 
 
 def _stacked(images: list[torch.Tensor]) -> torch.Tensor:
-    """Pictures as a batch: that of `__getitems__`, if they are its rows as they were."""
+    """Stack pictures, without a copy if they are the rows of one allocation of `__getitems__`."""
     whole = images[0]._base
     if whole is not None and whole.dim() == 4 and len(whole) == len(images):
         batch = whole.permute(0, 3, 1, 2)
@@ -116,6 +124,6 @@ def _stacked(images: list[torch.Tensor]) -> torch.Tensor:
 
 
 def _same_view(one: torch.Tensor, other: torch.Tensor) -> bool:
-    """Whether two tensors are the same bytes, read alike."""
+    """Return whether two tensors are views of the same bytes."""
     first, second = ((tensor.data_ptr(), tensor.shape, tensor.stride(), tensor.dtype) for tensor in (one, other))
     return bool(first == second)

@@ -1,4 +1,4 @@
-"""How good predicted actions are."""
+"""Measures of predicted actions."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ __all__ = ["VapMetrics", "vap_metrics"]
 
 @dataclass(frozen=True)
 class VapMetrics:
-    """How good predicted actions of cars are; rates are shares, 0 to 1.
+    """The measures of predicted actions of cars. Rates are shares, 0 to 1.
 
-    - `recall`: by action that occurs, of the cars of which the rules want it, those of which it is predicted.
-    - `counts`: by action, of how many cars the rules want it.
-    - `a_acc`: the mean over frames of the share of the frame's cars that are predicted right.
-    - `w_acc`: the sum of recall / count over the sum of 1 / count, over the actions that occur: rare ones weigh most.
+    Attributes:
+        recall: By occurring action, the share of the cars with this label whose prediction is right.
+        counts: By action, the number of cars with this label.
+        a_acc: The mean over frames of the share of the frame's cars with a right prediction.
+        w_acc: The sum of recall / count over the sum of 1 / count, over the occurring actions. Rare actions weigh most.
     """
 
     recall: Mapping[str, float]
@@ -30,23 +31,23 @@ class VapMetrics:
     w_acc: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, as they are written to JSON."""
+        """Return plain values for JSON."""
         return asdict(self)
 
 
 def vap_metrics(labels: ArrayLike, predictions: ArrayLike, frames: ArrayLike) -> VapMetrics:
     """Measure predictions as the paper does (LogiCity, NeurIPS 2024, Datasets and Benchmarks).
 
-    With the M cars of all frames one after the other, in any order:
+    M is the number of cars of all frames, in any order.
 
     Args:
-        labels: integers (M,), what the rules want, positions in `logicity.ACTIONS`.
-        predictions: integers (M,), what is predicted.
-        frames: integers (M,), equal for cars of the same frame.
+        labels: Integers (M,), the actions that the rules derive, positions in `logicity.ACTIONS`.
+        predictions: Integers (M,), the predicted actions.
+        frames: Integers (M,), equal for cars of the same frame.
 
     Raises:
-        TypeError: something that is no array of integers.
-        ValueError: there are no cars, arrays of different lengths, or a number that is no action.
+        TypeError: An argument that is no array of integers.
+        ValueError: No cars, arrays of different lengths, or a number that is no action.
     """
     wanted, predicted, of_frame = (
         _integers(name, values)
@@ -55,11 +56,11 @@ def vap_metrics(labels: ArrayLike, predictions: ArrayLike, frames: ArrayLike) ->
     if not len(wanted) == len(predicted) == len(of_frame):
         raise ValueError(f"{len(wanted)} labels, {len(predicted)} predictions and {len(of_frame)} frames")
     if len(wanted) == 0:
-        raise ValueError("there are no cars")
+        raise ValueError("expected at least one car")
     for name, values in [("labels", wanted), ("predictions", predicted)]:
         if values.min() < 0 or values.max() >= len(ACTIONS):
             wrong = values[(values < 0) | (values >= len(ACTIONS))][0]
-            raise ValueError(f"{name} are 0 to {len(ACTIONS) - 1}, not {wrong}; leave pedestrians out")
+            raise ValueError(f"expected {name} from 0 to {len(ACTIONS) - 1}, not {wrong}; leave pedestrians out")
     right = wanted == predicted
     counts = np.bincount(wanted, minlength=len(ACTIONS))
     occurs = np.flatnonzero(counts)
@@ -77,8 +78,8 @@ def vap_metrics(labels: ArrayLike, predictions: ArrayLike, frames: ArrayLike) ->
 def _integers(name: str, values: ArrayLike) -> NDArray[np.int64]:
     array = np.asarray(values)
     if array.ndim != 1:
-        raise ValueError(f"{name} have the shape (M,), not {array.shape}")
-    # An empty list has no type of its own.
+        raise ValueError(f"expected {name} of shape (M,), not {array.shape}")
+    # The dtype of an empty list means nothing.
     if array.size and not np.issubdtype(array.dtype, np.integer):
-        raise TypeError(f"{name} are integers, not {array.dtype}")
+        raise TypeError(f"expected integers as {name}, not {array.dtype}")
     return array.astype(np.int64)

@@ -1,4 +1,4 @@
-"""A small network that learns actions from what is true. Needs the extra `vap`: `pip install './python[vap]'`."""
+"""A small network that learns actions from facts. Needs the extra `vap`: `pip install './python[vap]'`."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ Edges: TypeAlias = tuple[Tensor, Tensor, Tensor]
 
 
 class MessagePassing(nn.Module):
-    """Every entity receives messages of all that it sees, itself among them, and updates its embedding."""
+    """A round in which every entity receives messages from the entities in its view, including itself."""
 
     def __init__(self) -> None:
-        """Draw the weights."""
+        """Initialize the weights."""
         super().__init__()
         self.receiver, self.sender = nn.Linear(WIDTH, WIDTH), nn.Linear(WIDTH, WIDTH, bias=False)
         self.edge = nn.Linear(2 * len(BINARY), WIDTH, bias=False)
         self.update = nn.Linear(3 * WIDTH, WIDTH)
 
     def forward(self, nodes: Tensor, edge_features: Tensor, edges: Edges) -> Tensor:
-        """Node embeddings after a round, (batch, entities, width)."""
+        """Return node embeddings after the round, (batch, entities, width)."""
         batch, receiver, sender = edges
         messages = self.receiver(nodes)[batch, receiver] + self.sender(nodes)[batch, sender] + self.edge(edge_features)
-        # They are not negative, so that 0 is the largest of none.
+        # Not negative, so that 0 is the maximum of an empty set.
         messages = torch.relu(messages)
         place = batch * nodes.shape[1] + receiver
         none = messages.new_zeros(nodes.shape[0] * nodes.shape[1], WIDTH)
@@ -57,17 +57,17 @@ class MessagePassing(nn.Module):
 
 
 class FactNetwork(nn.Module):
-    """Two rounds of messages over the entities that each sees, on what is true of them and between them."""
+    """Two rounds of message passing between entities in view, on unary and binary facts."""
 
     def __init__(self) -> None:
-        """Draw the weights."""
+        """Initialize the weights."""
         super().__init__()
         self.encoder = nn.Linear(len(UNARY), WIDTH)
         self.rounds = nn.ModuleList(MessagePassing() for _ in range(ROUNDS))
         self.readout = nn.Linear(WIDTH, len(ACTIONS))
 
     def forward(self, unary: Tensor, binary: Tensor, sees: Tensor) -> Tensor:
-        """Scores of actions, (batch, entities, 4), from truth values as `collate` has them."""
+        """Return scores of actions, (batch, entities, 4), from truth values in the format of `collate`."""
         edges: Edges = sees.nonzero(as_tuple=True)
         edge_features = torch.cat([binary, binary.transpose(1, 2)], -1)[edges].float()
         nodes = torch.relu(self.encoder(unary.float()))
@@ -80,31 +80,37 @@ class FactNetwork(nn.Module):
 def train_network(
     train: VapDataset, test: VapDataset, seed: int, epochs: int, progress: Callable[[int], None]
 ) -> NDArray[np.int64]:
-    """Train on the samples of one data set, and predict the actions of the cars of another, one after the other.
+    """Train on one data set, and predict the actions of the cars of another.
 
-    There is a car in `train`. The same seed learns the same on the same machine. `progress` is told after each epoch
-    how many are done.
+    The same seed gives the same predictions on the same machine.
+
+    Args:
+        train: The data set to train on, which must have cars.
+        test: The data set to predict on.
+        seed: The seed.
+        epochs: The number of epochs.
+        progress: Called with the number of finished epochs after each.
     """
-    facts, asked = (
+    facts, queries = (
         padded_batch([as_tensors(samples.facts(at)) for at in range(len(samples))]) for samples in (train, test)
     )
     threads = torch.get_num_threads()
-    # The tensors are so small that several threads would mostly wait for each other.
+    # The tensors are small: several threads would mostly wait for each other.
     torch.set_num_threads(1)
     try:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             network = _trained(facts, epochs, progress)
         with torch.no_grad():
-            best = [network(*_inputs(asked, chosen)).argmax(-1) for chosen in torch.arange(len(test)).split(BATCH)]
+            best = [network(*_inputs(queries, chosen)).argmax(-1) for chosen in torch.arange(len(test)).split(BATCH)]
     finally:
         torch.set_num_threads(threads)
-    predicted: NDArray[np.int64] = torch.cat(best)[asked["mask"]].numpy()
+    predicted: NDArray[np.int64] = torch.cat(best)[queries["mask"]].numpy()
     return predicted
 
 
 def _trained(facts: dict[str, Tensor], epochs: int, progress: Callable[[int], None]) -> FactNetwork:
-    """A network that has seen each sample with cars so many times, with draws of the default generator."""
+    """Train a network on the samples with cars, with draws of the default generator."""
     network, with_cars = FactNetwork(), facts["mask"].any(1).nonzero()[:, 0]
     count = len(with_cars)
     optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE)
