@@ -7,7 +7,7 @@ SOLVERS := .venv-solvers
 FUZZ_TARGETS := parse check query evaluate config scene rows
 FUZZ_SECONDS := 600
 
-.PHONY: test lint rust doc python python-all page solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test lint rust doc wheel python python-all page solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint rust doc python page
 
@@ -23,13 +23,22 @@ rust:
 doc:
 	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --locked
 
-# The Python package is built and installed as a user would, into an environment of its own.
-python: $(VENV)/bin/python
-	$(VENV)/bin/pip install --quiet --disable-pip-version-check './python[test]'
+# The wheel of the Python package. `make python WHEEL_PROFILE=dev` builds it faster, and what it runs is slower.
+WHEELS := target/wheels
+WHEEL_PROFILE := release
+wheel: $(VENV)/bin/python
+	rm -rf $(WHEELS)
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check 'maturin>=1.10,<2'
+	$(VENV)/bin/maturin build --quiet --locked --profile $(WHEEL_PROFILE) --manifest-path python/Cargo.toml --out $(WHEELS)
+
+# The wheel is installed as a user would, into an environment of its own; `test_wheel.py` installs it into an empty one.
+python: wheel
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test]"
 	$(VENV)/bin/ruff check python
 	$(VENV)/bin/ruff format --check python
 	$(VENV)/bin/mypy --strict --config-file python/pyproject.toml python/logicity python/tests python/benches python/examples
-	$(VENV)/bin/python -m pytest -q python/tests
+	LOGICITY_WHEEL=$$(echo $(WHEELS)/*.whl) $(VENV)/bin/python -m pytest -q python/tests
 
 # The page of a run, in headless Chromium. Without a browser the last line prints what it skips and exits with 0.
 page: $(VENV)/bin/python
@@ -40,8 +49,9 @@ page: $(VENV)/bin/python
 	$(VENV)/bin/python tests/page_in_browser.py
 
 # The same with Stable-Baselines3, whose tests are skipped above: it brings torch, some gigabytes.
-python-all: $(VENV)-all/bin/python
-	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check './python[test-all]'
+python-all: wheel $(VENV)-all/bin/python
+	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps $(WHEELS)/*.whl
+	$(VENV)-all/bin/pip install --quiet --disable-pip-version-check "$$(echo $(WHEELS)/*.whl)[test-all]"
 	$(VENV)-all/bin/python -m pytest -q python/tests
 
 $(VENV)/bin/python $(VENV)-all/bin/python: %/bin/python:

@@ -31,7 +31,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PySimulation>()
 }
 
-/// Why agents moved as they did; the position is the code in arrays.
+/// The reasons for moves; arrays hold positions in this list.
 const REASONS: [(Reason, &str); 4] = [
     (Reason::Decided, "decided"),
     (Reason::OnlyMove, "only-move"),
@@ -39,10 +39,10 @@ const REASONS: [(Reason, &str); 4] = [
     (Reason::Resting, "resting"),
 ];
 
-/// The file that stands for a configuration with something changed.
+/// The name of the text with overrides.
 const OVERRIDES: &str = "<overrides>";
 
-/// Files by their paths.
+/// Workspace of files by path.
 type Files = BTreeMap<PathBuf, String>;
 
 /// A configuration and its rules.
@@ -50,15 +50,15 @@ pub struct Loaded {
     pub sources: Sources,
     pub scenario: Scenario,
     pub program: Program,
-    /// The first text of the rules; all behind it are theirs, too.
+    /// The first text of the rules; the later texts are their includes.
     pub rule_file: SourceId,
-    /// All that was read from disk, or from what stood for it.
+    /// All texts that were read.
     files: Files,
 }
 
-/// Why nothing was loaded.
+/// The reason why loading failed.
 enum Unloaded {
-    /// There is no such configuration; what to say.
+    /// The configuration does not exist; the message.
     Missing(String),
     Unread(PathBuf, ReadError),
     Faulty(Vec<Diagnostic>, Sources),
@@ -75,9 +75,8 @@ impl Unloaded {
 }
 
 impl Loaded {
-    /// Reads a configuration and its rules, or those of the file that is given instead; from `files`, if there are any, else from
-    /// disk. What is not there is looked for among the built-in files. `overrides` is a mapping in JSON that stands above the
-    /// configuration, which it names as its base.
+    /// Reads a configuration and its rules, or another rule file. Workspace come from `files` if given, else from disk, and then from the
+    /// built-in files. `overrides` is a mapping in JSON whose `base` is the configuration.
     pub fn new(
         py: Python<'_>,
         signals: &Signals,
@@ -87,7 +86,7 @@ impl Loaded {
         overrides: Option<String>,
     ) -> PyResult<Loaded> {
         let read = move || Loaded::read(&config, rules, files, overrides.as_deref());
-        signals.aside(py, read)?.map_err(|unloaded| unloaded.raise(py))
+        signals.on_thread(py, read)?.map_err(|unloaded| unloaded.raise(py))
     }
 
     fn read(
@@ -117,7 +116,7 @@ impl Loaded {
             Ok(scenario) => scenario,
             Err(faults) => {
                 return Err(match faults.as_slice() {
-                    // The file named by the caller: it has no place in any text.
+                    // The file that the caller named has no place in any text.
                     [fault] if fault.code == Code::MISSING_FILE && fault.primary.is_none() => {
                         let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
                         Unloaded::Missing(fault.message.clone() + &help)
@@ -134,7 +133,7 @@ impl Loaded {
             return Err(Unloaded::Faulty(faults, sources));
         };
         if rules.is_some() {
-            // What does not fit is to be shown in the file that was given, not in the configuration.
+            // Mismatches are reported in the given file, not in the configuration.
             let span = Span::new(rule_file, 0..0);
             scenario.rules = Located { value: path, span };
         }
@@ -148,7 +147,7 @@ impl Loaded {
     }
 }
 
-/// One of a few values by its name.
+/// Finds a value by its name.
 pub fn one_of<T: Copy>(what: &str, given: &str, all: &[T], name: impl Fn(T) -> &'static str) -> PyResult<T> {
     all.iter().copied().find(|&value| name(value) == given).ok_or_else(|| {
         let names: Vec<String> = all.iter().map(|&value| format!("\"{}\"", name(value))).collect();
@@ -156,7 +155,7 @@ pub fn one_of<T: Copy>(what: &str, given: &str, all: &[T], name: impl Fn(T) -> &
     })
 }
 
-/// Answers scenes.
+/// Decides scenes.
 #[pyclass(name = "Inference", module = "logicity._logicity", frozen)]
 struct PyInference {
     inference: Shared<Inference>,
@@ -190,7 +189,7 @@ impl PyInference {
         })
     }
 
-    /// The answer to a scene in JSON.
+    /// Decides a scene in JSON.
     fn answer<'py>(&self, py: Python<'py>, scene: &str) -> PyResult<Bound<'py, PyAny>> {
         let mut sources = Sources::new();
         let source = sources.add("<scene>", scene);
@@ -203,7 +202,7 @@ impl PyInference {
         }
     }
 
-    /// All that was read.
+    /// All texts that were read.
     fn files(&self) -> Vec<(&Path, &str)> {
         self.files
             .iter()
@@ -212,7 +211,7 @@ impl PyInference {
     }
 }
 
-/// A city in motion.
+/// A running city.
 #[pyclass(name = "Simulation", module = "logicity._logicity", frozen)]
 struct PySimulation {
     city: Shared<Simulation>,
@@ -222,8 +221,8 @@ struct PySimulation {
     rule_file: SourceId,
 }
 
-/// A tick: number, where agents were and how they headed, what was derived and decided, where they are, why, and whether they set
-/// out for a new goal.
+/// A tick: number, positions and headings before it, derived actions, actions, positions after it, reasons, and whether agents set out
+/// for a new goal.
 type Tick<'py> = (
     u64,
     Bound<'py, PyArray2<i32>>,
@@ -238,7 +237,7 @@ type Tick<'py> = (
 /// Name, type, concepts and priority of an agent.
 type AgentInfo = (String, &'static str, Vec<String>, i32);
 
-/// Why a run came to an end before its time.
+/// The reason why a run ended early.
 enum Failure {
     Fault(Diagnostic),
     File(std::io::Error),
@@ -278,14 +277,14 @@ impl PySimulation {
             threads,
         };
         let stop = signals.stop();
-        let made = signals.aside(py, move || {
+        let made = signals.on_thread(py, move || {
             let world = Arc::new(World::new(scenario, program)?);
             let city = Simulation::new_until(Arc::clone(&world), split, Seed(seed), settings, stop);
             Ok((city.map_err(|fault| vec![fault])?, world))
         })?;
         let (city, world) = made.map_err(|faults: Vec<Diagnostic>| input_error(py, &faults, &sources))?;
         Ok(PySimulation {
-            city: Shared::asking("Simulation", city, signals),
+            city: Shared::with_signals("Simulation", city, signals),
             world,
             sources,
             config,
@@ -294,7 +293,7 @@ impl PySimulation {
     }
 
     fn agents(&self) -> PyResult<Vec<AgentInfo>> {
-        let told = |agent: &Agent| {
+        let info = |agent: &Agent| {
             (
                 agent.name().to_string(),
                 agent.kind.name(),
@@ -302,10 +301,10 @@ impl PySimulation {
                 agent.priority,
             )
         };
-        self.city.with(|city| Ok(city.agents().iter().map(told).collect()))
+        self.city.with(|city| Ok(city.agents().iter().map(info).collect()))
     }
 
-    /// Name of the map, its rows and columns.
+    /// The name of the map, its rows and columns.
     fn map(&self) -> (&str, i32, i32) {
         let map = self.world.map();
         (&map.name, map.rows(), map.cols())
@@ -340,7 +339,7 @@ impl PySimulation {
         Ok(layers.into_pyarray(py))
     }
 
-    /// A tick in which the agents at these positions do these actions.
+    /// Runs a tick in which the agents at these positions take these actions.
     fn tick<'py>(&self, py: Python<'py>, controls: Vec<(usize, usize)>) -> PyResult<Tick<'py>> {
         let controls: Vec<(usize, Speed)> = (controls.into_iter())
             .map(|(agent, action)| (agent, Speed::ALL[action]))
@@ -374,7 +373,7 @@ impl PySimulation {
         })
     }
 
-    /// So many ticks, whose trace goes to a file.
+    /// Runs ticks, and writes their trace to a file.
     fn run(&self, py: Python<'_>, ticks: u64, trace: Option<PathBuf>) -> PyResult<()> {
         let done = self.city.detached(py, |city, signals| match &trace {
             None => run(city, ticks, signals, |_| Ok(())),
@@ -389,7 +388,7 @@ impl PySimulation {
         })
     }
 
-    /// By base predicate, the rows on which the last tick was decided: positions of agents.
+    /// The base facts of the last tick by predicate: positions of agents.
     fn facts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let found = self.city.detached(py, |city, _| match city.agents().len() {
             0..=MAX_ENTITIES => city.facts_until(|_| true, city.stop()),
@@ -399,14 +398,14 @@ impl PySimulation {
         let dict = PyDict::new(py);
         for (predicate, rows) in self.world.vocabulary.predicates.iter().zip(&facts.rows) {
             let shape = (rows.len(), predicate.arity);
-            // A scene has far fewer agents than an i32 has room for.
+            // The number of agents fits an i32.
             let array = Array2::from_shape_fn(shape, |(row, column)| rows[row][column].cast_signed());
             dict.set_item(&predicate.name, array.into_pyarray(py))?;
         }
         Ok(dict)
     }
 
-    /// Why an agent did what it did in the last tick, or why another action was not derived: as text, and as data.
+    /// Explains an agent's action in the last tick, or why another action was not derived: as text, and as data.
     fn explain<'py>(
         &self,
         py: Python<'py>,
@@ -414,15 +413,15 @@ impl PySimulation {
         why_not: Option<usize>,
     ) -> PyResult<(String, Bound<'py, PyAny>)> {
         let why_not = why_not.map(|action| Speed::ALL[action]);
-        let told = self.city.detached(py, |city, signals| {
+        let explained = self.city.detached(py, |city, signals| {
             let account = city.decision(agent)?.account(why_not, &|| signals.raised())?;
             Ok((account.text(&self.sources), account.json(&self.sources)))
         })?;
-        let (text, json) = told.map_err(|fault: Diagnostic| input_error(py, &[fault], &self.sources))?;
+        let (text, json) = explained.map_err(|fault: Diagnostic| input_error(py, &[fault], &self.sources))?;
         Ok((text, to_python(py, &json)?))
     }
 
-    /// The label of each clause and how many rows it derived in the last tick.
+    /// The label of each clause, and the rows it derived in the last tick.
     fn firings(&self) -> PyResult<Vec<(String, usize)>> {
         let rules = self.world.program.rules();
         let teller = Teller::new(rules, &rules.symbols, &self.sources);
@@ -445,13 +444,13 @@ impl PySimulation {
         let writer = TraceWriter::new(file, city, &self.sources, &config, self.rule_file, &hash);
         let mut writer = writer.map_err(Failure::File)?;
         let done = run(city, ticks, signals, |city| writer.tick(city).map_err(Failure::File));
-        // What was run is kept, whatever came after it.
+        // The ticks before a failure are kept.
         let written = writer.into_inner().finish().map_err(Failure::File);
         done.and(written)
     }
 }
 
-/// Ticks, until a signal's handler raises an exception.
+/// Runs ticks until a signal handler raises an exception.
 fn run(
     city: &mut Simulation,
     ticks: u64,
@@ -473,7 +472,7 @@ fn too_many(agents: usize, what: &str) -> Diagnostic {
     Diagnostic::new(Code::LIMIT_EXCEEDED, message)
 }
 
-/// Rows and columns of cells.
+/// Converts cells to rows and columns.
 fn cells(py: Python<'_>, cells: impl ExactSizeIterator<Item = Cell>) -> Bound<'_, PyArray2<i32>> {
     let mut array = Array2::zeros((cells.len(), 2));
     for (mut row, cell) in array.rows_mut().into_iter().zip(cells) {
@@ -482,7 +481,7 @@ fn cells(py: Python<'_>, cells: impl ExactSizeIterator<Item = Cell>) -> Bound<'_
     array.into_pyarray(py)
 }
 
-/// Positions in a short list; -1 for none.
+/// Converts positions in a short list; -1 for none.
 fn codes(py: Python<'_>, positions: impl Iterator<Item = Option<usize>>) -> Bound<'_, PyArray1<i8>> {
     let code = |position: Option<usize>| position.and_then(|position| i8::try_from(position).ok()).unwrap_or(-1);
     positions.map(code).collect::<Array1<i8>>().into_pyarray(py)

@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyList, PyMapping, PyString, PyTuple};
 use std::collections::HashMap;
 
-/// So many rows are converted between two looks at signals.
+/// Rows converted between two checks for signals.
 const PAUSE: usize = 1 << 16;
 
 /// Rows in one list, one after the other.
@@ -18,7 +18,7 @@ pub struct Words {
     pub words: Vec<Value>,
 }
 
-/// What a column holds, for messages.
+/// The type of a column, for messages.
 fn holds(base: BaseType) -> &'static str {
     match base {
         BaseType::Symbol => "symbols (str)",
@@ -38,7 +38,7 @@ fn expects(relation: &Relation, column: &Column) -> String {
     )
 }
 
-/// Why a value is not in a column.
+/// The reason why a value does not fit a column.
 enum Misfit {
     Type,
     Range,
@@ -52,7 +52,7 @@ fn number(base: BaseType, value: i128) -> Result<Value, Misfit> {
     .map_err(|_| Misfit::Range)
 }
 
-/// The nearest float of 32 bits. An infinity and "not a number" are floats, too; a number beyond them is not made one.
+/// The nearest 32-bit float. Infinities and NaN are kept; a finite number out of range is an error.
 #[expect(clippy::cast_possible_truncation, reason = "rounding is what is meant")]
 fn float(value: f64) -> Result<Value, Misfit> {
     let near = value as f32;
@@ -62,7 +62,7 @@ fn float(value: f64) -> Result<Value, Misfit> {
     }
 }
 
-/// A value of a column. `symbol` finds the word of a text.
+/// Converts a value of a column. `symbol` returns the word of a text.
 fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &dyn Fn(&str) -> Value) -> PyResult<Result<Value, Misfit>> {
     if base == BaseType::Symbol {
         return match value.cast::<PyString>() {
@@ -70,7 +70,7 @@ fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &dyn Fn(&str) -> Value
             Err(_) => Ok(Err(Misfit::Type)),
         };
     }
-    // What is true is a number in Python, and a mistake here.
+    // In Python a bool is an int; here it is an error.
     if value.is_instance_of::<PyBool>() {
         return Ok(Err(Misfit::Type));
     }
@@ -88,14 +88,14 @@ fn word(value: &Bound<'_, PyAny>, base: BaseType, symbol: &dyn Fn(&str) -> Value
     })
 }
 
-/// A row of values; where `open` is set, `None` stands for any value.
+/// Converts a row; with `open`, `None` means any value.
 pub fn row(
     relation: &Relation,
     values: &Bound<'_, PyAny>,
     open: bool,
     symbol: &dyn Fn(&str) -> Value,
 ) -> PyResult<Vec<Option<Value>>> {
-    // A text is a sequence of texts, and never meant as a row.
+    // A str is a sequence of str, but never a row.
     if values.is_instance_of::<PyString>() {
         let message = format!("a row of `{}` is a tuple of its values, not a str", relation.name);
         return Err(PyTypeError::new_err(message));
@@ -133,7 +133,7 @@ pub fn row(
     Ok(words)
 }
 
-/// Rows in any of the forms that `Session.insert` documents.
+/// Converts rows in any form that `Session.insert` documents.
 pub fn rows(relation: &Relation, given: &Bound<'_, PyAny>, symbol: &dyn Fn(&str) -> Value) -> PyResult<Words> {
     if let Ok(array) = given.cast::<PyUntypedArray>() {
         return of_array(relation, array, symbol);
@@ -168,7 +168,7 @@ pub fn rows(relation: &Relation, given: &Bound<'_, PyAny>, symbol: &dyn Fn(&str)
     Ok(found)
 }
 
-/// The same error, of a row among others.
+/// Adds the number of the row to an error.
 fn in_row(py: Python<'_>, row: usize, error: &PyErr) -> PyErr {
     let message = format!("row {row}: {}", error.value(py));
     match error.is_instance_of::<PyTypeError>(py) {
@@ -196,7 +196,7 @@ fn of_array(relation: &Relation, array: &Bound<'_, PyUntypedArray>, symbol: &dyn
     of_columns(relation, &columns?, array.shape()[0], symbol)
 }
 
-/// Columns by their names, which `given` has as keys.
+/// Converts a mapping from names of columns to arrays.
 fn of_named(
     relation: &Relation,
     keys: &[Bound<'_, PyAny>],
@@ -296,7 +296,7 @@ fn fill<'a>(
     }
 }
 
-/// Writes the words of a column of numbers, as whose widest type numpy gives them.
+/// Writes the words of a column of numbers, read as their widest type.
 fn convert<'a, T: Element + Copy + std::fmt::Display>(
     relation: &Relation,
     column: &Column,
@@ -305,7 +305,7 @@ fn convert<'a, T: Element + Copy + std::fmt::Display>(
     into: impl Iterator<Item = &'a mut Value>,
 ) -> PyResult<()> {
     let numpy = array.py().import(intern!(array.py(), "numpy"))?;
-    // Whatever the order of its bytes, its strides and its place in memory are.
+    // Any byte order, strides and alignment.
     let array = numpy.call_method1(intern!(array.py(), "require"), (array, dtype, ("C", "A")))?;
     let array: PyReadonlyArray1<'_, T> = array.extract()?;
     for (row, (&value, into)) in array.as_slice()?.iter().zip(into).enumerate() {
@@ -319,7 +319,7 @@ fn convert<'a, T: Element + Copy + std::fmt::Display>(
     Ok(())
 }
 
-/// The texts of symbols as Python has them, each made once.
+/// The Python texts of symbols, each made once.
 struct Workspace<'a, 'py> {
     py: Python<'py>,
     symbols: &'a Symbols,
@@ -340,7 +340,7 @@ impl<'py> Workspace<'_, 'py> {
     }
 }
 
-/// A list of tuples.
+/// Makes a list of tuples.
 pub fn tuples<'py, 'r>(
     py: Python<'py>,
     columns: &[Column],
@@ -366,7 +366,7 @@ pub fn tuples<'py, 'r>(
     Ok(list)
 }
 
-/// A dict from the names of columns to arrays.
+/// Makes a dict from names of columns to arrays.
 pub fn arrays<'py, 'r, R: Iterator<Item = &'r [Value]>>(
     py: Python<'py>,
     columns: &[Column],

@@ -31,7 +31,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 fn check<'py>(py: Python<'py>, text: &str, name: &str) -> PyResult<Bound<'py, PyAny>> {
     let mut sources = Sources::new();
     let entry = sources.add(name, text);
-    let (diagnostics, sources) = Signals::new().aside(py, move || {
+    let (diagnostics, sources) = Signals::new().on_thread(py, move || {
         let (_, diagnostics) = Program::load(&mut sources, entry, &BuiltinFiles);
         (diagnostics, sources)
     })?;
@@ -77,7 +77,7 @@ type File = (String, String);
 
 #[pymethods]
 impl PyProgram {
-    /// The program of the first of `files`. What it includes is read from the others if there are any, else from disk.
+    /// Loads the first of `files`. Includes come from the others if there are any, else from disk.
     #[new]
     fn new(py: Python<'_>, files: Vec<File>) -> PyResult<Self> {
         let mut sources = Sources::new();
@@ -92,7 +92,7 @@ impl PyProgram {
             (Some(text), _) => Ok(String::clone(text)),
             (None, _) => Err(ReadError::NotFound),
         };
-        let (loaded, sources) = Signals::new().aside(py, move || {
+        let (loaded, sources) = Signals::new().on_thread(py, move || {
             let mut texts = Workspace::new(Inputs::Extended);
             texts.add(&mut sources, entry, &read);
             let checked = texts.check();
@@ -153,14 +153,14 @@ impl PyProgram {
         let teller = Teller::new(rules, &rules.symbols, sources);
         let shown = (rules.clauses.iter().zip((0..).map(ClauseId)))
             .filter(|(clause, _)| !rules.relations[clause.head.relation.index()].hidden);
-        let told = shown.map(|(clause, id)| {
-            let mut told = teller.clause_json(id);
-            told["label"] = json!(teller.label(id));
-            told["text"] = json!(sources.slice(clause.span));
-            told["column"] = json!(sources.position(clause.span).column);
-            told
+        let clauses = shown.map(|(clause, id)| {
+            let mut entry = teller.clause_json(id);
+            entry["label"] = json!(teller.label(id));
+            entry["text"] = json!(sources.slice(clause.span));
+            entry["column"] = json!(sources.position(clause.span).column);
+            entry
         });
-        to_python(py, &told.collect())
+        to_python(py, &clauses.collect())
     }
 
     fn warnings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
@@ -172,7 +172,7 @@ impl PyProgram {
     }
 }
 
-/// Facts and what follows from them.
+/// Facts, and the facts derived from them.
 #[pyclass(name = "Session", module = "logicity._logicity", frozen)]
 pub struct PySession {
     loaded: Arc<Loaded>,
@@ -224,7 +224,7 @@ impl PySession {
         })
     }
 
-    /// What became true and what stopped being true, by predicate.
+    /// Commits, and returns added and removed rows by predicate.
     fn commit<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyDict>> {
         let (py, this) = (slf.py(), slf.get());
         let committed = this
@@ -280,7 +280,7 @@ impl PySession {
         })
     }
 
-    /// The fact as it is written, whether it holds, why as text, and the nodes of that.
+    /// The fact as text, whether it holds, the explanation as text, and its nodes.
     fn explain<'py>(
         &self,
         py: Python<'py>,
@@ -306,7 +306,7 @@ impl PySession {
                 Ok((fact.relation, fact.values))
             }
         })?;
-        let told = self.session.detached(py, |session, signals| {
+        let explained = self.session.detached(py, |session, signals| {
             let stop = || signals.raised();
             let mut explainer = Explainer::new(session);
             explainer.stop_when(&stop);
@@ -322,12 +322,12 @@ impl PySession {
             text += &teller.tree(&explanation);
             Ok((fact, holds, text, teller.json(&explanation)["nodes"].take()))
         })?;
-        let (fact, holds, text, nodes) =
-            told.map_err(|error: datalog::explain::ExplainError| input_error(py, &[error.into()], &loaded.sources))?;
+        let (fact, holds, text, nodes) = explained
+            .map_err(|error: datalog::explain::ExplainError| input_error(py, &[error.into()], &loaded.sources))?;
         Ok((fact, holds, text, to_python(py, &nodes)?))
     }
 
-    /// What the last commit did, stratum by stratum.
+    /// The work of the last commit, by stratum.
     fn work<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let Loaded { program, sources, .. } = &*self.loaded;
         let rules = program.rules();
@@ -365,7 +365,7 @@ impl PySession {
         })
     }
 
-    /// How clauses are evaluated now.
+    /// The current plan of every clause.
     fn plan(&self) -> PyResult<String> {
         self.session
             .with(|session| Ok(session.show_plans(&self.loaded.sources)))
@@ -375,7 +375,7 @@ impl PySession {
 impl PySession {
     fn change(&self, relation: &str, rows: &Bound<'_, PyAny>, present: bool) -> PyResult<usize> {
         let (id, relation) = self.loaded.relation(relation)?;
-        // What is iterated over may ask this session itself, so it is not held meanwhile.
+        // The iterator may use this session, so it is not locked meanwhile.
         let symbols = |text: &str| self.session.with(|session| Ok(session.intern(text)));
         let failed = std::cell::RefCell::new(None);
         let found = columns::rows(relation, rows, &|text| {
@@ -401,7 +401,7 @@ impl PySession {
     }
 }
 
-/// Rows that a commit has added or removed.
+/// Rows that a commit added or removed.
 #[pyclass(name = "Rows", module = "logicity._logicity", frozen)]
 pub struct PyRows {
     session: Py<PySession>,
@@ -415,7 +415,7 @@ impl PyRows {
         self.rows.len()
     }
 
-    /// Those from one position to before another.
+    /// The rows in a half-open range of positions.
     fn tuples<'py>(&self, py: Python<'py>, start: usize, stop: usize) -> PyResult<Bound<'py, PyList>> {
         let PySession { loaded, session } = self.session.get();
         let relation = &loaded.program.rules().relations[self.relation.index()];

@@ -1,4 +1,4 @@
-//! One car that is driven, or many of them, each in a city of its own, in one call.
+//! Environments with one controlled car each, stepped in one call.
 
 use crate::city::one_of;
 use crate::episode::{PyBegin, PyEpisode, read_episode};
@@ -34,18 +34,22 @@ type Columns<'py> = (
     PyReadwriteArray1<'py, u64>,
 );
 
-/// What came of a step: rewards, and whether episodes ended or were cut short.
+/// The outcomes of a step: rewards, terminations and truncations.
 type Outcomes<'py> = (
     PyReadwriteArray1<'py, f64>,
     PyReadwriteArray1<'py, bool>,
     PyReadwriteArray1<'py, bool>,
 );
 
-/// What is told of an environment at the end of an episode: its position, the last observation, the names of the broken clauses.
+/// The end of an episode: the position of the environment, the last observation, the names of the broken clauses.
 type Last<'py> = (usize, Bound<'py, PyArray1<f32>>, Bound<'py, PyTuple>);
 
-/// Writes what is told of environments; the columns have a number for each environment.
-fn tell<'a>(columns: &mut Columns<'_>, count: usize, infos: impl Iterator<Item = (usize, &'a Info)>) -> PyResult<()> {
+/// Writes infos to columns with one number for each environment.
+fn write_infos<'a>(
+    columns: &mut Columns<'_>,
+    count: usize,
+    infos: impl Iterator<Item = (usize, &'a Info)>,
+) -> PyResult<()> {
     let (oracle, progress, success, steps, seeds) = columns;
     let (oracle, progress) = (slice_of(oracle, count)?, slice_of(progress, count)?);
     let (success, steps, seeds) = (
@@ -63,7 +67,7 @@ fn tell<'a>(columns: &mut Columns<'_>, count: usize, infos: impl Iterator<Item =
     Ok(())
 }
 
-/// Environments that take a step together.
+/// Environments that are stepped together.
 #[pyclass(name = "VectorEnv", module = "logicity._logicity")]
 struct PyVectorEnv {
     task: Py<PyTask>,
@@ -111,7 +115,7 @@ impl PyVectorEnv {
         })
     }
 
-    /// Gives an environment the episodes of a seed, from the one with that number on.
+    /// Gives an environment the episodes of a seed, starting at a number.
     fn seed(slf: &Bound<'_, Self>, at: usize, seed: u64, begun: u64) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
         this.member(at)?;
@@ -121,13 +125,13 @@ impl PyVectorEnv {
         Ok(())
     }
 
-    /// The seed of the episodes of an environment, and how many have begun.
+    /// The seed of an environment's episodes, and the number of begun ones.
     fn source(slf: &Bound<'_, Self>, at: usize) -> PyResult<[u64; 2]> {
         let this = borrowed(slf)?;
         Ok(this.member(at)?.source().place())
     }
 
-    /// Begins episodes, see `PyBegin`; the observations of environments that go on stay.
+    /// Begins episodes, see `PyBegin`. Observations of other environments are unchanged.
     fn reset(
         slf: &Bound<'_, Self>,
         py: Python<'_>,
@@ -164,7 +168,7 @@ impl PyVectorEnv {
         (this.signals.detach(py, || vector.reset(&begin, rows))?).map_err(|fault| task.error(py, fault))
     }
 
-    /// A step of the only environment: reward, whether the episode ended, whether it was cut short, what else is told.
+    /// Steps the only environment: reward, termination, truncation, info.
     fn step_one<'py>(
         slf: &Bound<'py, Self>,
         py: Python<'py>,
@@ -178,7 +182,7 @@ impl PyVectorEnv {
         let actions = [speed(py, action, String::new)?];
         let task = this.task.get();
         let rows = this.rows(&mut observation)?;
-        (this.signals.heed(|| this.vector.step(&actions, rows))?).map_err(|fault| task.error(py, fault))?;
+        (this.signals.run_polled(|| this.vector.step(&actions, rows))?).map_err(|fault| task.error(py, fault))?;
         let member = &this.vector.members()[0];
         let outcome = member.outcome();
         Ok((
@@ -189,7 +193,7 @@ impl PyVectorEnv {
         ))
     }
 
-    /// A step of all environments. Returned are those in which clauses were broken, with their names.
+    /// Steps all environments. Returns those with broken clauses, and the names of these.
     fn step<'py>(
         slf: &Bound<'py, Self>,
         py: Python<'py>,
@@ -224,7 +228,7 @@ impl PyVectorEnv {
             let outcome = member.outcome();
             (rewards[at], terminated[at], truncated[at]) = (outcome.reward, outcome.terminated, outcome.truncated);
         }
-        tell(
+        write_infos(
             &mut columns,
             count,
             members.iter().map(|member| member.info()).enumerate(),
@@ -238,8 +242,8 @@ impl PyVectorEnv {
             .collect()
     }
 
-    /// Of each environment whose episode ended in the last step, the next one having begun: its position, the last observation, the names of
-    /// the broken clauses. What else was told then is written to the columns.
+    /// The episodes that ended in the last step, where the next one has begun: position, last observation, names of the broken clauses. Writes
+    /// the rest of their infos to the columns.
     fn ended<'py>(slf: &Bound<'py, Self>, py: Python<'py>, mut columns: Columns<'py>) -> PyResult<Vec<Last<'py>>> {
         let this = borrowed(slf)?;
         let members = this.vector.members();
@@ -249,7 +253,7 @@ impl PyVectorEnv {
                 .enumerate()
                 .filter_map(|(at, member)| Some((at, member.ended()?)))
         };
-        tell(&mut columns, members.len(), ended().map(|(at, (_, info))| (at, info)))?;
+        write_infos(&mut columns, members.len(), ended().map(|(at, (_, info))| (at, info)))?;
         let task = this.task.get();
         let last = |(at, (observation, info)): (usize, (&[f32], &Info))| {
             Ok((
@@ -261,7 +265,7 @@ impl PyVectorEnv {
         ended().map(last).collect()
     }
 
-    /// What is told of an environment beside the observation.
+    /// The info of an environment.
     fn info<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyDict>> {
         let this = borrowed(slf)?;
         this.task.get().info(py, this.member(at)?.info())
@@ -274,13 +278,13 @@ impl PyVectorEnv {
         (this.task.get()).atoms(py, env, env.riders()[0].observer().atoms())
     }
 
-    /// From here on it is kept what was true at the end of an episode when the next one has begun.
+    /// Keeps the true atoms at the end of an episode after the next one has begun.
     fn keep_last_atoms(slf: &Bound<'_, Self>) -> PyResult<()> {
         borrowed_mut(slf)?.vector.keep_last_atoms();
         Ok(())
     }
 
-    /// The atoms that were true at the end of the episode that the last step ended, if they were kept.
+    /// The true atoms at the end of the episode that the last step ended, if they were kept.
     fn ended_atoms<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyTuple>> {
         let this = borrowed(slf)?;
         let member = this.member(at)?;
@@ -294,25 +298,25 @@ impl PyVectorEnv {
         Ok(this.member(at)?.is_ready(Autoreset::NextStep))
     }
 
-    /// How the episode of an environment began.
+    /// The start of an environment's episode.
     fn episode(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<PyEpisode> {
         let this = borrowed(slf)?;
         Ok(PyEpisode::of(this.begun(py, at)?.env().episode()))
     }
 
-    /// Why the rules want what they want.
+    /// Explains the oracle's action.
     fn explain(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<String> {
         let this = borrowed(slf)?;
         (this.task.get()).explain(py, this.begun(py, at)?.env(), 0, &this.signals)
     }
 
-    /// The state of an environment in a few lines.
+    /// The state of an environment as text.
     fn text(slf: &Bound<'_, Self>, py: Python<'_>, at: usize) -> PyResult<String> {
         let this = borrowed(slf)?;
         Ok(describe(this.begun(py, at)?.env(), 0))
     }
 
-    /// The city of an environment: red, green and blue.
+    /// The picture of an environment: red, green and blue.
     fn picture<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let this = borrowed(slf)?;
         {
@@ -328,7 +332,7 @@ impl PyVectorEnv {
         member.ok_or_else(|| PyIndexError::new_err(format!("there is no environment {at}")))
     }
 
-    /// The same if there is an episode to speak of.
+    /// The environment, if it has an episode.
     fn begun(&self, py: Python<'_>, at: usize) -> PyResult<&Member> {
         let member = self.member(at)?;
         match member.is_ready(Autoreset::NextStep) {

@@ -1,4 +1,4 @@
-//! How an episode begins, as Python says and is told it.
+//! The start of an episode, to and from Python.
 
 use logicity::city::Cell;
 use logicity::city::{AgentName, Speed};
@@ -9,17 +9,17 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyInt, PyMapping};
 use std::collections::BTreeMap;
 
-/// What a trainer may say of an episode.
+/// The option `episode` of a reset.
 #[derive(FromPyObject)]
 pub enum PyBegin<'py> {
-    /// `True`: the next one of the source; `False`: none, the environment goes on.
+    /// `True`: the next episode of the source; `False`: no reset.
     Next(bool),
-    /// One of the recorded ones, by its number.
+    /// A recorded episode, by its number.
     Recorded(Bound<'py, PyInt>),
     Given(Bound<'py, PyDict>),
 }
 
-/// An episode as Python is told it.
+/// An episode for Python.
 #[derive(IntoPyObject)]
 pub struct PyEpisode {
     seed: u64,
@@ -69,7 +69,7 @@ impl PyEpisode {
     }
 }
 
-/// Reads an episode for an environment, whose agents it names.
+/// Reads an episode, which names the agents of the environment.
 pub fn read_episode(given: &Bound<'_, PyDict>, env: &Env) -> Result<Episode, Diagnostic> {
     let episode = Part::new("the episode".to_owned(), given, &["seed", "agents", "oracle"])?;
     let agents: Vec<Bound<'_, PyAny>> = episode.get("agents")?;
@@ -95,7 +95,7 @@ fn read_agent(what: &str, given: &Bound<'_, PyAny>, env: &Env) -> Result<Episode
             names.iter().map(String::as_str),
         )
     })?;
-    // Row and column, in a tuple or, as JSON has it, in a list.
+    // Row and column, in a tuple, or in a list as in JSON.
     let cell = |key| agent.get(key).map(|[row, col]: [i32; 2]| Cell::new(row, col));
     let concepts: Vec<String> = agent.get("concepts")?;
     Ok(EpisodeAgent {
@@ -127,14 +127,14 @@ fn read_oracle(given: &Bound<'_, PyAny>) -> Result<OracleRun, Diagnostic> {
     })
 }
 
-/// A mapping that describes an episode, or something of it.
+/// A mapping that describes an episode or a part of it.
 struct Part<'a, 'py> {
     what: String,
     given: &'a Bound<'py, PyMapping>,
 }
 
 impl<'a, 'py> Part<'a, 'py> {
-    /// Of these keys and no others.
+    /// Checks that it has no other keys.
     fn new(what: String, given: &'a Bound<'py, PyAny>, keys: &[&str]) -> Result<Self, Diagnostic> {
         let wrong = |error: PyErr| invalid(format!("{what} cannot be read: {error}"));
         let Ok(given) = given.cast::<PyMapping>() else {
@@ -150,7 +150,7 @@ impl<'a, 'py> Part<'a, 'py> {
         Ok(Part { what, given })
     }
 
-    /// What it has there, if anything.
+    /// The value of an optional key.
     fn find<T: for<'s> FromPyObject<'s, 'py>>(&self, key: &str) -> Result<Option<T>, Diagnostic> {
         let read = match self.given.get_item(key) {
             Err(error) if error.is_instance_of::<PyKeyError>(self.given.py()) => return Ok(None),
@@ -161,7 +161,7 @@ impl<'a, 'py> Part<'a, 'py> {
             .map_err(|error: PyErr| invalid(format!("`{key}` of {} cannot be read: {error}", self.what)))
     }
 
-    /// What it has to have there.
+    /// The value of a required key.
     fn get<T: for<'s> FromPyObject<'s, 'py>>(&self, key: &str) -> Result<T, Diagnostic> {
         let found = self.find(key)?;
         found.ok_or_else(|| invalid(format!("{} has no `{key}`", self.what)))
@@ -172,7 +172,7 @@ fn invalid(message: String) -> Diagnostic {
     Diagnostic::new(Code::INVALID_EPISODE, message)
 }
 
-/// With the name that was meant, or else all there are.
+/// Adds the nearest known name, or else all names.
 fn unknown<'a>(message: String, name: &str, known: impl Iterator<Item = &'a str> + Clone) -> Diagnostic {
     invalid(message).help(match did_you_mean(name, known.clone()) {
         Some(near) => format!("did you mean `{near}`?"),

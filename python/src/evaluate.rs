@@ -1,4 +1,4 @@
-//! Policies measured on recorded episodes, and what tables about a task are made of.
+//! Measures of policies on recorded episodes, and the description of a task.
 
 use crate::episode::PyEpisode;
 use crate::task::{PyTask, speed, split_named, view_named};
@@ -18,7 +18,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(describe, module)?)
 }
 
-/// How the random policy does on the recorded episodes of a split.
+/// The random policy on the recorded episodes of a split.
 #[pyclass(name = "RandomBaseline", module = "logicity._logicity")]
 struct PyRandomBaseline {
     task: Py<PyTask>,
@@ -46,7 +46,7 @@ impl PyRandomBaseline {
         })
     }
 
-    /// How many episodes there are.
+    /// The number of episodes.
     fn __len__(&self) -> usize {
         self.set.episodes.len()
     }
@@ -56,7 +56,7 @@ impl PyRandomBaseline {
         self.set.hash()
     }
 
-    /// Drives the next episode that has not been driven.
+    /// Runs the next episode.
     fn add(&mut self, py: Python<'_>) -> PyResult<()> {
         let next = self.set.episodes.get(self.baseline.returns().len());
         let episode = next.ok_or_else(|| PyIndexError::new_err("every episode has been driven"))?;
@@ -64,7 +64,7 @@ impl PyRandomBaseline {
         (self.signals.detach(py, || baseline.add(env, episode))?).map_err(|fault| self.task.get().error(py, fault))
     }
 
-    /// How it did on the episodes driven: `summary` and `episodes`.
+    /// The results so far: `summary` and `episodes`.
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let task = self.task.get();
         let runs = self.baseline.rollouts().iter().enumerate();
@@ -73,7 +73,7 @@ impl PyRandomBaseline {
     }
 }
 
-/// Recorded episodes that a policy in Python drives side by side, each once.
+/// Recorded episodes that a policy in Python runs side by side, each once.
 #[pyclass(name = "BatchEvaluator", module = "logicity._logicity")]
 struct PyBatchEvaluator {
     task: Py<PyTask>,
@@ -100,19 +100,19 @@ impl PyBatchEvaluator {
         })
     }
 
-    /// How many episodes there are.
+    /// The number of episodes.
     fn __len__(&self) -> usize {
         self.exam.envs().len()
     }
 
-    /// How an episode began.
+    /// The start of an episode.
     fn episode(&self, at: usize) -> PyResult<PyEpisode> {
         let env = self.exam.envs().get(at);
         let env = env.ok_or_else(|| PyIndexError::new_err(format!("there is no episode {at}")))?;
         Ok(PyEpisode::of(env.episode()))
     }
 
-    /// Writes what the egos observe, a row for each episode.
+    /// Writes the observations, one row for each episode.
     fn observe(&self, mut out: PyReadwriteArrayDyn<'_, f32>) -> PyResult<()> {
         let width: usize = self.view.shape(&self.task.get().task).iter().product();
         let rows = slice_of(&mut out, width * self.exam.envs().len())?;
@@ -122,7 +122,7 @@ impl PyBatchEvaluator {
         Ok(())
     }
 
-    /// Writes which episodes go on.
+    /// Writes the mask of running episodes.
     fn running(&self, mut out: PyReadwriteArray1<'_, bool>) -> PyResult<()> {
         let out = slice_of(&mut out, self.exam.envs().len())?;
         out.iter_mut()
@@ -131,13 +131,13 @@ impl PyBatchEvaluator {
         Ok(())
     }
 
-    /// What the rules want now.
+    /// The oracle's actions.
     fn oracle_actions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
         let actions = self.exam.envs().iter().map(|env| env.oracle_action(0) as i64);
         actions.collect::<Vec<i64>>().into_pyarray(py)
     }
 
-    /// Takes a step in every episode that goes on.
+    /// Steps every running episode.
     fn step(&mut self, py: Python<'_>, actions: PyReadonlyArray1<'_, i64>) -> PyResult<()> {
         let given = actions.as_array();
         check(given.len(), self.exam.envs().len())?;
@@ -149,7 +149,7 @@ impl PyBatchEvaluator {
         (self.signals.detach(py, || exam.step(actions))?).map_err(|fault| self.task.get().error(py, fault))
     }
 
-    /// How it went: `summary`, with a score against a baseline on the same episodes, and `episodes`.
+    /// The results: `summary`, with a score against a baseline on the same episodes, and `episodes`.
     fn report<'py>(&self, py: Python<'py>, baseline: &PyRandomBaseline) -> PyResult<Bound<'py, PyAny>> {
         let (task, rollouts) = (self.task.get(), self.exam.rollouts());
         check(baseline.baseline.returns().len(), rollouts.len())?;
@@ -189,7 +189,7 @@ fn report<'py, 'a>(
     to_python(py, &json!({"summary": summary, "episodes": episodes}))
 }
 
-/// What a task is; the recorded episodes of each split with their hash.
+/// Describes a task, with the recorded episodes of each split and their hash.
 #[pyfunction]
 fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> {
     let (shared, world) = (&task.task, task.task.world());
@@ -212,19 +212,19 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
             Some(_) => Some(task.episode_set(py, split)?),
             None => None,
         };
-        let told = json!({
+        let entry = json!({
             "agents": agents.entries().map(|group| group.count).sum::<u32>(),
             "episodes": set.as_ref().map(|set| set.episodes.len()),
             "hash": set.as_ref().map(EpisodeSet::hash),
         });
-        splits.insert(split.name().to_owned(), told);
+        splits.insert(split.name().to_owned(), entry);
     }
-    let told = json!({
+    let description = json!({
         "entities": oracle.entities(), "columns": columns.collect::<Vec<Value>>(),
         "width": shared.observation_width(), "state": shared.state_shape(), "view": world.scenario.view,
         "priority_scale": shared.priority_scale(), "route_length": config.route_length,
         "horizon": config.horizon, "patience": config.patience, "overtime": config.reward.overtime,
         "actions": BTreeMap::from(by_action), "demands": demands.collect::<Vec<Value>>(), "splits": splits,
     });
-    to_python(py, &told)
+    to_python(py, &description)
 }

@@ -1,10 +1,14 @@
 //! The shim between Python and the `logicity` library. It adds no meaning of its own; `python/logicity` wraps it in types and
 //! documents it.
 //!
-//! This file has what all parts need: exceptions, and objects that long work is done on ([`Shared`]). `engine` has programs and
-//! sessions, `columns` their rows as Python values and numpy arrays, `city` scenes and simulations, `config` files that Python interprets, `task` what is to be driven, `episode` how
-//! it begins, `env` one car that is driven or many of them in one call, `multi_car` every car of a city, `evaluate` how well policies drive, `vap` data
-//! sets of pictures and what is true in them. Each part registers its own classes.
+//! This file has the exceptions, the command line, and [`Shared`], the wrapper of objects with long work. The other files register their
+//! own classes:
+//!
+//! - `engine`: programs and sessions; `columns`: their rows as Python values and numpy arrays;
+//! - `city`: scenes and simulations; `config`: configuration files that Python interprets;
+//! - `task`: the task of environments; `episode`: its episodes; `env`: environments with one controlled car; `multi_car`: an environment
+//!   that controls every car; `evaluate`: measures of policies;
+//! - `vap`: data sets of pictures and facts.
 
 mod city;
 mod columns;
@@ -81,7 +85,7 @@ fn run_command_line(py: Python<'_>, arguments: Vec<OsString>) -> (i32, Vec<&'sta
     }
 }
 
-/// The exception for a file named by the caller that cannot be read.
+/// The exception for a file that the caller named and that cannot be read.
 fn read_error(py: Python<'_>, path: &Path, error: &ReadError) -> PyErr {
     let message = format!("cannot read `{}`: {error}", path.display());
     match error {
@@ -97,7 +101,7 @@ fn read_file(py: Python<'_>, path: PathBuf) -> PyResult<String> {
     read_or_builtin(&path).map_err(|error| read_error(py, &path, &error))
 }
 
-/// JSON as Python has it.
+/// Converts JSON to Python values.
 fn to_python<'py>(py: Python<'py>, value: &serde_json::Value) -> PyResult<Bound<'py, PyAny>> {
     use serde_json::Value;
     Ok(match value {
@@ -123,7 +127,7 @@ fn to_python<'py>(py: Python<'py>, value: &serde_json::Value) -> PyResult<Bound<
     })
 }
 
-/// The numbers of an array that is to be written into, which must be as many as are wanted and lie side by side.
+/// The numbers of an output array, which must be contiguous and have the expected length.
 fn slice_of<'a, T: Element, D: Dimension>(
     array: &'a mut PyReadwriteArray<'_, T, D>,
     wanted: usize,
@@ -140,18 +144,18 @@ fn slice_of<'a, T: Element, D: Dimension>(
     }
 }
 
-/// Looks for signals, such as Ctrl-C, while Rust works.
+/// Checks for signals, such as Ctrl-C, during long work in Rust.
 pub struct Signals {
-    /// The thread that called from Python, and when it looked last.
+    /// The thread that called from Python, and the time of its last check.
     looked: Mutex<(ThreadId, Instant)>,
     raised: AtomicBool,
     error: Mutex<Option<PyErr>>,
 }
 
 impl Signals {
-    /// So often.
+    /// The interval between checks.
     const PAUSE: Duration = Duration::from_millis(50);
-    /// What threads that load have for their stack, as much as main threads usually have.
+    /// The stack size of loading threads, as main threads usually have.
     const STACK: usize = 8 << 20;
 
     fn new() -> Arc<Signals> {
@@ -162,8 +166,8 @@ impl Signals {
         })
     }
 
-    /// Whether a handler has raised an exception. Cheap, and made to be asked often. Handlers run on the main thread of Python only, so
-    /// the one that called looks for all that help it, and where another one calls nothing is ever raised.
+    /// Whether a handler has raised an exception. Cheap enough for frequent calls. Python runs handlers on its main thread only, so only the
+    /// calling thread checks, on behalf of its workers; a call from another thread of Python is never cancelled.
     fn raised(&self) -> bool {
         if self.raised.load(Ordering::Relaxed) {
             return true;
@@ -177,73 +181,73 @@ impl Signals {
         looked.1 = Instant::now();
         drop(looked);
         if let Err(error) = Python::attach(|py| py.check_signals()) {
-            held(&self.error).get_or_insert(error);
+            locked(&self.error).get_or_insert(error);
             self.raised.store(true, Ordering::Relaxed);
         }
         self.raised.load(Ordering::Relaxed)
     }
 
-    /// The same as a question that can be kept.
+    /// The cancellation callback.
     fn stop(self: &Arc<Self>) -> Stop {
         let signals = Arc::clone(self);
         Arc::new(move || signals.raised())
     }
 
-    /// Work that asks now and then whether a signal's handler has raised an exception, and is given up then; the exception is raised here.
-    fn heed<R>(&self, work: impl FnOnce() -> R) -> PyResult<R> {
-        held(&self.looked).0 = thread::current().id();
+    /// Runs work that polls `raised` and stops if it is true. Raises the exception of the handler.
+    fn run_polled<R>(&self, work: impl FnOnce() -> R) -> PyResult<R> {
+        locked(&self.looked).0 = thread::current().id();
         let done = work();
         match self.raised.swap(false, Ordering::Relaxed) {
-            true => Err(held(&self.error).take().expect("it is kept before it is told")),
+            true => Err(locked(&self.error).take().expect("stored before `raised` is set")),
             false => Ok(done),
         }
     }
 
-    /// The same beside other threads of Python.
+    /// Runs such work without the GIL.
     fn detach<R: Send>(&self, py: Python<'_>, work: impl FnOnce() -> R + Send) -> PyResult<R> {
-        self.heed(|| py.detach(work))
+        self.run_polled(|| py.detach(work))
     }
 
-    /// The same for work that does not ask, on a thread of its own. If it is given up, it goes on there to its end, and nobody hears of it.
-    fn aside<R: Send + 'static>(&self, py: Python<'_>, work: impl FnOnce() -> R + Send + 'static) -> PyResult<R> {
+    /// Runs work that does not poll, on another thread. After cancellation that thread finishes its work, and its result is dropped.
+    fn on_thread<R: Send + 'static>(&self, py: Python<'_>, work: impl FnOnce() -> R + Send + 'static) -> PyResult<R> {
         let (done, result) = mpsc::channel();
         let work = move || drop(done.send(catch_unwind(AssertUnwindSafe(work))));
         let thread = thread::Builder::new().stack_size(Self::STACK).spawn(work);
         thread.map_err(|error| PyOSError::new_err(format!("a thread cannot be started: {error}")))?;
-        let told = self.detach(py, move || {
+        let received = self.detach(py, move || {
             loop {
                 match result.recv_timeout(Self::PAUSE) {
                     Err(RecvTimeoutError::Timeout) if !self.raised() => {}
-                    told => break told,
+                    received => break received,
                 }
             }
         })?;
-        let done = told.expect("it tells unless it is given up");
+        let done = received.expect("the thread sends a result");
         done.map_err(|panic| internal_error(&*panic))
     }
 }
 
-/// What a mutex holds, whatever became of those who held it before.
-fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+/// Locks a mutex, also a poisoned one.
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What a Python object holds, for one thread at a time: who comes second is told so instead of being made to wait, since
-/// waiting for oneself, in a handler of a signal for example, would never end.
+/// The content of a Python object that is not thread-safe. A concurrent use raises `RuntimeError` instead of waiting, since a signal handler
+/// that uses the object would wait for itself.
 struct Shared<T> {
     what: &'static str,
-    /// `None` after an internal error, which may have left it unfinished.
+    /// `None` after an internal error, which may have left it inconsistent.
     content: Mutex<Option<T>>,
     signals: Arc<Signals>,
 }
 
 impl<T: Send> Shared<T> {
     fn new(what: &'static str, content: T) -> Self {
-        Shared::asking(what, content, Signals::new())
+        Shared::with_signals(what, content, Signals::new())
     }
 
-    /// Of something that keeps the question of these signals.
-    fn asking(what: &'static str, content: T, signals: Arc<Signals>) -> Self {
+    /// For content that holds the cancellation callback of these signals.
+    fn with_signals(what: &'static str, content: T, signals: Arc<Signals>) -> Self {
         Shared {
             what,
             content: Mutex::new(Some(content)),
@@ -256,19 +260,19 @@ impl<T: Send> Shared<T> {
             Ok(guard) => guard,
             Err(TryLockError::Poisoned(guard)) => guard.into_inner(),
             Err(TryLockError::WouldBlock) => {
-                return Err(at_work(self.what));
+                return Err(busy(self.what));
             }
         };
         match guard.is_some() {
             true => Ok(guard),
             false => Err(PyRuntimeError::new_err(format!(
-                "an internal error has left this {} unfinished; make another",
+                "an internal error has left this {} inconsistent; make another",
                 self.what
             ))),
         }
     }
 
-    /// Short work, for which other threads of Python wait.
+    /// Runs short work with the GIL.
     fn with<R>(&self, work: impl FnOnce(&mut T) -> PyResult<R>) -> PyResult<R> {
         match &mut *self.lock()? {
             Some(content) => work(content),
@@ -276,8 +280,7 @@ impl<T: Send> Shared<T> {
         }
     }
 
-    /// Long work, beside other threads of Python. It is given up when it finds that a signal's handler has raised an exception,
-    /// which is then raised here.
+    /// Runs long work without the GIL. Raises the exception of a signal handler, which cancels the work.
     fn detached<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut T, &Signals) -> R + Send) -> PyResult<R> {
         let mut guard = self.lock()?;
         let content = &mut *guard;
@@ -298,7 +301,7 @@ impl<T: Send> Shared<T> {
     }
 }
 
-/// A fault of ours, told instead of ending the process.
+/// The exception for a panic.
 fn internal_error(panic: &(dyn Any + Send)) -> PyErr {
     let message =
         (panic.downcast_ref::<String>().map(String::as_str)).or_else(|| panic.downcast_ref::<&str>().copied());
@@ -308,25 +311,25 @@ fn internal_error(panic: &(dyn Any + Send)) -> PyErr {
     ))
 }
 
-/// An environment, for one thread at a time: who comes second is told so.
+/// Borrows an environment; concurrent use raises `RuntimeError`.
 fn borrowed<'py, T: PyClass>(environment: &Bound<'py, T>) -> PyResult<PyRef<'py, T>> {
-    environment.try_borrow().map_err(|_| at_work("environment"))
+    environment.try_borrow().map_err(|_| busy("environment"))
 }
 
-/// The same, to change it.
+/// Borrows an environment mutably.
 fn borrowed_mut<'py, T: PyClass<Frozen = pyo3::pyclass::boolean_struct::False>>(
     environment: &Bound<'py, T>,
 ) -> PyResult<PyRefMut<'py, T>> {
-    environment.try_borrow_mut().map_err(|_| at_work("environment"))
+    environment.try_borrow_mut().map_err(|_| busy("environment"))
 }
 
-fn at_work(what: &str) -> PyErr {
+fn busy(what: &str) -> PyErr {
     PyRuntimeError::new_err(format!(
-        "this {what} is at work in another thread; give each thread one of its own, or guard it by a lock"
+        "this {what} is in use in another thread; make one for each thread, or guard it by a lock"
     ))
 }
 
-/// The known name most like another, if one is likely to have been meant.
+/// The known name nearest to `name`, if it is near enough to be a likely typing error.
 #[pyfunction]
 fn did_you_mean(name: &str, known: Vec<String>) -> Option<String> {
     logicity::diag::did_you_mean(name, known.iter().map(String::as_str)).map(str::to_owned)

@@ -1,4 +1,4 @@
-//! Every car of a city, driven.
+//! An environment that controls every car of a city.
 
 use crate::episode::{PyEpisode, read_episode};
 use crate::task::{PyTask, speed, split_named, view_named};
@@ -15,7 +15,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyMultiCarEnv>()
 }
 
-/// A city in which Python drives every car.
+/// A city in which Python controls every car.
 #[pyclass(name = "MultiCarEnv", module = "logicity._logicity")]
 struct PyMultiCarEnv {
     task: Py<PyTask>,
@@ -55,13 +55,13 @@ impl PyMultiCarEnv {
         Ok(riders.map(|rider| agents[rider.agent()].name().to_string()).collect())
     }
 
-    /// The episodes of a seed from now on.
+    /// Sets the seed of the following episodes.
     fn seed(slf: &Bound<'_, Self>, seed: u64) -> PyResult<()> {
         borrowed_mut(slf)?.source = EpisodeSource::new(seed, None);
         Ok(())
     }
 
-    /// Begins the next episode, or one that is given.
+    /// Begins the next episode, or a given one.
     fn reset(slf: &Bound<'_, Self>, py: Python<'_>, episode: Option<Bound<'_, PyDict>>) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
         let given = episode.map(|episode| read_episode(&episode, &this.env));
@@ -74,7 +74,7 @@ impl PyMultiCarEnv {
         begun.map_err(|fault| this.task.get().error(py, fault))
     }
 
-    /// A step: an action for each car, which matters only for those whose episode goes on.
+    /// Steps with an action for each car; actions of cars whose episode has ended have no effect.
     fn step(slf: &Bound<'_, Self>, py: Python<'_>, actions: Vec<i64>) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
         let count = this.env.riders().len();
@@ -92,7 +92,7 @@ impl PyMultiCarEnv {
         (this.signals.detach(py, || env.step(actions))?).map_err(|fault| this.task.get().error(py, fault))
     }
 
-    /// What came of the last action of a car: reward, whether its episode ended, whether it was cut short, what else is told.
+    /// The outcome of a car's last action: reward, termination, truncation, info.
     fn outcome<'py>(
         slf: &Bound<'py, Self>,
         py: Python<'py>,
@@ -111,7 +111,7 @@ impl PyMultiCarEnv {
         ))
     }
 
-    /// Writes what a car observes.
+    /// Writes the observation of a car.
     fn observe(slf: &Bound<'_, Self>, car: usize, mut out: PyReadwriteArrayDyn<'_, f32>) -> PyResult<()> {
         let this = borrowed(slf)?;
         this.check(car)?;
@@ -120,26 +120,26 @@ impl PyMultiCarEnv {
         Ok(())
     }
 
-    /// How the episode began.
+    /// The start of the episode.
     fn episode(slf: &Bound<'_, Self>) -> PyResult<PyEpisode> {
         Ok(PyEpisode::of(borrowed(slf)?.env.episode()))
     }
 
-    /// Why the rules want what they want of a car.
+    /// Explains the action that the rules derive for a car.
     fn explain(slf: &Bound<'_, Self>, py: Python<'_>, car: usize) -> PyResult<String> {
         let this = borrowed(slf)?;
         this.check(car)?;
         this.task.get().explain(py, &this.env, car, &this.signals)
     }
 
-    /// The state of a car in a few lines.
+    /// The state of a car as text.
     fn text(slf: &Bound<'_, Self>, car: usize) -> PyResult<String> {
         let this = borrowed(slf)?;
         this.check(car)?;
         Ok(describe(&this.env, car))
     }
 
-    /// The city: red, green and blue.
+    /// The picture of the city: red, green and blue.
     fn picture<'py>(slf: &Bound<'py, Self>, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let this = borrowed(slf)?;
         this.task.get().picture(py, &this.env, &[])

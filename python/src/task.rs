@@ -1,8 +1,8 @@
-//! What is to be driven: Safe Path Following in one world, which environments share.
+//! The task that environments share: Safe Path Following in one world.
 
 use crate::city::{Loaded, one_of};
 use crate::episode::read_episode;
-use crate::{Signals, held, input_error};
+use crate::{Signals, input_error, locked};
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{Speed, Split};
 use logicity::diag::{Diagnostic, SourceId, Sources};
@@ -24,14 +24,14 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyTask>()
 }
 
-/// Safe Path Following in one world: what environments share.
+/// The task that environments share: Safe Path Following in one world.
 #[pyclass(name = "Task", module = "logicity._logicity", frozen)]
 pub struct PyTask {
     pub task: Arc<PathTask>,
     sources: Mutex<Sources>,
-    /// The texts of the rules among them.
+    /// The texts of the rules among the sources.
     rule_files: Vec<SourceId>,
-    /// Names of the clauses that can be broken.
+    /// The names of the clauses that actions can break.
     labels: Vec<Py<PyString>>,
     recorded: [OnceLock<Arc<[Episode]>>; 3],
     overview: OnceLock<Overview>,
@@ -78,7 +78,7 @@ impl PyTask {
             ..
         } = Loaded::new(py, &signals, config, rules, None, overrides)?;
         let rule_files = sources.ids().skip_while(|&id| id != rule_file).collect();
-        let (made, sources) = signals.aside(py, move || {
+        let (made, sources) = signals.on_thread(py, move || {
             let world = World::new(scenario, program).map(Arc::new);
             (world.and_then(|world| PathTask::new(world, &sources)), sources)
         })?;
@@ -96,13 +96,13 @@ impl PyTask {
         })
     }
 
-    /// The shape of an observation of that kind.
+    /// The shape of an observation of a kind.
     fn shape(&self, observation: &str) -> PyResult<Vec<usize>> {
         Ok(view_named(observation)?.shape(&self.task))
     }
 
-    /// Drives an episode of a split once more by the actions taken in it, and writes its trace to a file; `config` is the file that the trace
-    /// names as its configuration.
+    /// Replays an episode of a split by the actions taken in it, and writes its trace to a file. `config` is the configuration file that the
+    /// trace names.
     fn write_trace(
         &self,
         py: Python<'_>,
@@ -139,7 +139,7 @@ impl PyTask {
         })
     }
 
-    /// How many recorded episodes a split has.
+    /// The number of recorded episodes of a split.
     fn recorded(&self, py: Python<'_>, split: &str) -> PyResult<usize> {
         Ok(self.recorded_episodes(py, split_named(split)?)?.len())
     }
@@ -150,15 +150,15 @@ impl PyTask {
         input_error(py, &[fault], &self.sources())
     }
 
-    /// A copy, since what is held while Python works may be waited for by a thread that Python waits for.
+    /// A copy, since holding the lock while Python runs may deadlock.
     fn sources(&self) -> Sources {
-        held(&self.sources).clone()
+        locked(&self.sources).clone()
     }
 
-    /// The recorded episodes of a split, as they are on disk or built in.
+    /// Loads the recorded episodes of a split from disk, or the built-in ones.
     pub fn episode_set(&self, py: Python<'_>, split: Split) -> PyResult<EpisodeSet> {
         let set = {
-            let mut sources = held(&self.sources);
+            let mut sources = locked(&self.sources);
             EpisodeSet::load(&self.task, split, &mut sources, &BuiltinFiles)
         };
         set.map_err(|fault| self.error(py, fault))
@@ -179,7 +179,7 @@ impl PyTask {
         Ok(place.get_or_init(|| episodes))
     }
 
-    /// The names of the clauses that were broken.
+    /// The names of broken clauses.
     pub fn labels<'py>(&self, py: Python<'py>, broken: &[usize]) -> PyResult<Bound<'py, PyTuple>> {
         PyTuple::new(py, broken.iter().map(|&demand| self.labels[demand].bind(py)))
     }
@@ -195,7 +195,7 @@ impl PyTask {
         Ok(dict)
     }
 
-    /// Atoms about the agents of an environment, as rules write them.
+    /// Atoms about the agents of an environment, in the syntax of rules.
     pub fn atoms<'py>(
         &self,
         py: Python<'py>,
@@ -212,11 +212,11 @@ impl PyTask {
 
     pub fn explain(&self, py: Python<'_>, env: &Env, rider: usize, signals: &Signals) -> PyResult<String> {
         let sources = self.sources();
-        let told = signals.detach(py, || explain(env, rider, &sources))?;
-        told.map_err(|fault| input_error(py, &[fault], &sources))
+        let explained = signals.detach(py, || explain(env, rider, &sources))?;
+        explained.map_err(|fault| input_error(py, &[fault], &sources))
     }
 
-    /// Red, green and blue, row by row; these riders are marked.
+    /// Draws the city in red, green and blue, row by row, with these cars marked.
     pub fn picture<'py>(&self, py: Python<'py>, env: &Env, marked: &[Rider]) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let map = self.task.world().map();
         if self.overview.get().is_none() {

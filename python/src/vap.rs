@@ -23,7 +23,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(read_picture, module)?)
 }
 
-/// Why a file of a data set is not one.
+/// The reason why a file of a data set cannot be read.
 enum Unread {
     File(PathBuf, io::Error),
     Faulty(Diagnostic),
@@ -38,7 +38,7 @@ impl From<Diagnostic> for Unread {
 impl Unread {
     fn raise(self, py: Python<'_>, path: &Path) -> PyErr {
         match self {
-            // As Python itself reports it, with the class that goes with the number.
+            // The number selects the class, as in Python's own errors.
             Unread::File(path, error) => match error.raw_os_error() {
                 Some(code) => PyOSError::new_err((code, error.kind().to_string(), path)),
                 None => PyOSError::new_err(format!("cannot read `{}`: {error}", path.display())),
@@ -55,14 +55,14 @@ fn faulty(message: impl Into<String>) -> Unread {
     Unread::Faulty(Diagnostic::new(Code::INVALID_DATA_SET, message))
 }
 
-/// What the two tables of a world hold, row by row.
+/// The two tables of a world, row by row.
 struct World {
     ticks: Vec<i32>,
-    /// Where the entities of each sample begin, and where the last ones end.
+    /// The first row of the entities of each sample, and the end of the last one.
     starts: Vec<i64>,
     names: Vec<String>,
     concepts: Vec<String>,
-    /// Priority, heading and label; -1 for a heading and a label that are not there.
+    /// Priority, heading and label; -1 for an absent heading or label.
     numbers: [Vec<i64>; 3],
     boxes: Array2<f32>,
     unary: Array2<bool>,
@@ -74,7 +74,7 @@ fn read_bytes(path: PathBuf) -> Result<Vec<u8>, Unread> {
     fs::read(&path).map_err(|error| Unread::File(path, error))
 }
 
-/// The codes of a column, -1 for nothing.
+/// The codes of a column, -1 for absent values.
 fn codes(table: &Table, name: &str, count: usize) -> Result<Vec<i64>, Unread> {
     let code = |value: &Option<i32>| match value {
         None => Ok(-1),
@@ -131,7 +131,7 @@ impl World {
     }
 }
 
-/// The arrays of a world, as `_logicity.pyi` tells them.
+/// The arrays of a world, see `_logicity.pyi`.
 type WorldArrays<'py> = (
     Bound<'py, PyArray1<i32>>,
     Bound<'py, PyArray1<i64>>,
@@ -144,14 +144,14 @@ type WorldArrays<'py> = (
     Bound<'py, PyArray1<bool>>,
 );
 
-/// Workspace, each of which is made once.
+/// Converts texts; equal texts share one Python object.
 fn shared_texts<'py>(py: Python<'py>, texts: &[String]) -> Vec<Bound<'py, PyString>> {
     let mut made: HashMap<&str, Bound<'_, PyString>> = HashMap::new();
     let once = |text| made.entry(text).or_insert_with(|| PyString::new(py, text)).clone();
     texts.iter().map(String::as_str).map(once).collect()
 }
 
-/// The tables of a world. Other threads of Python run meanwhile.
+/// Reads the tables of a world. Releases the GIL.
 #[pyfunction]
 fn read_world(
     py: Python<'_>,
@@ -175,13 +175,13 @@ fn read_world(
     ))
 }
 
-/// Decodes a PNG of that many rows and columns.
+/// Decodes a PNG of the given rows and columns.
 fn decode(path: &Path, (rows, columns): (u32, u32), pixels: &mut [u8]) -> Result<(), Unread> {
     let bytes = read_bytes(path.to_owned())?;
     read_png_into(&bytes, (columns, rows), pixels).map_err(faulty)
 }
 
-/// Decodes a picture into an array of shape (rows, columns, 3). Other threads of Python run meanwhile.
+/// Decodes a picture into an array of shape (rows, columns, 3). Releases the GIL.
 #[pyfunction]
 fn read_picture(py: Python<'_>, path: PathBuf, mut out: PyReadwriteArray3<'_, u8>) -> PyResult<()> {
     let wrong = || PyValueError::new_err("a picture has the shape (rows, columns, 3)");

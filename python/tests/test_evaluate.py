@@ -83,7 +83,7 @@ def test_traces_replace_nothing(own_city: Path, capsys: pytest.CaptureFixture[st
 
     (folder / "traces").mkdir()
     (folder / "traces" / "episode-77.jsonl").write_text("earlier")
-    with pytest.raises(FileExistsError, match=r"has traces already, such as episode-77\.jsonl"):
+    with pytest.raises(FileExistsError, match=r"has traces already, for example episode-77\.jsonl"):
         evaluate(undriven, own, "val", traces=folder / "traces")
     assert [path.name for path in (folder / "traces").iterdir()] == ["episode-77.jsonl"]
 
@@ -379,8 +379,8 @@ def test_the_tables_say_what_environments_show(mode: str) -> None:
 
 
 def _columns_of_state(mode: str) -> list[str]:
-    """Predicates of the last columns of the exact observation, as the table has them."""
-    lines = describe().split("### Exact observations")[1].splitlines()
+    """Predicates of the last columns of a `state` observation, from the table."""
+    lines = describe().split("### Observations of the kind `state`")[1].splitlines()
     (row,) = [line for line in lines if re.search(rf"in (.*, )?{mode}(,.*)?: `", line)]
     names = re.findall(r"`(\w+)`", row)
     assert row.startswith(f"| 8 to {7 + len(names)} |")

@@ -18,7 +18,7 @@ def test_prompts_are_a_function_of_class_and_seed() -> None:
     assert "a taxi" in icons.prompts("car+taxi", 1)[0]
     assert "front" in icons.prompts("house", 1, write=str.upper)[0].lower()
     assert icons.prompts("house", 1, write=lambda text: text[:3]) == [icons.prompts("house", 1)[0][:3]]
-    with pytest.raises(ValueError, match="no class `plane`"):
+    with pytest.raises(ValueError, match="unknown class `plane`"):
         icons.prompts("plane", 1)
     with pytest.raises(ValueError, match="no name of a class"):
         icons.prompts("car+../away", 1)

@@ -20,7 +20,7 @@ def test_pettingzoo_has_nothing_to_say_against(mode: str) -> None:
 
 
 def test_options_that_there_are_not_are_told() -> None:
-    with pytest.raises(TypeError, match="no option `episodes`; there are: split, .*, render_mode$"):
+    with pytest.raises(TypeError, match="no option `episodes`; known: split, .*, render_mode$"):
         logicity.parallel_env("easy", episodes="recorded")
 
 

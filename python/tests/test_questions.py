@@ -145,7 +145,7 @@ def test_a_grade_counts_every_question_once() -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("", "there are no questions"),
+        ("", "no questions"),
         ("{", ":1: not JSON"),
         ("[]", ":1: expected an object"),
         ('{"id": "x"}', ":1: not a question"),
@@ -169,7 +169,7 @@ def test_faulty_questions_are_told_with_their_line(text: str, told: str, tmp_pat
 def test_faulty_answers_are_told_with_their_line(tmp_path: Path) -> None:
     path = tmp_path / "answers.jsonl"
     for text, told in [
-        ('{"id": "a"}', ":1: expected an `answer`"),
+        ('{"id": "a"}', ":1: expected a text as `answer`"),
         ('{"id": "a", "answer": "A"}\n\n{"id": "a", "answer": "B"}', ":3: the id 'a' is answered twice"),
     ]:
         path.write_text(text, encoding="utf-8")
@@ -253,7 +253,7 @@ def test_all_questions_are_asked_and_graded(
     assert main(["ask", *questions, *arguments]) == 0 and len(server.requests) == 8
     # Another model and other questions want another file.
     assert main(["ask", *questions, *arguments[:3], "other", *arguments[4:]]) == 1
-    with pytest.raises(ValueError, match="which is not asked"):
+    with pytest.raises(ValueError, match="which is no question here"):
         ask(made_up(2), Endpoint(server.url, "oracle"), replies)
     assert len(server.requests) == 8
 
@@ -354,4 +354,4 @@ def test_what_is_counted_as_wrong_is_told(tmp_path: Path, capsys: pytest.Capture
         f"counted as wrong, with an answer that chooses no option: 1: {questions[1].id}",
         "left out, answers to no question: 1: another",
     ]
-    assert main(["grade", str(tmp_path / "nowhere.jsonl")]) == 1
+    assert main(["grade", str(tmp_path / "nowhere.jsonl")]) == 2

@@ -221,7 +221,7 @@ class VapDataset(Sequence[VapSample]):
         """
         part, parts = shard
         if not 0 <= part < parts:
-            raise ValueError(f"shard {part} of {parts}: expected 0 to {parts - 1}")
+            raise ValueError(f"expected a shard (i, n) with 0 <= i < n, not ({part}, {parts})")
         order = np.random.default_rng(seed).permutation(len(self)) if shuffle else np.arange(len(self))
         return (self[position] for position in order[part::parts])
 

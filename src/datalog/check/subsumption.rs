@@ -482,13 +482,13 @@ impl Search<'_> {
         let (kind, special) = (wanted.kind(), self.special);
         let from = special.partition_point(|known| known.kind() < kind);
         let candidates = special[from..].iter().take_while(|known| known.kind() == kind);
-        if matches!(kind, Kind::Compare | Kind::Negative(_)) {
-            if let Some(wanted) = self.instance(wanted) {
-                let budget = &mut *self.budget;
-                let follows =
-                    self.theory.always(&wanted) || { candidates }.any(|known| budget.take(1) && covers(known, &wanted));
-                return follows && self.fact(at + 1);
-            }
+        if matches!(kind, Kind::Compare | Kind::Negative(_))
+            && let Some(wanted) = self.instance(wanted)
+        {
+            let budget = &mut *self.budget;
+            let follows =
+                self.theory.always(&wanted) || { candidates }.any(|known| budget.take(1) && covers(known, &wanted));
+            return follows && self.fact(at + 1);
         }
         // An equation binds its variable, as atoms and expressions do.
         let args = wanted.args();
