@@ -1,145 +1,173 @@
-//! Decisions are those of the published program: every ego of every tick of the recorded traces goes through `logicity infer`.
+//! What egos see, what is true for them and what the rules decide is as recorded: every ego of every tick is put as a scene.
 
-use flate2::read::GzDecoder;
-use serde_json::{Map, Value, json};
+use super::{Recording, recordings, solved};
+use crate::shipped_world::world;
+use logicity::city::Speed;
+use logicity::config::{Definition, Scenario};
+use logicity::diag::{Sources, render};
+use logicity::files::read_text;
+use logicity::rng::Seed;
+use logicity::sim::{EgoAnswer, Executor, Inference};
+use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::fs::File;
-use std::io::{BufRead, BufReader, Write};
-use std::process::{Command, Stdio};
+
+/// True atoms by predicate, without the predicates of which nothing is true.
+type Atoms = BTreeMap<String, BTreeSet<Vec<String>>>;
 
 /// What was recorded of one ego in one tick.
 struct Recorded {
     place: String,
-    ego: String,
+    /// A scene for this ego alone, since each ego drew its own `CollidingClose`.
+    scene: Value,
     sees: Vec<String>,
-    atoms: BTreeMap<String, BTreeSet<Vec<String>>>,
-    action: &'static str,
+    atoms: Atoms,
+    /// `None` where the solver found no model.
+    actions: Option<BTreeSet<Speed>>,
+}
+
+/// A configuration with the predicates of a recording. Where its rules are not known, all predicates of the paper.
+fn config(recording: &Recording) -> &'static str {
+    recording.mode().unwrap_or("expert")
 }
 
 #[test]
-fn easy() {
-    check("easy");
+fn egos_see_and_decide_as_recorded() {
+    for recording in recordings("trace") {
+        let mut expected: Vec<Recorded> = recording.lines().flat_map(|tick| egos_of_tick(&tick)).collect();
+        let predicates: BTreeSet<String> = recording.lines().flat_map(|tick| predicates_of_tick(&tick)).collect();
+        if recording.mode().is_none() {
+            drop_unknown_predicates(&recording, &predicates, &mut expected);
+        }
+        assert!(!expected.is_empty(), "{} is empty", recording.path.display());
+        let scenes: Vec<&Value> = expected.iter().map(|recorded| &recorded.scene).collect();
+        let answers = answers(config(&recording), |_| (), &scenes);
+
+        let (mut differences, mut decisions, mut unsolved) = (Vec::new(), 0, 0);
+        for (answer, recorded) in answers.iter().zip(&expected) {
+            let [ego] = answer.as_slice() else {
+                panic!("{}: one ego was asked about", recorded.place)
+            };
+            let mut atoms = atoms_of(ego);
+            // A mode has exactly the predicates of its configuration.
+            if recording.mode().is_none() {
+                atoms.retain(|name, _| predicates.contains(name));
+            }
+            let mut agrees = ego.sees == recorded.sees && atoms == recorded.atoms;
+            match &recorded.actions {
+                _ if recording.mode().is_none() => {}
+                Some(actions) => {
+                    decisions += 1;
+                    agrees &= decides(ego, actions);
+                }
+                None => unsolved += 1,
+            }
+            if !agrees {
+                differences.push(format!(
+                    "{}: {ego:?}\nrecorded {:?} {:?} {:?}",
+                    recorded.place, recorded.sees, recorded.atoms, recorded.actions
+                ));
+            }
+        }
+        recording.report(&format!(
+            "{} views with their atoms and {decisions} decisions compared, {} differences",
+            expected.len(),
+            differences.len()
+        ));
+        if unsolved > 0 {
+            recording.report(&format!("{unsolved} decisions not compared: the solver found no model"));
+        }
+        if recording.mode().is_none() {
+            recording.report(&format!(
+                "{} decisions not compared: `{}` is no mode of ours, so its rules are not known",
+                expected.len(),
+                recording.tag
+            ));
+        }
+        assert!(
+            differences.is_empty(),
+            "{}: {} of {} egos differ; the first:\n{}",
+            recording.path.display(),
+            differences.len(),
+            expected.len(),
+            differences[0]
+        );
+    }
 }
 
-#[test]
-fn hard() {
-    check("hard");
+/// Whether the rules derive what the solver found. Normal is what is done where nothing else is derived; the solver may say so or not.
+fn decides(ego: &EgoAnswer, solved: &BTreeSet<Speed>) -> bool {
+    let but_normal = |action: &Speed| *action != Speed::Normal;
+    let derived: BTreeSet<Speed> = ego.derived.iter().filter(but_normal).collect();
+    let wanted: BTreeSet<Speed> = solved.iter().copied().filter(but_normal).collect();
+    derived == wanted && solved.contains(&ego.action)
 }
 
 /// `CollidingClose` as we compute it, with every chance set to one, holds wherever it was recorded; where it was not, a chance was
 /// at play: a pedestrian, or two agents in one cell.
 #[test]
 fn collisions() {
-    for mode in ["easy", "hard"] {
-        let Some((mut scenes, expected)) = read(mode) else {
-            return;
-        };
-        for scene in &mut scenes {
-            // The same scene for all egos of a tick.
-            scene
-                .as_object_mut()
-                .unwrap()
-                .retain(|key, _| key == "map" || key == "agents");
-        }
-        scenes.dedup();
-        let folder = tempfile::tempdir().unwrap();
-        let config = folder.path().join("certain.yaml");
-        let chances = "{pedestrian_chance: 1, same_cell_chance: 1}";
-        let text = format!(
-            "base: configs/{mode}.yaml\npredicates: {{define: {{CollidingClose: {{colliding: {chances}}}}}}}\n"
-        );
-        std::fs::write(&config, text).unwrap();
-        let answers = infer(config.to_str().unwrap(), &scenes);
-        let mut certain = 0;
-        let mut ticks = scenes.iter().zip(&answers).peekable();
-        let mut place = expected[0].place.clone();
+    let mut certain = 0;
+    for recording in recordings("trace") {
+        let expected: Vec<Recorded> = recording.lines().flat_map(|tick| egos_of_tick(&tick)).collect();
+        // The same scene for all egos of a tick.
+        let mut scenes: Vec<Value> = Vec::new();
+        let mut of_ego = Vec::new();
         for recorded in &expected {
-            if recorded.place != place {
-                ticks.next();
-                place.clone_from(&recorded.place);
+            let scene = json!({"map": recorded.scene["map"], "agents": recorded.scene["agents"]});
+            if scenes.last() != Some(&scene) {
+                scenes.push(scene);
             }
-            let (scene, answer) = ticks.peek().unwrap();
-            let agent = |name: &str| {
-                let agents = scene["agents"].as_array().unwrap();
-                agents.iter().find(|agent| agent["id"] == name).unwrap()
-            };
-            let rows = answer["egos"][&recorded.ego]["true"].get("CollidingClose");
-            let computed: BTreeSet<Vec<String>> = rows
-                .map(|rows| rows.as_array().unwrap().iter().map(row).collect())
-                .unwrap_or_default();
-            let empty = BTreeSet::new();
-            let recorded_rows = recorded.atoms.get("CollidingClose").unwrap_or(&empty);
-            let context = || format!("{mode} {} {}", recorded.place, recorded.ego);
-            assert!(recorded_rows.is_subset(&computed), "{}", context());
-            for missed in computed.difference(recorded_rows) {
+            of_ego.push(scenes.len() - 1);
+        }
+        let answers = answers(config(&recording), always, &scenes.iter().collect::<Vec<_>>());
+        let mut here = 0;
+        for (recorded, tick) in expected.iter().zip(of_ego) {
+            let agents = scenes[tick]["agents"].as_array().unwrap();
+            let agent = |name: &str| agents.iter().find(|agent| agent["id"] == name).unwrap();
+            let name = &recorded.sees[0];
+            let ego = answers[tick].iter().find(|ego| ego.id == *name).unwrap();
+            let [computed, drawn] =
+                [&atoms_of(ego), &recorded.atoms].map(|atoms| atoms.get("CollidingClose").cloned().unwrap_or_default());
+            assert!(drawn.is_subset(&computed), "{}", recorded.place);
+            for missed in computed.difference(&drawn) {
                 let (x, y) = (agent(&missed[0]), agent(&missed[1]));
                 assert!(
                     x["type"] == "Pedestrian" || x["at"] == y["at"],
                     "{} {missed:?}",
-                    context()
+                    recorded.place
                 );
             }
-            certain += recorded_rows.len();
+            here += drawn.len();
         }
-        assert!(certain > 1000);
+        recording.report(&format!("{here} atoms of CollidingClose follow from the positions"));
+        certain += here;
     }
+    assert!(certain > 1000, "{certain} in all, with those of the repository");
 }
 
-/// The scenes of a recorded trace, one for each ego, and what was recorded. `None` if there are no recorded cases.
-fn read(mode: &str) -> Option<(Vec<Value>, Vec<Recorded>)> {
-    let trace = GzDecoder::new(File::open(crate::recorded::folder()?.join(format!("trace_{mode}.jsonl.gz"))).unwrap());
-    let mut scenes = Vec::new();
-    let mut expected = Vec::new();
-    for line in BufReader::new(trace).lines() {
-        let tick: Value = serde_json::from_str(&line.unwrap()).unwrap();
-        scenes_of_tick(&tick, &mut scenes, &mut expected);
-    }
-    Some((scenes, expected))
-}
-
-fn check(mode: &str) {
-    let Some((scenes, expected)) = read(mode) else { return };
-    let answers = infer(&format!("configs/{mode}.yaml"), &scenes);
-    assert_eq!(answers.len(), expected.len());
-
-    let mut differences = Vec::new();
-    for (answer, recorded) in answers.iter().zip(&expected) {
-        let ego = &answer["egos"][&recorded.ego];
-        let sees: Vec<String> = serde_json::from_value(ego["sees"].clone()).unwrap();
-        let atoms: BTreeMap<String, BTreeSet<Vec<String>>> = ego["true"]
-            .as_object()
-            .unwrap()
-            .iter()
-            .map(|(name, rows)| (name.clone(), rows.as_array().unwrap().iter().map(row).collect()))
-            .collect();
-        if sees != recorded.sees || atoms != recorded.atoms || ego["action"] != recorded.action {
-            differences.push(format!(
-                "{} {}: {ego}\nrecorded {:?} {:?} {}",
-                recorded.place, recorded.ego, recorded.sees, recorded.atoms, recorded.action
-            ));
+/// Sets every chance to one.
+fn always(scenario: &mut Scenario) {
+    let mut found = false;
+    for predicate in &mut scenario.predicates {
+        if let Definition::Colliding {
+            pedestrian_chance,
+            same_cell_chance,
+            ..
+        } = &mut predicate.definition
+        {
+            (*pedestrian_chance, *same_cell_chance) = (1.0, 1.0);
+            found = true;
         }
     }
-    println!("{mode}: {} egos, {} differences", expected.len(), differences.len());
-    assert!(
-        differences.is_empty(),
-        "{} of {} egos differ; the first:\n{}",
-        differences.len(),
-        expected.len(),
-        differences[0]
-    );
+    assert!(found);
 }
 
-/// A scene for each ego, since each ego drew its own `CollidingClose`.
-fn scenes_of_tick(tick: &Value, scenes: &mut Vec<Value>, expected: &mut Vec<Recorded>) {
+/// One for each agent of a tick.
+fn egos_of_tick(tick: &Value) -> Vec<Recorded> {
     let list = tick["agents"].as_array().unwrap();
-    let names: HashMap<i64, String> = list
+    let names: HashMap<i64, &str> = list
         .iter()
-        .map(|agent| {
-            (
-                agent["id"].as_i64().unwrap(),
-                agent["name"].as_str().unwrap().to_owned(),
-            )
-        })
+        .map(|agent| (agent["id"].as_i64().unwrap(), agent["name"].as_str().unwrap()))
         .collect();
     let agents: Vec<Value> = list
         .iter()
@@ -155,10 +183,10 @@ fn scenes_of_tick(tick: &Value, scenes: &mut Vec<Value>, expected: &mut Vec<Reco
             })
         })
         .collect();
-    let name = |id: &Value| names[&id.as_i64().unwrap()].clone();
-    for (id, ego) in tick["ego"].as_object().unwrap() {
-        let id: i64 = id.parse().unwrap();
-        let atoms: BTreeMap<String, BTreeSet<Vec<String>>> = ego["true"]
+    let name = |id: &Value| names[&id.as_i64().unwrap()].to_owned();
+    let recorded = |(id, ego): (&String, &Value)| {
+        let id = names[&id.parse().unwrap()];
+        let atoms: Atoms = ego["true"]
             .as_object()
             .unwrap()
             .iter()
@@ -173,53 +201,75 @@ fn scenes_of_tick(tick: &Value, scenes: &mut Vec<Value>, expected: &mut Vec<Reco
             })
             .collect();
         let colliding: Vec<&Vec<String>> = atoms.get("CollidingClose").into_iter().flatten().collect();
-        scenes.push(json!({
-            "map": "square-5x5",
-            "agents": agents,
-            "egos": [names[&id]],
-            "given": { "CollidingClose": colliding },
-        }));
-        let stop = ego["z3"].as_array().unwrap().iter().any(|action| action == "Stop");
-        expected.push(Recorded {
-            place: format!("seed {} tick {}", tick["seed"], tick["tick"]),
-            ego: names[&id].clone(),
+        Recorded {
+            place: format!("{} seed {} tick {} {id}", tick["mode"], tick["seed"], tick["tick"]),
+            scene: json!({
+                "map": "square-5x5",
+                "agents": agents,
+                "egos": [id],
+                "given": { "CollidingClose": colliding },
+            }),
             sees: ego["ents"].as_array().unwrap().iter().map(name).collect(),
             atoms,
-            action: if stop { "Stop" } else { "Normal" },
-        });
+            actions: (ego["sat"] == "sat").then(|| solved(ego)),
+        }
+    };
+    tick["ego"].as_object().unwrap().iter().map(recorded).collect()
+}
+
+/// Leaves out what is recorded of predicates that no configuration of ours has, and says so.
+fn drop_unknown_predicates(recording: &Recording, predicates: &BTreeSet<String>, expected: &mut [Recorded]) {
+    let world = world(config(recording), None, |_| ());
+    let known = |name: &String| (world.vocabulary.predicates.iter()).any(|predicate| predicate.name == *name);
+    let unknown: Vec<&String> = predicates.iter().filter(|name| !known(name)).collect();
+    if !unknown.is_empty() {
+        recording.report(&format!(
+            "atoms of {unknown:?} not compared: the predicates are not known"
+        ));
+    }
+    for recorded in expected {
+        recorded.atoms.retain(|name, _| known(name));
     }
 }
 
-fn row(row: &Value) -> Vec<String> {
-    match row {
-        Value::String(name) => vec![name.clone()],
-        names => serde_json::from_value(names.clone()).unwrap(),
-    }
+/// The predicates that are recorded in a tick.
+fn predicates_of_tick(tick: &Value) -> BTreeSet<String> {
+    let egos = tick["ego"].as_object().unwrap().values();
+    egos.flat_map(|ego| ego["true"].as_object().unwrap().keys().cloned())
+        .collect()
 }
 
-/// The answers, which both executors give.
-fn infer(config: &str, scenes: &[Value]) -> Vec<Map<String, Value>> {
-    let [dense, relational] = ["dense", "relational"].map(|executor| infer_by(executor, config, scenes));
-    assert_eq!(dense, relational);
-    dense
+fn atoms_of(ego: &EgoAnswer) -> Atoms {
+    let rows = ego.atoms.iter().filter(|(_, rows)| !rows.is_empty());
+    rows.map(|(name, rows)| (name.clone(), rows.iter().cloned().collect()))
+        .collect()
 }
 
-fn infer_by(executor: &str, config: &str, scenes: &[Value]) -> Vec<Map<String, Value>> {
-    let mut process = Command::new(env!("CARGO_BIN_EXE_logicity"))
-        .args(["infer", "--config", config, "--executor", executor])
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut input = process.stdin.take().unwrap();
-    let lines: String = scenes.iter().map(|scene| format!("{scene}\n")).collect();
-    let writer = std::thread::spawn(move || input.write_all(lines.as_bytes()).unwrap());
-    let answers = BufReader::new(process.stdout.take().unwrap())
-        .lines()
-        .map(|line| serde_json::from_str(&line.unwrap()).unwrap())
-        .collect();
-    writer.join().unwrap();
-    assert!(process.wait().unwrap().success());
-    answers
+/// The answers to scenes, which both executors give.
+fn answers(config: &str, edit: fn(&mut Scenario), scenes: &[&Value]) -> Vec<Vec<EgoAnswer>> {
+    std::thread::scope(|scope| {
+        let by = |executor| scope.spawn(move || answers_by(executor, config, edit, scenes));
+        let [dense, relational] = [Executor::Dense, Executor::Relational]
+            .map(by)
+            .map(|thread| thread.join().unwrap());
+        for (dense, relational) in dense.iter().zip(&relational) {
+            assert_eq!(format!("{dense:?}"), format!("{relational:?}"));
+        }
+        dense
+    })
+}
+
+fn answers_by(executor: Executor, config: &str, edit: fn(&mut Scenario), scenes: &[&Value]) -> Vec<Vec<EgoAnswer>> {
+    let world = world(config, None, edit);
+    let (scenario, program) = (world.scenario.clone(), world.program.clone());
+    let mut inference = Inference::new(scenario, program, Seed(0), executor, read_text).expect("rules fit");
+    let answer = |scene: &&Value| {
+        let mut sources = Sources::new();
+        let source = sources.add("scene", scene.to_string());
+        match inference.answer(&sources, source) {
+            Ok(answer) => answer.egos,
+            Err(faults) => panic!("{}", render(&faults, &sources, false)),
+        }
+    };
+    scenes.iter().map(answer).collect()
 }
