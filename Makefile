@@ -1,4 +1,4 @@
-# `make test` runs every test there is; `.ci/run` calls it. Each part can be run alone.
+# `make test` runs every test; `.ci/run` calls it. Each part can run alone. `make quick` is for the time between two edits.
 PYTHON ?= python3
 VENV := .venv
 SOLVERS := .venv-solvers
@@ -7,9 +7,14 @@ SOLVERS := .venv-solvers
 FUZZ_TARGETS := parse check query evaluate config scene rows
 FUZZ_SECONDS := 600
 
-.PHONY: test lint rust doc wheel python python-all page solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint rust doc wheel python python-all page solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
 test: lint rust doc python page
+
+# No Python, no pictures, no test whose name begins with slow_, fewer random cases.
+quick:
+	cargo fmt --all --check
+	PROPTEST_CASES=32 cargo test --locked --lib --bins --test datalog --test city --test program -- --skip slow_
 
 lint:
 	cargo fmt --all --check

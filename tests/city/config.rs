@@ -542,7 +542,7 @@ fn what_an_alias_stands_for_counts_in_the_nesting() {
 }
 
 #[test]
-fn hostile_files_fail_fast() {
+fn slow_hostile_files_fail_fast() {
     let mut laughs = String::from("a0: &a0 [x, x, x, x, x, x, x, x, x]\n");
     for level in 1..30 {
         let aliases = vec![format!("*a{}", level - 1); 9].join(", ");

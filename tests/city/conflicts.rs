@@ -106,7 +106,7 @@ fn the_smallest_scene_is_told() {
 }
 
 #[test]
-fn derived_predicates_are_unfolded() {
+fn slow_derived_predicates_are_unfolded() {
     let text = ".decl Busy(x: agent)
         .decl Near(x: agent, y: agent)
         Near(X, Y) :- NextTo(X, Y).
@@ -232,7 +232,7 @@ fn a_brute_force_agrees() {
 }
 
 #[test]
-fn hostile_rules_end_soon() {
+fn slow_hostile_rules_end_soon() {
     let cut = |text: &str| match finding(text, [Speed::Slow, Speed::Stop]) {
         Finding::NotFound { cut, .. } => Vec::from_iter(cut),
         other => panic!("{other:?}"),

@@ -197,7 +197,7 @@ fn controls_of_nobody_are_refused() {
 
 /// More agents than one window takes: tiles, on one thread and on three.
 #[test]
-fn a_crowd_goes_the_same_way_in_tiles() {
+fn slow_a_crowd_goes_the_same_way_in_tiles() {
     for (mode, times, ticks) in [("expert", 20, 30), ("vap-hard", 30, 12)] {
         let world = world(mode, None, |scenario| multiply(scenario, times));
         let simulations = vec![

@@ -506,7 +506,7 @@ proptest! {
 
     /// Where a map is too large to be searched as a whole.
     #[test]
-    fn ways_over_large_maps_are_as_good(map in maps_of(7..=13), pick in any::<[Index; 2]>(), near in any::<Index>()) {
+    fn slow_ways_over_large_maps_are_as_good(map in maps_of(7..=13), pick in any::<[Index; 2]>(), near in any::<Index>()) {
         for routing in [Routing::Weighted, Routing::Hops] {
             let router = Router::new(map.clone(), routing);
             let places = Places::new(&router, None, None);
@@ -544,7 +544,7 @@ proptest! {
     }
 
     #[test]
-    fn pedestrians_take_a_shortest_way(map in maps(), picks in proptest::collection::vec(any::<[Index; 2]>(), 12)) {
+    fn slow_pedestrians_take_a_shortest_way(map in maps(), picks in proptest::collection::vec(any::<[Index; 2]>(), 12)) {
         let routers = [Routing::Weighted, Routing::Hops].map(|routing| Router::new(map.clone(), routing));
         let places: Vec<Cell> = cells(&map).filter(|&cell| map.is_walkable(cell)).collect();
         for (pick, router) in picks.into_iter().flat_map(|pick| routers.iter().map(move |router| (pick, router))) {
@@ -645,7 +645,7 @@ fn too_many_agents_for_a_region_are_told() {
 
 /// The published way is searched for, and a search has an end; other ways are found on any map.
 #[test]
-fn published_ways_on_foot_can_be_too_far() {
+fn slow_published_ways_on_foot_can_be_too_far() {
     let config = load_map(&mut Sources::new(), Path::new("metropolis"), &BuiltinFiles).expect("built in");
     let map = Arc::new(CityMap::generate(&config).expect("a valid map"));
     let [published, ours] = [Routing::Hops, Routing::Weighted].map(|routing| Router::new(map.clone(), routing));
@@ -659,7 +659,7 @@ fn published_ways_on_foot_can_be_too_far() {
 }
 
 #[test]
-fn agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
+fn slow_agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
     let mut sources = Sources::new();
     let scenario = load_scenario(&mut sources, Path::new("metropolis"), &BuiltinFiles).expect("built in");
     let mut set = scenario.agent_set(Split::Test).expect("a test set").clone();

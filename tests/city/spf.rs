@@ -465,7 +465,7 @@ fn plain_state(city: &Simulation, ego: usize, scale: i32) -> Vec<Vec<f32>> {
 
 /// The recorded episodes of all modes and splits are solved by the oracle as recorded, and break no rule.
 #[test]
-fn recorded_episodes() {
+fn slow_recorded_episodes() {
     for &mode in PATH_MODES {
         let task = task(mode, None);
         for split in Split::ALL {

@@ -280,7 +280,7 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
 }
 
 #[test]
-fn a_proof_may_be_deep() {
+fn slow_a_proof_may_be_deep() {
     let text = PATHS.replace("path(y, z)", "edge(y, z)");
     let edges: Vec<Vec<i32>> = (0..1_000).map(|at| vec![at, at + 1]).collect();
     let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();

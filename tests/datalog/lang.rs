@@ -878,7 +878,7 @@ proptest! {
 
 /// Neither depth nor length exhausts the stack. How fast they are loaded is measured in `benches/engine.rs`.
 #[test]
-fn large_texts_are_loaded() {
+fn slow_large_texts_are_loaded() {
     let many = 200_000;
     let decl = ".decl P(x: symbol)\n.decl Q(x: symbol, y: symbol)\n.input Q\n.output P\n";
     let chain: String = (0..20_000)

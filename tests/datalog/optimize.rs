@@ -171,7 +171,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
 
     #[test]
-    fn promises_change_no_answer_of_facts_that_keep_them(
+    fn slow_promises_change_no_answer_of_facts_that_keep_them(
         clauses in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 3..10), 1..5),
         promises in 0..512_u16,
         facts in proptest::collection::vec((0..5_u8, 0..3_u8, 0..3_u8), 0..24),
@@ -191,7 +191,7 @@ proptest! {
     }
 
     #[test]
-    fn without_promises_nothing_changes(
+    fn slow_without_promises_nothing_changes(
         genome in genomes(1..2),
         recursive in recursive_genomes(1..2),
     ) {

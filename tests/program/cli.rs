@@ -1437,7 +1437,7 @@ fn the_summary_names_the_executor() {
 }
 
 #[test]
-fn icons_come_from_a_pack_or_the_fault_is_told() {
+fn slow_icons_come_from_a_pack_or_the_fault_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let sheet = |arguments: &[&str], name: &str| {
         let path = folder.path().join(name);

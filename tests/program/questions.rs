@@ -103,7 +103,7 @@ fn shares(questions: &[Value]) -> [usize; 4] {
 }
 
 #[test]
-fn every_answer_follows_from_the_text() {
+fn slow_every_answer_follows_from_the_text() {
     let sets = [
         ("vap-easy", &["--seed", "1"][..]),
         ("vap-hard", &["--seed", "2"]),
@@ -161,7 +161,7 @@ fn guess(number: usize) -> &'static str {
 }
 
 #[test]
-fn sets_are_balanced_and_without_repetition() {
+fn slow_sets_are_balanced_and_without_repetition() {
     for config in CONFIGS {
         let questions = questions(&[config, "--seed", "5"]);
         let (count, shares) = (questions.len(), shares(&questions));
@@ -352,7 +352,7 @@ fn without_demonstrations_nobody_speaks_of_them() {
 }
 
 #[test]
-fn what_cannot_be_asked_is_refused() {
+fn slow_what_cannot_be_asked_is_refused() {
     let refused = |arguments: &[&str], exit: i32, words: &[&str]| {
         let output = run(&[&["questions"], arguments].concat(), "");
         let said = String::from_utf8(output.stderr).unwrap();

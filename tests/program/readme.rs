@@ -44,7 +44,7 @@ fn shell(command: &str, folder: &Path) -> String {
 }
 
 #[test]
-fn the_commands_print_what_readme_says() {
+fn slow_the_commands_print_what_readme_says() {
     let folder = tempfile::tempdir().unwrap();
     let mut last_file = String::new();
     let mut last_output = String::new();

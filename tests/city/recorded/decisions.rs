@@ -31,7 +31,7 @@ fn config(recording: &Recording) -> &'static str {
 }
 
 #[test]
-fn egos_see_and_decide_as_recorded() {
+fn slow_egos_see_and_decide_as_recorded() {
     for recording in recordings("trace") {
         let mut expected: Vec<Recorded> = recording.lines().flat_map(|tick| egos_of_tick(&tick)).collect();
         let predicates: BTreeSet<String> = recording.lines().flat_map(|tick| predicates_of_tick(&tick)).collect();
@@ -105,7 +105,7 @@ fn decides(ego: &EgoAnswer, solved: &BTreeSet<Speed>) -> bool {
 /// `CollidingClose` as we compute it, with every chance set to one, holds wherever it was recorded; where it was not, a chance was
 /// at play: a pedestrian, or two agents in one cell.
 #[test]
-fn collisions() {
+fn slow_collisions_follow_from_positions() {
     let mut certain = 0;
     for recording in recordings("trace") {
         let expected: Vec<Recorded> = recording.lines().flat_map(|tick| egos_of_tick(&tick)).collect();
