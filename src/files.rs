@@ -3,7 +3,9 @@
 //! Input is read whole, with a bound on its size, and must be UTF-8. Output is written to a temporary name in the same folder
 //! and renamed when complete, so a reader never sees half a file and a failed write leaves the old one.
 
-use std::io::{self, Read, Write};
+#[cfg(feature = "sim")]
+use std::io::Write;
+use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
 
 /// The folder, as paths name it, that holds the built-in files and nothing else.
@@ -195,11 +197,13 @@ pub fn normalise(path: &Path) -> PathBuf {
 }
 
 /// A file being written under a temporary name; [`Output::finish`] gives it its own. Dropped unfinished, it leaves nothing.
+#[cfg(feature = "sim")]
 pub struct Output {
     file: io::BufWriter<tempfile::NamedTempFile>,
     path: PathBuf,
 }
 
+#[cfg(feature = "sim")]
 impl Output {
     /// Begins to write the file at `path`, whose folder must exist.
     ///
@@ -241,6 +245,7 @@ impl Output {
     }
 }
 
+#[cfg(feature = "sim")]
 impl Write for Output {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.file.write(bytes)
@@ -251,7 +256,7 @@ impl Write for Output {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "sim"))]
 mod tests {
     use super::*;
 

@@ -49,11 +49,20 @@ pub mod files;
 pub mod rng;
 pub mod symbol;
 
+#[cfg(feature = "sim")]
 pub mod builtin;
+#[cfg(feature = "sim")]
 pub mod city;
+#[cfg(feature = "cli")]
+#[doc(hidden)]
 pub mod cli;
+#[cfg(feature = "sim")]
 pub mod config;
+#[cfg(feature = "render")]
 pub mod page;
+#[cfg(feature = "render")]
 pub mod render;
+#[cfg(feature = "sim")]
 pub mod sim;
+#[cfg(feature = "sim")]
 pub mod task;

@@ -13,9 +13,11 @@ mod explain;
 mod fmt;
 mod icons;
 mod infer;
+#[cfg(feature = "lsp")]
 mod lsp;
 mod query;
 mod questions;
+#[cfg(feature = "repl")]
 mod repl;
 mod route;
 mod run;
@@ -63,6 +65,7 @@ enum Command {
     /// Run any Datalog program on facts files, as Soufflé does
     Query(query::Arguments),
     /// Work on a Datalog program at a prompt: add and retract facts and rules, ask questions, see why
+    #[cfg(feature = "repl")]
     Repl(repl::Arguments),
     /// Decide scenes: one JSON scene a line in, one JSON answer a line out
     Infer(infer::Arguments),
@@ -83,6 +86,7 @@ enum Command {
     /// Time the rules, a tick, an episode, or cities of up to a million agents
     Bench(bench::Arguments),
     /// Serve an editor over standard input and output: diagnostics, hover, definitions, renaming and more
+    #[cfg(feature = "lsp")]
     Lsp(lsp::Arguments),
     /// Print a completion script for a shell
     Completions {
@@ -264,6 +268,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
             };
         }
         Command::Query(arguments) => query::run(&arguments, &mut sources),
+        #[cfg(feature = "repl")]
         Command::Repl(arguments) => repl::run(&arguments, &mut sources),
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
@@ -271,6 +276,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         Command::Episodes(arguments) => episodes::run(&arguments, &mut sources),
         Command::Questions(arguments) => questions::run(&arguments, &mut sources),
         Command::Vap(arguments) => vap::run(&arguments, &mut sources),
+        #[cfg(feature = "lsp")]
         Command::Lsp(arguments) => lsp::run(&arguments),
         Command::Icons(arguments) => icons::run(&arguments),
         Command::Route(arguments) => route::run(&arguments, &mut sources),

@@ -55,4 +55,6 @@ crate::diagnostic_codes! {
     INVALID_FACT = "invalid-fact", Error;
     /// Facts that are not as the rules promise.
     BROKEN_PROMISE = "broken-promise", Error;
+    /// Two rule sets, or rules and a configuration, do not fit: an input predicate or an action that the other side does not have.
+    RULE_MISMATCH = "rule-mismatch", Error;
 }

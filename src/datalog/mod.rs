@@ -43,6 +43,7 @@ pub use eval::delta::{Change, Delta, Rows};
 pub use eval::limits::{EvalError, Limits};
 pub use eval::stats::{Moment, RuleWork, Strategy, StratumWork, Work, WorkLog};
 pub use eval::workers::Threads;
+#[cfg(feature = "optimizer")]
 pub use plan::optimize;
 pub use program::{Options, Program};
 pub use session::{RowError, Session};

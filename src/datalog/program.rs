@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use crate::datalog::check::{Inputs, RelId, Relation, Rules};
-use crate::datalog::plan::{Compiled, Plans, optimize};
+#[cfg(feature = "optimizer")]
+use crate::datalog::plan::optimize;
+use crate::datalog::plan::{Compiled, Plans};
 use crate::datalog::session::RowError;
 use crate::datalog::workspace;
 use crate::diag::{Diagnostic, SourceId, Sources};
@@ -16,7 +18,7 @@ pub struct Program(pub(super) Arc<Compiled>);
 /// How to prepare a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Options {
-    /// Simplify clauses before they are planned.
+    /// Simplify clauses before they are planned. Without the feature `optimizer` clauses are planned as they are.
     pub optimize: bool,
     /// Rely on [`Rules::promises`]. Where facts break a promise, answers may then be wrong; [`promise::broken`] tells.
     pub promises: bool,
@@ -61,9 +63,18 @@ impl Program {
 
     /// As [`Program::new`], with a choice of what to rely on. The answers are the same.
     pub fn with(rules: Rules, options: Options) -> Result<Program, Diagnostic> {
+        #[cfg(feature = "optimizer")]
         let plans = match options.optimize {
             true => Plans::new(&optimize::optimize(&rules, options.promises))?,
             false => Plans::new(&rules)?,
+        };
+        #[cfg(not(feature = "optimizer"))]
+        let plans = {
+            let Options {
+                optimize: _,
+                promises: _,
+            } = options;
+            Plans::new(&rules)?
         };
         let plans = Arc::new(plans);
         Ok(Program(Arc::new(Compiled { rules, plans })))

@@ -3,8 +3,6 @@
 crate::diagnostic_codes! {
     /// The dense executor was requested for rules, or a number of agents, that it cannot evaluate.
     DENSE_UNSUPPORTED = "dense-unsupported", Error;
-    /// Rules and configuration do not fit: an input predicate or an action that the other side does not have.
-    RULE_MISMATCH = "rule-mismatch", Error;
     /// A scene that is not JSON or does not follow the scene format.
     INVALID_SCENE = "invalid-scene", Error;
     /// A trace that is not JSON or does not follow the trace format.

@@ -41,5 +41,6 @@ pub use trace::{Driven, TRACE_VERSION, TraceWriter, hash_sources};
 pub use vocabulary::{Actions, Predicate, Vocabulary};
 pub use why::{Account, Decision};
 pub use width::Width;
+#[cfg(feature = "cli")]
 pub(crate) use width::in_words;
 pub use world::World;

@@ -7,7 +7,7 @@ use crate::rule_files::RuleFiles;
 use logicity::datalog;
 use logicity::datalog::explain::{Explainer, Teller};
 use logicity::datalog::{Atom, BaseType, Clause, Column, Literal, RelId, RowFormat, Rules, Value};
-use logicity::datalog::{Limits, Options, Program, Session, diff, facts, optimize};
+use logicity::datalog::{Limits, Options, Program, Session, diff, facts};
 use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalise};
 use std::path::Path;
@@ -64,7 +64,8 @@ pub fn check(bytes: &[u8]) {
     let Some(program) = program else { return };
 
     let rules = program.rules();
-    draw(&optimize::lints(rules).diagnostics, &sources);
+    #[cfg(feature = "optimizer")]
+    draw(&logicity::datalog::optimize::lints(rules).diagnostics, &sources);
     for promises in [false, true] {
         let optimize = promises;
         let program = Program::with(rules.clone(), Options { optimize, promises }).expect("it was just planned");

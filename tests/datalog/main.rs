@@ -10,6 +10,7 @@ mod format;
 mod hostile;
 mod lang;
 mod near_files;
+#[cfg(feature = "optimizer")]
 mod optimize;
 mod proofs;
 mod random_program;

@@ -30,6 +30,7 @@ pub use rules::{
     Atom, Clause, ClauseId, Column, Constraint, Directive, Literal, Promise, RelId, Relation, RowFormat, RowPlace,
     Rules, Stratum, Term, Type, TypeId, VarId,
 };
+#[cfg(feature = "optimizer")]
 pub(crate) use subsets::Budget;
 pub use subsets::Comparing;
 #[cfg(test)]

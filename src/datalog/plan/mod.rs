@@ -1,9 +1,10 @@
 //! Plans: in which order the literals of each clause are joined, and through which indexes.
 //!
-//! `steps` defines a plan, `planner` finds the order of the literals, `estimate` judges orders by the sizes of relations, and [`optimize`]
-//! simplifies clauses before they are planned.
+//! `steps` defines a plan, `planner` finds the order of the literals, and `estimate` judges orders by the sizes of relations. With the feature
+//! `optimizer`, `optimize` simplifies clauses before they are planned.
 
 pub(crate) mod estimate;
+#[cfg(feature = "optimizer")]
 pub mod optimize;
 mod planner;
 pub(crate) mod steps;

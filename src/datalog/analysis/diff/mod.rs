@@ -16,9 +16,9 @@ mod ground;
 mod sat;
 mod trial;
 
+use crate::datalog::check::subsumption::within_theory;
 use crate::datalog::check::{Clause, Literal, RelId, Rules, Term};
 use crate::datalog::naive;
-use crate::datalog::plan::optimize::speaks_of;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::Value;
 use crate::diag::{Code, Diagnostic};
@@ -238,7 +238,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, V
 fn speaks(rules: &Rules) -> bool {
     let mut columns = rules.relations.iter().flat_map(|relation| &relation.columns);
     let wide = |base: BaseType| matches!(base, BaseType::Float | BaseType::Unsigned);
-    rules.clauses.iter().all(speaks_of) && !columns.any(|column| wide(column.base))
+    rules.clauses.iter().all(within_theory) && !columns.any(|column| wide(column.base))
 }
 
 // --- what the two have in common

@@ -13,7 +13,7 @@ mod saturate;
 mod theory;
 
 use crate::datalog::check::subsumption;
-use crate::datalog::check::subsumption::{Fact, NoConstraints, Pattern, Theory, covers, facts};
+use crate::datalog::check::subsumption::{Fact, NoConstraints, Pattern, Theory, covers, facts, within_theory};
 use crate::datalog::check::{
     Atom, Budget, Clause, ClauseId, Comparing, Constraint, Literal, RelId, Rules, Term, VarId,
 };
@@ -25,7 +25,6 @@ use crate::symbol::Symbol;
 use saturate::Knowledge;
 use std::collections::{BTreeMap, BTreeSet};
 use theory::Constraints;
-pub(crate) use theory::speaks_of;
 
 /// Longer bodies are left as they are.
 const LITERALS_MAX: usize = 64;
@@ -251,7 +250,7 @@ impl Knowledge for Literals<'_> {
 }
 
 fn is_known(clause: &Clause) -> bool {
-    !clause.body.is_empty() && clause.body.len() <= LITERALS_MAX && speaks_of(clause)
+    !clause.body.is_empty() && clause.body.len() <= LITERALS_MAX && within_theory(clause)
 }
 
 /// The positions of the literals that are needed; `None` inside if the body never holds, outside if it was not looked at.

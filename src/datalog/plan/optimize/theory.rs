@@ -1,14 +1,8 @@
 //! What follows from one literal, alone and under the promises.
 
-use crate::datalog::check::subsumption::{Arg, EQUAL, Fact, GREATER, LESS, Theory, facts};
-use crate::datalog::check::{Clause, Constraint, RelId};
+use crate::datalog::check::subsumption::{Arg, EQUAL, Fact, GREATER, LESS, Theory};
+use crate::datalog::check::{Constraint, RelId};
 use std::collections::{BTreeMap, BTreeSet};
-
-/// Returns whether all literals of a clause are atoms, or comparisons of texts or whole numbers. A clause with another literal is left as it is.
-pub(crate) fn speaks_of(clause: &Clause) -> bool {
-    let facts = facts(clause, false);
-    facts.len() == clause.body.len() && !facts.iter().any(|fact| matches!(fact, Fact::Opaque { .. }))
-}
 
 /// The promises, by predicate.
 #[derive(Clone, Debug, Default)]
