@@ -5,10 +5,10 @@ mod shipped_world;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use logicity::builtin::BuiltinFiles;
-use logicity::city::{AgentKind, Speed, Split};
+use logicity::city::{Action, AgentKind, Split};
 use logicity::city::{CityMap, Places, Router, Surroundings, advance, place_agents};
 use logicity::config::load_scenario;
-use logicity::datalog::dense::{BitFacts, Counting, Frame, has};
+use logicity::datalog::dense::{BitFacts, BitState, TrackFirings, has};
 use logicity::diag::Located;
 use logicity::diag::Sources;
 use logicity::files::read_text;
@@ -71,11 +71,13 @@ fn infer(criterion: &mut Criterion) {
 fn rules(criterion: &mut Criterion) {
     const WIDTH: usize = 1;
     let world = world("expert");
-    let dense = world.compile(Counting::Off).expect("the rules of the paper are dense");
+    let dense = world
+        .compile(TrackFirings::Off)
+        .expect("the rules of the paper are dense");
     let mut simulation =
         Simulation::new(Arc::clone(&world), Split::Test, Seed(1), Settings::default()).expect("agents placed");
     let count = simulation.agents().len();
-    let mut frame: Frame<WIDTH> = Frame::new(&dense, count);
+    let mut frame: BitState<WIDTH> = BitState::new(&dense, count);
     let moments: Vec<BitFacts<WIDTH>> = (0..64)
         .map(|_| {
             for _ in 0..7 {
@@ -86,10 +88,10 @@ fn rules(criterion: &mut Criterion) {
             let facts: BitFacts<WIDTH> = facts.to_bits(vocabulary, &dense, count);
             facts.load(&dense, &mut frame);
             frame.run(&dense, &facts);
-            for speed in Speed::ALL {
+            for speed in Action::ALL {
                 let relation = world.vocabulary.action(speed).expect("all are in use");
                 let set = frame.set(&dense, relation).expect("it is derived");
-                let moment = simulation.moment().expect("within limits");
+                let moment = simulation.snapshot().expect("within limits");
                 for agent in 0..count {
                     let holds = moment.session().contains(relation, &[moment.value(agent)]);
                     assert_eq!(has(set, agent), holds, "{} of {agent}", speed.name());
@@ -179,7 +181,7 @@ fn moves(criterion: &mut Criterion) {
         bencher.iter(|| {
             surroundings.tick += 1;
             for (index, agent) in agents.iter_mut().enumerate() {
-                black_box(advance(agent, index, Speed::Normal, &surroundings));
+                black_box(advance(agent, index, Action::Normal, &surroundings));
             }
         });
     });

@@ -141,13 +141,13 @@ class ClauseWork(TypedDict):
 
     Attributes:
         given: Changed rows it was evaluated from (0: one evaluation over all rows).
-        looked_at: Rows that its scans and tests read.
+        rows_scanned: Rows that its scans and tests read.
         derived: Rows it derived, including repeated ones.
     """
 
     clause: str
     given: int
-    looked_at: int
+    rows_scanned: int
     derived: int
 
 
@@ -157,5 +157,5 @@ class StratumWork(TypedDict):
     relations: list[str]
     how: Literal["skipped", "maintained", "recomputed"]
     rounds: int
-    looked_at: int
+    rows_scanned: int
     clauses: list[ClauseWork]

@@ -3,11 +3,11 @@
 use crate::{Shared, Signals, input_error, read_error, to_python};
 use logicity::builtin::BuiltinFiles;
 use logicity::builtin::read_or_builtin;
-use logicity::city::{Agent, Cell, Heading, Reason};
-use logicity::city::{Speed, Split};
+use logicity::city::{Action, Split};
+use logicity::city::{Agent, Cell, Heading, MoveReason};
 use logicity::config::{Scenario, load_scenario};
 use logicity::datalog::Program;
-use logicity::datalog::explain::Teller;
+use logicity::datalog::explain::ExplanationPrinter;
 use logicity::diag::Located;
 use logicity::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use logicity::files::{Output, ReadError, read_text};
@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add("ACTIONS", Speed::ALL.map(Speed::name))?;
+    module.add("ACTIONS", Action::ALL.map(Action::name))?;
     module.add("HEADINGS", Heading::ALL.map(Heading::name))?;
     module.add("REASONS", REASONS.map(|(_, name)| name))?;
     module.add_class::<PyInference>()?;
@@ -32,11 +32,11 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 }
 
 /// The reasons for moves; arrays hold positions in this list.
-const REASONS: [(Reason, &str); 4] = [
-    (Reason::Decided, "decided"),
-    (Reason::OnlyMove, "only-move"),
-    (Reason::Drawn, "drawn"),
-    (Reason::Resting, "resting"),
+const REASONS: [(MoveReason, &str); 4] = [
+    (MoveReason::Decided, "decided"),
+    (MoveReason::OnlyMove, "only-move"),
+    (MoveReason::Drawn, "drawn"),
+    (MoveReason::Resting, "resting"),
 ];
 
 /// The name of the text with overrides.
@@ -341,8 +341,8 @@ impl PySimulation {
 
     /// Runs a tick in which the agents at these positions take these actions.
     fn tick<'py>(&self, py: Python<'py>, controls: Vec<(usize, usize)>) -> PyResult<Tick<'py>> {
-        let controls: Vec<(usize, Speed)> = (controls.into_iter())
-            .map(|(agent, action)| (agent, Speed::ALL[action]))
+        let controls: Vec<(usize, Action)> = (controls.into_iter())
+            .map(|(agent, action)| (agent, Action::ALL[action]))
             .collect();
         let done = self.city.detached(py, |city, _| city.tick(&controls).map(|_| ()))?;
         done.map_err(|fault| input_error(py, &[fault], &self.sources))?;
@@ -354,13 +354,13 @@ impl PySimulation {
         self.city.with(|city| {
             let report = city.report();
             let agents = &report.agents;
-            let derived = |(agent, action): (usize, usize)| agents[agent].derived.contains(Speed::ALL[action]);
+            let derived = |(agent, action): (usize, usize)| agents[agent].derived.contains(Action::ALL[action]);
             let reason = |reason| REASONS.iter().position(|(known, _)| *known == reason);
             Ok((
                 report.tick,
                 cells(py, agents.iter().map(|done| done.moved.from)),
                 codes(py, agents.iter().map(|done| heading(done.heading))),
-                Array2::from_shape_fn((agents.len(), Speed::ALL.len()), derived).into_pyarray(py),
+                Array2::from_shape_fn((agents.len(), Action::ALL.len()), derived).into_pyarray(py),
                 codes(py, agents.iter().map(|done| Some(done.action as usize))),
                 cells(py, agents.iter().map(|done| done.moved.to)),
                 codes(py, agents.iter().map(|done| reason(done.moved.reason))),
@@ -412,7 +412,7 @@ impl PySimulation {
         agent: usize,
         why_not: Option<usize>,
     ) -> PyResult<(String, Bound<'py, PyAny>)> {
-        let why_not = why_not.map(|action| Speed::ALL[action]);
+        let why_not = why_not.map(|action| Action::ALL[action]);
         let explained = self.city.detached(py, |city, signals| {
             let account = city.decision(agent)?.account(why_not, &|| signals.raised())?;
             Ok((account.text(&self.sources), account.json(&self.sources)))
@@ -424,7 +424,7 @@ impl PySimulation {
     /// The label of each clause, and the rows it derived in the last tick.
     fn firings(&self) -> PyResult<Vec<(String, usize)>> {
         let rules = self.world.program.rules();
-        let teller = Teller::new(rules, &rules.symbols, &self.sources);
+        let teller = ExplanationPrinter::new(rules, &rules.symbols, &self.sources);
         self.city.with(|city| {
             let counts = city.clauses().iter().zip(city.firings());
             Ok(counts.map(|(&clause, &count)| (teller.label(clause), count)).collect())

@@ -5,9 +5,9 @@ use crate::{Shared, Signals, input_error, to_python};
 use logicity::builtin::BuiltinFiles;
 use logicity::builtin::read_or_builtin;
 use logicity::datalog;
-use logicity::datalog::explain::{Explainer, Teller};
-use logicity::datalog::{ClauseId, Inputs, RelId, Relation, Value, Workspace};
-use logicity::datalog::{Limits, Program, RowError, StratumWork, Threads};
+use logicity::datalog::explain::{Explainer, ExplanationPrinter};
+use logicity::datalog::{ClauseId, Edb, RelId, Relation, Value, Workspace};
+use logicity::datalog::{Limits, Program, RowError, StratumStats, Threads};
 use logicity::diag::{Diagnostic, Sources, did_you_mean, to_json};
 use logicity::files::ReadError;
 use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
@@ -47,8 +47,8 @@ struct Loaded {
 }
 
 impl Loaded {
-    fn teller<'a>(&'a self, session: &'a datalog::Session) -> Teller<'a> {
-        Teller::new(self.program.rules(), session.symbols(), &self.sources).quoting()
+    fn teller<'a>(&'a self, session: &'a datalog::Session) -> ExplanationPrinter<'a> {
+        ExplanationPrinter::new(self.program.rules(), session.symbols(), &self.sources).quoting()
     }
 
     /// The declared predicates.
@@ -93,7 +93,7 @@ impl PyProgram {
             (None, _) => Err(ReadError::NotFound),
         };
         let (loaded, sources) = Signals::new().on_thread(py, move || {
-            let mut texts = Workspace::new(Inputs::Extended);
+            let mut texts = Workspace::new(Edb::Extensible);
             texts.add(&mut sources, entry, &read);
             let checked = texts.check();
             let program = checked.rules.map(Program::new).transpose();
@@ -150,7 +150,7 @@ impl PyProgram {
     fn clauses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let Loaded { sources, program, .. } = &*self.0;
         let rules = program.rules();
-        let teller = Teller::new(rules, &rules.symbols, sources);
+        let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
         let shown = (rules.clauses.iter().zip((0..).map(ClauseId)))
             .filter(|(clause, _)| !rules.relations[clause.head.relation.index()].hidden);
         let clauses = shown.map(|(clause, id)| {
@@ -332,7 +332,7 @@ impl PySession {
         let Loaded { program, sources, .. } = &*self.loaded;
         let rules = program.rules();
         self.session.with(|session| {
-            let teller = Teller::new(rules, session.symbols(), sources);
+            let teller = ExplanationPrinter::new(rules, session.symbols(), sources);
             let strata = session.work().strata.iter().zip(&rules.strata).map(|(work, stratum)| {
                 let names = stratum.relations.iter().map(|id| &rules.relations[id.index()]);
                 let names: Vec<&str> = names
@@ -340,16 +340,16 @@ impl PySession {
                     .map(String::as_str)
                     .collect();
                 let how = match work {
-                    StratumWork::Skipped => "skipped",
-                    StratumWork::Maintained(_) => "maintained",
-                    StratumWork::Recomputed(_) => "recomputed",
+                    StratumStats::Skipped => "skipped",
+                    StratumStats::Maintained(_) => "maintained",
+                    StratumStats::Recomputed(_) => "recomputed",
                 };
                 let done = work.work();
                 let clauses = done.iter().flat_map(|work| &work.rules).map(|rule| {
                     json!({
                         "clause": teller.label(rule.clause),
                         "given": rule.given,
-                        "looked_at": rule.looked_at,
+                        "rows_scanned": rule.rows_scanned,
                         "derived": rule.derived,
                     })
                 });
@@ -357,7 +357,7 @@ impl PySession {
                     "relations": names,
                     "how": how,
                     "rounds": done.map_or(0, |work| work.rounds),
-                    "looked_at": done.map_or(0, |work| work.looked_at() + work.given_up),
+                    "rows_scanned": done.map_or(0, |work| work.rows_scanned() + work.given_up),
                     "clauses": clauses.collect::<Vec<_>>(),
                 })
             });

@@ -4,8 +4,8 @@ use crate::city::one_of;
 use crate::episode::{PyBegin, PyEpisode, read_episode};
 use crate::task::{PyTask, gymnasium_error, speed, split_named, view_named};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
-use logicity::city::{Speed, Split};
-use logicity::task::spf::{Autoreset, Begin, Episode, EpisodeSource, Info, Member, VectorEnv, describe};
+use logicity::city::{Action, Split};
+use logicity::task::spf::{Autoreset, Begin, Episode, EpisodeSource, Info, SubEnv, VectorEnv, describe};
 use numpy::{PyArray1, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
@@ -74,7 +74,7 @@ struct PyVectorEnv {
     split: Split,
     vector: VectorEnv,
     recorded: Option<Arc<[Episode]>>,
-    actions: Vec<Speed>,
+    actions: Vec<Action>,
     signals: Arc<Signals>,
 }
 
@@ -142,7 +142,7 @@ impl PyVectorEnv {
         let mut observations = observations.try_readwrite()?;
         let task = this.task.get();
         this.check(begin.len())?;
-        let read = |(begin, member): (PyBegin<'_>, &Member)| match begin {
+        let read = |(begin, member): (PyBegin<'_>, &SubEnv)| match begin {
             PyBegin::Next(next) => Ok(next.then_some(Begin::Next)),
             PyBegin::Recorded(number) => {
                 let recorded = task.recorded_episodes(py, this.split)?;
@@ -275,7 +275,7 @@ impl PyVectorEnv {
     fn atoms<'py>(slf: &Bound<'py, Self>, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyTuple>> {
         let this = borrowed(slf)?;
         let env = this.member(at)?.env();
-        (this.task.get()).atoms(py, env, env.riders()[0].observer().atoms())
+        (this.task.get()).atoms(py, env, env.controlled_cars()[0].observer().atoms())
     }
 
     /// Keeps the true atoms at the end of an episode after the next one has begun.
@@ -321,19 +321,19 @@ impl PyVectorEnv {
         let this = borrowed(slf)?;
         {
             let env = this.begun(py, at)?.env();
-            this.task.get().picture(py, env, env.riders())
+            this.task.get().picture(py, env, env.controlled_cars())
         }
     }
 }
 
 impl PyVectorEnv {
-    fn member(&self, at: usize) -> PyResult<&Member> {
+    fn member(&self, at: usize) -> PyResult<&SubEnv> {
         let member = self.vector.members().get(at);
         member.ok_or_else(|| PyIndexError::new_err(format!("there is no environment {at}")))
     }
 
     /// The environment, if it has an episode.
-    fn begun(&self, py: Python<'_>, at: usize) -> PyResult<&Member> {
+    fn begun(&self, py: Python<'_>, at: usize) -> PyResult<&SubEnv> {
         let member = self.member(at)?;
         match member.is_ready(Autoreset::NextStep) {
             true => Ok(member),

@@ -1,7 +1,7 @@
 //! The start of an episode, to and from Python.
 
 use logicity::city::Cell;
-use logicity::city::{AgentName, Speed};
+use logicity::city::{Action, AgentName};
 use logicity::diag::{Code, Diagnostic, did_you_mean};
 use logicity::task::spf::{Env, Episode, EpisodeAgent, OracleRun};
 use pyo3::exceptions::PyKeyError;
@@ -54,7 +54,7 @@ impl PyEpisode {
             goal: (agent.goal.row, agent.goal.col),
         };
         let constrained = |counts: [u32; 4]| {
-            let named = Speed::ALL.map(|action| (action.name().to_owned(), counts[action as usize]));
+            let named = Action::ALL.map(|action| (action.name().to_owned(), counts[action as usize]));
             named.into_iter().filter(|(_, count)| *count > 0).collect()
         };
         PyEpisode {
@@ -114,10 +114,10 @@ fn read_oracle(given: &Bound<'_, PyAny>) -> Result<OracleRun, Diagnostic> {
     let counts = Part::new(
         format!("`constrained` of {what}"),
         &counts,
-        &Speed::ALL.map(Speed::name),
+        &Action::ALL.map(Action::name),
     )?;
     let mut constrained = [0; 4];
-    for action in Speed::ALL {
+    for action in Action::ALL {
         constrained[action as usize] = counts.find(action.name())?.unwrap_or(0);
     }
     Ok(OracleRun {

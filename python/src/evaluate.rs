@@ -3,8 +3,10 @@
 use crate::episode::PyEpisode;
 use crate::task::{PyTask, speed, split_named, view_named};
 use crate::{Signals, slice_of, to_python};
-use logicity::city::{Speed, Split};
-use logicity::task::spf::{Baseline, Egos, Env, EpisodeSet, Exam, RANDOM_RUNS, Rollout, Summary, View, summarise};
+use logicity::city::{Action, Split};
+use logicity::task::spf::{
+    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, ObservationKind, RANDOM_RUNS, Rollout, Summary, summarise,
+};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArrayDyn};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
@@ -36,7 +38,9 @@ impl PyRandomBaseline {
         let shared = &task.get().task;
         let signals = Signals::new();
         let stop = signals.stop();
-        let env = signals.detach(py, || Env::new_until(Arc::clone(shared), split, Egos::First, stop))?;
+        let env = signals.detach(py, || {
+            Env::new_until(Arc::clone(shared), split, ControlMode::First, stop)
+        })?;
         Ok(PyRandomBaseline {
             env: env.map_err(|fault| task.get().error(py, fault))?,
             set: task.get().episode_set(py, split)?,
@@ -77,9 +81,9 @@ impl PyRandomBaseline {
 #[pyclass(name = "BatchEvaluator", module = "logicity._logicity")]
 struct PyBatchEvaluator {
     task: Py<PyTask>,
-    exam: Exam,
-    view: View,
-    actions: Vec<Speed>,
+    exam: BatchEvaluator,
+    view: ObservationKind,
+    actions: Vec<Action>,
     signals: Arc<Signals>,
 }
 
@@ -90,7 +94,7 @@ impl PyBatchEvaluator {
         let (task, set, view) = (baseline.task.clone_ref(py), &baseline.set, view_named(observation)?);
         let signals = Signals::new();
         let stop = signals.stop();
-        let exam = signals.detach(py, || Exam::new_until(&task.get().task, set, &stop))?;
+        let exam = signals.detach(py, || BatchEvaluator::new_until(&task.get().task, set, &stop))?;
         Ok(PyBatchEvaluator {
             exam: exam.map_err(|fault| task.get().error(py, fault))?,
             actions: Vec::with_capacity(set.episodes.len()),
@@ -174,7 +178,7 @@ fn report<'py, 'a>(
     rollouts: impl Iterator<Item = (usize, &'a Rollout)>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let record = |(episode, rollout): (usize, &Rollout)| {
-        let constrained = Speed::ALL
+        let constrained = Action::ALL
             .into_iter()
             .zip(rollout.constrained)
             .filter(|(_, steps)| *steps > 0);
@@ -202,7 +206,7 @@ fn describe<'py>(py: Python<'py>, task: &PyTask) -> PyResult<Bound<'py, PyAny>> 
         let reward = shared.reward(demand.action, &[number], 1);
         json!({"clause": shared.label(number), "action": demand.action.name(), "reward": reward})
     });
-    let by_action = Speed::ALL.map(|action| (action.name(), config.reward.actions[action as usize]));
+    let by_action = Action::ALL.map(|action| (action.name(), config.reward.actions[action as usize]));
     let mut splits = serde_json::Map::new();
     for split in Split::ALL {
         let Some(agents) = world.scenario.agent_set(split) else {

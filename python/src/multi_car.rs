@@ -3,8 +3,8 @@
 use crate::episode::{PyEpisode, read_episode};
 use crate::task::{PyTask, speed, split_named, view_named};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
-use logicity::city::Speed;
-use logicity::task::spf::{Egos, Env, EpisodeSource, Info, View, describe};
+use logicity::city::Action;
+use logicity::task::spf::{ControlMode, Env, EpisodeSource, Info, ObservationKind, describe};
 use numpy::{PyArray3, PyReadwriteArrayDyn};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
@@ -20,9 +20,9 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 struct PyMultiCarEnv {
     task: Py<PyTask>,
     env: Env,
-    view: View,
+    view: ObservationKind,
     source: EpisodeSource,
-    actions: Vec<Speed>,
+    actions: Vec<Action>,
     signals: Arc<Signals>,
 }
 
@@ -35,7 +35,7 @@ impl PyMultiCarEnv {
         let signals = Signals::new();
         let stop = signals.stop();
         let env = signals
-            .detach(py, || Env::new_until(shared, split, Egos::Cars, stop))?
+            .detach(py, || Env::new_until(shared, split, ControlMode::Cars, stop))?
             .map_err(|fault| task.get().error(py, fault))?;
         Ok(PyMultiCarEnv {
             task,
@@ -51,8 +51,10 @@ impl PyMultiCarEnv {
     fn names(slf: &Bound<'_, Self>) -> PyResult<Vec<String>> {
         let this = borrowed(slf)?;
         let agents = this.env.city().agents();
-        let riders = this.env.riders().iter();
-        Ok(riders.map(|rider| agents[rider.agent()].name().to_string()).collect())
+        let controlled_cars = this.env.controlled_cars().iter();
+        Ok(controlled_cars
+            .map(|controlled_car| agents[controlled_car.agent()].name().to_string())
+            .collect())
     }
 
     /// Sets the seed of the following episodes.
@@ -77,7 +79,7 @@ impl PyMultiCarEnv {
     /// Steps with an action for each car; actions of cars whose episode has ended have no effect.
     fn step(slf: &Bound<'_, Self>, py: Python<'_>, actions: Vec<i64>) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
-        let count = this.env.riders().len();
+        let count = this.env.controlled_cars().len();
         if actions.len() != count {
             return Err(PyValueError::new_err(format!(
                 "{} actions for {count} cars",
@@ -85,8 +87,9 @@ impl PyMultiCarEnv {
             )));
         }
         this.actions.clear();
-        for (rider, action) in actions.into_iter().enumerate() {
-            this.actions.push(speed(py, action, || format!(" (of car {rider})"))?);
+        for (controlled_car, action) in actions.into_iter().enumerate() {
+            this.actions
+                .push(speed(py, action, || format!(" (of car {controlled_car})"))?);
         }
         let (env, actions) = (&mut this.env, &this.actions);
         (this.signals.detach(py, || env.step(actions))?).map_err(|fault| this.task.get().error(py, fault))
@@ -100,7 +103,7 @@ impl PyMultiCarEnv {
     ) -> PyResult<(f64, bool, bool, Bound<'py, PyDict>)> {
         let this = borrowed(slf)?;
         this.check(car)?;
-        let last = this.env.riders()[car].last();
+        let last = this.env.controlled_cars()[car].last();
         let mut info = Info::default();
         info.note(&this.env, car);
         Ok((
@@ -148,7 +151,7 @@ impl PyMultiCarEnv {
 
 impl PyMultiCarEnv {
     fn check(&self, car: usize) -> PyResult<()> {
-        match car < self.env.riders().len() {
+        match car < self.env.controlled_cars().len() {
             true => Ok(()),
             false => Err(PyIndexError::new_err(format!("there is no car {car}"))),
         }

@@ -4,13 +4,14 @@ use crate::city::{Loaded, one_of};
 use crate::episode::read_episode;
 use crate::{Signals, input_error, locked};
 use logicity::builtin::BuiltinFiles;
-use logicity::city::{Speed, Split};
+use logicity::city::{Action, Split};
 use logicity::diag::{Diagnostic, SourceId, Sources};
 use logicity::files::Output;
 use logicity::render::{Icons, Marked, Overview, Sprite};
 use logicity::sim::World;
 use logicity::task::spf::{
-    Egos, Env, Episode, EpisodeSet, Info, Origin, PathTask, RecordError, Rider, View, explain, record,
+    ControlMode, ControlledCar, Env, Episode, EpisodeSet, Info, ObservationKind, Origin, RecordError, SpfTask, explain,
+    record,
 };
 use numpy::{IntoPyArray, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyOSError, PyValueError};
@@ -27,7 +28,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 /// The task that environments share: Safe Path Following in one world.
 #[pyclass(name = "Task", module = "logicity._logicity", frozen)]
 pub struct PyTask {
-    pub task: Arc<PathTask>,
+    pub task: Arc<SpfTask>,
     sources: Mutex<Sources>,
     /// The texts of the rules among the sources.
     rule_files: Vec<SourceId>,
@@ -41,8 +42,8 @@ pub fn split_named(name: &str) -> PyResult<Split> {
     one_of("split", name, &Split::ALL, Split::name)
 }
 
-pub fn view_named(name: &str) -> PyResult<View> {
-    one_of("observation", name, &View::ALL, View::name)
+pub fn view_named(name: &str) -> PyResult<ObservationKind> {
+    one_of("observation", name, &ObservationKind::ALL, ObservationKind::name)
 }
 
 /// An exception of gymnasium.
@@ -54,8 +55,8 @@ pub fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
     }
 }
 
-pub fn speed(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Speed> {
-    let known = usize::try_from(action).ok().and_then(|action| Speed::ALL.get(action));
+pub fn speed(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Action> {
+    let known = usize::try_from(action).ok().and_then(|action| Action::ALL.get(action));
     known.copied().ok_or_else(|| {
         let message = format!(
             "{action}{} is no action: they are 0 Slow, 1 Normal, 2 Fast, 3 Stop",
@@ -80,7 +81,7 @@ impl PyTask {
         let rule_files = sources.ids().skip_while(|&id| id != rule_file).collect();
         let (made, sources) = signals.on_thread(py, move || {
             let world = World::new(scenario, program).map(Arc::new);
-            (world.and_then(|world| PathTask::new(world, &sources)), sources)
+            (world.and_then(|world| SpfTask::new(world, &sources)), sources)
         })?;
         let task = made.map_err(|faults| input_error(py, &faults, &sources))?;
         let demands = 0..task.oracle().demands().len();
@@ -114,10 +115,10 @@ impl PyTask {
     ) -> PyResult<()> {
         let split = split_named(split)?;
         let actions = actions.into_iter().map(|action| speed(py, action, String::new));
-        let actions: Vec<Speed> = actions.collect::<PyResult<_>>()?;
+        let actions: Vec<Action> = actions.collect::<PyResult<_>>()?;
         let signals = Signals::new();
         let env = signals.detach(py, || {
-            Env::new_until(Arc::clone(&self.task), split, Egos::First, signals.stop())
+            Env::new_until(Arc::clone(&self.task), split, ControlMode::First, signals.stop())
         })?;
         let episode = env.and_then(|env| read_episode(episode, &env));
         let episode = episode.map_err(|fault| self.error(py, fault))?;
@@ -210,14 +211,19 @@ impl PyTask {
         PyTuple::new(py, atoms.collect::<Vec<String>>())
     }
 
-    pub fn explain(&self, py: Python<'_>, env: &Env, rider: usize, signals: &Signals) -> PyResult<String> {
+    pub fn explain(&self, py: Python<'_>, env: &Env, controlled_car: usize, signals: &Signals) -> PyResult<String> {
         let sources = self.sources();
-        let explained = signals.detach(py, || explain(env, rider, &sources))?;
+        let explained = signals.detach(py, || explain(env, controlled_car, &sources))?;
         explained.map_err(|fault| input_error(py, &[fault], &sources))
     }
 
     /// Draws the city in red, green and blue, row by row, with these cars marked.
-    pub fn picture<'py>(&self, py: Python<'py>, env: &Env, marked: &[Rider]) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    pub fn picture<'py>(
+        &self,
+        py: Python<'py>,
+        env: &Env,
+        marked: &[ControlledCar],
+    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let map = self.task.world().map();
         if self.overview.get().is_none() {
             let overview = Overview::new(map, Arc::new(Icons::default()));
@@ -235,10 +241,10 @@ impl PyTask {
         let sprites: Vec<_> = named
             .map(|((agent, name), action)| Sprite::of(agent, name, action))
             .collect();
-        let driven = marked.iter().map(|rider| {
-            let agent = &city.agents()[rider.agent()];
+        let driven = marked.iter().map(|controlled_car| {
+            let agent = &city.agents()[controlled_car.agent()];
             Marked {
-                agent: rider.agent(),
+                agent: controlled_car.agent(),
                 way: agent.route().cells().skip(agent.position()).collect(),
             }
         });

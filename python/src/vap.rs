@@ -1,8 +1,8 @@
 //! Data sets of Visual Action Prediction: tables of a world as arrays, and pictures.
 
 use crate::{input_error, slice_of};
+use logicity::city::Action;
 use logicity::city::Heading;
-use logicity::city::Speed;
 use logicity::diag::{Code, Diagnostic, Sources};
 use logicity::render::{PixelBox, read_png_into};
 use logicity::task::vap::SIDE;
@@ -101,7 +101,7 @@ impl World {
         let priorities = entities.maybe_ints("priority")?.iter();
         let priorities =
             priorities.map(|priority| priority.map(i64::from).ok_or_else(|| faulty("a priority is missing")));
-        let labels = codes(&entities, "label", Speed::ALL.len())?;
+        let labels = codes(&entities, "label", Action::ALL.len())?;
         let names = entities.texts("name")?;
         let mut sides = Array2::from_elem((entities.rows(), 4), f32::NAN);
         for (pixels, mut place) in boxes(&entities)?.into_iter().zip(sides.rows_mut()) {

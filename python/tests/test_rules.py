@@ -322,7 +322,7 @@ def test_the_work_log_tells_what_was_done() -> None:
     held.commit()
     (second,) = held.work
     assert second["how"] == "maintained"
-    assert second["looked_at"] < first["looked_at"]
+    assert second["rows_scanned"] < first["rows_scanned"]
     assert {work["clause"] for work in second["clauses"]} <= {"P1", "P2"}
     held.commit()
     assert held.work[0]["how"] == "skipped"

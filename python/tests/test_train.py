@@ -54,7 +54,7 @@ def test_every_mode_of_the_paper_has_a_configuration_for_every_algorithm() -> No
 
 
 @pytest.mark.parametrize("algorithm", list(ALGORITHMS))
-def test_a_short_run_leaves_all_that_is_promised(
+def test_a_short_run_leaves_all_that_is_constraintd(
     algorithm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = tmp_path / "run"

@@ -23,11 +23,11 @@ pub use codes::CODES;
 pub use grid::{Cell, Heading};
 pub use map::{CityMap, Ground, Junction, Layout, SEMANTIC_MAX, STATIC_LAYERS};
 pub use model::{
-    AgentConfig, AgentGroup, AgentKind, AgentName, AgentSet, Building, Buildings, MapConfig, Routing, Speed, Split,
+    Action, AgentConfig, AgentGroup, AgentKind, AgentName, AgentSet, Building, Buildings, MapConfig, Routing, Split,
     Widths,
 };
-pub use motion::{Moved, Reason, Surroundings, advance, possible_cells, speed_cells};
+pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells, speed_cells};
 pub use places::Places;
 pub use roads::{Lane, NoRoute, Router};
 pub use route::Route;
-pub use view::{View, field_of_view, view_reach};
+pub use view::{FieldOfView, field_of_view, view_reach};

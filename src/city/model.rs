@@ -282,7 +282,7 @@ impl Serialize for AgentConfig {
 
 /// A speed a decision asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-pub enum Speed {
+pub enum Action {
     /// Cars: 1 cell a tick.
     Slow,
     /// Cars: 2 cells a tick; pedestrians: 1.
@@ -293,17 +293,17 @@ pub enum Speed {
     Stop,
 }
 
-impl Speed {
+impl Action {
     /// All four, in the order of their published indices.
-    pub const ALL: [Speed; 4] = [Speed::Slow, Speed::Normal, Speed::Fast, Speed::Stop];
+    pub const ALL: [Action; 4] = [Action::Slow, Action::Normal, Action::Fast, Action::Stop];
 
     /// Its name, which is also the name of its predicate.
     pub const fn name(self) -> &'static str {
         match self {
-            Speed::Slow => "Slow",
-            Speed::Normal => "Normal",
-            Speed::Fast => "Fast",
-            Speed::Stop => "Stop",
+            Action::Slow => "Slow",
+            Action::Normal => "Normal",
+            Action::Fast => "Fast",
+            Action::Stop => "Stop",
         }
     }
 }

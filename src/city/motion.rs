@@ -1,7 +1,7 @@
 //! From a decision to a move.
 
+use crate::city::{Action, AgentKind};
 use crate::city::{Agent, Cell, Places, Rest, Router};
-use crate::city::{AgentKind, Speed};
 use crate::rng::{Purpose, RngExt, Seed};
 
 impl Purpose {
@@ -16,13 +16,13 @@ impl Purpose {
 const CAR_REACH: usize = 3;
 
 /// How many cells agents of a kind move in one tick at a speed. `None` for the speeds pedestrians do not have.
-pub const fn speed_cells(kind: AgentKind, speed: Speed) -> Option<usize> {
+pub const fn speed_cells(kind: AgentKind, speed: Action) -> Option<usize> {
     match (kind, speed) {
-        (_, Speed::Stop) => Some(0),
-        (AgentKind::Pedestrian, Speed::Normal) | (AgentKind::Car, Speed::Slow) => Some(1),
-        (AgentKind::Car, Speed::Normal) => Some(2),
-        (AgentKind::Car, Speed::Fast) => Some(CAR_REACH),
-        (AgentKind::Pedestrian, Speed::Slow | Speed::Fast) => None,
+        (_, Action::Stop) => Some(0),
+        (AgentKind::Pedestrian, Action::Normal) | (AgentKind::Car, Action::Slow) => Some(1),
+        (AgentKind::Car, Action::Normal) => Some(2),
+        (AgentKind::Car, Action::Fast) => Some(CAR_REACH),
+        (AgentKind::Pedestrian, Action::Slow | Action::Fast) => None,
     }
 }
 
@@ -38,7 +38,7 @@ pub fn possible_cells(agent: &Agent) -> usize {
 
 /// Why an agent moved as it did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Reason {
+pub enum MoveReason {
     /// It was decided so.
     Decided,
     /// The route allowed no other move.
@@ -57,7 +57,7 @@ pub struct Moved {
     /// Where it is now.
     pub to: Cell,
     /// Why.
-    pub reason: Reason,
+    pub reason: MoveReason,
     /// Whether it set out for a new goal.
     pub replanned: bool,
 }
@@ -84,12 +84,12 @@ pub struct Surroundings<'a> {
 // Inline, so that what it returns goes to its place in parts: it is larger than a register, and put together first it would be read
 // again before it is written.
 #[inline]
-pub fn advance(agent: &mut Agent, index: usize, decided: Speed, surroundings: &Surroundings<'_>) -> Moved {
+pub fn advance(agent: &mut Agent, index: usize, decided: Action, surroundings: &Surroundings<'_>) -> Moved {
     let from = agent.cell;
     let resting = Moved {
         from,
         to: from,
-        reason: Reason::Resting,
+        reason: MoveReason::Resting,
         replanned: false,
     };
     let mut replanned = false;
@@ -140,15 +140,15 @@ fn draw_cells(most: usize, index: usize, surroundings: &Surroundings<'_>) -> usi
 
 /// How many cells to move: as decided if the route allows it, else the only possible move, else what `draw` draws from 1 to the
 /// number it is given.
-fn choose(agent: &Agent, decided: Speed, draw: impl FnOnce(usize) -> usize) -> (usize, Reason) {
-    if decided == Speed::Stop {
-        return (0, Reason::Decided);
+fn choose(agent: &Agent, decided: Action, draw: impl FnOnce(usize) -> usize) -> (usize, MoveReason) {
+    if decided == Action::Stop {
+        return (0, MoveReason::Decided);
     }
     let most = possible_cells(agent);
     match speed_cells(agent.kind, decided) {
-        Some(cells) if cells <= most => (cells, Reason::Decided),
-        _ if most <= 1 => (most, Reason::OnlyMove),
-        _ => (draw(most), Reason::Drawn),
+        Some(cells) if cells <= most => (cells, MoveReason::Decided),
+        _ if most <= 1 => (most, MoveReason::OnlyMove),
+        _ => (draw(most), MoveReason::Drawn),
     }
 }
 
@@ -207,14 +207,14 @@ mod tests {
     fn the_decision_counts_if_the_route_allows_it() {
         let mut car = car();
         let chosen = |car: &Agent, decided| choose(car, decided, |most| most - 1);
-        assert_eq!(chosen(&car, Speed::Fast), (3, Reason::Decided));
-        assert_eq!(chosen(&car, Speed::Stop), (0, Reason::Decided));
+        assert_eq!(chosen(&car, Action::Fast), (3, MoveReason::Decided));
+        assert_eq!(chosen(&car, Action::Stop), (0, MoveReason::Decided));
         car.step(1);
-        assert_eq!(chosen(&car, Speed::Normal), (2, Reason::Decided));
-        assert_eq!(chosen(&car, Speed::Fast), (1, Reason::Drawn));
+        assert_eq!(chosen(&car, Action::Normal), (2, MoveReason::Decided));
+        assert_eq!(chosen(&car, Action::Fast), (1, MoveReason::Drawn));
         car.step(1);
-        assert_eq!(chosen(&car, Speed::Slow), (1, Reason::Decided));
-        assert_eq!(chosen(&car, Speed::Fast), (1, Reason::OnlyMove));
+        assert_eq!(chosen(&car, Action::Slow), (1, MoveReason::Decided));
+        assert_eq!(chosen(&car, Action::Fast), (1, MoveReason::OnlyMove));
     }
 
     #[test]
@@ -232,10 +232,10 @@ mod tests {
                 seed: Seed(1),
                 tick,
             };
-            let moved = advance(&mut car, 0, Speed::Fast, &surroundings);
+            let moved = advance(&mut car, 0, Action::Fast, &surroundings);
             assert_eq!(
                 (moved.reason, moved.to, moved.replanned),
-                (Reason::Resting, car.goal(), false)
+                (MoveReason::Resting, car.goal(), false)
             );
         }
         assert_eq!(car.rest, Rest::Rested);

@@ -4,17 +4,17 @@ use crate::city::{Cell, CityMap, Heading};
 
 /// The rectangle of cells in a field of view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct View {
+pub struct FieldOfView {
     /// Its upper left cell.
     pub first: Cell,
     /// Its lower right cell, which belongs to it.
     pub last: Cell,
 }
 
-impl View {
+impl FieldOfView {
     /// What is at most so many cells [up, down, left, right] of a cell.
-    pub fn around(at: Cell, [up, down, left, right]: [i32; 4]) -> View {
-        View {
+    pub fn around(at: Cell, [up, down, left, right]: [i32; 4]) -> FieldOfView {
+        FieldOfView {
             first: Cell::new(at.row.saturating_sub(up), at.col.saturating_sub(left)),
             last: Cell::new(at.row.saturating_add(down), at.col.saturating_add(right)),
         }
@@ -41,9 +41,9 @@ pub fn view_reach(heading: Option<Heading>, half_width: u32) -> [i32; 4] {
 }
 
 /// The field of view of an agent, see [`view_reach`]. It ends where the world ends.
-pub fn field_of_view(at: Cell, heading: Option<Heading>, half_width: u32, map: &CityMap) -> View {
-    let View { first, last } = View::around(at, view_reach(heading, half_width));
-    View {
+pub fn field_of_view(at: Cell, heading: Option<Heading>, half_width: u32, map: &CityMap) -> FieldOfView {
+    let FieldOfView { first, last } = FieldOfView::around(at, view_reach(heading, half_width));
+    FieldOfView {
         first: Cell::new(first.row.max(0), first.col.max(0)),
         last: Cell::new(last.row.min(map.rows() - 1), last.col.min(map.cols() - 1)),
     }
@@ -58,7 +58,7 @@ mod tests {
     fn it_reaches_ahead_and_to_both_sides() {
         let map = square([5, 5]);
         let view = |at, heading| {
-            let View { first, last } = field_of_view(at, heading, 25, &map);
+            let FieldOfView { first, last } = field_of_view(at, heading, 25, &map);
             [
                 first.row - at.row,
                 last.row - at.row,

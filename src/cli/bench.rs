@@ -1,20 +1,20 @@
 //! `logicity bench`: how fast rules are evaluated and cities go, on this machine.
 
 use crate::builtin::BuiltinFiles;
+use crate::city::{Action, AgentSet, Building, Buildings, MapConfig, Split};
 use crate::city::{Agent, Cell};
-use crate::city::{AgentSet, Building, Buildings, MapConfig, Speed, Split};
 use crate::cli::{Failure, load_city, one_of, threads};
 use crate::config::Scenario;
 use crate::datalog::Program;
-use crate::datalog::dense::{BitFacts, Counting, Dense, Frame};
+use crate::datalog::dense::{BitFacts, BitState, Dense, TrackFirings};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files;
-use crate::render::{Difficulty, Icons, Picture, Renderer, Scale, Sprite, View, read_png, write_png};
+use crate::render::{Difficulty, Icons, Picture, Renderer, Scale, Sprite, Viewport, read_png, write_png};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{
     CROWD_MAX, Executor, Facts, Inference, Phase, Settings, Simulation, WHOLE_MAX, Width, World, in_words,
 };
-use crate::task::spf::{Egos, Env, PathTask};
+use crate::task::spf::{ControlMode, Env, SpfTask};
 use serde_json::{Value, json};
 use std::hint::black_box;
 use std::io::{self, Write};
@@ -378,17 +378,17 @@ impl<'a> Bench<'a> {
 
     /// Episodes of the task, one after another, the first car driven at random.
     fn env(&mut self, sources: &Sources) -> Result<(), Failure> {
-        let task = Arc::new(PathTask::new(Arc::clone(&self.world), sources)?);
+        let task = Arc::new(SpfTask::new(Arc::clone(&self.world), sources)?);
         let mut observation = vec![0.0; task.observation_width()];
-        let mut env = Env::new(task, self.arguments.split, Egos::First)?;
+        let mut env = Env::new(task, self.arguments.split, ControlMode::First)?;
         let mut stream = Seed(self.arguments.seed).stream(Purpose::POLICY, 0, 0);
         let timed = Timed::run(self.arguments.seconds, |times| {
             for _ in 0..times {
-                if !env.riders()[0].is_running() {
+                if !env.controlled_cars()[0].is_running() {
                     env.reset(stream.random())?;
                 }
                 env.observe(0, &mut observation);
-                env.step(&[Speed::ALL[stream.random_range(0..Speed::ALL.len())]])?;
+                env.step(&[Action::ALL[stream.random_range(0..Action::ALL.len())]])?;
             }
             Ok(())
         })?;
@@ -407,11 +407,11 @@ impl<'a> Bench<'a> {
             }
             moments.push(self.simulation.agents().to_vec());
         }
-        let wrong = |error: crate::render::ViewError| Failure::Usage(error.to_string());
+        let wrong = |error: crate::render::ViewportError| Failure::Usage(error.to_string());
         let corner = Cell::new(0, 0);
-        let published = View::published(corner).map_err(wrong)?;
+        let published = Viewport::published(corner).map_err(wrong)?;
         let scale = Scale::pixels(2).expect("within bounds");
-        let small = (View::new(corner, 128, 128, scale))
+        let small = (Viewport::new(corner, 128, 128, scale))
             .and_then(|view| view.with_agents(12, 8))
             .map_err(wrong)?;
         for (view, percent, what) in [
@@ -433,7 +433,7 @@ impl<'a> Bench<'a> {
         &self,
         moments: &[Vec<Agent>],
         names: &[String],
-        view: View,
+        view: Viewport,
         percent: u8,
         what: Done,
     ) -> Result<(), Failure> {
@@ -507,7 +507,7 @@ impl<'a> Bench<'a> {
 
     fn infer_dense<const W: usize>(&mut self) -> Result<(), Failure> {
         let (world, count) = (Arc::clone(&self.world), self.agents());
-        let dense = world.compile(Counting::Off)?;
+        let dense = world.compile(TrackFirings::Off)?;
         let sets = dense.inputs().len() + dense.lists().len() * 64 * W;
         let moments: Vec<BitFacts<W>> = self.moments(BETWEEN, |facts| {
             (
@@ -619,7 +619,7 @@ fn evaluate<const W: usize>(
     moments: &[BitFacts<W>],
     count: usize,
 ) -> Result<Timed, Failure> {
-    let mut frame = Frame::new(dense, count);
+    let mut frame = BitState::new(dense, count);
     let mut next = 0;
     Timed::run(seconds, |times| {
         for _ in 0..times {

@@ -2,8 +2,8 @@
 
 use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, load_texts, report};
-use crate::datalog::explain::Teller;
-use crate::datalog::{ClauseId, Inputs, RelId, Rules};
+use crate::datalog::explain::ExplanationPrinter;
+use crate::datalog::{ClauseId, Edb, RelId, Rules};
 use crate::datalog::{Program, dense, optimize};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
 use crate::sim::{Coverage, ENTITIES_MAX, Finding, Overlap, conflicts};
@@ -91,7 +91,7 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
         overlaps: Vec::new(),
         covered: None,
     };
-    let loaded = match load_texts(sources, path, Inputs::Given) {
+    let loaded = match load_texts(sources, path, Edb::Fixed) {
         Ok(texts) => texts.check(),
         Err(Failure::Input(faults)) => {
             report.found = faults;
@@ -217,7 +217,7 @@ fn executors_json(rules: &Rules) -> serde_json::Value {
 
 /// Nothing for programs that have fewer than two actions.
 fn tell_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> io::Result<()> {
-    let teller = Teller::new(rules, &rules.symbols, sources);
+    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
     let mut told = false;
     for Overlap { actions, finding } in overlaps {
         let [first, second] = actions.map(|action| action.name());
@@ -250,7 +250,7 @@ fn tell_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sour
 }
 
 fn overlaps_json(overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> serde_json::Value {
-    let teller = Teller::new(rules, &rules.symbols, sources);
+    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
     let told = overlaps.iter().map(|Overlap { actions, finding }| {
         let actions = actions.map(|action| action.name());
         match finding {
@@ -289,7 +289,7 @@ fn measure(arguments: &Arguments, trace: &Path, rules: &Path, sources: &mut Sour
 }
 
 /// The literals as they stand in the clause.
-fn idle(teller: &Teller<'_>, rules: &Rules, clause: ClauseId, idle: &[usize]) -> Vec<String> {
+fn idle(teller: &ExplanationPrinter<'_>, rules: &Rules, clause: ClauseId, idle: &[usize]) -> Vec<String> {
     let clause = &rules.clauses[clause.index()];
     let open = vec![None; clause.variables.len()];
     let literals = idle.iter().map(|&literal| &clause.body[literal]);
@@ -303,7 +303,7 @@ fn tell_coverage(
     rules: &Rules,
     sources: &Sources,
 ) -> io::Result<()> {
-    let teller = Teller::new(rules, &rules.symbols, sources);
+    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
     writeln!(out, "  coverage: {} ticks of {}", coverage.states, trace.display())?;
     writeln!(out, "{:>10}{:>8}  clause", "fired", "ticks")?;
     for clause in &coverage.clauses {
@@ -319,7 +319,7 @@ fn tell_coverage(
 }
 
 fn coverage_json(coverage: &Coverage, rules: &Rules, sources: &Sources) -> serde_json::Value {
-    let teller = Teller::new(rules, &rules.symbols, sources);
+    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
     let clauses: Vec<serde_json::Value> = (coverage.clauses.iter())
         .map(|clause| {
             json!({

@@ -1,7 +1,7 @@
 //! `logicity diff`
 
 use crate::cli::{Failure, load_program, report};
-use crate::datalog::diff::{Cut, Difference, Options, Verdict, diff};
+use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
 use crate::diag::Sources;
 use serde_json::{Map, Value, json};
 use std::io::Write;
@@ -47,7 +47,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
     let names = [&arguments.left, &arguments.right].map(|path| path.display().to_string());
     if arguments.json {
         writeln!(out, "{}", to_json(&verdict))?;
-    } else if let Verdict::Different(difference) = &verdict {
+    } else if let Equivalence::Different(difference) = &verdict {
         writeln!(
             out,
             "{}",
@@ -61,7 +61,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         writeln!(out, "{}", equal(&verdict))?;
     }
     Ok(match verdict {
-        Verdict::Different(_) => 1,
+        Equivalence::Different(_) => 1,
         _ => 0,
     })
 }
@@ -70,13 +70,13 @@ fn plural(count: usize) -> String {
     format!("{count} {}", if count == 1 { "entity" } else { "entities" })
 }
 
-fn equal(verdict: &Verdict) -> String {
+fn equal(verdict: &Equivalence) -> String {
     match verdict {
-        Verdict::Equivalent { entities } => format!(
+        Equivalence::Equivalent { entities } => format!(
             "equivalent: proved (a difference would show in a scene of at most {}, and none does)",
             plural(*entities)
         ),
-        Verdict::NoneFound { entities, proof, cut } => {
+        Equivalence::NoneFound { entities, proof, cut } => {
             let mut text = match entities {
                 Some(entities) => format!("no difference in any scene of at most {}; ", plural(*entities)),
                 None => "no scene could be looked at, not even the smallest; ".to_owned(),
@@ -90,7 +90,7 @@ fn equal(verdict: &Verdict) -> String {
             }
             text
         }
-        Verdict::NoneTried {
+        Equivalence::NoneTried {
             facts,
             entities,
             scenes,
@@ -104,7 +104,7 @@ fn equal(verdict: &Verdict) -> String {
             };
             format!("no difference found in {scenes} scenes: {every}, and larger ones at random; nothing is proved")
         }
-        Verdict::Different(_) => String::new(),
+        Equivalence::Different(_) => String::new(),
     }
 }
 
@@ -157,21 +157,23 @@ fn scene(difference: &Difference) -> Value {
     json!({ "entities": difference.entities, "ego": difference.entities.first(), "facts": facts })
 }
 
-fn to_json(verdict: &Verdict) -> Value {
+fn to_json(verdict: &Equivalence) -> Value {
     match verdict {
-        Verdict::Equivalent { entities } => json!({ "verdict": "equivalent", "proved": true, "entities": entities }),
-        Verdict::NoneFound { entities, proof, cut } => json!({
+        Equivalence::Equivalent { entities } => {
+            json!({ "verdict": "equivalent", "proved": true, "entities": entities })
+        }
+        Equivalence::NoneFound { entities, proof, cut } => json!({
             "verdict": "none-found", "proved": false, "entities": entities, "needed": proof,
             "cut": cut.iter().map(|cut| reason(*cut)).collect::<Vec<_>>(),
         }),
-        Verdict::NoneTried {
+        Equivalence::NoneTried {
             facts,
             entities,
             scenes,
         } => json!({
             "verdict": "none-found", "proved": false, "entities": entities, "facts": facts, "scenes": scenes, "needed": null
         }),
-        Verdict::Different(difference) => {
+        Equivalence::Different(difference) => {
             let derived = |rows: &[(String, Vec<String>)]| -> Value {
                 rows.iter().map(|(name, row)| json!([name, row])).collect()
             };

@@ -8,7 +8,7 @@ use crate::files;
 use crate::files::Output;
 use crate::sim::World;
 use crate::task::spf::{
-    Baseline, Egos, Env, Episode, EpisodeSet, PathTask, Policy, RANDOM_RUNS, Rollout, constrained_by_name,
+    Baseline, ControlMode, Env, Episode, EpisodeSet, Policy, RANDOM_RUNS, Rollout, SpfTask, constrained_by_name,
     make_episodes, rollout, summarise,
 };
 use serde_json::json;
@@ -100,10 +100,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 }
 
 impl Which {
-    fn task(&self, sources: &mut Sources) -> Result<Arc<PathTask>, Failure> {
+    fn task(&self, sources: &mut Sources) -> Result<Arc<SpfTask>, Failure> {
         let (scenario, program, _) = load_city(sources, &self.config, self.rules.as_deref())?;
         let world = World::new(scenario, program)?;
-        Ok(Arc::new(PathTask::new(Arc::new(world), sources)?))
+        Ok(Arc::new(SpfTask::new(Arc::new(world), sources)?))
     }
 
     /// How many episodes a set has.
@@ -116,7 +116,7 @@ impl Which {
     fn load(&self, sources: &mut Sources) -> Result<(Env, EpisodeSet), Failure> {
         let task = self.task(sources)?;
         let set = EpisodeSet::load(&task, self.split, sources, &BuiltinFiles)?;
-        Ok((Env::new(task, self.split, Egos::First)?, set))
+        Ok((Env::new(task, self.split, ControlMode::First)?, set))
     }
 
     fn check(&self, sources: &mut Sources) -> Result<(), Failure> {
@@ -239,8 +239,8 @@ impl Show {
         )?;
         for (number, (episode, done)) in set.episodes.iter().zip(&oracle).enumerate() {
             env.reset_to(episode)?;
-            let ego = &episode.agents[env.riders()[0].agent()];
-            let (carried, cells) = (ego.concepts.join("+"), env.riders()[0].cells());
+            let ego = &episode.agents[env.controlled_cars()[0].agent()];
+            let (carried, cells) = (ego.concepts.join("+"), env.controlled_cars()[0].cells());
             let (steps, total) = (done.steps, done.total);
             writeln!(
                 out,
@@ -298,7 +298,7 @@ impl Spread {
     fn run(&self, sources: &mut Sources) -> Result<(), Failure> {
         let (task, split) = (self.which.task(sources)?, self.which.split);
         let count = self.which.count(self.count);
-        let mut env = Env::new(Arc::clone(&task), split, Egos::First)?;
+        let mut env = Env::new(Arc::clone(&task), split, ControlMode::First)?;
         let bar = progress("set", self.sets.into());
         let mut measured: [Vec<f64>; Self::MEASURES.len()] = Default::default();
         for seed in 1..=u64::from(self.sets) {
@@ -339,7 +339,7 @@ impl Spread {
         Ok(())
     }
 
-    fn measure(task: &PathTask, oracle: &[Rollout], random: &Baseline) -> [f64; Self::MEASURES.len()] {
+    fn measure(task: &SpfTask, oracle: &[Rollout], random: &Baseline) -> [f64; Self::MEASURES.len()] {
         let (wanted, drawn) = (summarise(task, oracle, None), random.summary(task));
         let first = random.rollouts().iter().step_by(RANDOM_RUNS.into());
         let once: Vec<f64> = first.map(|rollout| rollout.total).collect();

@@ -1,10 +1,10 @@
 //! `logicity explain`
 
+use crate::city::Action;
 use crate::city::Cell;
-use crate::city::Speed;
 use crate::cli::Failure;
 use crate::cli::trace::TraceReader;
-use crate::datalog::explain::Teller;
+use crate::datalog::explain::ExplanationPrinter;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
 use crate::sim::{Decision, Driven, Replay, TraceTick, World};
 use serde_json::json;
@@ -23,7 +23,7 @@ pub struct Arguments {
     agent: String,
     /// Tell why this action was not derived instead of why the agent did what it did
     #[arg(long, value_name = "ACTION", value_parser = action)]
-    why_not: Option<Speed>,
+    why_not: Option<Action>,
     /// Print JSON instead: `tick`, `agent`, `at`, `heading`, `derived`, `action`, `explanations`, and `driven` if it was
     #[arg(long)]
     json: bool,
@@ -35,8 +35,8 @@ pub struct Arguments {
     rules: Option<PathBuf>,
 }
 
-fn action(text: &str) -> Result<Speed, String> {
-    let known = Speed::ALL.into_iter().find(|speed| speed.name() == text);
+fn action(text: &str) -> Result<Action, String> {
+    let known = Action::ALL.into_iter().find(|speed| speed.name() == text);
     known.ok_or_else(|| "expected Slow, Normal, Fast or Stop".to_owned())
 }
 
@@ -134,7 +134,7 @@ fn tell(
 /// What an agent that was driven went by, and how its action was judged.
 fn steering(driven: &Driven, world: &World, sources: &Sources) -> Result<String, Diagnostic> {
     let rules = world.program.rules();
-    let teller = Teller::new(rules, &rules.symbols, sources);
+    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
     let label = |&broken: &usize| {
         let message = || format!("there is no clause {broken}");
         let clause = world.clauses().nth(broken);

@@ -32,18 +32,18 @@ pub struct Arguments {
     /// What evaluates the rules; answers are the same with each
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
-    /// Refuse scenes whose facts are not as the rules promise (`.disjoint`, `.implies`, ..). The relational executor then decides
+    /// Refuse scenes whose facts are not as the rules constraint (`.disjoint`, `.implies`, ..). The relational executor then decides
     #[arg(long)]
-    check_promises: bool,
+    check_constraints: bool,
     /// Where to write the answers; standard output unless given
     #[arg(long)]
     out: Option<PathBuf>,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    if arguments.check_promises && arguments.executor == Executor::Dense {
+    if arguments.check_constraints && arguments.executor == Executor::Dense {
         return Err(Failure::Usage(
-            "--check-promises looks at facts as the relational executor has them; leave out --executor dense"
+            "--check-constraints looks at facts as the relational executor has them; leave out --executor dense"
                 .to_owned(),
         ));
     }
@@ -55,8 +55,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         arguments.executor,
         BuiltinFiles,
     )?;
-    if arguments.check_promises {
-        inference.check_promises();
+    if arguments.check_constraints {
+        inference.check_constraints();
     }
 
     let (input, name): (Box<dyn Read>, _) = if arguments.file == Path::new("-") {

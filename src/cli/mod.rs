@@ -29,8 +29,8 @@ mod why;
 use crate::builtin::{BuiltinFiles, read_or_builtin};
 use crate::city::MapConfig;
 use crate::config::{Scenario, load_map, load_scenario};
+use crate::datalog::{Edb, Rules, Workspace};
 use crate::datalog::{EvalError, Limits, Program};
-use crate::datalog::{Inputs, Rules, Workspace};
 use crate::diag::Located;
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, render};
 use crate::files::ReadError;
@@ -72,7 +72,7 @@ enum Command {
     /// Tell why an agent did what it did in a run, or why it did not do something else
     Explain(explain::Arguments),
     /// Make a page of a run that a browser opens: the city moves, and every decision says why
-    View(view::Arguments),
+    Viewport(view::Arguments),
     /// Make, check or show recorded episodes of Safe Path Following
     Episodes(episodes::Arguments),
     /// Make multiple-choice questions in words about what cars do, with solved examples
@@ -272,7 +272,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         Command::Repl(arguments) => repl::run(&arguments, &mut sources),
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
-        Command::View(arguments) => view::run(&arguments, &mut sources),
+        Command::Viewport(arguments) => view::run(&arguments, &mut sources),
         Command::Episodes(arguments) => episodes::run(&arguments, &mut sources),
         Command::Questions(arguments) => questions::run(&arguments, &mut sources),
         Command::Vap(arguments) => vap::run(&arguments, &mut sources),
@@ -434,7 +434,7 @@ pub(super) fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
 
 /// Reads, checks and plans a rule file. Warnings are returned beside the program.
 fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diagnostic>), Failure> {
-    compile(&load_texts(sources, path, Inputs::Given)?)
+    compile(&load_texts(sources, path, Edb::Fixed)?)
 }
 
 /// Checks and plans rules. Warnings are returned beside the program.
@@ -447,7 +447,7 @@ fn compile(texts: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure> {
 }
 
 /// Reads a rule file and all it includes.
-fn load_texts(sources: &mut Sources, path: &Path, inputs: Inputs) -> Result<Workspace, Failure> {
+fn load_texts(sources: &mut Sources, path: &Path, inputs: Edb) -> Result<Workspace, Failure> {
     let text = read(path)?;
     let entry = sources.add(path.display().to_string(), text);
     let mut texts = Workspace::new(inputs);

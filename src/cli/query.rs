@@ -3,8 +3,8 @@
 use crate::cli::why;
 use crate::cli::why::Question;
 use crate::cli::{Failure, LimitOptions, compile, load_texts, make_folder, report, too_much};
-use crate::datalog::{ClauseId, Inputs, MarkKind, RelId, RowPlace};
-use crate::datalog::{Delta, Limits, Moment, Options, Program, RuleWork, Session, Threads, constraints, facts};
+use crate::datalog::{ClauseId, Edb, MarkKind, RelId, RowPlace};
+use crate::datalog::{Delta, EvalEvent, Limits, Options, Program, RuleStats, Session, Threads, constraints, facts};
 use crate::diag::{Code, Diagnostic, Sources, Span};
 use crate::files;
 use crate::files::Output;
@@ -63,17 +63,17 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if arguments.json && question.is_none() {
         return Err(Failure::Usage("--json goes with --explain or --why-not".to_owned()));
     }
-    let texts = load_texts(sources, &arguments.rules, Inputs::Extended)?;
+    let texts = load_texts(sources, &arguments.rules, Edb::Extensible)?;
     let (program, warnings) = compile(&texts)?;
     report(&warnings, sources);
     // Not needed any more, and perhaps large.
     let texts = question.map(|_| texts);
     // The facts are checked below, before anybody sees an answer.
     let options = Options {
-        promises: true,
+        constraints: true,
         ..Options::default()
     };
-    let program = match program.rules().promises.is_empty() {
+    let program = match program.rules().constraints.is_empty() {
         true => program,
         false => Program::with(program.rules().clone(), options)?,
     };
@@ -100,7 +100,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         return Ok(());
     }
 
-    let broken = constraints::broken(&session);
+    let broken = constraints::violations(&session);
     if !broken.is_empty() {
         return Err(broken.into());
     }
@@ -164,8 +164,8 @@ pub(super) fn timed_commit(session: &mut Session) -> Result<(Delta, Times), Diag
     let start = Instant::now();
     let (begun, times) = (Cell::new(start), RefCell::new(Times::default()));
     let watch = |moment| match moment {
-        Moment::Begin(_) => begun.set(Instant::now()),
-        Moment::End(clause) => {
+        EvalEvent::Begin(_) => begun.set(Instant::now()),
+        EvalEvent::End(clause) => {
             let mut times = times.borrow_mut();
             let (time, count) = times.clauses.entry(clause).or_default();
             *time += begun.get().elapsed();
@@ -187,11 +187,11 @@ pub(super) fn profile(session: &Session, times: &Times, sources: &Sources) -> St
     );
     let mut line = |time: Duration, numbers: [String; 4], what: &str| {
         let share = 100.0 * time.as_secs_f64() / times.total.as_secs_f64().max(f64::MIN_POSITIVE);
-        let [given, looked_at, derived, runs] = numbers;
+        let [given, rows_scanned, derived, runs] = numbers;
         let time = format!("{:.3} ms", time.as_secs_f64() * 1e3);
-        text += &format!("{time:>10} {share:>5.1}% {given:>13} {looked_at:>13} {derived:>13} {runs:>6}  {what}\n");
+        text += &format!("{time:>10} {share:>5.1}% {given:>13} {rows_scanned:>13} {derived:>13} {runs:>6}  {what}\n");
     };
-    let mut rules: Vec<(Duration, u64, &RuleWork)> = (session.work().rules())
+    let mut rules: Vec<(Duration, u64, &RuleStats)> = (session.work().rules())
         .map(|rule| {
             let (time, runs) = times.clauses.get(&rule.clause).copied().unwrap_or_default();
             (time, runs, rule)
@@ -199,17 +199,17 @@ pub(super) fn profile(session: &Session, times: &Times, sources: &Sources) -> St
         .collect();
     rules.sort_by_key(|&(time, _, rule)| (Reverse(time), rule.clause));
     for &(time, runs, rule) in &rules {
-        let numbers = [rule.given, rule.looked_at, rule.derived, runs].map(|number| number.to_string());
+        let numbers = [rule.given, rule.rows_scanned, rule.derived, runs].map(|number| number.to_string());
         line(time, numbers, &session.program().show_clause(rule.clause, sources));
     }
     let clauses: Duration = times.clauses.values().map(|(time, _)| *time).sum();
     let rest = times.total.saturating_sub(clauses);
     line(rest, Default::default(), "(sorting, merging, indexes)");
-    let sum = |number: fn(&RuleWork) -> u64| rules.iter().map(|&(_, _, rule)| number(rule)).sum::<u64>();
+    let sum = |number: fn(&RuleStats) -> u64| rules.iter().map(|&(_, _, rule)| number(rule)).sum::<u64>();
     let runs = rules.iter().map(|&(_, runs, _)| runs).sum::<u64>();
     let totals = [
         sum(|rule| rule.given),
-        sum(|rule| rule.looked_at),
+        sum(|rule| rule.rows_scanned),
         sum(|rule| rule.derived),
         runs,
     ];

@@ -1,10 +1,10 @@
 //! `logicity run`
 
-use crate::city::{AgentKind, Speed, Split};
+use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{Failure, load_city, make_folder, one_of};
 use crate::datalog::constraints;
-use crate::datalog::explain::Teller;
+use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{Clause, ClauseId};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::files::Output;
@@ -12,8 +12,8 @@ use crate::page::DECISIONS_MAX;
 use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{
-    Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, Standstill, TraceWriter, Wait, World,
-    hash_sources, standstill, waits,
+    DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TraceWriter, WaitsFor,
+    World, hash_sources, standstill, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeSet;
@@ -49,10 +49,10 @@ pub struct Arguments {
     /// Rule file instead of the configuration's
     #[arg(long)]
     rules: Option<PathBuf>,
-    /// Look at every tick, which then takes as long as with the relational executor, whether the facts are as the rules promise
+    /// Look at every tick, which then takes as long as with the relational executor, whether the facts are as the rules constraint
     /// (`.disjoint`, `.implies`, ..); exit code 1 if they are not
     #[arg(long)]
-    check_promises: bool,
+    check_constraints: bool,
     /// What evaluates the rules; runs are the same with each
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
@@ -84,7 +84,7 @@ struct Tally {
     last_move: Vec<u64>,
     /// For each agent that stands still, whom it waited for when it was looked at, and by which clause.
     waited: Vec<BTreeSet<(usize, ClauseId)>>,
-    /// For each promise that was broken, if that is looked for: what was told first, in which tick, and in how many ticks.
+    /// For each constraint that was broken, if that is looked for: what was told first, in which tick, and in how many ticks.
     broken: Vec<(Diagnostic, u64, u64)>,
 }
 
@@ -140,8 +140,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let tick = simulation.tick(&[])?.tick;
         tally.deciding += begin.elapsed();
         tally.add(&mut simulation);
-        if arguments.check_promises {
-            tally.add_broken(constraints::broken(simulation.moment()?.session()), tick);
+        if arguments.check_constraints {
+            tally.add_broken(constraints::violations(simulation.snapshot()?.session()), tick);
         }
         if let Some(record) = &mut record {
             record.tick(&simulation)?;
@@ -320,16 +320,16 @@ impl Tally {
                 return;
             }
             // Waits that are too many to look at are told in the summary.
-            let Ok(moment) = simulation.moment() else { return };
+            let Ok(moment) = simulation.snapshot() else { return };
             for wait in waits(&moment, &still).unwrap_or_default() {
                 self.waited[wait.agent].insert((wait.on, wait.clause));
             }
         }
     }
 
-    /// Counts the promises that the facts of a tick break.
+    /// Counts the constraints that the facts of a tick break.
     fn add_broken(&mut self, mut faults: Vec<Diagnostic>, tick: u64) {
-        // One directive may promise several things.
+        // One directive may constraint several things.
         faults.dedup_by(|a, b| a.primary == b.primary);
         for fault in faults {
             let same = |(known, ..): &&mut (Diagnostic, u64, u64)| known.primary == fault.primary;
@@ -381,7 +381,7 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
         "decisions", "Slow", "Normal", "Fast", "Stop"
     );
     for (kind, counts) in ["cars", "pedestrians"].into_iter().zip(tally.actions) {
-        let counts: String = Speed::ALL
+        let counts: String = Action::ALL
             .iter()
             .map(|&speed| format!("{:>10}", counts[speed as usize]))
             .collect();
@@ -453,7 +453,7 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
         return;
     }
 
-    let found = (simulation.moment().map_err(|fault| fault.message)).and_then(|moment| {
+    let found = (simulation.snapshot().map_err(|fault| fault.message)).and_then(|moment| {
         Ok((
             waits(&moment, &stuck).map_err(|error| error.to_string())?,
             moment.session(),
@@ -466,15 +466,15 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
             return;
         }
     };
-    let teller = Teller::new(session.program().rules(), session.symbols(), sources);
+    let teller = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
     // `Car_3 (S2) -> Car_7 (S1) -> ..`: who waits, by which clause, and for whom.
-    let chain = |way: &[Wait]| {
+    let chain = |way: &[WaitsFor]| {
         let links: String = (way.iter())
             .map(|wait| format!("{} ({}) -> ", name(wait.agent), teller.label(wait.clause)))
             .collect();
         links + way.last().map_or("", |wait| name(wait.on))
     };
-    let Standstill {
+    let DeadlockReport {
         deadlocks,
         behind,
         starving,

@@ -3,7 +3,7 @@
 use crate::cli::Failure;
 use crate::datalog::Session;
 use crate::datalog::Workspace;
-use crate::datalog::explain::{Explainer, Teller};
+use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::diag::{Diagnostic, SourceId, Sources};
 use serde_json::json;
 use std::io::Write;
@@ -35,7 +35,7 @@ pub fn tell(
     let fact = texts.fact(sources, source, session.symbols())?;
     let (holds, explanation) =
         (Explainer::new(session).explain_either(fact.relation, &fact.values)).map_err(Diagnostic::from)?;
-    let teller = Teller::new(session.program().rules(), session.symbols(), sources).quoting();
+    let teller = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources).quoting();
     let shown = teller.row(fact.relation, &fact.values);
     if as_json {
         let mut line = json!({ "fact": shown, "holds": holds });

@@ -3,7 +3,7 @@
 //! `configs/README.md` tells the same to users, key by key. Whether a city can be built from the values, for example whether a
 //! street has room for its lanes, is asked of the city.
 
-use crate::city::{AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Speed, Split, Widths};
+use crate::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split, Widths};
 use crate::config::compose::{Composer, Read};
 use crate::config::model::*;
 use crate::config::read::{Fields, choice, entries, integer, invalid, is_name, list, name, number, text};
@@ -300,7 +300,7 @@ fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
     for (key, node) in entries.iter().filter(|(_, node)| !node.is_null()) {
         let fault = if key.text == SEES {
             Some(format!("`{SEES}` is always there and is the field of view"))
-        } else if Speed::ALL.iter().any(|speed| speed.name() == key.text) {
+        } else if Action::ALL.iter().any(|speed| speed.name() == key.text) {
             Some(format!("`{}` is an action, rules derive it", key.text))
         } else if !is_name(&key.text) {
             let message = "expected the name of a predicate (letters, digits and `_`, no digit first)";
@@ -724,7 +724,7 @@ pub(super) fn carried(
 }
 
 fn actions(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<ActionsConfig> {
-    let speeds = Speed::ALL.map(|speed| (speed.name(), speed));
+    let speeds = Action::ALL.map(|speed| (speed.name(), speed));
     let mut fields = Fields::open(node, "the actions", faults)?;
     let priority = fields.required("priority", faults).and_then(|node| {
         let items = list(node, "the four actions", faults)?;
@@ -732,7 +732,7 @@ fn actions(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<ActionsConfig> {
         let order = order?;
         let mut sorted = order.clone();
         sorted.sort_unstable();
-        if sorted != Speed::ALL {
+        if sorted != Action::ALL {
             let message = "expected each of `Slow`, `Normal`, `Fast`, `Stop` exactly once";
             faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
             return None;

@@ -2,7 +2,7 @@
 //!
 //! The serialised form holds the content without file names and places. It is what [`Scenario::hash`] is taken of.
 
-use crate::city::{AgentKind, AgentSet, MapConfig, Routing, Speed, Split};
+use crate::city::{Action, AgentKind, AgentSet, MapConfig, Routing, Split};
 use crate::diag::{Located, Span};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -78,9 +78,9 @@ impl Definition {
 #[derive(Clone, Debug, Serialize)]
 pub struct ActionsConfig {
     /// If several actions are derived, the first of this list is taken. Each of the four exactly once.
-    pub priority: Vec<Speed>,
+    pub priority: Vec<Action>,
     /// The action if none is derived.
-    pub default: Speed,
+    pub default: Action,
 }
 
 /// How violations of rules are added up.
@@ -108,7 +108,7 @@ impl ViolationsPer {
 /// What a step of Safe Path Following is worth. The numbers are rewards: what costs is negative.
 #[derive(Clone, Debug, Serialize)]
 pub struct RewardConfig {
-    /// For each action, in the order of [`Speed::ALL`]; divided by four times the cells of the route.
+    /// For each action, in the order of [`Action::ALL`]; divided by four times the cells of the route.
     pub actions: [f64; 4],
     /// For a violation, not divided.
     pub violation: f64,
@@ -131,7 +131,7 @@ pub struct EgoConfig {
 
 /// Safe Path Following in this scenario (`configs/tasks/*.yaml`).
 #[derive(Clone, Debug, Serialize)]
-pub struct PathTaskConfig {
+pub struct SpfConfig {
     /// How many entities the ego observes, itself included; 1 to 64.
     pub entities: u32,
     /// Rows of the `state` observation, one for each agent, the ego included; 1 to 1024.
@@ -179,7 +179,7 @@ pub struct Scenario {
     pub ticks: u32,
     /// Safe Path Following, if the configuration has it.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub task: Option<PathTaskConfig>,
+    pub task: Option<SpfConfig>,
     /// SHA-256 of the configuration with all its parts, in hexadecimal: equal for equal content, whatever the file names.
     #[serde(skip)]
     pub hash: String,

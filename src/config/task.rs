@@ -1,6 +1,6 @@
 //! The task of a run configuration: Safe Path Following.
 
-use crate::city::{AgentKind, Speed, Split};
+use crate::city::{Action, AgentKind, Split};
 use crate::config::compose::Composer;
 use crate::config::load::{Concepts, Predicates, carried};
 use crate::config::model::*;
@@ -21,11 +21,7 @@ const MAX_PATIENCE: u32 = 1000;
 const MAX_REWARD: f64 = 1e6;
 
 /// The task of Safe Path Following.
-pub(super) fn path(
-    composer: &mut Composer<'_>,
-    node: &Node,
-    predicates: Option<&Predicates>,
-) -> Option<PathTaskConfig> {
+pub(super) fn path(composer: &mut Composer<'_>, node: &Node, predicates: Option<&Predicates>) -> Option<SpfConfig> {
     let mut fields = Fields::open(node, "a task", &mut composer.faults)?;
     fields.optional("base");
     let episodes = fields.optional("episodes").map(|node| episodes(composer, node));
@@ -41,7 +37,7 @@ pub(super) fn path(
     let ego_of = fields.optional("ego").map(|node| ego(node, predicates, faults));
     let usual = "`base: configs/tasks/common.yaml` gives what is usual";
     fields.close_with(Some(usual), faults);
-    Some(PathTaskConfig {
+    Some(SpfConfig {
         entities: entities?,
         state_agents: state_agents?,
         route_length: route_length?,
@@ -67,7 +63,7 @@ fn reward(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
     let mut fields = Fields::open(node, "the reward", faults)?;
     let actions = fields.required("actions", faults).and_then(|node| {
         let mut fields = Fields::open(node, "the rewards of actions", faults)?;
-        let rewards = Speed::ALL.map(|speed| {
+        let rewards = Action::ALL.map(|speed| {
             let node = fields.required(speed.name(), faults)?;
             reward_value(node, faults)
         });

@@ -109,7 +109,7 @@ struct Extent {
 }
 
 /// Whether parsing can go on; if not, the fault that stops it.
-type Step = Result<(), Box<Diagnostic>>;
+type Progress = Result<(), Box<Diagnostic>>;
 
 struct Builder<'a> {
     source: SourceId,
@@ -195,7 +195,7 @@ impl Builder<'_> {
         Span::new(self.source, range.start..range.start + length)
     }
 
-    fn spend(&mut self, nodes: usize, span: Span) -> Step {
+    fn spend(&mut self, nodes: usize, span: Span) -> Progress {
         *self.nodes_left = self.nodes_left.checked_sub(nodes).ok_or_else(|| {
             let message = format!("more than {MAX_NODES} values in one configuration");
             Box::new(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(span, "the limit is passed here"))
@@ -203,7 +203,7 @@ impl Builder<'_> {
         Ok(())
     }
 
-    fn event(&mut self, event: Event<'_>, mark: &Mark) -> Step {
+    fn event(&mut self, event: Event<'_>, mark: &Mark) -> Progress {
         let span = self.span(mark);
         if let Some(tag) = event.tag() {
             let fault = Diagnostic::new(
@@ -258,7 +258,7 @@ impl Builder<'_> {
         Ok(())
     }
 
-    fn close(&mut self, open: Open, end: &Mark) -> Step {
+    fn close(&mut self, open: Open, end: &Mark) -> Progress {
         let Open {
             mut node,
             block,
@@ -281,7 +281,7 @@ impl Builder<'_> {
     }
 
     /// Puts a complete value into the collection it belongs to.
-    fn finished(&mut self, node: Node, anchor: usize) -> Step {
+    fn finished(&mut self, node: Node, anchor: usize) -> Progress {
         if anchor != 0 {
             let extent = extent(&node);
             self.spend(extent.nodes, node.span)?;

@@ -31,8 +31,8 @@ crate::diagnostic_codes! {
     EXTENDED_INPUT = "extended-input", Warning;
     /// A `.scope` that cannot guard the rules it is given.
     INVALID_SCOPE = "invalid-scope", Error;
-    /// A promise that its predicates cannot keep: they are derived, or their columns do not fit it.
-    INVALID_PROMISE = "invalid-promise", Error;
+    /// A constraint that its predicates cannot keep: they are derived, or their columns do not fit it.
+    INVALID_CONSTRAINT = "invalid-constraint", Error;
     /// A named variable that occurs only once in its rule.
     SINGLETON_VARIABLE = "singleton-variable", Warning;
     /// A clause that derives nothing another clause does not.
@@ -53,8 +53,8 @@ crate::diagnostic_codes! {
     REPEATED_BODY = "repeated-body", Warning;
     /// A row of a facts file that does not fit its predicate's declaration.
     INVALID_FACT = "invalid-fact", Error;
-    /// Facts that are not as the rules promise.
-    BROKEN_PROMISE = "broken-promise", Error;
+    /// Facts that are not as the rules constraint.
+    CONSTRAINT_VIOLATION = "constraint-violation", Error;
     /// Two rule sets, or rules and a configuration, do not fit: an input predicate or an action that the other side does not have.
     RULE_MISMATCH = "rule-mismatch", Error;
 }

@@ -35,13 +35,13 @@ mod workspace;
 
 pub use analysis::{constraints, diff};
 pub use check::{
-    Atom, Clause, ClauseId, Column, Comparing, Constraint, Directive, Inputs, Literal, Promise, RelId, Relation,
-    RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
+    Atom, Clause, ClauseId, Column, Comparing, Constraint, DeclaredConstraint, Directive, Edb, Literal, RelId,
+    Relation, RowFormat, RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
 pub use codes::CODES;
-pub use eval::delta::{Change, Delta, Rows};
+pub use eval::delta::{Delta, RelationChange, Rows};
 pub use eval::limits::{EvalError, Limits};
-pub use eval::stats::{Moment, RuleWork, Strategy, StratumWork, Work, WorkLog};
+pub use eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
 pub use eval::workers::Threads;
 #[cfg(feature = "optimizer")]
 pub use plan::optimize;

@@ -110,12 +110,12 @@ impl Shown<'_> {
                     out += "    once\n";
                     self.show_steps(&mut out, clause, &plans.complete);
                 }
-                for ((over, plan), detours) in plans.deltas.iter().zip(&plans.detours) {
+                for ((over, plan), alternatives) in plans.deltas.iter().zip(&plans.alternatives) {
                     out += &format!("    for the new rows of {}\n", self.name(*over));
                     self.show_steps(&mut out, clause, plan);
-                    for detour in detours {
+                    for alternative in alternatives {
                         out += "    or, in a round where that looks at less\n";
-                        self.show_steps(&mut out, clause, detour);
+                        self.show_steps(&mut out, clause, alternative);
                     }
                 }
             }
@@ -167,7 +167,7 @@ impl Shown<'_> {
                     let terms: Vec<(u16, Slot)> = found.chain(bind.iter().chain(check).copied()).collect();
                     format!("scan   {}", self.show_lookup(*source, &terms, key.len(), &value))
                 }
-                Step::Exists { source, key } | Step::Absent { source, key } => {
+                Step::Exists { source, key } | Step::AntiJoin { source, key } => {
                     let terms: Vec<(u16, Slot)> =
                         key.iter().zip(0_u16..).map(|(&slot, column)| (column, slot)).collect();
                     let what = if matches!(step, Step::Exists { .. }) {
@@ -177,7 +177,7 @@ impl Shown<'_> {
                     };
                     format!("{what} {}", self.show_lookup(*source, &terms, key.len(), &value))
                 }
-                Step::Meet { lists, to } => {
+                Step::LeapfrogJoin { lists, to } => {
                     let list = |list: &List| {
                         let found = list.key.iter().chain([to]).zip(0_u16..);
                         let terms: Vec<(u16, Slot)> = found.map(|(&slot, column)| (column, slot)).collect();

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::datalog::check::{Inputs, RelId, Relation, Rules};
+use crate::datalog::check::{Edb, RelId, Relation, Rules};
 #[cfg(feature = "optimizer")]
 use crate::datalog::plan::optimize;
 use crate::datalog::plan::{Compiled, Plans};
@@ -20,16 +20,16 @@ pub struct Program(pub(super) Arc<Compiled>);
 pub struct Options {
     /// Simplify clauses before they are planned. Without the feature `optimizer` clauses are planned as they are.
     pub optimize: bool,
-    /// Rely on [`Rules::promises`]. Where facts break a promise, answers may then be wrong; [`promise::broken`] tells.
-    pub promises: bool,
+    /// Rely on [`Rules::constraints`]. Where facts violate a constraint, answers may then be wrong; [`constraint::broken`] tells.
+    pub constraints: bool,
 }
 
 impl Default for Options {
-    /// Optimised, relying on no promise.
+    /// Optimised, relying on no constraint.
     fn default() -> Self {
         Options {
             optimize: true,
-            promises: false,
+            constraints: false,
         }
     }
 }
@@ -38,7 +38,7 @@ impl Program {
     /// Loads the rules of `entry`, a text of `sources`, with [`load`](crate::datalog::load) and plans them. Beside the program stand all errors
     /// and warnings; there is none if one of them is an error.
     pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) -> (Option<Program>, Vec<Diagnostic>) {
-        Program::load_with(sources, entry, read, Inputs::Given)
+        Program::load_with(sources, entry, read, Edb::Fixed)
     }
 
     /// As [`Program::load`], with a choice of what an `.input` is.
@@ -46,7 +46,7 @@ impl Program {
         sources: &mut Sources,
         entry: SourceId,
         read: &dyn ReadFile,
-        inputs: Inputs,
+        inputs: Edb,
     ) -> (Option<Program>, Vec<Diagnostic>) {
         let mut loaded = workspace::load_with(sources, entry, read, inputs);
         let program = loaded
@@ -65,14 +65,14 @@ impl Program {
     pub fn with(rules: Rules, options: Options) -> Result<Program, Diagnostic> {
         #[cfg(feature = "optimizer")]
         let plans = match options.optimize {
-            true => Plans::new(&optimize::optimize(&rules, options.promises))?,
+            true => Plans::new(&optimize::optimize(&rules, options.constraints))?,
             false => Plans::new(&rules)?,
         };
         #[cfg(not(feature = "optimizer"))]
         let plans = {
             let Options {
                 optimize: _,
-                promises: _,
+                constraints: _,
             } = options;
             Plans::new(&rules)?
         };
@@ -94,7 +94,7 @@ impl Program {
     pub(super) fn base(&self, rel: RelId) -> Result<&Relation, RowError> {
         let relation = self.rules().relations.get(rel.index());
         let relation = relation.ok_or(RowError::UnknownRelation)?;
-        if relation.derived && relation.given.is_none() {
+        if relation.derived && relation.edb.is_none() {
             return Err(RowError::Derived {
                 relation: relation.name.clone(),
             });

@@ -4,9 +4,9 @@ use std::fmt;
 
 use crate::datalog::check::{ClauseId, RelId, Relation};
 use crate::datalog::eval::delta::Delta;
-use crate::datalog::eval::exec::{self, Orders, Store};
+use crate::datalog::eval::exec::{self, CommitOptions, Store};
 use crate::datalog::eval::limits::{EvalError, Limits};
-use crate::datalog::eval::stats::{Moment, Strategy, WorkLog};
+use crate::datalog::eval::stats::{EvalEvent, EvalStats, Strategy};
 use crate::datalog::eval::workers::{Threads, Workers};
 use crate::datalog::program::Program;
 use crate::datalog::syntax::ast::BaseType;
@@ -25,7 +25,7 @@ pub struct Session {
     limits: Limits,
     strategy: Strategy,
     workers: Workers,
-    work: WorkLog,
+    work: EvalStats,
 }
 
 impl Program {
@@ -38,7 +38,7 @@ impl Program {
             limits: Limits::default(),
             strategy: Strategy::Auto,
             workers: Workers::default(),
-            work: WorkLog::default(),
+            work: EvalStats::default(),
         }
     }
 }
@@ -94,7 +94,7 @@ impl Session {
         /// Words that are handed on at once.
         const PART: usize = 1 << 12;
         let (relation, known) = (self.program.base(rel)?, self.symbols.len());
-        let (to, arity) = (relation.given.unwrap_or(rel), relation.arity());
+        let (to, arity) = (relation.edb.unwrap_or(rel), relation.arity());
         let symbolic = relation.columns.iter().any(|column| column.base == BaseType::Symbol);
         let before = self.store.noted(to);
         let mut words: Vec<Value> = Vec::with_capacity(PART);
@@ -140,7 +140,7 @@ impl Session {
     fn check(&self, rel: RelId, row: &[Value]) -> Result<RelId, RowError> {
         let relation = self.program.base(rel)?;
         check_row(relation, row, self.symbols.len())?;
-        Ok(relation.given.unwrap_or(rel))
+        Ok(relation.edb.unwrap_or(rel))
     }
 
     /// Makes what was noted true and derives what follows. Says exactly what became true and what stopped being true, in every
@@ -152,7 +152,7 @@ impl Session {
 
     /// The same, telling on the calling thread when the evaluation of a clause begins and ends. The engine reads no clock; whoever
     /// watches may.
-    pub fn commit_watched(&mut self, watch: &dyn Fn(Moment)) -> Result<Delta, EvalError> {
+    pub fn commit_watched(&mut self, watch: &dyn Fn(EvalEvent)) -> Result<Delta, EvalError> {
         self.commit_with(Some(watch), None)
     }
 
@@ -167,10 +167,10 @@ impl Session {
 
     fn commit_with(
         &mut self,
-        watch: Option<&dyn Fn(Moment)>,
+        watch: Option<&dyn Fn(EvalEvent)>,
         ask: Option<&dyn Fn() -> bool>,
     ) -> Result<Delta, EvalError> {
-        let orders = Orders {
+        let orders = CommitOptions {
             strategy: self.strategy,
             limits: self.limits,
             workers: &self.workers,
@@ -230,7 +230,7 @@ impl Session {
     }
 
     /// What the last successful commit did.
-    pub fn work(&self) -> &WorkLog {
+    pub fn work(&self) -> &EvalStats {
         &self.work
     }
 }

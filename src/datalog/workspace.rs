@@ -17,7 +17,7 @@ use crate::datalog::check::clause;
 use crate::datalog::check::clause::{names_in, names_of};
 use crate::datalog::check::witness::{renamed, renamed_term};
 use crate::datalog::check::{self as rules, Comparing, RelId, Rules};
-use crate::datalog::check::{Inputs, check, inline, names};
+use crate::datalog::check::{Edb, check, inline, names};
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::syntax::ast::{
     Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind,
@@ -60,11 +60,11 @@ impl Loaded {
 /// not found, for the path [`BUILTIN_FOLDER`](crate::files::BUILTIN_FOLDER)`/x`, at which the caller may serve rule files of its own.
 /// Included texts are added to `sources`.
 pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) -> Loaded {
-    load_with(sources, entry, read, Inputs::Given)
+    load_with(sources, entry, read, Edb::Fixed)
 }
 
 /// As [`load`], with a choice of what an `.input` is.
-pub fn load_with(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile, inputs: Inputs) -> Loaded {
+pub fn load_with(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile, inputs: Edb) -> Loaded {
     let mut texts = Workspace::new(inputs);
     texts.add(sources, entry, read);
     texts.check()
@@ -74,7 +74,7 @@ pub fn load_with(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile, in
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
     gathered: Gathered,
-    inputs: Inputs,
+    inputs: Edb,
     faults: Faults,
 }
 
@@ -95,7 +95,7 @@ impl Workspace {
     pub const ANSWER: &str = ANSWER;
 
     /// None yet.
-    pub fn new(inputs: Inputs) -> Self {
+    pub fn new(inputs: Edb) -> Self {
         Workspace {
             inputs,
             ..Workspace::default()

@@ -10,13 +10,13 @@
 
 mod proofs;
 
-use crate::city::{AgentKind, Speed};
+use crate::city::{Action, AgentKind};
 use crate::city::{Cell, Heading, Route, field_of_view};
-use crate::datalog::explain::{Explainer, Teller};
+use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::render::{Class, Facing, Icons};
-use crate::sim::{LOOK_TICKS, Replay, STUCK_TICKS, TraceAgent, TraceHeader, TraceTick, Wait, standstill, waits};
+use crate::sim::{LOOK_TICKS, Replay, STUCK_TICKS, TraceAgent, TraceHeader, TraceTick, WaitsFor, standstill, waits};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
@@ -174,7 +174,7 @@ impl Page {
     /// A page without ticks, for the trace of that header.
     pub fn new(replay: &Replay, header: &TraceHeader, icons: &Icons, sources: &Sources) -> Page {
         let world = replay.world();
-        let teller = Teller::new(world.program.rules(), replay.session().symbols(), sources);
+        let teller = ExplanationPrinter::new(world.program.rules(), replay.session().symbols(), sources);
         let mut proofs = Proofs::default();
         let counted = world.clauses().map(|clause| proofs.clause(&teller, clause)).count();
         for index in 0..world.program.rules().clauses.len() {
@@ -205,14 +205,14 @@ impl Page {
             seed: header.seed,
             hash: header.rules_hash.clone(),
             map: Map::new(world.map()),
-            actions: Speed::ALL.map(Speed::name),
+            actions: Action::ALL.map(Action::name),
             headings: Heading::ALL.map(Heading::name),
             predicates: predicates.collect(),
             counted,
             firings: (world.clauses())
                 .map(|clause| {
                     let head = world.program.rules().clauses[clause.index()].head.relation;
-                    let is_action = Speed::ALL
+                    let is_action = Action::ALL
                         .map(|speed| world.vocabulary.action(speed))
                         .contains(&Some(head));
                     (0, is_action)
@@ -360,12 +360,12 @@ impl Page {
     /// Why each agent did each action or did not.
     fn explain(&mut self, replay: &Replay, sources: &Sources) -> Result<Vec<[i64; 4]>, Diagnostic> {
         let session = replay.session();
-        let teller = Teller::new(session.program().rules(), session.symbols(), sources);
+        let teller = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
         let mut explainer = Explainer::new(session);
         let mut all = Vec::with_capacity(self.agents.len());
         for position in 0..self.agents.len() {
             let mut nodes = [-1; 4];
-            for (node, action) in nodes.iter_mut().zip(Speed::ALL) {
+            for (node, action) in nodes.iter_mut().zip(Action::ALL) {
                 let Some(relation) = replay.world().vocabulary.action(action) else {
                     continue;
                 };
@@ -417,7 +417,7 @@ impl Page {
         if stuck.is_empty() {
             return;
         }
-        let Ok(waits) = waits(&replay.moment(), &stuck) else {
+        let Ok(waits) = waits(&replay.snapshot(), &stuck) else {
             self.looks_given_up += 1;
             return;
         };
@@ -429,7 +429,7 @@ impl Page {
                 known.until = now;
                 continue;
             }
-            let position = |wait: &Wait| replay.world().clauses().position(|clause| clause == wait.clause);
+            let position = |wait: &WaitsFor| replay.world().clauses().position(|clause| clause == wait.clause);
             self.deadlocks.push(Deadlock {
                 clauses: circle.iter().map(position).collect(),
                 since: agents.iter().map(|&agent| self.still_since[agent]).max().unwrap_or(now),

@@ -3,13 +3,14 @@
 use crate::datalog;
 use crate::datalog::ClauseId;
 use crate::datalog::explain::{
-    Absence, Explanation, Fact, Failure, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise, Reason, Teller,
+    Absence, AbsenceReason, Explanation, ExplanationPrinter, Fact, Failure, FailureKind, Miss, Node, NodeId, Obstacle,
+    Origin, Premise,
 };
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::HashMap;
 
-/// Nodes as [`Teller::json`] tells them, under short names and with numbers that hold for the whole run.
+/// Nodes as [`ExplanationPrinter::json`] tells them, under short names and with numbers that hold for the whole run.
 #[derive(Default, Serialize)]
 pub struct Proofs {
     /// Clauses: `head`, `file`, `line`, `doc`, `label`, `text`.
@@ -30,7 +31,7 @@ pub struct Proofs {
 
 impl Proofs {
     /// The position of a clause.
-    pub fn clause(&mut self, teller: &Teller<'_>, clause: ClauseId) -> usize {
+    pub fn clause(&mut self, teller: &ExplanationPrinter<'_>, clause: ClauseId) -> usize {
         let next = self.clauses.len();
         let position = *self.known_clauses.entry(clause).or_insert(next);
         if position == next {
@@ -44,7 +45,7 @@ impl Proofs {
 
     /// Adds an explanation; the number of its first node. Nodes that lead back to themselves, as what does not hold in a recursion may, are
     /// stored for each explanation anew.
-    pub fn add(&mut self, teller: &Teller<'_>, explanation: &Explanation) -> u32 {
+    pub fn add(&mut self, teller: &ExplanationPrinter<'_>, explanation: &Explanation) -> u32 {
         let nodes = explanation.nodes();
         let mut numbers: Vec<Option<u32>> = vec![None; nodes.len()];
         let mut state = vec![State::New; nodes.len()];
@@ -88,7 +89,7 @@ impl Proofs {
 
     /// The number of a node whose children have theirs. Most have been told before, so words are looked for only once it is clear
     /// that this one has not.
-    fn share(&mut self, teller: &Teller<'_>, node: &Node, numbers: &[Option<u32>]) -> u32 {
+    fn share(&mut self, teller: &ExplanationPrinter<'_>, node: &Node, numbers: &[Option<u32>]) -> u32 {
         self.key.clear();
         write_key(node, numbers, &mut self.key);
         if let Some(&number) = self.known_nodes.get(self.key.as_slice()) {
@@ -100,7 +101,7 @@ impl Proofs {
         number
     }
 
-    fn told(&mut self, teller: &Teller<'_>, node: &Node, numbers: &[Option<u32>]) -> Value {
+    fn told(&mut self, teller: &ExplanationPrinter<'_>, node: &Node, numbers: &[Option<u32>]) -> Value {
         let clauses: Vec<usize> = clauses_of(node)
             .into_iter()
             .map(|clause| self.clause(teller, clause))
@@ -141,7 +142,7 @@ fn short(node: &Value, clauses: &[usize], numbers: &[Option<u32>]) -> Value {
     short
 }
 
-/// The clauses that a node speaks of, in the order in which [`Teller::json`] tells them.
+/// The clauses that a node speaks of, in the order in which [`ExplanationPrinter::json`] tells them.
 fn clauses_of(node: &Node) -> Vec<ClauseId> {
     match node {
         Node::Fact(fact) => match &fact.origin {
@@ -150,8 +151,8 @@ fn clauses_of(node: &Node) -> Vec<ClauseId> {
             Origin::Derived(derivation) => vec![derivation.clause],
         },
         Node::Absence(absence) => match &absence.reason {
-            Reason::NoClause(misses) => misses.iter().map(|miss| miss.clause).collect(),
-            Reason::NotAFact | Reason::NotLookedInto => Vec::new(),
+            AbsenceReason::NoClause(misses) => misses.iter().map(|miss| miss.clause).collect(),
+            AbsenceReason::NotAFact | AbsenceReason::NotLookedInto => Vec::new(),
         },
     }
 }
@@ -163,7 +164,7 @@ enum State {
     Done,
 }
 
-/// The nodes that a node speaks of, in the order in which [`Teller::json`] tells them.
+/// The nodes that a node speaks of, in the order in which [`ExplanationPrinter::json`] tells them.
 fn children(node: &Node) -> impl Iterator<Item = NodeId> + '_ {
     let (premises, misses): (&[Premise], &[Miss]) = match node {
         Node::Fact(Fact {
@@ -171,7 +172,7 @@ fn children(node: &Node) -> impl Iterator<Item = NodeId> + '_ {
             ..
         }) => (&derivation.premises, &[]),
         Node::Absence(Absence {
-            reason: Reason::NoClause(misses),
+            reason: AbsenceReason::NoClause(misses),
             ..
         }) => (&[], misses),
         Node::Fact(_) | Node::Absence(_) => (&[], &[]),
@@ -230,9 +231,9 @@ fn write_key(node: &Node, numbers: &[Option<u32>], key: &mut Vec<u32>) {
             key.extend([1, absence.relation.0]);
             write_pattern(&absence.pattern, key);
             match &absence.reason {
-                Reason::NotAFact => key.push(0),
-                Reason::NotLookedInto => key.push(1),
-                Reason::NoClause(misses) => {
+                AbsenceReason::NotAFact => key.push(0),
+                AbsenceReason::NotLookedInto => key.push(1),
+                AbsenceReason::NoClause(misses) => {
                     key.extend([2, count(misses.len())]);
                     for Miss { clause, obstacle } in misses {
                         key.push(clause.0);

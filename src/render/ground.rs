@@ -7,7 +7,7 @@ use crate::city::{Cell, CityMap, Ground, Heading};
 use crate::render::class::{Class, Facing};
 use crate::render::icon::Icons;
 use crate::render::picture::{Picture, Rgb};
-use crate::render::view::{Scale, View};
+use crate::render::view::{Scale, Viewport};
 use crate::rng::{Purpose, RngExt, Seed};
 
 impl Purpose {
@@ -247,7 +247,7 @@ pub(super) const fn roof(building: Building) -> Rgb {
 }
 
 /// The picture of a view without agents.
-pub(super) fn draw(map: &CityMap, icons: &Icons, view: &View, look: Look) -> Picture {
+pub(super) fn draw(map: &CityMap, icons: &Icons, view: &Viewport, look: Look) -> Picture {
     let (width, height) = view.size();
     let mut picture = Picture::new(width, height, [0; 3]);
     let texture = Texture::new(look.seed, icons.difficulty().share());
@@ -285,7 +285,7 @@ pub(super) fn draw(map: &CityMap, icons: &Icons, view: &View, look: Look) -> Pic
 }
 
 /// Every building that the view shows a part of.
-fn buildings(map: &CityMap, icons: &Icons, view: &View, first: u32, picture: &mut Picture) {
+fn buildings(map: &CityMap, icons: &Icons, view: &Viewport, first: u32, picture: &mut Picture) {
     let layout = map.layout;
     let [block_rows, block_cols] = layout.blocks();
     let shown = |from: i32, cells: i32, blocks: i32| {

@@ -1,7 +1,7 @@
 //! What stands beside and above the map: the legend and the line that says what happens.
 
 use crate::city::CityMap;
-use crate::city::{AgentKind, Building, Speed};
+use crate::city::{Action, AgentKind, Building};
 use crate::render::class::{Class, Facing};
 use crate::render::ground::{MID_LINE, PAINT, Texture, roof};
 use crate::render::icon::{Icons, PixelBox};
@@ -23,17 +23,17 @@ const NAME: usize = 18;
 pub(super) const MUTED: Rgb = [0x74, 0x7a, 0x85];
 
 /// The colour that stands for an action.
-pub(super) const fn action_colour(action: Speed) -> Rgb {
+pub(super) const fn action_colour(action: Action) -> Rgb {
     match action {
-        Speed::Stop => [0xe5, 0x23, 0x2b],
-        Speed::Slow => [0xff, 0xb4, 0x1f],
-        Speed::Normal => [0x2f, 0xb8, 0x4f],
-        Speed::Fast => [0x2f, 0x7f, 0xff],
+        Action::Stop => [0xe5, 0x23, 0x2b],
+        Action::Slow => [0xff, 0xb4, 0x1f],
+        Action::Normal => [0x2f, 0xb8, 0x4f],
+        Action::Fast => [0x2f, 0x7f, 0xff],
     }
 }
 
 /// A mark of an action around a place.
-pub(super) fn draw_action(action: Speed, (x, y): (i32, i32), picture: &mut Picture) {
+pub(super) fn draw_action(action: Action, (x, y): (i32, i32), picture: &mut Picture) {
     for (reach, rgb) in [(3, [0x20, 0x25, 0x2d]), (2, action_colour(action))] {
         for (wide, high) in [(reach, reach - 1), (reach - 1, reach)] {
             picture.fill(around(x, y, wide, high), rgb);
@@ -139,7 +139,7 @@ pub(super) fn draw_static(map: &CityMap, icons: &Icons, fine: bool, picture: &mu
     }
     column.y += BREAK;
     column.heading("ACTIONS");
-    for action in [Speed::Stop, Speed::Slow, Speed::Normal, Speed::Fast] {
+    for action in [Action::Stop, Action::Slow, Action::Normal, Action::Fast] {
         column.row(action.name(), None, |picture, x, y| {
             draw_action(action, (x, y), picture)
         });
@@ -213,12 +213,12 @@ pub(super) fn draw_status(
     left: i32,
     middle: i32,
 ) {
-    let count = |action: Speed| agents.iter().filter(|sprite| sprite.action == Some(action)).count();
+    let count = |action: Action| agents.iter().filter(|sprite| sprite.action == Some(action)).count();
     let (slow, normal, fast, stop) = (
-        count(Speed::Slow),
-        count(Speed::Normal),
-        count(Speed::Fast),
-        count(Speed::Stop),
+        count(Action::Slow),
+        count(Action::Normal),
+        count(Action::Fast),
+        count(Action::Stop),
     );
     let tick = format!("Tick {tick}");
     picture.text(&tick, (left, middle), &FONT_9X15_BOLD, TEXT, Alignment::Left);

@@ -1,7 +1,7 @@
 //! City state to picture: the map from above, with every agent on it as an icon.
 //!
 //! Which to take: an [`Overview`] shows a whole city to people, with rulers, legend and labels; a [`Renderer`] draws any part of a map at
-//! any scale ([`View`]), many thousand pictures of it, and tells where in the picture each agent is, as a [`Placement`] does without
+//! any scale ([`Viewport`]), many thousand pictures of it, and tells where in the picture each agent is, as a [`Placement`] does without
 //! drawing; [`Icons`] has the icons alone, and
 //! [`sheet`] shows what there are. A [`Picture`] becomes a PNG with [`write_png`], a sequence of them a GIF with [`Animation`].
 //!
@@ -14,7 +14,7 @@
 //! use logicity::diag::Sources;
 //! use logicity::datalog::Program;
 //! use logicity::builtin::{self, BuiltinFiles};
-//! use logicity::render::{Difficulty, Facing, Icons, Renderer, Sprite, View, write_png};
+//! use logicity::render::{Difficulty, Facing, Icons, Renderer, Sprite, Viewport, write_png};
 //! use logicity::rng::Seed;
 //! use logicity::sim::{Settings, Simulation, World};
 //! use std::{path::Path, sync::Arc};
@@ -27,7 +27,7 @@
 //! let city = Simulation::new(Arc::new(world), Split::Test, Seed(1), Settings::default()).expect("there is room for all");
 //!
 //! // 1024 x 1024 pixels: 128 cells of 8; cars are 48 pixels wide, pedestrians 32. The ground is drawn once.
-//! let view = View::published(Cell::new(0, 0))?;
+//! let view = Viewport::published(Cell::new(0, 0))?;
 //! let icons = Arc::new(Icons::new(Seed(1), Difficulty::CLEAN));
 //! let renderer = Renderer::new(city.world().map(), icons, view);
 //! let sprites: Vec<Sprite> = city.agents().iter().map(|agent| Sprite::of(agent, "", None)).collect();
@@ -70,4 +70,4 @@ pub use picture::Picture;
 pub use renderer::{Placement, Renderer};
 pub use sheet::sheet;
 pub use sprite::Sprite;
-pub use view::{Scale, View, ViewError};
+pub use view::{Scale, Viewport, ViewportError};

@@ -10,7 +10,7 @@ use crate::render::legend::MUTED;
 use crate::render::picture::{Picture, Rgb};
 use crate::render::renderer::Renderer;
 use crate::render::sprite::Sprite;
-use crate::render::view::{Scale, View, ViewError};
+use crate::render::view::{Scale, Viewport, ViewportError};
 use embedded_graphics::mono_font::iso_8859_1::FONT_5X8;
 use embedded_graphics::text::Alignment;
 use std::sync::Arc;
@@ -65,14 +65,14 @@ impl Overview {
     ///
     /// # Errors
     /// If the map has no rows or no columns.
-    pub fn new(map: &CityMap, icons: Arc<Icons>) -> Result<Overview, ViewError> {
+    pub fn new(map: &CityMap, icons: Arc<Icons>) -> Result<Overview, ViewportError> {
         let (rows, cols) = (map.rows(), map.cols());
         if rows == 0 || cols == 0 {
-            return Err(ViewError::Empty);
+            return Err(ViewportError::Empty);
         }
         let longer = rows.max(cols);
         let scale = Scale::fit(longer, if longer > ENLARGED { MOST } else { ENLARGED }, LARGEST_CELL);
-        let view = View::whole(map, scale)?;
+        let view = Viewport::whole(map, scale)?;
         let (width, height) = view.size();
         let area = PixelBox {
             x: MARGIN + RULER.0,

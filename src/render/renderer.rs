@@ -7,7 +7,7 @@ use crate::render::ground::Look;
 use crate::render::icon::{Icons, PixelBox, Stamp};
 use crate::render::picture::Picture;
 use crate::render::sprite::Sprite;
-use crate::render::view::View;
+use crate::render::view::Viewport;
 use crate::rng::Seed;
 use std::sync::Arc;
 
@@ -15,14 +15,14 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 pub struct Placement {
     icons: Arc<Icons>,
-    view: View,
+    view: Viewport,
     /// Rows and columns of the map.
     cells: (i32, i32),
 }
 
 impl Placement {
     /// For pictures with these icons.
-    pub fn new(map: &CityMap, icons: Arc<Icons>, view: View) -> Placement {
+    pub fn new(map: &CityMap, icons: Arc<Icons>, view: Viewport) -> Placement {
         Placement {
             icons,
             view,
@@ -93,7 +93,7 @@ struct Placed {
 
 impl Renderer {
     /// Draws the ground, its textures by the seed of the icons.
-    pub fn new(map: &CityMap, icons: Arc<Icons>, view: View) -> Renderer {
+    pub fn new(map: &CityMap, icons: Arc<Icons>, view: Viewport) -> Renderer {
         let look = Look::of(&icons);
         Renderer::with_look(map, Placement::new(map, icons, view), look)
     }
@@ -111,7 +111,7 @@ impl Renderer {
     }
 
     /// What it shows.
-    pub fn view(&self) -> &View {
+    pub fn view(&self) -> &Viewport {
         &self.placement.view
     }
 
@@ -193,14 +193,14 @@ mod tests {
     }
 
     /// The picture pixel by pixel, nothing drawn before or kept.
-    fn slowly(map: &CityMap, icons: &dyn Fn() -> Icons, view: &View, look: Look, agents: &[Sprite<'_>]) -> Vec<u8> {
+    fn slowly(map: &CityMap, icons: &dyn Fn() -> Icons, view: &Viewport, look: Look, agents: &[Sprite<'_>]) -> Vec<u8> {
         let (width, height) = view.size();
         let mut pixels = vec![0; 3 * (width * height) as usize];
         let side = view.scale.pixels as usize;
         for row in 0..view.rows {
             for col in 0..view.cols {
                 let corner = Cell::new(view.corner.row + row, view.corner.col + col);
-                let view = View::new(corner, 1, 1, view.scale).expect("a cell");
+                let view = Viewport::new(corner, 1, 1, view.scale).expect("a cell");
                 let cell = ground::draw(map, &icons(), &view, look);
                 for (line, from) in cell.pixels().chunks_exact(3 * side).enumerate() {
                     let at = 3 * ((row as usize * side + line) * width as usize + col as usize * side);
@@ -249,7 +249,7 @@ mod tests {
             let icons = || Icons::new(Seed(case), Difficulty::percent(percent).expect("a percentage"));
             let corner = Cell::new(stream.random_range(-3..20), stream.random_range(-3..20));
             let scale = Scale::pixels(stream.random_range(1..9)).expect("a scale");
-            let view = View::new(corner, 14, 11, scale).expect("a view");
+            let view = Viewport::new(corner, 14, 11, scale).expect("a view");
             let placement = Placement::new(&map, Arc::new(icons()), view);
             let (renderer, look) = match case % 2 {
                 0 => (Renderer::new(&map, Arc::new(icons()), view), Look::of(&icons())),

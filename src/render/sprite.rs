@@ -1,7 +1,7 @@
 //! What a picture is told of an agent.
 
+use crate::city::{Action, AgentKind};
 use crate::city::{Agent, Cell};
-use crate::city::{AgentKind, Speed};
 use crate::render::class::{Class, Facing};
 
 /// What a picture shows of an agent.
@@ -20,13 +20,13 @@ pub struct Sprite<'a> {
     /// Which instance of its class it is shown as.
     pub instance: u32,
     /// What it decided; `None` if nothing yet. Only an [`Overview`](super::Overview) shows it.
-    pub action: Option<Speed>,
+    pub action: Option<Action>,
 }
 
 impl<'a> Sprite<'a> {
     /// An agent as it is, its name, and what it decided. It faces as it came; where its route turns, halfway to where it goes on, and it
     /// stays so while it stops there. Its number says which instance shows it.
-    pub fn of(agent: &'a Agent, name: &'a str, action: Option<Speed>) -> Sprite<'a> {
+    pub fn of(agent: &'a Agent, name: &'a str, action: Option<Action>) -> Sprite<'a> {
         Sprite {
             name,
             kind: agent.kind,

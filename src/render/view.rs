@@ -55,7 +55,7 @@ impl Scale {
 
 /// Why there is no picture of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ViewError {
+pub enum ViewportError {
     /// It has no cells.
     Empty,
     /// It would have too many pixels: no side may have more than 16,384, the whole not more than 2^26.
@@ -64,27 +64,27 @@ pub enum ViewError {
     IconSize,
 }
 
-impl fmt::Display for ViewError {
+impl fmt::Display for ViewportError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            ViewError::Empty => write!(f, "a picture without cells"),
-            ViewError::TooLarge => write!(
+            ViewportError::Empty => write!(f, "a picture without cells"),
+            ViewportError::TooLarge => write!(
                 f,
                 "a picture of more than {SIDE_MAX} pixels a side or {PIXELS_MAX} in all"
             ),
-            ViewError::IconSize => write!(f, "an icon of no pixels or more than {ICON_MAX}"),
+            ViewportError::IconSize => write!(f, "an icon of no pixels or more than {ICON_MAX}"),
         }
     }
 }
 
-impl std::error::Error for ViewError {}
+impl std::error::Error for ViewportError {}
 
 const SIDE_MAX: i64 = 1 << 14;
 const PIXELS_MAX: i64 = 1 << 26;
 
 /// A rectangle of cells, its scale, and the sizes of agents. Cells off the map are shown as meadow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct View {
+pub struct Viewport {
     /// The first cell.
     pub(super) corner: Cell,
     pub(super) rows: i32,
@@ -96,25 +96,27 @@ pub struct View {
     pub(super) pedestrian: u32,
 }
 
-impl View {
+impl Viewport {
     /// So many rows and columns of cells from a corner on. Agents are four cells wide, and at least some pixels.
     ///
     /// # Errors
     /// If there are no cells, or too many pixels.
-    pub fn new(corner: Cell, rows: u32, cols: u32, scale: Scale) -> Result<View, ViewError> {
+    pub fn new(corner: Cell, rows: u32, cols: u32, scale: Scale) -> Result<Viewport, ViewportError> {
         let side = |from: i32, cells: u32| {
             if cells == 0 {
-                return Err(ViewError::Empty);
+                return Err(ViewportError::Empty);
             }
             let end = i32::try_from(cells).ok().and_then(|cells| from.checked_add(cells - 1));
             let length = end.map(|end| scale.start(end) - scale.start(from) + i64::from(scale.pixels));
-            length.filter(|&length| length <= SIDE_MAX).ok_or(ViewError::TooLarge)
+            length
+                .filter(|&length| length <= SIDE_MAX)
+                .ok_or(ViewportError::TooLarge)
         };
         if side(corner.row, rows)? * side(corner.col, cols)? > PIXELS_MAX {
-            return Err(ViewError::TooLarge);
+            return Err(ViewportError::TooLarge);
         }
         let size = (4 * scale.pixels).cast_unsigned();
-        Ok(View {
+        Ok(Viewport {
             corner,
             rows: rows.cast_signed(),
             cols: cols.cast_signed(),
@@ -128,30 +130,30 @@ impl View {
     ///
     /// # Errors
     /// If the map has no cells, or the picture too many pixels.
-    pub fn whole(map: &CityMap, scale: Scale) -> Result<View, ViewError> {
+    pub fn whole(map: &CityMap, scale: Scale) -> Result<Viewport, ViewportError> {
         let side = |cells: i32| u32::try_from(cells).unwrap_or(0);
-        View::new(Cell::new(0, 0), side(map.rows()), side(map.cols()), scale)
+        Viewport::new(Cell::new(0, 0), side(map.rows()), side(map.cols()), scale)
     }
 
     /// As the published visual data set has it: 128 x 128 cells of 8 pixels, buildings of 10 cells thus 80, cars 48, pedestrians 32.
     ///
     /// # Errors
     /// If the corner is at the end of what coordinates there are.
-    pub fn published(corner: Cell) -> Result<View, ViewError> {
+    pub fn published(corner: Cell) -> Result<Viewport, ViewportError> {
         let scale = Scale::pixels(8).expect("within bounds");
-        View::new(corner, 128, 128, scale)?.with_agents(48, 32)
+        Viewport::new(corner, 128, 128, scale)?.with_agents(48, 32)
     }
 
     /// The same with agents of other sizes: the short side of a car and the side of a pedestrian, in pixels.
     ///
     /// # Errors
     /// If one is 0 or larger than [`ICON_MAX`].
-    pub fn with_agents(self, car: u32, pedestrian: u32) -> Result<View, ViewError> {
+    pub fn with_agents(self, car: u32, pedestrian: u32) -> Result<Viewport, ViewportError> {
         let fits = |size: u32| (1..=ICON_MAX).contains(&size);
         if !fits(car) || !fits(pedestrian) {
-            return Err(ViewError::IconSize);
+            return Err(ViewportError::IconSize);
         }
-        Ok(View {
+        Ok(Viewport {
             car,
             pedestrian,
             ..self

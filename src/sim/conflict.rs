@@ -7,7 +7,7 @@
 //! aggregates, `match` or `contains`, and with values other than symbols, are left out. What is found is true; what is not found may exist
 //! all the same.
 
-use crate::city::Speed;
+use crate::city::Action;
 use crate::datalog::{Atom, BaseType, Clause, ClauseId, Comparison, Literal, RelId, Relation, Rules, Term, Value};
 use crate::datalog::{Limits, Program, Session};
 use crate::symbol::Symbol;
@@ -32,7 +32,7 @@ const ROWS_MAX: usize = 100_000;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Overlap {
     /// The actions.
-    pub actions: [Speed; 2],
+    pub actions: [Action; 2],
     /// Whether both can be derived for one agent.
     pub finding: Finding,
 }
@@ -117,10 +117,10 @@ impl Example {
     }
 }
 
-/// What is known of every pair of actions of which both have clauses, in the order of [`Speed::ALL`].
+/// What is known of every pair of actions of which both have clauses, in the order of [`Action::ALL`].
 pub fn conflicts(program: &Program) -> Vec<Overlap> {
     let rules = program.rules();
-    let action = |speed: Speed| {
+    let action = |speed: Action| {
         let relation = program.relation(speed.name())?;
         let declared = &rules.relations[relation.index()];
         let symbols = declared.columns.iter().all(|column| column.base == BaseType::Symbol);
@@ -132,8 +132,8 @@ pub fn conflicts(program: &Program) -> Vec<Overlap> {
     };
     let mut search = Search::new(program);
     let mut found = Vec::new();
-    for (at, first) in Speed::ALL.into_iter().enumerate() {
-        for second in Speed::ALL.into_iter().skip(at + 1) {
+    for (at, first) in Action::ALL.into_iter().enumerate() {
+        for second in Action::ALL.into_iter().skip(at + 1) {
             if let (Some(one), Some(other)) = (action(first), action(second)) {
                 found.push(Overlap {
                     actions: [first, second],

@@ -4,10 +4,10 @@
 //! counts, not one proof: an agent moves again only when all of them are gone. So if agents that do not move wait for each other in a
 //! circle, none of them will move before somebody else does something for them: a deadlock.
 
-use crate::city::Speed;
+use crate::city::Action;
 use crate::datalog::explain::{ExplainError, Explainer};
 use crate::datalog::{BaseType, Clause, ClauseId, Literal, Rules, Term};
-use crate::sim::simulation::Moment;
+use crate::sim::simulation::Snapshot;
 use std::collections::{BTreeSet, VecDeque};
 
 /// An agent that has not moved in this many ticks is called stuck; a circle of stuck agents that wait for each other is a deadlock.
@@ -18,7 +18,7 @@ pub const LOOK_TICKS: u64 = 10;
 
 /// One agent stops, and the clause that says so names another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Wait {
+pub struct WaitsFor {
     /// Who waits: position in the list of agents.
     pub agent: usize,
     /// For whom.
@@ -29,21 +29,21 @@ pub struct Wait {
 
 /// Why agents that have not moved for long stand still.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Standstill {
+pub struct DeadlockReport {
     /// Deadlocks: in each, a wait for every agent of a shortest circle, in order.
-    pub deadlocks: Vec<Vec<Wait>>,
+    pub deadlocks: Vec<Vec<WaitsFor>>,
     /// Stuck agents that wait for no stuck agent: for those that pass by, or for nobody.
     pub starving: Vec<usize>,
     /// The others: each waits for an agent of a deadlock or, if for none, for a starving one. The way there.
-    pub behind: Vec<Vec<Wait>>,
+    pub behind: Vec<Vec<WaitsFor>>,
 }
 
 /// For whom each of `agents` waits in a state, sorted.
 ///
 /// # Errors
 /// If the ways to derive `Stop` are too many to look at.
-pub fn waits(moment: &Moment<'_>, agents: &[usize]) -> Result<Vec<Wait>, ExplainError> {
-    let Some(stop) = moment.world().vocabulary.action(Speed::Stop) else {
+pub fn waits(moment: &Snapshot<'_>, agents: &[usize]) -> Result<Vec<WaitsFor>, ExplainError> {
+    let Some(stop) = moment.world().vocabulary.action(Action::Stop) else {
         return Ok(Vec::new());
     };
     let session = moment.session();
@@ -59,7 +59,7 @@ pub fn waits(moment: &Moment<'_>, agents: &[usize]) -> Result<Vec<Wait>, Explain
                 .filter(|(variable, _)| named.contains(variable));
             for on in values.filter_map(|(_, value)| moment.agent((*value)?)) {
                 if on != agent {
-                    waits.insert(Wait { agent, on, clause });
+                    waits.insert(WaitsFor { agent, on, clause });
                 }
             }
         }
@@ -84,11 +84,11 @@ fn symbols(rules: &Rules, clause: &Clause) -> BTreeSet<usize> {
 }
 
 /// Sorts out why `stuck` agents stand still, given for whom they wait. Sorted, and the same for the same input.
-pub fn standstill(stuck: &[usize], waits: &[Wait]) -> Standstill {
-    let among: Vec<Wait> = (waits.iter().copied())
+pub fn standstill(stuck: &[usize], waits: &[WaitsFor]) -> DeadlockReport {
+    let among: Vec<WaitsFor> = (waits.iter().copied())
         .filter(|wait| stuck.contains(&wait.agent) && stuck.contains(&wait.on))
         .collect();
-    let mut result = Standstill::default();
+    let mut result = DeadlockReport::default();
     let mut in_circle = BTreeSet::new();
     for &agent in stuck {
         if in_circle.contains(&agent) {
@@ -134,9 +134,9 @@ pub fn standstill(stuck: &[usize], waits: &[Wait]) -> Standstill {
 }
 
 /// A shortest way of at least one wait from an agent to one that is looked for.
-fn way(waits: &[Wait], from: usize, found: impl Fn(usize) -> bool) -> Option<Vec<Wait>> {
+fn way(waits: &[WaitsFor], from: usize, found: impl Fn(usize) -> bool) -> Option<Vec<WaitsFor>> {
     // The wait by which each agent was reached.
-    let mut reached: Vec<Wait> = Vec::new();
+    let mut reached: Vec<WaitsFor> = Vec::new();
     let mut queue = VecDeque::from([from]);
     while let Some(agent) = queue.pop_front() {
         let first = waits.partition_point(|wait| wait.agent < agent);
@@ -165,14 +165,17 @@ fn way(waits: &[Wait], from: usize, found: impl Fn(usize) -> bool) -> Option<Vec
 mod tests {
     use super::*;
 
-    fn waits(pairs: &[(usize, usize)]) -> Vec<Wait> {
+    fn waits(pairs: &[(usize, usize)]) -> Vec<WaitsFor> {
         let clause = ClauseId(0);
-        let mut waits: Vec<Wait> = pairs.iter().map(|&(agent, on)| Wait { agent, on, clause }).collect();
+        let mut waits: Vec<WaitsFor> = pairs
+            .iter()
+            .map(|&(agent, on)| WaitsFor { agent, on, clause })
+            .collect();
         waits.sort_unstable();
         waits
     }
 
-    fn agents(waits: &[Wait]) -> Vec<usize> {
+    fn agents(waits: &[WaitsFor]) -> Vec<usize> {
         waits.iter().map(|wait| wait.agent).collect()
     }
 
@@ -192,7 +195,7 @@ mod tests {
             (11, 5),
         ];
         let found = standstill(&[1, 2, 3, 4, 5, 7, 8, 9, 10, 11], &waits(&pairs));
-        let lists = |list: &[Vec<Wait>]| list.iter().map(|way| agents(way)).collect::<Vec<_>>();
+        let lists = |list: &[Vec<WaitsFor>]| list.iter().map(|way| agents(way)).collect::<Vec<_>>();
         assert_eq!(lists(&found.deadlocks), [vec![1, 2], vec![8, 9, 10]]);
         assert_eq!(lists(&found.behind), [vec![3, 4], vec![4], vec![11]]);
         assert_eq!(found.starving, [5, 7]);

@@ -1,8 +1,8 @@
 //! Deciding for all agents at once: densely, in one window or in many.
 
-use crate::city::Speed;
+use crate::city::Action;
 use crate::city::{Agent, Cell, CityMap};
-use crate::datalog::dense::{BitFacts, Counting, Dense, Set, choose, has, members};
+use crate::datalog::dense::{BitFacts, Dense, Set, TrackFirings, choose, has, members};
 use crate::datalog::{ClauseId, RelId, Rules};
 use crate::diag::{Code, Diagnostic};
 use crate::sim::ground::Facts;
@@ -117,7 +117,7 @@ impl Decisions {
         Actions::from_bits(self.derived[agent].load(Ordering::Relaxed))
     }
 
-    pub fn add(&self, agent: usize, action: Speed) {
+    pub fn add(&self, agent: usize, action: Action) {
         // One window decides for an agent, so no other thread writes here.
         let bits = &self.derived[agent];
         bits.store(
@@ -149,7 +149,7 @@ impl Decisions {
 #[derive(Clone, Debug)]
 struct Reading {
     grounder: Grounder,
-    actions: Vec<(Speed, RelId)>,
+    actions: Vec<(Action, RelId)>,
     /// The counted clauses, and whether they are clauses of actions.
     clauses: Vec<(ClauseId, bool)>,
 }
@@ -178,7 +178,7 @@ impl Reading {
 }
 
 /// A city that is decided about densely.
-pub(super) struct Crowd {
+pub(super) struct DenseExecutor {
     reading: Reading,
     shape: Shape,
 }
@@ -192,7 +192,7 @@ enum Shape {
 ///
 /// # Errors
 /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
-pub(super) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: Counting) -> Result<Dense, Diagnostic> {
+pub(super) fn compile(rules: &Rules, vocabulary: &Vocabulary, counting: TrackFirings) -> Result<Dense, Diagnostic> {
     let choice = choose(rules);
     if let Some(reason) = choice.relational.iter().flatten().next() {
         return Err(not_dense(&reason.show(rules)));
@@ -219,16 +219,21 @@ impl Facts {
     }
 }
 
-impl Crowd {
+impl DenseExecutor {
     /// `clauses` are those to be counted; none, and nothing is counted.
     ///
     /// # Errors
     /// `dense-unsupported` if it cannot evaluate the rules for this number of agents; the message names the reason.
-    pub fn new(world: &World, agents: &[Agent], clauses: &[ClauseId], threads: usize) -> Result<Crowd, Diagnostic> {
+    pub fn new(
+        world: &World,
+        agents: &[Agent],
+        clauses: &[ClauseId],
+        threads: usize,
+    ) -> Result<DenseExecutor, Diagnostic> {
         let rules = world.program.rules();
         let counting = match clauses {
-            [] => Counting::Off,
-            _ => Counting::Each,
+            [] => TrackFirings::Off,
+            _ => TrackFirings::Each,
         };
         let plan = world.plan(counting)?;
         let dense = &plan.dense;
@@ -242,8 +247,8 @@ impl Crowd {
         }
 
         let vocabulary: &Vocabulary = &world.vocabulary;
-        let action = |speed: &Speed| Some((*speed, vocabulary.action(*speed)?));
-        let actions: Vec<(Speed, RelId)> = Speed::ALL.iter().filter_map(action).collect();
+        let action = |speed: &Action| Some((*speed, vocabulary.action(*speed)?));
+        let actions: Vec<(Action, RelId)> = Action::ALL.iter().filter_map(action).collect();
         let of_action = |clause: &ClauseId| {
             let head = rules.clauses[clause.index()].head.relation;
             actions.iter().any(|(_, action)| *action == head)
@@ -261,7 +266,7 @@ impl Crowd {
             }
             _ => Shape::Tiles(Box::new(Tiles::new(&reading.grounder, world.map(), bodies, threads))),
         };
-        Ok(Crowd { reading, shape })
+        Ok(DenseExecutor { reading, shape })
     }
 
     /// Takes note of other agents, as many as before.

@@ -1,9 +1,9 @@
 //! Inference: what the rules decide in one scene.
 
+use crate::city::Action;
 use crate::city::CityMap;
-use crate::city::Speed;
 use crate::config::{Definition, Scenario, load_map};
-use crate::datalog::dense::{BitFacts, Counting, Dense, Frame, Pairs, Set, has};
+use crate::datalog::dense::{BinaryFacts, BitFacts, BitState, Dense, Set, TrackFirings, has};
 use crate::datalog::{EvalError, Program, Session, constraints};
 use crate::datalog::{RelId, Value};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
@@ -36,7 +36,7 @@ pub struct Inference {
     read: Box<Reader>,
     maps: HashMap<String, Arc<CityMap>>,
     seed: Seed,
-    check_promises: bool,
+    check_constraints: bool,
     /// Decides; if there is none, a session does.
     dense: Option<Dense>,
 }
@@ -71,7 +71,7 @@ pub struct EgoAnswer {
     /// The actions derived before the default.
     pub derived: Actions,
     /// The action.
-    pub action: Speed,
+    pub action: Action,
 }
 
 impl Answer {
@@ -93,7 +93,7 @@ impl Answer {
                         (name.clone(), rows.collect())
                     })
                     .collect();
-                let derived: Vec<&str> = ego.derived.iter().map(Speed::name).collect();
+                let derived: Vec<&str> = ego.derived.iter().map(Action::name).collect();
                 let answer = json!({
                     "sees": ego.sees,
                     "true": atoms,
@@ -121,7 +121,7 @@ impl Inference {
         read: impl ReadFile + Send + Sync + 'static,
     ) -> Result<Self, Vec<Diagnostic>> {
         let vocabulary = Vocabulary::bind(&scenario, &program)?;
-        let chosen = executor.choose(|| compile(program.rules(), &vocabulary, Counting::Off));
+        let chosen = executor.choose(|| compile(program.rules(), &vocabulary, TrackFirings::Off));
         Ok(Inference {
             dense: match chosen.map_err(|fault| vec![fault.at(scenario.rules.span, "these rules")])? {
                 Choice::Dense(dense) => Some(dense),
@@ -133,7 +133,7 @@ impl Inference {
             read: Box::new(read),
             maps: HashMap::new(),
             seed,
-            check_promises: false,
+            check_constraints: false,
         })
     }
 
@@ -147,14 +147,14 @@ impl Inference {
     /// # Errors
     /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
     pub fn compile(&self) -> Result<Dense, Diagnostic> {
-        compile(self.program.rules(), &self.vocabulary, Counting::Off)
+        compile(self.program.rules(), &self.vocabulary, TrackFirings::Off)
             .map_err(|fault| fault.at(self.scenario.rules.span, "these rules"))
     }
 
-    /// From here on scenes are refused in which the facts are not as the rules promise. Answers rely on no promise either way. The
+    /// From here on scenes are refused in which the facts are not as the rules constraint. Answers rely on no constraint either way. The
     /// facts have to be those of a session for that, so the relational executor decides.
-    pub fn check_promises(&mut self) {
-        self.check_promises = true;
+    pub fn check_constraints(&mut self) {
+        self.check_constraints = true;
     }
 
     /// Answers the scene in `source`. The same scene always gets the same answer: predicates that hold with a probability and are
@@ -162,7 +162,7 @@ impl Inference {
     ///
     /// # Errors
     /// All faults of the scene: `invalid-scene`; `limit-exceeded` if it is too large or the rules derive too much from it;
-    /// `broken-promise` after [`Inference::check_promises`].
+    /// `constraint-violation` after [`Inference::check_constraints`].
     pub fn answer(&mut self, sources: &Sources, source: SourceId) -> Result<Answer, Vec<Diagnostic>> {
         self.answer_until(sources, source, &|| false)
     }
@@ -305,7 +305,7 @@ impl Inference {
     ///
     /// # Errors
     /// `limit-exceeded` if it has more than [`MAX_ENTITIES`](super::MAX_ENTITIES) entities, or the rules derive too much from it;
-    /// `broken-promise` after [`Inference::check_promises`].
+    /// `constraint-violation` after [`Inference::check_constraints`].
     pub fn answer_facts(&self, scene: &SceneFacts) -> Result<Answer, Diagnostic> {
         let count = scene.names.len();
         if count > MAX_ENTITIES {
@@ -334,17 +334,17 @@ impl Inference {
 
     /// The actions that hold for each ego.
     fn derive(&self, scene: &SceneFacts, names: &[&str], stop: &dyn Fn() -> bool) -> Result<Vec<Actions>, Diagnostic> {
-        if let (Some(dense), false) = (&self.dense, self.check_promises) {
+        if let (Some(dense), false) = (&self.dense, self.check_constraints) {
             let width = Width::of(names.len()).expect("a scene has fewer entities than the widest set");
             return in_words!(width, W => self.derive_dense::<W>(dense, scene, stop));
         }
         let mut state = GroundState::new(&self.program, &self.vocabulary, names.iter().copied());
         state.set_until(&scene.facts, stop)?;
-        if self.check_promises {
-            // The rules are another text than the scene, so where it was promised is not pointed at.
-            let mut broken = constraints::broken(state.session()).into_iter();
+        if self.check_constraints {
+            // The rules are another text than the scene, so where it was declared is not pointed at.
+            let mut broken = constraints::violations(state.session()).into_iter();
             if let Some(first) = broken.next() {
-                let fault = Diagnostic::new(Code::BROKEN_PROMISE, first.message);
+                let fault = Diagnostic::new(Code::CONSTRAINT_VIOLATION, first.message);
                 return Err(broken.fold(fault, |fault, other| fault.note(other.message)));
             }
         }
@@ -361,7 +361,7 @@ impl Inference {
     ) -> Result<Vec<Actions>, Diagnostic> {
         let count = scene.names.len();
         let bits: BitFacts<W> = scene.facts.to_bits(&self.vocabulary, dense, count);
-        let mut frame = Frame::new(dense, count);
+        let mut frame = BitState::new(dense, count);
         bits.load(dense, &mut frame);
         let asking = Asking {
             facts: &bits,
@@ -373,11 +373,11 @@ impl Inference {
         if asking.stopped.get() {
             return Err(Diagnostic::cancelled());
         }
-        let holds = |action: Speed, ego: usize| {
+        let holds = |action: Action, ego: usize| {
             let relation = self.vocabulary.action(action);
             relation.is_some_and(|relation| frame.set(dense, relation).is_some_and(|set| has(set, ego)))
         };
-        let derived = |&ego: &usize| Speed::ALL.into_iter().filter(|&action| holds(action, ego)).collect();
+        let derived = |&ego: &usize| Action::ALL.into_iter().filter(|&action| holds(action, ego)).collect();
         Ok(scene.egos.iter().map(derived).collect())
     }
 }
@@ -390,7 +390,7 @@ struct Asking<'a, const W: usize> {
     stopped: Cell<bool>,
 }
 
-impl<const W: usize> Pairs<W> for Asking<'_, W> {
+impl<const W: usize> BinaryFacts<W> for Asking<'_, W> {
     #[inline]
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
         self.facts.narrow(list, at, among)
@@ -558,11 +558,11 @@ impl GroundState {
 
     /// The actions that hold for an entity.
     pub fn derived(&self, vocabulary: &Vocabulary, entity: usize) -> Actions {
-        let holds = |speed: &Speed| {
+        let holds = |speed: &Action| {
             let relation = vocabulary.action(*speed);
             relation.is_some_and(|relation| self.session.contains(relation, &[self.entities[entity]]))
         };
-        Speed::ALL.into_iter().filter(holds).collect()
+        Action::ALL.into_iter().filter(holds).collect()
     }
 
     pub fn session(&self) -> &Session {
@@ -622,6 +622,6 @@ mod tests {
         state.session.set_limits(rows(10));
         assert!(state.derived(&vocabulary, 0).is_empty());
         state.set(&one_bus).expect("within the limit");
-        assert_eq!(state.derived(&vocabulary, 0), [Speed::Stop].into_iter().collect());
+        assert_eq!(state.derived(&vocabulary, 0), [Action::Stop].into_iter().collect());
     }
 }

@@ -7,8 +7,8 @@
 //! when an action is judged: of the four action predicates just this one holds, of the ego, in the bodies of all clauses. What the
 //! others do next nobody can observe, so no action holds of them there.
 
-use crate::city::{AgentKind, Speed};
-use crate::city::{Cell, View};
+use crate::city::{Action, AgentKind};
+use crate::city::{Cell, FieldOfView};
 use crate::config::Definition;
 use crate::datalog::Session;
 use crate::datalog::Value;
@@ -16,7 +16,7 @@ use crate::datalog::dense::members;
 use crate::diag::Diagnostic;
 use crate::sim::ground::Chance;
 use crate::sim::infer::{Draws, GroundState};
-use crate::sim::judge::{Atoms, Demand, Judge, Observed, Verdict};
+use crate::sim::rule_monitor::{ActionConstraint, Atoms, Observed, RuleMonitor, Violations};
 use crate::sim::simulation::Simulation;
 use crate::sim::vocabulary::Actions;
 use crate::sim::window::{Body, Reach, Relation, holds_of, views};
@@ -35,7 +35,7 @@ pub struct Oracle {
     /// By predicate of the vocabulary.
     how: Vec<How>,
     views: [Reach; 5],
-    judge: Judge,
+    judge: RuleMonitor,
 }
 
 /// How a predicate is computed.
@@ -69,7 +69,7 @@ impl Oracle {
             entities,
             how: definitions.enumerate().map(how).collect(),
             views: views(world.scenario.view),
-            judge: Judge::new(&world.program, vocabulary)?,
+            judge: RuleMonitor::new(&world.program, vocabulary)?,
             world,
         })
     }
@@ -85,13 +85,13 @@ impl Oracle {
     }
 
     /// The clauses that ask an action, in the order of the text. The default is not among them.
-    pub fn demands(&self) -> &[Demand] {
+    pub fn demands(&self) -> &[ActionConstraint] {
         self.judge.demands()
     }
 
     /// What the ego sees.
-    fn view(&self, ego: &Body) -> View {
-        View::around(
+    fn view(&self, ego: &Body) -> FieldOfView {
+        FieldOfView::around(
             ego.at,
             self.views[ego.heading.map_or(0, |heading| heading as usize + 1)],
         )
@@ -131,7 +131,7 @@ pub struct Observer {
     /// The observed entities, the ego first.
     bodies: Vec<Body>,
     atoms: Atoms,
-    verdict: Verdict,
+    verdict: Violations,
     broken: Vec<usize>,
 }
 
@@ -150,7 +150,7 @@ impl Observer {
                 rows: vec![0; predicates * oracle.entities],
                 entities: oracle.entities,
             },
-            verdict: Verdict::new(&oracle.judge),
+            verdict: Violations::new(&oracle.judge),
             broken: Vec::with_capacity(oracle.demands().len()),
             oracle,
         }
@@ -396,10 +396,10 @@ impl Observer {
     ///
     /// # Errors
     /// `limit-exceeded` for rules that derive too much.
-    pub fn broken(&mut self, city: &Simulation, action: Speed) -> Result<&[usize], Diagnostic> {
+    pub fn violations(&mut self, city: &Simulation, action: Action) -> Result<&[usize], Diagnostic> {
         let observed = observed(&self.atoms, &self.bodies, city);
         self.verdict
-            .broken(&self.oracle.judge, observed, action, &mut self.broken)?;
+            .violations(&self.oracle.judge, observed, action, &mut self.broken)?;
         Ok(&self.broken)
     }
 }

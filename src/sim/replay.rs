@@ -1,13 +1,13 @@
 //! A trace read again: the state of every tick, as facts of a session.
 
-use crate::city::{AgentKind, Speed};
+use crate::city::{Action, AgentKind};
 use crate::city::{Cell, Heading};
 use crate::datalog::Session;
 use crate::datalog::Value;
 use crate::diag::{Code, Diagnostic};
 use crate::sim::ground::{Chance, Entity, Facts, ground};
 use crate::sim::infer::GroundState;
-use crate::sim::simulation::Moment;
+use crate::sim::simulation::Snapshot;
 use crate::sim::trace::{Driven, TRACE_VERSION};
 use crate::sim::vocabulary::Actions;
 use crate::sim::world::World;
@@ -102,7 +102,7 @@ impl TraceState {
     ///
     /// # Errors
     /// `invalid-trace`, without a place.
-    pub fn action(&self) -> Result<Speed, Diagnostic> {
+    pub fn action(&self) -> Result<Action, Diagnostic> {
         action_named(&self.action)
     }
 }
@@ -112,13 +112,13 @@ impl Driven {
     ///
     /// # Errors
     /// `invalid-trace`, without a place.
-    pub fn wanted(&self) -> Result<Speed, Diagnostic> {
+    pub fn wanted(&self) -> Result<Action, Diagnostic> {
         action_named(&self.wanted)
     }
 }
 
-fn action_named(name: &str) -> Result<Speed, Diagnostic> {
-    let known = Speed::ALL.into_iter().find(|speed| speed.name() == name);
+fn action_named(name: &str) -> Result<Action, Diagnostic> {
+    let known = Action::ALL.into_iter().find(|speed| speed.name() == name);
     known.ok_or_else(|| invalid(format!("`{name}` is not the name of an action")))
 }
 
@@ -253,8 +253,8 @@ impl Replay {
     }
 
     /// The state as a whole.
-    pub fn moment(&self) -> Moment<'_> {
-        Moment {
+    pub fn snapshot(&self) -> Snapshot<'_> {
+        Snapshot {
             world: &self.world,
             state: &self.state,
         }

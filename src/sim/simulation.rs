@@ -1,12 +1,12 @@
 //! The tick: all agents decide on the same state, then all move.
 
-use crate::city::{Agent, Cell, Heading, Moved, Places, Reason, Surroundings, advance, place_agents_until};
-use crate::city::{Speed, Split};
+use crate::city::{Action, Split};
+use crate::city::{Agent, Cell, Heading, MoveReason, Moved, Places, Surroundings, advance, place_agents_until};
 use crate::datalog::Session;
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::Seed;
-use crate::sim::executor::{Choice, Crowd, Decisions, Executor, WHOLE_MAX};
+use crate::sim::executor::{Choice, Decisions, DenseExecutor, Executor, WHOLE_MAX};
 use crate::sim::ground::{Entity, Facts, ground_until};
 use crate::sim::infer::{Draws, GroundState};
 use crate::sim::scene::MAX_ENTITIES;
@@ -54,12 +54,12 @@ pub struct Simulation {
     /// What moves change of each agent. Close together, since many agents are looked up in the order of where they are.
     positions: Vec<Position>,
     /// Decides densely; `None` if `state` decides.
-    crowd: Option<Crowd>,
+    crowd: Option<DenseExecutor>,
     /// Why `state` decides, if that was not asked for.
     fallback: Option<String>,
     decisions: Decisions,
     /// For each agent the action it is given in the tick, if it is given one. Empty between ticks.
-    given: Vec<Option<Speed>>,
+    given: Vec<Option<Action>>,
     /// The session with the facts on which a tick was decided, and the number of that tick. Made when it is needed first.
     state: Option<GroundState>,
     stated: Option<u64>,
@@ -87,7 +87,7 @@ pub struct AgentTick {
     /// The actions derived before the default.
     pub derived: Actions,
     /// The action decided on: the rules' own, or the one given from outside.
-    pub action: Speed,
+    pub action: Action,
     /// What it did.
     pub moved: Moved,
 }
@@ -110,12 +110,12 @@ impl Phase {
 
 /// The state on which the last tick was decided, as facts of a session.
 #[derive(Clone, Copy)]
-pub struct Moment<'a> {
+pub struct Snapshot<'a> {
     pub(super) world: &'a World,
     pub(super) state: &'a GroundState,
 }
 
-impl<'a> Moment<'a> {
+impl<'a> Snapshot<'a> {
     /// The facts and what the rules derive from them.
     pub fn session(&self) -> &'a Session {
         self.state.session()
@@ -176,7 +176,7 @@ impl Simulation {
             false => 1,
         };
         let chosen = (settings.executor)
-            .choose(|| Crowd::new(&world, &agents, to_count, threads))
+            .choose(|| DenseExecutor::new(&world, &agents, to_count, threads))
             .map_err(|fault| fault.at(scenario.rules.span, "these rules"))?;
         let (crowd, fallback) = match chosen {
             Choice::Dense(crowd) => (Some(crowd), None),
@@ -350,7 +350,7 @@ impl Simulation {
     /// # Errors
     /// `invalid-value` for a position that no agent has; `limit-exceeded` for rules that derive more than the relational executor
     /// allows, or too many agents in one place for the dense one. The city is then as before.
-    pub fn tick(&mut self, controls: &[(usize, Speed)]) -> Result<&TickReport, Diagnostic> {
+    pub fn tick(&mut self, controls: &[(usize, Action)]) -> Result<&TickReport, Diagnostic> {
         self.tick_watched(controls, |_| ())
     }
 
@@ -360,7 +360,7 @@ impl Simulation {
     /// As [`Simulation::tick`].
     pub fn tick_watched(
         &mut self,
-        controls: &[(usize, Speed)],
+        controls: &[(usize, Action)],
         mut ended: impl FnMut(Phase),
     ) -> Result<&TickReport, Diagnostic> {
         let count = self.agents.len();
@@ -400,7 +400,7 @@ impl Simulation {
     }
 
     /// Everybody does what was decided.
-    fn advance(&mut self, controls: &[(usize, Speed)]) {
+    fn advance(&mut self, controls: &[(usize, Action)]) {
         let Simulation {
             world,
             places,
@@ -477,7 +477,7 @@ impl Simulation {
             for (index, &clause) in self.clauses.iter().enumerate() {
                 let rows = state.session().fired(clause);
                 let head = rules.clauses[clause.index()].head.relation;
-                if (Speed::ALL.into_iter()).any(|speed| self.world.vocabulary.action(speed) == Some(head)) {
+                if (Action::ALL.into_iter()).any(|speed| self.world.vocabulary.action(speed) == Some(head)) {
                     for agent in rows.iter().filter_map(|row| state.entity(row[0])) {
                         self.decisions.add_fired(agent, index);
                     }
@@ -492,7 +492,7 @@ impl Simulation {
     ///
     /// # Errors
     /// `limit-exceeded` for more than [`MAX_ENTITIES`] agents, or rules that derive too much.
-    pub fn moment(&mut self) -> Result<Moment<'_>, Diagnostic> {
+    pub fn snapshot(&mut self) -> Result<Snapshot<'_>, Diagnostic> {
         let tick = self.report.tick;
         if self.stated != Some(tick) {
             if self.agents.len() > MAX_ENTITIES {
@@ -509,7 +509,7 @@ impl Simulation {
                 .map_err(|error| error.diagnostic(self.world.program.rules()))?;
             self.stated = (self.tick > 0).then_some(tick);
         }
-        Ok(Moment {
+        Ok(Snapshot {
             world: &self.world,
             state: self.state.as_ref().expect("it has just been made"),
         })
@@ -613,7 +613,7 @@ impl Batch {
     ///
     /// # Errors
     /// As [`Simulation::tick`], of the first city that has one. The others have gone on.
-    pub fn tick<'c>(&mut self, controls: impl Fn(usize) -> &'c [(usize, Speed)] + Sync) -> Result<(), Diagnostic> {
+    pub fn tick<'c>(&mut self, controls: impl Fn(usize) -> &'c [(usize, Action)] + Sync) -> Result<(), Diagnostic> {
         let fault = |(position, city): (usize, &mut Simulation)| Some((position, city.tick(controls(position)).err()?));
         let faults = match &self.threads {
             Some(pool) => pool.install(|| {
@@ -632,11 +632,11 @@ impl AgentTick {
         AgentTick {
             heading: agent.heading,
             derived: Actions::default(),
-            action: Speed::Stop,
+            action: Action::Stop,
             moved: Moved {
                 from: agent.cell,
                 to: agent.cell,
-                reason: Reason::Resting,
+                reason: MoveReason::Resting,
                 replanned: false,
             },
         }

@@ -1,6 +1,6 @@
 //! The trace of a run: JSON lines, the first a header, then one a tick. README documents the format.
 
-use crate::city::Speed;
+use crate::city::Action;
 use crate::city::{Heading, Moved};
 use crate::config::Definition;
 use crate::diag::{SourceId, Sources};
@@ -126,7 +126,7 @@ impl<W: Write> TraceWriter<W> {
                     "at": [from.row, from.col],
                     "heading": tick.heading.map(Heading::name),
                     "goal": [goal.row, goal.col],
-                    "derived": tick.derived.iter().map(Speed::name).collect::<Vec<_>>(),
+                    "derived": tick.derived.iter().map(Action::name).collect::<Vec<_>>(),
                     "action": tick.action.name(),
                     "clauses": simulation.fired(index).collect::<Vec<_>>(),
                     "next": [to.row, to.col],

@@ -1,6 +1,6 @@
 //! What the rules can read and what they can decide: the base predicates and actions of a scenario, bound to a program.
 
-use crate::city::Speed;
+use crate::city::Action;
 use crate::config::{ActionsConfig, Definition, PredicateConfig, Scenario};
 use crate::datalog::Program;
 use crate::datalog::{BaseType, Literal, RelId, Relation};
@@ -22,21 +22,21 @@ impl Actions {
     }
 
     /// Whether the action is in it.
-    pub fn contains(self, action: Speed) -> bool {
+    pub fn contains(self, action: Action) -> bool {
         self.0 >> action as u8 & 1 != 0
     }
 
     /// Adds an action.
-    pub fn insert(&mut self, action: Speed) {
+    pub fn insert(&mut self, action: Action) {
         self.0 |= 1 << action as u8;
     }
 
-    /// The actions in the order of [`Speed::ALL`].
-    pub fn iter(self) -> impl Iterator<Item = Speed> {
-        Speed::ALL.into_iter().filter(move |&action| self.contains(action))
+    /// The actions in the order of [`Action::ALL`].
+    pub fn iter(self) -> impl Iterator<Item = Action> {
+        Action::ALL.into_iter().filter(move |&action| self.contains(action))
     }
 
-    /// One bit for each action, in the order of [`Speed::ALL`] from the lowest.
+    /// One bit for each action, in the order of [`Action::ALL`] from the lowest.
     pub(super) fn bits(self) -> u8 {
         self.0
     }
@@ -47,8 +47,8 @@ impl Actions {
     }
 }
 
-impl FromIterator<Speed> for Actions {
-    fn from_iter<I: IntoIterator<Item = Speed>>(actions: I) -> Self {
+impl FromIterator<Action> for Actions {
+    fn from_iter<I: IntoIterator<Item = Action>>(actions: I) -> Self {
         let mut set = Actions::default();
         actions.into_iter().for_each(|action| set.insert(action));
         set
@@ -75,11 +75,11 @@ pub struct Vocabulary {
     pub predicates: Vec<Predicate>,
     /// Position of `Sees` in `predicates`.
     pub sees: usize,
-    /// The relation of each action, in the order of [`Speed::ALL`]; `None` if the rules do not mention it.
+    /// The relation of each action, in the order of [`Action::ALL`]; `None` if the rules do not mention it.
     actions: [Option<RelId>; 4],
     /// The action to take, by the bits of those that are derived.
-    decisions: [Speed; 16],
-    default: Speed,
+    decisions: [Action; 16],
+    default: Action,
 }
 
 impl Vocabulary {
@@ -123,7 +123,7 @@ impl Vocabulary {
         faults.extend(undefined(scenario, &unknown_inputs(program, &predicates), &predicates));
         faults.extend(unfilled(scenario, program));
 
-        let actions = Speed::ALL.map(|speed| {
+        let actions = Action::ALL.map(|speed| {
             program.relation(speed.name()).filter(|&relation| {
                 fits(&rules.relations[relation.index()], 1, &mut faults, || {
                     Diagnostic::new(
@@ -162,17 +162,17 @@ impl Vocabulary {
     }
 
     /// The relation of an action, if the rules mention it.
-    pub fn action(&self, speed: Speed) -> Option<RelId> {
+    pub fn action(&self, speed: Action) -> Option<RelId> {
         self.actions[speed as usize]
     }
 
     /// The one action to take, given those that are derived: the first by the scenario's priority, else its default.
-    pub fn decide(&self, derived: Actions) -> Speed {
+    pub fn decide(&self, derived: Actions) -> Action {
         self.decisions[usize::from(derived.bits())]
     }
 
     /// The action taken if none is derived.
-    pub fn default_action(&self) -> Speed {
+    pub fn default_action(&self) -> Action {
         self.default
     }
 
@@ -185,7 +185,7 @@ impl Vocabulary {
     }
 }
 
-fn decisions(config: &ActionsConfig) -> [Speed; 16] {
+fn decisions(config: &ActionsConfig) -> [Action; 16] {
     std::array::from_fn(|bits| {
         let derived = Actions(u8::try_from(bits).expect("it is less than 16"));
         let first = config.priority.iter().copied().find(|&speed| derived.contains(speed));

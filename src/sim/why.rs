@@ -1,10 +1,10 @@
 //! Why an agent did what it did in a tick.
 
-use crate::city::Speed;
+use crate::city::Action;
 use crate::city::{Cell, Heading};
 use crate::datalog::Session;
 use crate::datalog::Value;
-use crate::datalog::explain::{ExplainError, Explainer, Explanation, Teller};
+use crate::datalog::explain::{ExplainError, Explainer, Explanation, ExplanationPrinter};
 use crate::diag::{Diagnostic, Sources};
 use crate::sim::simulation::Simulation;
 use crate::sim::vocabulary::Actions;
@@ -32,30 +32,30 @@ pub struct Decision<'a> {
     /// The actions derived before the default.
     pub derived: Actions,
     /// What it did: by the rules, or from outside.
-    pub action: Speed,
+    pub action: Action,
 }
 
 /// Why a [`Decision`] was as it was.
 pub struct Account<'a> {
     decision: Decision<'a>,
     /// Whether it is told why this action was not derived.
-    why_not: Option<Speed>,
+    why_not: Option<Action>,
     /// The actions spoken of, and why they were derived or not; nothing if the rules do not mention one.
-    explanations: Vec<(Speed, Option<Explanation>)>,
+    explanations: Vec<(Action, Option<Explanation>)>,
 }
 
 impl Simulation {
     /// The decision of an agent, by its position in the list, in the last tick.
     ///
     /// # Errors
-    /// As [`Simulation::moment`].
+    /// As [`Simulation::snapshot`].
     ///
     /// # Panics
     /// If there is no such agent.
     pub fn decision(&mut self, agent: usize) -> Result<Decision<'_>, Diagnostic> {
         let (name, report) = (self.agents()[agent].name().to_string(), self.report());
         let (tick, done) = (report.tick, report.agents[agent]);
-        let moment = self.moment()?;
+        let moment = self.snapshot()?;
         Ok(Decision {
             world: moment.world(),
             session: moment.session(),
@@ -76,14 +76,14 @@ impl<'a> Decision<'a> {
     ///
     /// # Errors
     /// If that is more work than [`Explainer::LIMIT`], or `stop` says so.
-    pub fn account(self, why_not: Option<Speed>, stop: &dyn Fn() -> bool) -> Result<Account<'a>, ExplainError> {
+    pub fn account(self, why_not: Option<Action>, stop: &dyn Fn() -> bool) -> Result<Account<'a>, ExplainError> {
         let vocabulary = &self.world.vocabulary;
         let by_rules = vocabulary.decide(self.derived);
         let mut actions = match why_not {
             Some(action) => vec![action],
             None if self.derived.is_empty() => match vocabulary.action(by_rules) {
                 Some(relation) if self.session.contains(relation, &[self.value]) => vec![by_rules],
-                _ => Speed::ALL.to_vec(),
+                _ => Action::ALL.to_vec(),
             },
             None => self.derived.iter().collect(),
         };
@@ -108,9 +108,9 @@ impl<'a> Decision<'a> {
 }
 
 impl Account<'_> {
-    fn teller<'s>(&'s self, sources: &'s Sources) -> Teller<'s> {
+    fn teller<'s>(&'s self, sources: &'s Sources) -> ExplanationPrinter<'s> {
         let session = self.decision.session;
-        Teller::new(session.program().rules(), session.symbols(), sources)
+        ExplanationPrinter::new(session.program().rules(), session.symbols(), sources)
     }
 
     /// For readers: the decision in a line, what is special about it, and a tree for each action. `sources` are those of the rules.
@@ -161,7 +161,7 @@ impl Account<'_> {
     }
 
     /// For programs: `tick`, `agent`, `at`, `heading`, `derived`, `action`, and `explanations`, each with its `action` and, unless the
-    /// rules do not mention it, the `nodes` of [`Teller::json`].
+    /// rules do not mention it, the `nodes` of [`ExplanationPrinter::json`].
     pub fn json(&self, sources: &Sources) -> serde_json::Value {
         let teller = self.teller(sources);
         let told: Vec<serde_json::Value> = (self.explanations.iter())
@@ -179,7 +179,7 @@ impl Account<'_> {
             "agent": decision.agent,
             "at": [decision.at.row, decision.at.col],
             "heading": decision.heading.map(Heading::name),
-            "derived": decision.derived.iter().map(Speed::name).collect::<Vec<_>>(),
+            "derived": decision.derived.iter().map(Action::name).collect::<Vec<_>>(),
             "action": decision.action.name(),
             "explanations": told,
         })

@@ -2,9 +2,11 @@
 //! for them, from whole numbers; [`super::ground`] has the definitions, and tests compare the two.
 
 use crate::city::AgentKind;
-use crate::city::{Agent, Cell, CityMap, Heading, Junction, View, view_reach};
+use crate::city::{Agent, Cell, CityMap, FieldOfView, Heading, Junction, view_reach};
 use crate::config::Definition;
-use crate::datalog::dense::{Axis, Dense, Frame, Input, List, Pairs, Set, and, first, is_empty, members, without};
+use crate::datalog::dense::{
+    Argument, BinaryFacts, BitState, Dense, Input, List, Set, and, first, is_empty, members, without,
+};
 use crate::sim::ground::{Chance, Entity, binary, is_far_enough, is_near_enough, side, side_of};
 use crate::sim::infer::Draws;
 use crate::sim::vocabulary::Vocabulary;
@@ -120,7 +122,7 @@ pub(super) struct Colliding {
 #[derive(Clone, Debug)]
 struct Asked {
     relation: Relation,
-    axis: Axis,
+    axis: Argument,
     /// Whether whom it relates to an entity is in that one's field of view.
     in_view: bool,
 }
@@ -191,7 +193,7 @@ impl Plan {
                     Relation::new(predicate, definition)
                 });
                 Asked {
-                    in_view: axis == Axis::Second && relation.is_in_view(&views),
+                    in_view: axis == Argument::Second && relation.is_in_view(&views),
                     relation,
                     axis,
                 }
@@ -389,7 +391,7 @@ fn cone(definition: &Definition, kind: AgentKind, heading: Heading) -> Reach {
 #[derive(Clone, Debug)]
 pub(super) struct Window<const W: usize> {
     pub bodies: Vec<Body>,
-    pub frame: Frame<W>,
+    pub frame: BitState<W>,
     /// By input of the program.
     inputs: Vec<Set<W>>,
     place: Place<W>,
@@ -457,7 +459,7 @@ impl<const W: usize> Window<W> {
     pub fn new(grounder: &Grounder) -> Self {
         Window {
             bodies: Vec::new(),
-            frame: Frame::new(&grounder.dense, 0),
+            frame: BitState::new(&grounder.dense, 0),
             inputs: Vec::new(),
             place: Place {
                 first: Cell::new(0, 0),
@@ -570,26 +572,26 @@ struct Scene<'a, const W: usize> {
     draws: Draws,
 }
 
-impl<const W: usize> Pairs<W> for Scene<'_, W> {
+impl<const W: usize> BinaryFacts<W> for Scene<'_, W> {
     #[inline]
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
         let asked = &self.grounder.lists[list];
         let body = &self.bodies[at];
         let near = |reach| and(among, &self.place.around(body.at, reach));
         match (&asked.relation, asked.axis) {
-            (Relation::Sees, Axis::Second) => near(self.view(body)),
+            (Relation::Sees, Argument::Second) => near(self.view(body)),
             (Relation::Distance { least, most, reach }, _) => keep(near([*reach; 4]), |other| {
                 other != at && (*least..=*most).contains(&square(body.at, self.bodies[other].at))
             }),
             (Relation::Never, _) => [0; W],
-            (Relation::Colliding(colliding), Axis::Second) => {
+            (Relation::Colliding(colliding), Argument::Second) => {
                 let Some(heading) = body.heading else { return [0; W] };
                 keep(near(colliding.cones[body.kind as usize][heading as usize]), |other| {
                     self.holds(&asked.relation, at, other)
                 })
             }
-            (_, Axis::Second) => keep(among, |other| self.holds(&asked.relation, at, other)),
-            (_, Axis::First) => keep(among, |other| self.holds(&asked.relation, other, at)),
+            (_, Argument::Second) => keep(among, |other| self.holds(&asked.relation, at, other)),
+            (_, Argument::First) => keep(among, |other| self.holds(&asked.relation, other, at)),
         }
     }
 
@@ -599,7 +601,7 @@ impl<const W: usize> Pairs<W> for Scene<'_, W> {
         let is_view = |list: usize| {
             matches!(
                 (&asked(list).relation, asked(list).axis),
-                (Relation::Sees, Axis::Second)
+                (Relation::Sees, Argument::Second)
             )
         };
         // Who is in view need not be found out where another list has none but those.
@@ -643,7 +645,7 @@ impl Relation {
         match *self {
             Relation::Sees => {
                 let reach = views[x.heading.map_or(0, |heading| heading as usize + 1)];
-                same || View::around(x.at, reach).contains(y.at)
+                same || FieldOfView::around(x.at, reach).contains(y.at)
             }
             _ if same => false,
             Relation::Distance { least, most, .. } => (least..=most).contains(&square(x.at, y.at)),
@@ -669,7 +671,7 @@ impl Relation {
         match *self {
             Relation::Sees => {
                 for (first, x) in bodies.iter().enumerate() {
-                    let view = View::around(x.at, views[x.heading.map_or(0, |heading| heading as usize + 1)]);
+                    let view = FieldOfView::around(x.at, views[x.heading.map_or(0, |heading| heading as usize + 1)]);
                     for (second, y) in bodies.iter().enumerate() {
                         set(rows, first, second, first == second || view.contains(y.at));
                     }
@@ -703,7 +705,7 @@ impl Relation {
             Relation::Colliding(ref colliding) => {
                 for (first, x) in bodies.iter().enumerate() {
                     let Some(heading) = x.heading else { continue };
-                    let cone = View::around(x.at, colliding.cones[x.kind as usize][heading as usize]);
+                    let cone = FieldOfView::around(x.at, colliding.cones[x.kind as usize][heading as usize]);
                     for (second, y) in bodies.iter().enumerate() {
                         if cone.contains(y.at) {
                             set(rows, first, second, self.holds(views, chance, x, y));

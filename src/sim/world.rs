@@ -5,7 +5,7 @@ use crate::city::{CityMap, Places, Router};
 use crate::config::Scenario;
 use crate::datalog::ClauseId;
 use crate::datalog::Program;
-use crate::datalog::dense::{Counting, Dense};
+use crate::datalog::dense::{Dense, TrackFirings};
 use crate::diag::Diagnostic;
 use crate::sim::executor::compile;
 use crate::sim::vocabulary::Vocabulary;
@@ -60,14 +60,14 @@ impl World {
     ///
     /// # Errors
     /// As [`World::compile`].
-    pub(super) fn plan(&self, counting: Counting) -> Result<Arc<Plan>, Diagnostic> {
-        if let (Counting::Off, Some(plan)) = (counting, self.plan.get()) {
+    pub(super) fn plan(&self, counting: TrackFirings) -> Result<Arc<Plan>, Diagnostic> {
+        if let (TrackFirings::Off, Some(plan)) = (counting, self.plan.get()) {
             return Ok(Arc::clone(plan));
         }
         let plan = Plan::new(self.compile(counting)?, &self.vocabulary, self.scenario.view);
         let plan = Arc::new(plan);
         Ok(match counting {
-            Counting::Off => Arc::clone(self.plan.get_or_init(|| plan)),
+            TrackFirings::Off => Arc::clone(self.plan.get_or_init(|| plan)),
             _ => plan,
         })
     }
@@ -76,7 +76,7 @@ impl World {
     ///
     /// # Errors
     /// `dense-unsupported` if it cannot evaluate them; the message names the reason.
-    pub fn compile(&self, counting: Counting) -> Result<Dense, Diagnostic> {
+    pub fn compile(&self, counting: TrackFirings) -> Result<Dense, Diagnostic> {
         compile(self.program.rules(), &self.vocabulary, counting)
     }
 

@@ -1,7 +1,7 @@
 //! Configurations: the files we ship, every message, the blocks of the reference, and hostile input.
 
 use logicity::builtin::{self, BuiltinFiles, read_or_builtin};
-use logicity::city::{AgentConfig, AgentKind, Buildings, Speed, Split};
+use logicity::city::{Action, AgentConfig, AgentKind, Buildings, Split};
 use logicity::config::{Definition, Scenario, load_map, load_scenario};
 use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
@@ -257,9 +257,9 @@ fn values_are_those_of_the_reference() {
     assert_eq!(region(&load(Path::new("vap-easy"))), [Some(100); 3]);
     assert_eq!(
         (expert.view, expert.ticks, expert.actions.default),
-        (25, 300, Speed::Normal)
+        (25, 300, Action::Normal)
     );
-    assert_eq!(expert.actions.priority, Speed::ALL);
+    assert_eq!(expert.actions.priority, Action::ALL);
     let Buildings::Fixed(rows) = &expert.map.buildings.value else {
         panic!("the map of the paper is fixed")
     };

@@ -2,13 +2,13 @@
 
 use crate::shipped_world::MODES;
 use crate::written_program::program;
-use logicity::city::Speed;
+use logicity::city::Action;
 use logicity::datalog::Program;
 use logicity::datalog::{RelId, Value};
 use logicity::sim::{Cut, ENTITIES_MAX, Example, Finding, conflicts};
 
 /// The finding for a pair of actions.
-fn finding(text: &str, pair: [Speed; 2]) -> Finding {
+fn finding(text: &str, pair: [Action; 2]) -> Finding {
     let program = program(text);
     let found = conflicts(&program);
     for overlap in &found {
@@ -21,7 +21,7 @@ fn finding(text: &str, pair: [Speed; 2]) -> Finding {
 }
 
 /// Whether both actions follow for the first entity.
-fn holds(program: &Program, scene: &Example, actions: [Speed; 2]) -> bool {
+fn holds(program: &Program, scene: &Example, actions: [Action; 2]) -> bool {
     let mut session = program.session();
     let names: Vec<Value> = scene.entities.iter().map(|name| session.intern(name)).collect();
     for (name, rows) in &scene.facts {
@@ -38,7 +38,7 @@ fn holds(program: &Program, scene: &Example, actions: [Speed; 2]) -> bool {
         }
     }
     session.commit().unwrap();
-    let action = |action: Speed| program.relation(action.name()).unwrap();
+    let action = |action: Action| program.relation(action.name()).unwrap();
     actions
         .iter()
         .all(|speed| session.contains(action(*speed), &names[..1]))
@@ -48,7 +48,7 @@ fn rules(body: &str) -> String {
     format!(".include \"vocabulary.dl\"\n{body}")
 }
 
-fn scene(text: &str, pair: [Speed; 2]) -> String {
+fn scene(text: &str, pair: [Action; 2]) -> String {
     match finding(&rules(text), pair) {
         Finding::Together { scene, .. } => scene.to_json().to_string(),
         other => panic!("{other:?}"),
@@ -69,9 +69,9 @@ fn the_modes_of_the_paper() {
     let hard = program(".include \"vap-hard.dl\"");
     for overlap in conflicts(&hard) {
         let together = matches!(overlap.finding, Finding::Together { .. });
-        assert_eq!(together, overlap.actions == [Speed::Slow, Speed::Fast], "{overlap:?}");
+        assert_eq!(together, overlap.actions == [Action::Slow, Action::Fast], "{overlap:?}");
     }
-    let Finding::Together { scene, .. } = finding(".include \"vap-hard.dl\"", [Speed::Slow, Speed::Fast]) else {
+    let Finding::Together { scene, .. } = finding(".include \"vap-hard.dl\"", [Action::Slow, Action::Fast]) else {
         panic!()
     };
     assert_eq!(
@@ -82,7 +82,7 @@ fn the_modes_of_the_paper() {
 
 #[test]
 fn the_smallest_scene_is_told() {
-    let both = [Speed::Slow, Speed::Stop];
+    let both = [Action::Slow, Action::Stop];
     assert_eq!(
         scene(
             "Stop(X) :- IsAtInter(X), IsInInter(Y). Slow(X) :- IsTiro(X), IsCar(Y).",
@@ -117,11 +117,11 @@ fn slow_derived_predicates_are_unfolded() {
         Fast(X) :- IsTiro(X), Not(NextTo(X, _)), IsBus(X).
         Fast(X) :- Near(X, Y), Not(NextTo(X, Y)), IsBus(Y).";
     assert!(matches!(
-        finding(&rules(text), [Speed::Slow, Speed::Stop]),
+        finding(&rules(text), [Action::Slow, Action::Stop]),
         Finding::NotFound { .. }
     ));
     assert_eq!(
-        scene(text, [Speed::Fast, Speed::Stop]),
+        scene(text, [Action::Fast, Action::Stop]),
         r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e0"],"IsOld":["e0"],"NextTo":[["e0","e1"],["e1","e0"]]}}"#
     );
     // Held must not hold, so Free has to, of which neither action speaks.
@@ -131,14 +131,14 @@ fn slow_derived_predicates_are_unfolded() {
         Free(X) :- IsOld(Y), NextTo(X, Y).
         Stop(X) :- IsBus(X).";
     assert_eq!(
-        scene(text, [Speed::Fast, Speed::Stop]),
+        scene(text, [Action::Fast, Action::Stop]),
         r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e0"],"IsOld":["e1"],"NextTo":[["e0","e1"]]}}"#
     );
 }
 
 #[test]
 fn constants_and_comparisons_are_respected() {
-    let both = [Speed::Slow, Speed::Stop];
+    let both = [Action::Slow, Action::Stop];
     assert_eq!(
         scene(
             "Stop(X) :- IsCar(X), X = \"Car_1\". Slow(X) :- IsBus(Y), Y != X, NextTo(X, \"e1\"), IsCar(X).",
@@ -198,7 +198,7 @@ fn a_brute_force_agrees() {
     for a in bodies {
         for b in bodies {
             let text = rules(&format!("Stop(X) :- {a}. Slow(X) :- {b}."));
-            let found = matches!(finding(&text, [Speed::Slow, Speed::Stop]), Finding::Together { .. });
+            let found = matches!(finding(&text, [Action::Slow, Action::Stop]), Finding::Together { .. });
             let program = program(&text);
             let relation = |name: &str| program.relation(name).unwrap();
             let exists = (0..256_u32).any(|bits| {
@@ -233,7 +233,7 @@ fn a_brute_force_agrees() {
 
 #[test]
 fn slow_hostile_rules_end_soon() {
-    let cut = |text: &str| match finding(text, [Speed::Slow, Speed::Stop]) {
+    let cut = |text: &str| match finding(text, [Action::Slow, Action::Stop]) {
         Finding::NotFound { cut, .. } => Vec::from_iter(cut),
         other => panic!("{other:?}"),
     };

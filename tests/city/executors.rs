@@ -1,7 +1,7 @@
 //! The executors against each other: whatever evaluates the rules, on however many threads, a city goes the same way.
 
 use crate::shipped_world::{MODES, world};
-use logicity::city::{Building, Buildings, Speed, Split};
+use logicity::city::{Action, Building, Buildings, Split};
 use logicity::config::Scenario;
 use logicity::diag::Code;
 use logicity::rng::Seed;
@@ -105,11 +105,11 @@ fn a_batch_goes_as_single_cities_do() {
             for batch in &mut batches {
                 // The third city's first agent is told to stop.
                 batch
-                    .tick(|city| if city == 2 { &[(0, Speed::Stop)] } else { &[] })
+                    .tick(|city| if city == 2 { &[(0, Action::Stop)] } else { &[] })
                     .unwrap();
             }
             for (number, city) in alone.iter_mut().enumerate() {
-                let controls: &[_] = if number == 2 { &[(0, Speed::Stop)] } else { &[] };
+                let controls: &[_] = if number == 2 { &[(0, Action::Stop)] } else { &[] };
                 city.tick(controls).unwrap();
                 for batch in &batches {
                     assert_eq!(
@@ -138,24 +138,24 @@ fn controls_replace_decisions() {
             // Both begin every tick alike, so only the action given can differ.
             let decided = free.tick(&[]).unwrap().clone();
             let given = [
-                (count - 1, Speed::Fast),
-                (tick, Speed::Slow),
+                (count - 1, Action::Fast),
+                (tick, Action::Slow),
                 (count - 1, decided.agents[count - 1].action),
                 (tick, decided.agents[tick].action),
             ];
             assert_eq!(led.tick(&given).unwrap().agents, decided.agents, "tick {tick}");
         }
         let decided = free.tick(&[]).unwrap().agents.clone();
-        let stops: Vec<_> = (0..count).step_by(2).map(|agent| (agent, Speed::Stop)).collect();
+        let stops: Vec<_> = (0..count).step_by(2).map(|agent| (agent, Action::Stop)).collect();
         for (agent, done) in led.tick(&stops).unwrap().agents.iter().enumerate() {
             match agent % 2 {
-                0 => assert_eq!((done.action, done.moved.from), (Speed::Stop, done.moved.to)),
+                0 => assert_eq!((done.action, done.moved.from), (Action::Stop, done.moved.to)),
                 _ => assert_eq!(*done, decided[agent]),
             }
         }
         // Nothing is given from one tick to the next.
         let rested = led.tick(&[]).unwrap();
-        assert!(rested.agents.iter().any(|done| done.action != Speed::Stop));
+        assert!(rested.agents.iter().any(|done| done.action != Action::Stop));
     }
 }
 
@@ -166,7 +166,7 @@ fn controls_of_nobody_are_refused() {
     let mut city = simulation(&world, Executor::Dense, 1);
     let count = city.agents().len();
     let before: Vec<_> = city.agents().iter().map(|agent| agent.cell).collect();
-    let fault = city.tick(&[(0, Speed::Fast), (count, Speed::Stop)]).unwrap_err();
+    let fault = city.tick(&[(0, Action::Fast), (count, Action::Stop)]).unwrap_err();
     assert!(
         fault.message.contains(&format!("no agent {count} to control")),
         "{}",
@@ -183,7 +183,7 @@ fn controls_of_nobody_are_refused() {
     for threads in [1, 3] {
         let cities = (0..4).map(|_| simulation(&world, Executor::Dense, 1)).collect();
         let mut batch = Batch::new(cities, threads).unwrap();
-        let nobody = [[(count + 1, Speed::Stop)], [(count + 2, Speed::Stop)]];
+        let nobody = [[(count + 1, Action::Stop)], [(count + 2, Action::Stop)]];
         let fault = batch.tick(|city| match city {
             1 => &nobody[0],
             3 => &nobody[1],

@@ -2,7 +2,7 @@
 
 use crate::proofs::{check, database};
 use crate::shipped_world::world;
-use logicity::city::{Speed, Split};
+use logicity::city::{Action, Split};
 use logicity::datalog::explain::{Explainer, Node, Origin};
 use logicity::datalog::naive;
 use logicity::rng::Seed;
@@ -21,14 +21,14 @@ fn slow_every_decision_of_an_expert_run_is_explained() {
     let (mut proofs, mut absences) = (0, 0);
     for _ in 0..300 {
         let report = simulation.tick(&[]).unwrap().clone();
-        let moment = simulation.moment().unwrap();
+        let moment = simulation.snapshot().unwrap();
         let session = moment.session();
         let rules = session.program().rules();
         let model = database(session);
         let mut explainer = Explainer::new(session);
         for (position, agent) in report.agents.iter().enumerate() {
             let mut held = Vec::new();
-            for action in Speed::ALL {
+            for action in Action::ALL {
                 let relation = moment.world().vocabulary.action(action).unwrap();
                 let row = [moment.value(position)];
                 let explanation = match explainer.explain(relation, &row).unwrap() {

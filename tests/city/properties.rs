@@ -2,11 +2,11 @@
 //! decisions.
 
 use logicity::builtin::BuiltinFiles;
+use logicity::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split, Widths};
 use logicity::city::{
-    Agent, Cell, CityMap, Ground, Heading, Junction, Lane, Layout, NoRoute, Places, Reason, Route, Router,
+    Agent, Cell, CityMap, Ground, Heading, Junction, Lane, Layout, MoveReason, NoRoute, Places, Route, Router,
     Surroundings, advance, place_agents, possible_cells,
 };
-use logicity::city::{AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Speed, Split, Widths};
 use logicity::config::{load_map, load_scenario};
 use logicity::diag::Located;
 use logicity::diag::{Code, Sources, Span};
@@ -563,7 +563,7 @@ proptest! {
         map in maps(),
         seed in any::<u64>(),
         trip in proptest::option::of(20..200_u32),
-        decisions in proptest::collection::vec(proptest::sample::select(&Speed::ALL[..]), 60..90),
+        decisions in proptest::collection::vec(proptest::sample::select(&Action::ALL[..]), 60..90),
     ) {
         let router = Router::new(map.clone(), Routing::Weighted);
         let places = Places::new(&router, None, trip);
@@ -594,7 +594,7 @@ proptest! {
                     if !moved.replanned {
                         let cells = agent.position() - position;
                         prop_assert!(cells <= most);
-                        prop_assert_eq!(cells == 0, decided == Speed::Stop || moved.reason == Reason::Resting);
+                        prop_assert_eq!(cells == 0, decided == Action::Stop || moved.reason == MoveReason::Resting);
                         prop_assert_eq!(agent.heading, Heading::between(moved.from, moved.to).or(heading));
                     }
                     let allowed = match agent.kind {
@@ -693,7 +693,7 @@ fn slow_agents_of_a_metropolis_are_small_and_keep_to_their_trips() {
             tick,
         };
         for (index, agent) in agents.iter_mut().enumerate() {
-            if advance(agent, index, Speed::Normal, &surroundings).replanned {
+            if advance(agent, index, Action::Normal, &surroundings).replanned {
                 keeps_to_trip(agent);
                 replanned += 1;
             }

@@ -8,7 +8,7 @@ use logicity::datalog::Program;
 use logicity::diag::{Diagnostic, Sources};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile};
 use logicity::sim::World;
-use logicity::task::spf::PathTask;
+use logicity::task::spf::SpfTask;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -39,20 +39,20 @@ pub fn with_sources(config: &str, text: Option<&str>) -> (Arc<World>, Sources) {
 }
 
 /// Safe Path Following in a built-in configuration; with its rules, or those of `text`.
-pub fn task(config: &str, text: Option<&str>) -> Arc<PathTask> {
+pub fn task(config: &str, text: Option<&str>) -> Arc<SpfTask> {
     let (world, sources) = load(config, &BuiltinFiles, text, |_| ()).expect("it is built in");
-    Arc::new(PathTask::new(world, &sources).unwrap_or_else(|faults| panic!("{faults:?}")))
+    Arc::new(SpfTask::new(world, &sources).unwrap_or_else(|faults| panic!("{faults:?}")))
 }
 
 /// Safe Path Following as the text of a configuration has it.
-pub fn task_of(config: &str) -> Result<PathTask, Vec<Diagnostic>> {
+pub fn task_of(config: &str) -> Result<SpfTask, Vec<Diagnostic>> {
     let read = |path: &Path| match path.to_str() {
         Some("mine.yaml") => Ok(config.to_owned()),
         _ if path.starts_with(BUILTIN_FOLDER) => BuiltinFiles.read(path),
         _ => Err(ReadError::NotFound),
     };
     let (world, sources) = load("mine.yaml", &read, None, |_| ())?;
-    PathTask::new(world, &sources)
+    SpfTask::new(world, &sources)
 }
 
 fn load(

@@ -3,13 +3,14 @@
 use crate::shipped_world::{PATH_MODES, task, task_of};
 use logicity::builtin::BuiltinFiles;
 use logicity::city::field_of_view;
-use logicity::city::{AgentKind, Speed, Split};
+use logicity::city::{Action, AgentKind, Split};
 use logicity::datalog::{ClauseId, Literal, Rules, Term};
 use logicity::diag::{Code, Diagnostic, Sources};
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Chance, Entity, Facts, Observer, Settings, Simulation, ground};
 use logicity::task::spf::{
-    Baseline, Egos, Env, EpisodeSet, Exam, PathTask, Policy, RANDOM_RUNS, Rollout, Score, describe, rollout,
+    Baseline, BatchEvaluator, ControlMode, Env, EpisodeSet, Policy, RANDOM_RUNS, Rollout, Score, SpfTask, describe,
+    rollout,
 };
 use proptest::prelude::*;
 use std::collections::BTreeSet;
@@ -109,7 +110,7 @@ impl Plain {
             other => panic!("{other:?}"),
         };
         let row: Vec<usize> = atom.terms.iter().map(term).collect();
-        let holds = match Speed::ALL.iter().any(|speed| speed.name() == name) {
+        let holds = match Action::ALL.iter().any(|speed| speed.name() == name) {
             true => row[0] == self.entities[0] && given.contains(name.as_str()),
             false => self.facts.contains(&(name.clone(), row)),
         };
@@ -130,7 +131,7 @@ impl Plain {
                     .filter(fires)
                     .map(|clause| &rules.relations[head(clause)].name);
                 let actions = |name| {
-                    Speed::ALL
+                    Action::ALL
                         .iter()
                         .map(|speed| speed.name())
                         .find(|action| action == name)
@@ -152,7 +153,7 @@ impl Plain {
     }
 
     /// The demands that an action breaks.
-    fn broken(&self, task: &PathTask, action: Speed) -> Vec<usize> {
+    fn violations(&self, task: &SpfTask, action: Action) -> Vec<usize> {
         let (rules, given) = (task.world().program.rules(), Actions::from([action.name()]));
         let demands = task.oracle().demands().iter().enumerate();
         demands
@@ -163,7 +164,7 @@ impl Plain {
 }
 
 /// The rules of a task.
-fn rules_of(task: &PathTask) -> String {
+fn rules_of(task: &SpfTask) -> String {
     let rules = &task.world().scenario.rules.value;
     let rules = rules.file_name().unwrap().to_str().unwrap();
     format!(".include \"rules/{rules}\"\n")
@@ -194,7 +195,7 @@ fn observers_agree_with_the_definitions() {
         for seed in 0..3 {
             let mut city = Simulation::new(Arc::clone(world), Split::Test, Seed(seed), Settings::default()).unwrap();
             let egos = 0..city.agents().len();
-            let observers = |task: &PathTask| -> Vec<Observer> {
+            let observers = |task: &SpfTask| -> Vec<Observer> {
                 egos.clone()
                     .map(|ego| Observer::new(Arc::clone(task.oracle()), ego))
                     .collect()
@@ -229,17 +230,17 @@ fn observers_agree_with_the_definitions() {
                     assert_eq!(derived, slow.derived(&city).unwrap());
                     assert_eq!(derived, twice.derived(&city).unwrap());
                     assert_eq!(
-                        derived.iter().map(Speed::name).collect::<Actions>(),
+                        derived.iter().map(Action::name).collect::<Actions>(),
                         plain.derived(rules),
                         "{mode} {seed} {ego}"
                     );
-                    for action in Speed::ALL {
-                        let broken = dense.broken(&city, action).unwrap().to_vec();
-                        let expected = plain.broken(&plain_task, action);
+                    for action in Action::ALL {
+                        let broken = dense.violations(&city, action).unwrap().to_vec();
+                        let expected = plain.violations(&plain_task, action);
                         assert_eq!(broken, expected, "{mode} seed {seed} ego {ego} {action:?}");
                         // The clauses of the included file come first.
-                        assert_eq!(broken, slow.broken(&city, action).unwrap());
-                        assert_eq!(broken, twice.broken(&city, action).unwrap());
+                        assert_eq!(broken, slow.violations(&city, action).unwrap());
+                        assert_eq!(broken, twice.violations(&city, action).unwrap());
                         seen[action as usize] += broken.len();
                     }
                 }
@@ -326,12 +327,12 @@ fn random_clauses_are_judged_as_defined() {
             let body = rules.clauses[clause.index()].body.iter();
             let name = |literal: &Literal| Some(rules.relations[literal.atom()?.relation.index()].name.clone());
             body.filter_map(name)
-                .filter(|name| Speed::ALL.iter().any(|speed| speed.name() == name))
+                .filter(|name| Action::ALL.iter().any(|speed| speed.name() == name))
                 .count()
         };
         for city in &cities {
             for ego in 0..city.agents().len() {
-                let observe = |task: &Arc<PathTask>| {
+                let observe = |task: &Arc<SpfTask>| {
                     let mut observer = Observer::new(Arc::clone(task.oracle()), ego);
                     observer.begin(city);
                     observer.look(city);
@@ -340,7 +341,7 @@ fn random_clauses_are_judged_as_defined() {
                 let [mut once_of, mut apart_of, mut relational_of] = [&once, &others[0], &others[1]].map(observe);
                 let plain = Plain::new(city, ego, n, &once_of.atoms().collect());
                 let derived = once_of.derived(city).unwrap();
-                let named: Actions = derived.iter().map(Speed::name).collect();
+                let named: Actions = derived.iter().map(Action::name).collect();
                 assert_eq!(named, plain.derived(rules), "case {case} ego {ego}\n{text}");
                 assert_eq!(
                     derived,
@@ -353,21 +354,21 @@ fn random_clauses_are_judged_as_defined() {
                     "case {case} ego {ego}\n{text}"
                 );
                 several += usize::from(named.len() > 1);
-                for action in Speed::ALL {
-                    let broken = once_of.broken(city, action).unwrap();
+                for action in Action::ALL {
+                    let broken = once_of.violations(city, action).unwrap();
                     assert_eq!(
                         broken,
-                        plain.broken(&once, action),
+                        plain.violations(&once, action),
                         "case {case} ego {ego} {action:?}\n{text}"
                     );
                     assert_eq!(
                         broken,
-                        apart_of.broken(city, action).unwrap(),
+                        apart_of.violations(city, action).unwrap(),
                         "case {case} {ego} {action:?}\n{text}"
                     );
                     assert_eq!(
                         broken,
-                        relational_of.broken(city, action).unwrap(),
+                        relational_of.violations(city, action).unwrap(),
                         "case {case} {ego} {action:?}\n{text}"
                     );
                     broke[action as usize] += broken.len();
@@ -402,7 +403,7 @@ fn exact_observations_agree_with_the_definitions() {
         let [room, width] = task.state_shape();
         let unary = (task.world().vocabulary.predicates.iter()).filter(|predicate| predicate.arity == 1);
         assert_eq!([room, width], [rows, 8 + unary.count()]);
-        let mut env = Env::new(Arc::clone(&task), Split::Test, Egos::Cars).unwrap();
+        let mut env = Env::new(Arc::clone(&task), Split::Test, ControlMode::Cars).unwrap();
         let mut random = Seed(5).stream(Purpose::POLICY, 0, 0);
         for seed in 0..3 {
             env.reset(seed).unwrap();
@@ -413,19 +414,23 @@ fn exact_observations_agree_with_the_definitions() {
             env.reset_to(&episode).unwrap();
             let mut shown = vec![0.5; room * width];
             for _ in 0..25 {
-                for rider in 0..env.riders().len() {
-                    env.observe_state(rider, &mut shown);
-                    let plain = plain_state(env.city(), env.riders()[rider].agent(), scale);
+                for controlled_car in 0..env.controlled_cars().len() {
+                    env.observe_state(controlled_car, &mut shown);
+                    let plain = plain_state(env.city(), env.controlled_cars()[controlled_car].agent(), scale);
                     let (rows, rest) = shown.split_at(plain.len().min(room) * width);
-                    assert_eq!(rows, plain[..plain.len().min(room)].concat(), "{mode} {seed} {rider}");
+                    assert_eq!(
+                        rows,
+                        plain[..plain.len().min(room)].concat(),
+                        "{mode} {seed} {controlled_car}"
+                    );
                     assert!(rest.iter().all(|number| *number == 0.0));
                     met[0] += usize::from(plain.len() > room);
                     met[1] += usize::from(!rest.is_empty());
                     met[2] += plain.iter().filter(|row| row[7] == -1.0).count();
                     met[3] += plain.iter().filter(|row| row[3..7] == [0.0; 4]).count();
                 }
-                let actions: Vec<Speed> = (env.riders().iter())
-                    .map(|_| Speed::ALL[random.random_range(0..4)])
+                let actions: Vec<Action> = (env.controlled_cars().iter())
+                    .map(|_| Action::ALL[random.random_range(0..4)])
                     .collect();
                 env.step(&actions).unwrap();
             }
@@ -474,7 +479,7 @@ fn slow_recorded_episodes() {
                 EpisodeSet::load(&task, split, &mut sources, &BuiltinFiles).unwrap_or_else(|fault| panic!("{fault:?}"));
             assert_eq!(set.config, mode);
             assert_eq!(set.episodes.len(), if split == Split::Val { 40 } else { 100 });
-            let mut env = Env::new(Arc::clone(&task), split, Egos::First).unwrap();
+            let mut env = Env::new(Arc::clone(&task), split, ControlMode::First).unwrap();
             let mut asked = [0; 4];
             for (number, episode) in set.episodes.iter().enumerate() {
                 env.reset_to(episode).unwrap();
@@ -496,8 +501,8 @@ fn slow_recorded_episodes() {
                     *asked += usize::from(steps > 0);
                 }
             }
-            let of = |action: Speed| task.oracle().demands().iter().any(|demand| demand.action == action);
-            for action in Speed::ALL.into_iter().filter(|action| of(*action)) {
+            let of = |action: Action| task.oracle().demands().iter().any(|demand| demand.action == action);
+            for action in Action::ALL.into_iter().filter(|action| of(*action)) {
                 assert!(
                     asked[action as usize] >= 6,
                     "{mode} {}: {action:?} is asked in {asked:?}",
@@ -509,7 +514,7 @@ fn slow_recorded_episodes() {
 }
 
 /// The first recorded episodes of a split.
-fn some_recorded(task: &PathTask, split: Split, count: usize) -> EpisodeSet {
+fn some_recorded(task: &SpfTask, split: Split, count: usize) -> EpisodeSet {
     let mut set = EpisodeSet::load(task, split, &mut Sources::new(), &BuiltinFiles).unwrap();
     set.episodes.truncate(count);
     set
@@ -522,19 +527,19 @@ fn an_exam_goes_as_its_episodes_would_alone() {
     let set = some_recorded(&task, Split::Val, 6);
     for policy in [
         Policy::Oracle,
-        Policy::Always(Speed::Normal),
-        Policy::Always(Speed::Stop),
+        Policy::Always(Action::Normal),
+        Policy::Always(Action::Stop),
     ] {
-        let mut exam = Exam::new(&task, &set).unwrap();
+        let mut exam = BatchEvaluator::new(&task, &set).unwrap();
         while exam.running().any(|running| running) {
             let act = |env: &Env| match policy {
                 Policy::Always(action) => action,
                 _ => env.oracle_action(0),
             };
-            let actions: Vec<Speed> = exam.envs().iter().map(act).collect();
+            let actions: Vec<Action> = exam.envs().iter().map(act).collect();
             exam.step(&actions).unwrap();
         }
-        let mut env = Env::new(Arc::clone(&task), Split::Val, Egos::First).unwrap();
+        let mut env = Env::new(Arc::clone(&task), Split::Val, ControlMode::First).unwrap();
         let alone = set.episodes.iter().map(|episode| {
             env.reset_to(episode).unwrap();
             rollout(&mut env, policy).unwrap()
@@ -547,7 +552,7 @@ fn an_exam_goes_as_its_episodes_would_alone() {
 fn the_random_policy_is_the_zero_of_scores() {
     let task = task("easy", None);
     let set = some_recorded(&task, Split::Val, 3);
-    let mut env = Env::new(Arc::clone(&task), Split::Val, Egos::First).unwrap();
+    let mut env = Env::new(Arc::clone(&task), Split::Val, ControlMode::First).unwrap();
     let mut drive = || {
         let mut baseline = Baseline::default();
         for episode in &set.episodes {
@@ -582,15 +587,15 @@ fn the_random_policy_is_the_zero_of_scores() {
 fn told(env: &Env) -> (Vec<f32>, f64, bool, bool) {
     let mut out = vec![0.0; env.task().observation_width()];
     env.observe(0, &mut out);
-    let last = env.riders()[0].last();
+    let last = env.controlled_cars()[0].last();
     (out, last.reward, last.terminated, last.truncated)
 }
 
 #[test]
 fn an_episode_can_be_begun_again() {
     let task = task("expert", None);
-    let mut env = Env::new(Arc::clone(&task), Split::Train, Egos::First).unwrap();
-    let mut other = Env::new(task, Split::Train, Egos::First).unwrap();
+    let mut env = Env::new(Arc::clone(&task), Split::Train, ControlMode::First).unwrap();
+    let mut other = Env::new(task, Split::Train, ControlMode::First).unwrap();
     for seed in 0..40 {
         env.reset(seed).unwrap();
         other.reset(seed + 1).unwrap();
@@ -599,11 +604,11 @@ fn an_episode_can_be_begun_again() {
         assert_eq!((other.episode(), other.horizon()), (&episode, env.horizon()));
         for step in 0..60 {
             assert_eq!(told(&env), told(&other), "seed {seed} step {step}");
-            if !env.riders()[0].is_running() {
+            if !env.controlled_cars()[0].is_running() {
                 break;
             }
             let action = if step % 7 == 3 {
-                Speed::Slow
+                Action::Slow
             } else {
                 env.oracle_action(0)
             };
@@ -615,11 +620,11 @@ fn an_episode_can_be_begun_again() {
 
 #[test]
 fn the_horizon_cuts_an_episode_short() {
-    let mut env = Env::new(task("easy", None), Split::Train, Egos::First).unwrap();
+    let mut env = Env::new(task("easy", None), Split::Train, ControlMode::First).unwrap();
     env.reset(1).unwrap();
-    let cells = env.riders()[0].cells();
+    let cells = env.controlled_cars()[0].cells();
     env.set_horizon(9);
-    let done = rollout(&mut env, Policy::Always(Speed::Stop)).unwrap();
+    let done = rollout(&mut env, Policy::Always(Action::Stop)).unwrap();
     assert!(done.truncated && !done.success && done.broken.is_empty());
     assert_eq!(done.steps, 9);
     #[allow(clippy::cast_precision_loss)]
@@ -630,33 +635,37 @@ fn the_horizon_cuts_an_episode_short() {
 #[test]
 fn every_car_can_be_driven() {
     let task = task("expert", None);
-    let mut env = Env::new(Arc::clone(&task), Split::Test, Egos::Cars).unwrap();
+    let mut env = Env::new(Arc::clone(&task), Split::Test, ControlMode::Cars).unwrap();
     env.reset(3).unwrap();
-    assert_eq!(env.riders().len(), 10);
+    assert_eq!(env.controlled_cars().len(), 10);
     let mut ended = 0;
     for _ in 0..200 {
-        let running: Vec<bool> = env.riders().iter().map(|rider| rider.is_running()).collect();
-        let actions: Vec<Speed> = (0..10)
-            .map(|rider| {
-                if rider == 2 {
-                    Speed::Fast
+        let running: Vec<bool> = env
+            .controlled_cars()
+            .iter()
+            .map(|controlled_car| controlled_car.is_running())
+            .collect();
+        let actions: Vec<Action> = (0..10)
+            .map(|controlled_car| {
+                if controlled_car == 2 {
+                    Action::Fast
                 } else {
-                    env.oracle_action(rider)
+                    env.oracle_action(controlled_car)
                 }
             })
             .collect();
         env.step(&actions).unwrap();
         for (position, was) in running.into_iter().enumerate() {
-            let rider = &env.riders()[position];
-            assert!(was || !rider.is_running());
+            let controlled_car = &env.controlled_cars()[position];
+            assert!(was || !controlled_car.is_running());
             // Also of a car whose episode has ended the present is told.
-            let mut alone = Observer::new(Arc::clone(task.oracle()), rider.agent());
+            let mut alone = Observer::new(Arc::clone(task.oracle()), controlled_car.agent());
             alone.begin(env.city());
             alone.look(env.city());
-            assert!(alone.atoms().eq(rider.observer().atoms()));
-            assert!(alone.entities().eq(rider.observer().entities()));
+            assert!(alone.atoms().eq(controlled_car.observer().atoms()));
+            assert!(alone.entities().eq(controlled_car.observer().entities()));
             let derived = alone.derived(env.city()).unwrap();
-            assert_eq!(derived, rider.derived());
+            assert_eq!(derived, controlled_car.derived());
             let wanted = task.world().vocabulary.decide(derived);
             assert_eq!(env.oracle_action(position), wanted);
             assert!(describe(&env, position).ends_with(&format!("the rules want {}\n", wanted.name())));
@@ -666,10 +675,14 @@ fn every_car_can_be_driven() {
             alone.write(&mut expected);
             assert_eq!(shown, expected);
         }
-        ended = env.riders().iter().filter(|rider| !rider.is_running()).count();
+        ended = env
+            .controlled_cars()
+            .iter()
+            .filter(|controlled_car| !controlled_car.is_running())
+            .count();
     }
     assert!(ended > 3, "{ended} have ended");
-    assert!(!env.riders()[2].last().success, "racing breaks a rule");
+    assert!(!env.controlled_cars()[2].last().success, "racing breaks a rule");
 }
 
 /// The oracle's steps are those of the first car; the others have the horizon of the configuration.
@@ -678,7 +691,10 @@ fn the_horizon_of_an_episode_is_that_of_who_is_driven() {
     let task = task("expert", None);
     let episode = &some_recorded(&task, Split::Test, 1).episodes[0];
     let steps = episode.oracle.as_ref().unwrap().steps;
-    for (egos, horizon) in [(Egos::First, 2 * steps), (Egos::Cars, task.config().horizon)] {
+    for (egos, horizon) in [
+        (ControlMode::First, 2 * steps),
+        (ControlMode::Cars, task.config().horizon),
+    ] {
         let mut env = Env::new(Arc::clone(&task), Split::Test, egos).unwrap();
         env.reset_to(episode).unwrap();
         assert_eq!(env.horizon(), horizon, "{egos:?}");
@@ -727,16 +743,16 @@ fn clauses_can_have_weights_of_their_own() {
         let demand = |label: &str| (0..).find(|&demand| task.label(demand) == label).unwrap();
         let [s1, s2, s7, l1] = ["S1", "S2", "S7", "L1"].map(demand);
         let rewards =
-            [vec![s1, s2, s7], vec![s2], vec![s7], vec![s1, l1]].map(|broken| task.reward(Speed::Normal, &broken, 10));
+            [vec![s1, s2, s7], vec![s2], vec![s7], vec![s1, l1]].map(|broken| task.reward(Action::Normal, &broken, 10));
         assert_eq!(rewards, expected, "{per}");
-        assert_eq!(task.reward(Speed::Stop, &[], 10), -3.0 / 40.0);
+        assert_eq!(task.reward(Action::Stop, &[], 10), -3.0 / 40.0);
     }
 }
 
 /// What an agent of an episode carries is checked like an entry of an agent set.
 #[test]
 fn agents_of_episodes_are_what_predicates_can_tell() {
-    let mut env = Env::new(task("expert", None), Split::Test, Egos::First).unwrap();
+    let mut env = Env::new(task("expert", None), Split::Test, ControlMode::First).unwrap();
     env.reset(1).unwrap();
     let episode = env.episode().clone();
     let mut begun = |agent: usize, concepts: &[&str]| {
@@ -857,7 +873,7 @@ proptest! {
     #[test]
     fn episodes_are_read_as_they_are_written(text in ".{0,200}", seed in 0u64..1000) {
         let _ = set_of(&text);
-        let mut env = Env::new(task("easy", None), Split::Val, Egos::First).unwrap();
+        let mut env = Env::new(task("easy", None), Split::Val, ControlMode::First).unwrap();
         env.reset(seed).unwrap();
         let set = EpisodeSet { config: "easy".into(), split: Split::Val, seed, episodes: vec![env.episode().clone()] };
         let mut written = Vec::new();

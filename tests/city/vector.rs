@@ -1,10 +1,10 @@
 //! Many environments that take a step together: each goes as it would alone.
 
 use crate::shipped_world::task;
-use logicity::city::{Speed, Split};
+use logicity::city::{Action, Split};
 use logicity::diag::Code;
 use logicity::rng::{Purpose, RngExt, Seed};
-use logicity::task::spf::{Autoreset, Begin, Egos, Env, EpisodeSource, Info, VectorEnv, View};
+use logicity::task::spf::{Autoreset, Begin, ControlMode, Env, EpisodeSource, Info, ObservationKind, VectorEnv};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
@@ -18,20 +18,20 @@ struct Alone {
 }
 
 impl Alone {
-    fn begin(&mut self, view: View) {
+    fn begin(&mut self, view: ObservationKind) {
         self.source.begin(&mut self.env).unwrap();
         self.over = false;
         self.look(view);
     }
 
-    fn look(&mut self, view: View) {
+    fn look(&mut self, view: ObservationKind) {
         view.write(&self.env, 0, &mut self.shown);
         self.info.note(&self.env, 0);
     }
 }
 
 /// A batch of `count` environments and as many alone, random actions, for so many steps of all of them together.
-fn compare(config: &str, split: Split, view: View, autoreset: Autoreset, threads: usize, steps: usize) {
+fn compare(config: &str, split: Split, view: ObservationKind, autoreset: Autoreset, threads: usize, steps: usize) {
     const COUNT: usize = 24;
     let task = task(config, None);
     let width: usize = view.shape(&task).iter().product();
@@ -40,7 +40,7 @@ fn compare(config: &str, split: Split, view: View, autoreset: Autoreset, threads
     batch.keep_last_atoms();
     let mut alone: Vec<Alone> = (0..COUNT)
         .map(|member| Alone {
-            env: Env::new(Arc::clone(&task), split, Egos::First).unwrap(),
+            env: Env::new(Arc::clone(&task), split, ControlMode::First).unwrap(),
             source: source(member),
             shown: vec![0.0; width],
             info: Info::default(),
@@ -57,7 +57,7 @@ fn compare(config: &str, split: Split, view: View, autoreset: Autoreset, threads
             batch.reset(&begin, &mut shown).unwrap();
             alone.iter_mut().filter(|one| one.over).for_each(|one| one.begin(view));
         }
-        let actions: Vec<Speed> = (0..COUNT).map(|_| Speed::ALL[random.random_range(0..4)]).collect();
+        let actions: Vec<Action> = (0..COUNT).map(|_| Action::ALL[random.random_range(0..4)]).collect();
         batch.step(&actions, &mut shown).unwrap();
         for (member, one) in alone.iter_mut().enumerate() {
             let together = &batch.members()[member];
@@ -68,14 +68,14 @@ fn compare(config: &str, split: Split, view: View, autoreset: Autoreset, threads
                 assert_eq!(told, (0.0, false, false), "step {step}");
             } else {
                 one.env.step(&actions[member..=member]).unwrap();
-                let last = one.env.riders()[0].last();
+                let last = one.env.controlled_cars()[0].last();
                 assert_eq!(told, (last.reward, last.terminated, last.truncated), "step {step}");
                 one.over = last.terminated || last.truncated;
                 one.look(view);
             }
             assert_eq!(together.ended().is_some(), one.over && autoreset == Autoreset::SameStep);
             if let Some((observation, info)) = together.ended() {
-                let atoms: Vec<_> = one.env.riders()[0].observer().atoms().collect();
+                let atoms: Vec<_> = one.env.controlled_cars()[0].observer().atoms().collect();
                 assert_eq!(together.ended_atoms().unwrap(), atoms, "step {step}");
                 assert_eq!(observation, one.shown, "step {step}");
                 assert_eq!(*info, one.info, "step {step}");
@@ -93,11 +93,46 @@ fn compare(config: &str, split: Split, view: View, autoreset: Autoreset, threads
 /// 10^4 steps for each way to go on after an end.
 #[test]
 fn a_batch_goes_as_its_members_would_alone() {
-    compare("expert", Split::Train, View::Groundings, Autoreset::NextStep, 1, 10_000);
-    compare("expert", Split::Train, View::State, Autoreset::SameStep, 3, 10_000);
-    compare("expert", Split::Train, View::Groundings, Autoreset::Disabled, 2, 10_000);
-    compare("medium", Split::Test, View::Groundings, Autoreset::SameStep, 1, 10_000);
-    compare("medium", Split::Test, View::State, Autoreset::NextStep, 2, 10_000);
+    compare(
+        "expert",
+        Split::Train,
+        ObservationKind::Groundings,
+        Autoreset::NextStep,
+        1,
+        10_000,
+    );
+    compare(
+        "expert",
+        Split::Train,
+        ObservationKind::State,
+        Autoreset::SameStep,
+        3,
+        10_000,
+    );
+    compare(
+        "expert",
+        Split::Train,
+        ObservationKind::Groundings,
+        Autoreset::Disabled,
+        2,
+        10_000,
+    );
+    compare(
+        "medium",
+        Split::Test,
+        ObservationKind::Groundings,
+        Autoreset::SameStep,
+        1,
+        10_000,
+    );
+    compare(
+        "medium",
+        Split::Test,
+        ObservationKind::State,
+        Autoreset::NextStep,
+        2,
+        10_000,
+    );
 }
 
 #[test]
@@ -115,7 +150,7 @@ fn the_seeds_of_episodes_are_functions_of_seed_and_number() {
 #[test]
 fn recorded_episodes_are_taken_by_the_seed() {
     let task = task("easy", None);
-    let mut env = Env::new(Arc::clone(&task), Split::Val, Egos::First).unwrap();
+    let mut env = Env::new(Arc::clone(&task), Split::Val, ControlMode::First).unwrap();
     let recorded: Arc<[_]> = (0..6)
         .map(|seed| {
             env.reset(seed).unwrap();
@@ -128,7 +163,7 @@ fn recorded_episodes_are_taken_by_the_seed() {
         Split::Val,
         (0..2).map(source),
         Autoreset::SameStep,
-        View::Groundings,
+        ObservationKind::Groundings,
         1,
     )
     .unwrap();
@@ -162,13 +197,13 @@ fn a_batch_is_given_up_when_it_is_told_to() {
         let asked = Arc::clone(&left);
         let stop = Arc::new(move || asked.fetch_sub(1, Ordering::Relaxed) <= 0);
         let sources = (0..COUNT).map(|member| EpisodeSource::new(member as u64, None));
-        let (autoreset, view) = (Autoreset::Disabled, View::Groundings);
+        let (autoreset, view) = (Autoreset::Disabled, ObservationKind::Groundings);
         let batch = VectorEnv::new_until(&task, Split::Train, sources, autoreset, view, threads, stop);
         let mut batch = batch.unwrap();
         let mut shown = vec![0.0; COUNT * task.observation_width()];
         batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();
         left.store(3, Ordering::Relaxed);
-        let fault = batch.step(&[Speed::Stop; COUNT], &mut shown).unwrap_err();
+        let fault = batch.step(&[Action::Stop; COUNT], &mut shown).unwrap_err();
         assert_eq!(fault.code, Code::LIMIT_EXCEEDED);
         left.store(i64::MAX, Ordering::Relaxed);
         let gone: Vec<bool> = batch.members().iter().map(|member| member.env().steps() == 1).collect();
@@ -189,6 +224,6 @@ fn a_batch_is_given_up_when_it_is_told_to() {
             .collect();
         batch.reset(&again, &mut shown).unwrap();
         assert!(ready(&batch).iter().all(|ready| *ready));
-        batch.step(&[Speed::Stop; COUNT], &mut shown).unwrap();
+        batch.step(&[Action::Stop; COUNT], &mut shown).unwrap();
     }
 }

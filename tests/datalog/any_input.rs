@@ -5,7 +5,7 @@ use crate::random_program::agree::agrees;
 use crate::random_program::{Batch, Genome};
 use crate::rule_files::RuleFiles;
 use logicity::datalog;
-use logicity::datalog::explain::{Explainer, Teller};
+use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::datalog::{Atom, BaseType, Clause, Column, Literal, RelId, RowFormat, Rules, Value};
 use logicity::datalog::{Limits, Options, Program, Session, diff, facts};
 use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
@@ -66,9 +66,9 @@ pub fn check(bytes: &[u8]) {
     let rules = program.rules();
     #[cfg(feature = "optimizer")]
     draw(&logicity::datalog::optimize::lints(rules).diagnostics, &sources);
-    for promises in [false, true] {
-        let optimize = promises;
-        let program = Program::with(rules.clone(), Options { optimize, promises }).expect("it was just planned");
+    for constraints in [false, true] {
+        let optimize = constraints;
+        let program = Program::with(rules.clone(), Options { optimize, constraints }).expect("it was just planned");
         program.show_plans(&sources);
     }
     let options = diff::Options {
@@ -77,7 +77,7 @@ pub fn check(bytes: &[u8]) {
         ..diff::Options::default()
     };
     let same = diff::diff(rules, rules, &options);
-    assert!(!matches!(same, Ok(diff::Verdict::Different(_))), "{same:?}");
+    assert!(!matches!(same, Ok(diff::Equivalence::Different(_))), "{same:?}");
 }
 
 /// The program and script of changes that the bytes are read as agree with `naive`.
@@ -123,7 +123,7 @@ fn explain(program: &Program, script: &[Batch], sources: &Sources) {
         note(&mut session, batch);
         session.commit().expect("few rows");
     }
-    let teller = Teller::new(rules, session.symbols(), sources);
+    let teller = ExplanationPrinter::new(rules, session.symbols(), sources);
     let mut explainer = Explainer::new(&session);
     explainer.set_limit(EXPLAIN_STEPS);
     for (relation, rel) in rules.relations.iter().zip((0..).map(RelId)) {
@@ -248,7 +248,7 @@ fn batches(rules: &Rules, text: &str) -> Vec<Batch> {
 fn row_of(rules: &Rules, name: &str, row: &str) -> Option<(RelId, Vec<Value>)> {
     let rel = rules.relation(name)?;
     let relation = &rules.relations[rel.index()];
-    let rel = relation.given.or((!relation.derived).then_some(rel))?;
+    let rel = relation.edb.or((!relation.derived).then_some(rel))?;
     let texts: Vec<&str> = row.split(", ").filter(|_| row != "()").collect();
     let value = |(column, text): (&Column, &str)| match column.base {
         BaseType::Symbol => Some(Value(rules.symbols.intern(text).0)),

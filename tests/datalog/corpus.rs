@@ -2,7 +2,7 @@
 
 use crate::rule_files::RuleFiles;
 use logicity::datalog;
-use logicity::datalog::{BaseType, Inputs, RelId, Rules, Value};
+use logicity::datalog::{BaseType, Edb, RelId, Rules, Value};
 use logicity::datalog::{Options, Program, Strategy, constraints, facts, naive};
 use logicity::diag::{Diagnostic, Severity, Sources, render};
 use logicity::symbol::{Symbol, Symbols};
@@ -88,10 +88,10 @@ enum Mode {
     OneSession(Options, Strategy),
 }
 
-/// Every way to evaluate a program: as written and optimised, with and without relying on promises, which the facts of the corpus keep; and
+/// Every way to evaluate a program: as written and optimised, with and without relying on constraints, which the facts of the corpus keep; and
 /// of one session, every way to follow a change.
 fn modes() -> Vec<Mode> {
-    let options = |optimize, promises| Options { optimize, promises };
+    let options = |optimize, constraints| Options { optimize, constraints };
     let options = [options(false, false), options(true, false), options(true, true)];
     let mut modes = vec![Mode::Naive];
     modes.extend(options.map(Mode::FromScratch));
@@ -245,8 +245,11 @@ fn in_one_session(program: &Program, strategy: Strategy, steps: &[Step]) -> Vec<
             }
             Step::Expect { relation, .. } => {
                 session.commit().expect("few rows");
-                // What the modes that rely on promises are allowed to rely on.
-                assert!(constraints::broken(&session).is_empty(), "facts break a promise");
+                // What the modes that rely on constraints are allowed to rely on.
+                assert!(
+                    constraints::violations(&session).is_empty(),
+                    "facts violate a constraint"
+                );
                 answers.push(ask(&session, relation));
             }
         }
@@ -260,7 +263,7 @@ fn check(path: &Path) -> Result<(), String> {
     let script = read_script(&text);
     let mut sources = Sources::new();
     let entry = sources.add(path.display().to_string(), text);
-    let loaded = datalog::load_with(&mut sources, entry, &RuleFiles, Inputs::Extended);
+    let loaded = datalog::load_with(&mut sources, entry, &RuleFiles, Edb::Extensible);
     let found: BTreeSet<(usize, String)> = loaded.diagnostics.iter().map(|fault| place(fault, &sources)).collect();
     if found != script.diagnostics {
         let drawn = render(&loaded.diagnostics, &sources, false);

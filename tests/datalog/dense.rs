@@ -1,7 +1,7 @@
 //! The dense executor against the specification, on random programs and scenes.
 
 use crate::written_program::program;
-use logicity::datalog::dense::{BitFacts, Counting, Dense, Frame, Set, choose, has};
+use logicity::datalog::dense::{BitFacts, BitState, Dense, Set, TrackFirings, choose, has};
 use logicity::datalog::{ClauseId, RelId, Rules, Value};
 use logicity::datalog::{Program, naive};
 use proptest::prelude::*;
@@ -226,7 +226,7 @@ fn check<const W: usize>(
     let (expected, expected_fired) = expected(program, &value, facts);
     let choice = choose(rules);
     prop_assert!(choice.all_dense(), "{:?}", choice);
-    for counting in [Counting::Off, Counting::Each] {
+    for counting in [TrackFirings::Off, TrackFirings::Each] {
         let steady = |relation: RelId| relation.0.is_multiple_of(2);
         let dense = Dense::new(rules, &choice, counting, steady);
         let mut given: BitFacts<W> = BitFacts::new(&dense, entities);
@@ -234,7 +234,7 @@ fn check<const W: usize>(
             given.insert(&dense, *relation, row);
         }
         // Nothing is left of what held of other entities before.
-        let mut frame: Frame<W> = Frame::new(&dense, 64 * W);
+        let mut frame: BitState<W> = BitState::new(&dense, 64 * W);
         for input in 0..dense.inputs().len() {
             frame.set_input(&dense, input, [u64::MAX; W]);
         }
@@ -275,9 +275,9 @@ fn check<const W: usize>(
         }
         for (id, &fired) in (0..).map(ClauseId).zip(&expected_fired) {
             match (counting, frame.count_fired(&dense, id)) {
-                (Counting::Off, count) => prop_assert_eq!(count, None),
+                (TrackFirings::Off, count) => prop_assert_eq!(count, None),
                 // A clause that can never fire is not in the program.
-                (Counting::Each, count) => prop_assert_eq!(count.unwrap_or(0), fired),
+                (TrackFirings::Each, count) => prop_assert_eq!(count.unwrap_or(0), fired),
             }
         }
         if dense.is_local() {
@@ -291,10 +291,10 @@ fn check<const W: usize>(
 fn check_egos<const W: usize>(
     program: &Dense,
     given: &BitFacts<W>,
-    all: &Frame<W>,
+    all: &BitState<W>,
     rules: &Rules,
 ) -> Result<(), TestCaseError> {
-    let mut some = Frame::new(program, all.count());
+    let mut some = BitState::new(program, all.count());
     given.load(program, &mut some);
     let egos: Set<W> = [0x5555_5555_5555_5555; W];
     some.set_egos(egos);

@@ -2,7 +2,7 @@
 
 use crate::rule_files::RuleFiles;
 use logicity::datalog;
-use logicity::datalog::diff::{Cut, Difference, Options, Verdict, diff};
+use logicity::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
 use logicity::datalog::naive;
 use logicity::datalog::{Constraint, RelId, Rules, Value};
 use logicity::diag::Sources;
@@ -25,13 +25,13 @@ fn shipped(name: &str) -> Rules {
     rules(&std::fs::read_to_string(root().join("rules").join(name)).unwrap())
 }
 
-fn verdict(left: &Rules, right: &Rules) -> Verdict {
+fn verdict(left: &Rules, right: &Rules) -> Equivalence {
     diff(left, right, &Options::default()).unwrap()
 }
 
 fn difference(left: &Rules, right: &Rules) -> Difference {
     match verdict(left, right) {
-        Verdict::Different(difference) => difference,
+        Equivalence::Different(difference) => difference,
         other => panic!("{other:?}"),
     }
 }
@@ -47,19 +47,19 @@ fn vap_easy_is_proved_equal_to_a_shuffled_and_bloated_copy() {
     for (left, right) in [(&left, &right), (&right, &left)] {
         let found = verdict(left, right);
         assert!(
-            matches!(found, Verdict::Equivalent { entities } if entities <= 10),
+            matches!(found, Equivalence::Equivalent { entities } if entities <= 10),
             "{found:?}"
         );
     }
-    // Without the promises they are different, and so are they after a slip of the pen.
+    // Without the constraints they are different, and so are they after a slip of the pen.
     let slip = rules(&bloated().replace("IsInInter(A), IsCar(A)", "IsInInter(A), IsBus(A)"));
     let found = difference(&left, &slip);
     assert_eq!(found.entities.len(), 1);
     assert!(found.smallest);
     let mut trusting = right.clone();
-    trusting.promises.clear();
+    trusting.constraints.clear();
     let mut plain = left.clone();
-    plain.promises.clear();
+    plain.constraints.clear();
     difference(&plain, &trusting);
 }
 
@@ -76,11 +76,11 @@ fn every_shipped_rule_set_is_proved_equal_to_itself() {
     ] {
         let one = shipped(&format!("{name}.dl"));
         let found = verdict(&one, &one);
-        assert!(matches!(found, Verdict::Equivalent { .. }), "{name}: {found:?}");
+        assert!(matches!(found, Equivalence::Equivalent { .. }), "{name}: {found:?}");
     }
     assert!(matches!(
         verdict(&shipped("transfer-hard.dl"), &shipped("hard.dl")),
-        Verdict::Equivalent { .. }
+        Equivalence::Equivalent { .. }
     ));
 }
 
@@ -93,7 +93,7 @@ fn the_smallest_scene_between_medium_and_hard() {
         let rows = rows.iter().map(|row| row.iter().map(|&word| word.to_owned()).collect());
         (name.to_owned(), rows.collect::<Vec<Vec<String>>>())
     };
-    // Police that are close on the left: a car, as promised, and close both ways.
+    // Police that are close on the left: a car, as declared, and close both ways.
     let expected = [
         fact("IsCar", &[&["e0"], &["e1"]]),
         fact("IsPolice", &[&["e1"]]),
@@ -117,7 +117,7 @@ fn recursion_and_numbers_are_searched_and_not_proved() {
     };
     assert_eq!(
         diff(&left, &right, &few).unwrap(),
-        Verdict::NoneFound {
+        Equivalence::NoneFound {
             entities: Some(3),
             proof: None,
             cut: Vec::new()
@@ -144,7 +144,7 @@ fn recursion_and_numbers_are_searched_and_not_proved() {
     let next = speed("F(x) :- V(x, v), v >= 31.");
     assert!(matches!(
         diff(&over, &next, &few).unwrap(),
-        Verdict::NoneFound { proof: None, .. }
+        Equivalence::NoneFound { proof: None, .. }
     ));
 }
 
@@ -185,7 +185,7 @@ fn for_all_there_is_is_not_taken_for_proved() {
     };
     assert_eq!(
         diff(&left, &right, &few).unwrap(),
-        Verdict::NoneFound {
+        Equivalence::NoneFound {
             entities: Some(4),
             proof: None,
             cut: Vec::new()
@@ -198,7 +198,7 @@ fn for_all_there_is_is_not_taken_for_proved() {
     };
     let found = diff(&left, &right, &hurried).unwrap();
     assert!(
-        matches!(&found, Verdict::NoneFound { entities: Some(seen), cut, .. } if *seen < 5 && *cut == [Cut::Effort]),
+        matches!(&found, Equivalence::NoneFound { entities: Some(seen), cut, .. } if *seen < 5 && *cut == [Cut::Effort]),
         "{found:?}"
     );
 }
@@ -214,7 +214,7 @@ fn large_programs_are_given_up_in_time() {
     let chain = rules(&chain);
     assert!(matches!(
         verdict(&chain, &chain),
-        Verdict::NoneFound { entities: Some(0), ref cut, .. } if *cut == [Cut::Size, Cut::Proof]
+        Equivalence::NoneFound { entities: Some(0), ref cut, .. } if *cut == [Cut::Size, Cut::Proof]
     ));
     let wide: Vec<String> = (0..60).map(|number| format!("E(v{number}, v{})", number + 1)).collect();
     let wide = |more: &str| {
@@ -224,13 +224,13 @@ fn large_programs_are_given_up_in_time() {
         ))
     };
     let found = verdict(&wide(""), &wide(", v3 != v5"));
-    assert!(matches!(found, Verdict::Different(_)), "{found:?}");
+    assert!(matches!(found, Equivalence::Different(_)), "{found:?}");
 }
 
 // --- against trying everything
 
 /// A program over A, B (unary) and R (binary), of P and then S and T from small numbers.
-fn written(genes: &[(u8, u8, u8, u8)], promises: u8) -> String {
+fn written(genes: &[(u8, u8, u8, u8)], constraints: u8) -> String {
     let mut text = ".decl A, B(x: symbol) .decl R(x: symbol, y: symbol) .input A, B, R
         .decl P(x: symbol) .decl S(x: symbol) .decl T(x: symbol, y: symbol) .output P, S, T\n"
         .to_owned();
@@ -238,7 +238,7 @@ fn written(genes: &[(u8, u8, u8, u8)], promises: u8) -> String {
         .iter()
         .enumerate()
     {
-        if promises >> bit & 1 == 1 {
+        if constraints >> bit & 1 == 1 {
             text += directive;
             text.push('\n');
         }
@@ -308,8 +308,8 @@ fn outputs(rules: &Rules, entities: u32, scene: u32) -> Option<Vec<(RelId, Vec<V
         }
     }
     let holds = |rel: RelId, row: &[Value]| facts.iter().any(|(other, found)| *other == rel && found == row);
-    let kept = rules.promises.iter().all(|promise| {
-        facts.iter().all(|(rel, row)| match promise.constraint {
+    let kept = rules.constraints.iter().all(|constraint| {
+        facts.iter().all(|(rel, row)| match constraint.constraint {
             Constraint::Disjoint(a, b) => *rel != a || !holds(b, row),
             Constraint::Implies(a, b) => *rel != a || holds(b, row),
             Constraint::Irreflexive(a) => *rel != a || row[0] != row[1],
@@ -334,10 +334,10 @@ proptest! {
         shared in proptest::collection::vec(any::<(u8, u8, u8, u8)>(), 0..4),
         left in proptest::collection::vec(any::<(u8, u8, u8, u8)>(), 0..2),
         right in proptest::collection::vec(any::<(u8, u8, u8, u8)>(), 0..2),
-        promises in 0..16_u8,
+        constraints in 0..16_u8,
     ) {
-        let left = rules(&written(&[left, shared.clone()].concat(), promises));
-        let right = rules(&written(&[shared, right].concat(), promises));
+        let left = rules(&written(&[left, shared.clone()].concat(), constraints));
+        let right = rules(&written(&[shared, right].concat(), constraints));
         let found = diff(&left, &right, &Options { entities_max: 2, ..Options::default() }).unwrap();
         // Entities, then facts, of the smallest scene with a difference.
         let least = (1..=2_u32).find_map(|entities| {
@@ -346,7 +346,7 @@ proptest! {
             scenes.filter(differs).map(u32::count_ones).min().map(|facts| (entities as usize, facts as usize))
         });
         match found {
-            Verdict::Different(difference) => {
+            Equivalence::Different(difference) => {
                 let facts: usize = difference.facts.iter().map(|(_, rows)| rows.len()).sum();
                 prop_assert!(difference.smallest);
                 prop_assert_ne!(&difference.derived[0], &difference.derived[1]);
@@ -354,16 +354,16 @@ proptest! {
                 prop_assert_eq!(least, facts);
                 prop_assert!(difference.entities.len() <= entities);
             }
-            Verdict::NoneFound { entities, .. } => {
+            Equivalence::NoneFound { entities, .. } => {
                 prop_assert_eq!(entities, Some(2));
                 prop_assert_eq!(least, None);
             }
-            Verdict::Equivalent { .. } => prop_assert_eq!(least, None),
-            Verdict::NoneTried { .. } => prop_assert!(false, "these rules are compared by circuit"),
+            Equivalence::Equivalent { .. } => prop_assert_eq!(least, None),
+            Equivalence::NoneTried { .. } => prop_assert!(false, "these rules are compared by circuit"),
         }
         // A proof holds for larger scenes too: whatever is proved up to its bound is still so one entity further.
         let proved = diff(&left, &right, &Options { entities_max: 6, ..Options::default() }).unwrap();
-        if let Verdict::Equivalent { entities } = proved {
+        if let Equivalence::Equivalent { entities } = proved {
             for scene in (0..1_u32 << 15).step_by(97) {
                 prop_assert_eq!(outputs(&left, 3, scene), outputs(&right, 3, scene), "{}", entities);
             }
@@ -424,7 +424,7 @@ fn expressions_and_aggregates_are_tried_within_a_bound() {
         assert!(
             matches!(
                 found,
-                Verdict::NoneTried {
+                Equivalence::NoneTried {
                     facts: Some(1..),
                     entities: 1..,
                     scenes: 1..
@@ -432,7 +432,7 @@ fn expressions_and_aggregates_are_tried_within_a_bound() {
             ),
             "{found:?}"
         );
-        let Verdict::Different(found) = diff(&one, &other, &few()).unwrap() else {
+        let Equivalence::Different(found) = diff(&one, &other, &few()).unwrap() else {
             panic!("a difference");
         };
         assert_ne!(found.derived[0], found.derived[1]);
@@ -454,9 +454,9 @@ fn larger_scenes_are_drawn_at_random() {
         "{base}P(x) :- A(x), R(x, _), count : {{ R(x, _) }} >= 3, R(_, x), A(_), x = x."
     ));
     let found = diff(&left, &right, &few()).unwrap();
-    assert!(matches!(found, Verdict::NoneTried { .. }), "{found:?}");
+    assert!(matches!(found, Equivalence::NoneTried { .. }), "{found:?}");
     let wrong = rules(&format!("{base}P(x) :- A(x), count : {{ R(x, _) }} >= 3."));
-    let Verdict::Different(found) = diff(&left, &wrong, &few()).unwrap() else {
+    let Equivalence::Different(found) = diff(&left, &wrong, &few()).unwrap() else {
         panic!("a difference");
     };
     let facts: usize = found.facts.iter().map(|(_, rows)| rows.len()).sum();
@@ -482,11 +482,11 @@ fn trying_agrees_with_what_is_proved() {
             let text = std::fs::read_to_string(root().join("rules").join(left)).unwrap();
             rules(&format!("{text}\n.scope\n.decl Odd(v: number)\n{more}"))
         };
-        let proved = matches!(verdict(&with(""), &right), Verdict::Equivalent { .. });
+        let proved = matches!(verdict(&with(""), &right), Equivalence::Equivalent { .. });
         let found = diff(&with("Odd(v + 1) :- Odd(v), v < 0. Odd(1)."), &right, &few()).unwrap();
         match found {
-            Verdict::Different(_) => assert!(!proved),
-            Verdict::NoneTried { .. } => {}
+            Equivalence::Different(_) => assert!(!proved),
+            Equivalence::NoneTried { .. } => {}
             other => panic!("{other:?}"),
         }
     }

@@ -4,9 +4,9 @@ use crate::random_program::agree::{agrees, database};
 use crate::random_program::{Genome, computing_genomes, genomes, recursive_genomes};
 use crate::written_program::program;
 use logicity::datalog;
-use logicity::datalog::{ClauseId, Inputs, RelId, Value};
+use logicity::datalog::{ClauseId, Edb, RelId, Value};
 use logicity::datalog::{
-    EvalError, Limits, Program, RowError, RuleWork, Session, Strategy, StratumWork, Threads, Work, facts, naive,
+    EvalError, Limits, Program, RowError, RuleStats, Session, Strategy, StratumStats, Threads, WorkCounts, facts, naive,
 };
 use logicity::diag::{Code, MAX_FAULTS, Sources};
 use proptest::prelude::*;
@@ -189,7 +189,7 @@ fn a_closure_that_leaves_the_dense_words_forgets_nothing() {
             .unwrap();
         session.commit().unwrap();
         assert!(session.rows(path).eq(&expected));
-        let work = session.work().strata.last().and_then(StratumWork::work).unwrap();
+        let work = session.work().strata.last().and_then(StratumStats::work).unwrap();
         let derived: Vec<u64> = work.rules.iter().map(|rule| rule.given).collect();
         assert_eq!(derived, [0, expected.len() as u64], "every row was new once");
     }
@@ -356,7 +356,7 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
             .work()
             .strata
             .iter()
-            .all(|work| matches!(work, StratumWork::Recomputed(_)))
+            .all(|work| matches!(work, StratumStats::Recomputed(_)))
     );
 
     // One more row: one clause runs, on one row, and finds one head that was not known. So one row of `Go` is in doubt, which
@@ -366,8 +366,8 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
     assert_eq!(shown(&session, "Stop"), "9, 19, 499, 500");
     assert_eq!(ran(&session), [(1, 1, 1), (2, 1, 1), (3, 4, 2)]);
     assert_eq!(delta.changes().len(), 3);
-    let looked_at: u64 = session.work().rules().map(|rule| rule.looked_at).sum();
-    assert!(looked_at < 30, "{looked_at}");
+    let rows_scanned: u64 = session.work().rules().map(|rule| rule.rows_scanned).sum();
+    assert!(rows_scanned < 30, "{rows_scanned}");
 
     // What is known already is not derived again.
     insert(&mut session, "Old", &[&[500]]);
@@ -375,7 +375,7 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
     assert_eq!(ran(&session), [(0, 1, 0)]);
     assert!(matches!(
         session.work().strata[..],
-        [StratumWork::Maintained(_), StratumWork::Skipped]
+        [StratumStats::Maintained(_), StratumStats::Skipped]
     ));
 
     // The row goes; the head in doubt has another reason, and the change ends there.
@@ -387,10 +387,10 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
         *rules.find(|rule| rule.clause == ClauseId(clause)).unwrap()
     };
     // The row itself, whose neighbour it is, and whether that neighbour is known.
-    let expected = RuleWork {
+    let expected = RuleStats {
         clause: ClauseId(0),
         given: 2,
-        looked_at: 6,
+        rows_scanned: 6,
         derived: 1,
     };
     assert_eq!(rule(0), expected);
@@ -407,8 +407,8 @@ fn committed(text: &str, facts: &[(&str, Vec<Vec<i32>>)]) -> Session {
 }
 
 /// How many rows the last commit looked at.
-fn looked_at(session: &Session) -> u64 {
-    session.work().rules().map(|rule| rule.looked_at).sum()
+fn rows_scanned(session: &Session) -> u64 {
+    session.work().rules().map(|rule| rule.rows_scanned).sum()
 }
 
 /// All orders of a list.
@@ -486,9 +486,9 @@ fn joins_follow_the_sizes_of_relations_and_not_the_text() {
             let found = session.len(session.program().relation("R").unwrap());
             assert_eq!(found, rows, "{order:?}");
             assert!(
-                looked_at(&session) <= most,
+                rows_scanned(&session) <= most,
                 "{order:?} looks at {}",
-                looked_at(&session)
+                rows_scanned(&session)
             );
         }
     }
@@ -512,10 +512,10 @@ fn maintenance_follows_the_sizes_of_relations() {
     insert(&mut session, "Seed", &[&[3]]);
     session.commit().unwrap();
     assert_eq!(shown(&session, "R"), "3 23");
-    assert!(looked_at(&session) < 20, "{}", looked_at(&session));
+    assert!(rows_scanned(&session) < 20, "{}", rows_scanned(&session));
     retract(&mut session, "Seed", &[&[3]]);
     session.commit().unwrap();
-    assert!(looked_at(&session) < 30, "{}", looked_at(&session));
+    assert!(rows_scanned(&session) < 30, "{}", rows_scanned(&session));
 }
 
 /// A hub that is linked with all nodes, both ways, and some nodes that are all linked with each other.
@@ -543,13 +543,13 @@ fn cycles_of_atoms_look_at_no_more_than_the_worst_case_allows() {
         let text = format!("{declared}R(x, y, z, u) :- {body}.");
         let session = committed(&text, &[("E", edges.clone())]);
         assert_eq!(session.len(session.program().relation("R").unwrap()), rows);
-        let looked_at = looked_at(&session);
+        let rows_scanned = rows_scanned(&session);
         // Two at a time, each of 3,000 edges to the hub is followed by 3,000 from it.
         assert!(
-            looked_at < most + 4 * rows as u64,
-            "{body} looks at {looked_at}, not {most}"
+            rows_scanned < most + 4 * rows as u64,
+            "{body} looks at {rows_scanned}, not {most}"
         );
-        assert!(looked_at < 3_000 * 3_000 / 10, "{body} looks at {looked_at}");
+        assert!(rows_scanned < 3_000 * 3_000 / 10, "{body} looks at {rows_scanned}");
 
         // A change looks at what its rows have in common, not at all that the hub is linked with.
         let mut session = session;
@@ -558,9 +558,9 @@ fn cycles_of_atoms_look_at_no_more_than_the_worst_case_allows() {
         let delta = session.commit().unwrap();
         assert_eq!(delta.changes().len(), 2);
         assert!(
-            self::looked_at(&session) < 2_000,
+            self::rows_scanned(&session) < 2_000,
             "{body} looks at {}",
-            self::looked_at(&session)
+            self::rows_scanned(&session)
         );
     }
 }
@@ -586,7 +586,7 @@ fn one_witness_is_enough_where_nothing_of_it_is_needed_later() {
     // In the middle of a body: for each of two rows of `A` one witness, then five rows of `D`.
     let session = committed(&format!("{declared}H(x, w) :- A(x), B(x, y), C(y), D(x, w)."), &facts);
     assert_eq!(
-        (session.work().rules().next().unwrap().derived, looked_at(&session)),
+        (session.work().rules().next().unwrap().derived, rows_scanned(&session)),
         (10, 2 + 2 * 2 + 10)
     );
     // At the end, two atoms deep; a witness of a witness is not looked for again where the last test fails.
@@ -595,7 +595,7 @@ fn one_witness_is_enough_where_nothing_of_it_is_needed_later() {
         &facts,
     );
     assert_eq!(
-        (session.work().rules().next().unwrap().derived, looked_at(&session)),
+        (session.work().rules().next().unwrap().derived, rows_scanned(&session)),
         (10, 2 + 10 + 10 * 3)
     );
     let session = committed(
@@ -603,7 +603,7 @@ fn one_witness_is_enough_where_nothing_of_it_is_needed_later() {
         &facts,
     );
     assert_eq!(session.work().rules().next().unwrap().derived, 1);
-    assert!(looked_at(&session) <= 2 + 4, "{}", looked_at(&session));
+    assert!(rows_scanned(&session) <= 2 + 4, "{}", rows_scanned(&session));
 }
 
 /// Bodies of two to four atoms over three binary relations and four variables: mostly cyclic. The relations are large enough to be
@@ -700,10 +700,10 @@ fn a_large_change_is_recomputed_and_a_small_one_maintained() {
         let strata = session.work().strata.iter();
         strata
             .map(|work| match work {
-                StratumWork::Skipped => '-',
-                StratumWork::Maintained(_) => 'm',
-                StratumWork::Recomputed(Work { given_up: 0, .. }) => 'r',
-                StratumWork::Recomputed(_) => 'R',
+                StratumStats::Skipped => '-',
+                StratumStats::Maintained(_) => 'm',
+                StratumStats::Recomputed(WorkCounts { given_up: 0, .. }) => 'r',
+                StratumStats::Recomputed(_) => 'R',
             })
             .collect::<String>()
     };
@@ -715,7 +715,7 @@ fn a_large_change_is_recomputed_and_a_small_one_maintained() {
     // `Path` loses 29 rows of 4,350. `Reached` looks at 25 to begin with.
     assert_eq!(maintained(&session), "mr");
     assert_eq!(delta.of(program.relation("Path").unwrap()).unwrap().removed.len(), 29);
-    assert!(session.work().rules().map(|rule| rule.looked_at).sum::<u64>() < 1_000);
+    assert!(session.work().rules().map(|rule| rule.rows_scanned).sum::<u64>() < 1_000);
 
     // All chains become one: it looks cheap, turns out not to be, and is given up.
     (0..9).for_each(|chain| insert(&mut session, "Edge", &[&[chain * 30 + 29, chain * 30 + 30]]));
@@ -1211,7 +1211,7 @@ proptest! {
                 .to_owned(),
         );
         let read = |_: &std::path::Path| unreachable!("nothing is included");
-        let loaded = datalog::load_with(&mut sources, entry, &read, Inputs::Extended);
+        let loaded = datalog::load_with(&mut sources, entry, &read, Edb::Extensible);
         prop_assert!(loaded.diagnostics.iter().all(|fault| fault.code == Code::EXTENDED_INPUT));
         let rules = loaded.rules.unwrap();
         let program = Program::new(rules.clone()).unwrap();

@@ -6,7 +6,7 @@ use crate::random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, 
 use crate::rule_files::RuleFiles;
 use crate::written_program::program;
 use logicity::datalog::explain::{
-    ExplainError, Explainer, FailureKind, Node, Obstacle, Origin, Premise, Reason, Teller,
+    AbsenceReason, ExplainError, Explainer, ExplanationPrinter, FailureKind, Node, Obstacle, Origin, Premise,
 };
 use logicity::datalog::{ClauseId, Literal, RelId, Rules, Value};
 use logicity::datalog::{Program, Session, naive};
@@ -238,7 +238,7 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
     let rules = session.program().rules();
     let model = database(&session);
     let sources = Sources::new();
-    let teller = Teller::new(rules, session.symbols(), &sources);
+    let teller = ExplanationPrinter::new(rules, session.symbols(), &sources);
     let leaves = |name: &str, row: &[i32]| {
         let rel = session.program().relation(name).unwrap();
         let proof = session.explain(rel, &numbers(row)).unwrap().unwrap();
@@ -266,7 +266,7 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
         let Node::Absence(told) = &absence.nodes()[0] else {
             panic!()
         };
-        let Reason::NoClause(misses) = &told.reason else {
+        let AbsenceReason::NoClause(misses) = &told.reason else {
             panic!()
         };
         let Obstacle::Body { failures, .. } = &misses[0].obstacle else {
@@ -364,7 +364,7 @@ fn told(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -> Str
         Some(proof) => proof,
         None => session.explain_absence(rel, &wanted).unwrap().unwrap(),
     };
-    let teller = Teller::new(program.rules(), session.symbols(), &sources);
+    let teller = ExplanationPrinter::new(program.rules(), session.symbols(), &sources);
     let json = teller.json(&explanation);
     assert_eq!(json["nodes"].as_array().unwrap().len(), explanation.nodes().len());
     assert!(!json.to_string().contains('+'), "a hidden predicate is shown by name");

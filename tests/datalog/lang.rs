@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use logicity::datalog::{
-    AggregateOp, Atom, Clause, Comparison, Functor, Inputs, Literal, Loaded, Rules, Term, ast, load, load_with, parse,
+    AggregateOp, Atom, Clause, Comparison, Edb, Functor, Literal, Loaded, Rules, Term, ast, load, load_with, parse,
     print,
 };
 use logicity::diag::{Code, Diagnostic, Severity, Sources, Span, render};
@@ -33,7 +33,7 @@ fn load_clean(name: &str, text: &str) -> Rules {
         render(&loaded.diagnostics, &sources, false)
     );
     let rules = loaded.rules.expect("no diagnostic, so there are rules");
-    check_promises(&rules);
+    check_constraints(&rules);
     rules
 }
 
@@ -181,8 +181,8 @@ fn load_files(files: &[(String, String)]) -> (Sources, Loaded) {
     let mut sources = Sources::new();
     let entry = sources.add(files[0].0.as_str(), files[0].1.as_str());
     let inputs = match files.iter().any(|(_, text)| text.contains("warning[extended-input]")) {
-        true => Inputs::Extended,
-        false => Inputs::Given,
+        true => Edb::Extensible,
+        false => Edb::Fixed,
     };
     let loaded = load_with(&mut sources, entry, &read_one, inputs);
     (sources, loaded)
@@ -307,7 +307,7 @@ fn check_expectations(what: &str, files: &[(String, String)]) -> Result<(), Stri
 fn rule_codes() -> impl Iterator<Item = Code> {
     let others = [
         Code::INVALID_FACT,
-        Code::BROKEN_PROMISE,
+        Code::CONSTRAINT_VIOLATION,
         Code::OLD_FORM,
         Code::CONTRADICTORY_BODY,
         Code::REDUNDANT_LITERAL,
@@ -524,9 +524,9 @@ fn under_a_scope_a_wildcard_is_somebody_in_view() {
 fn a_scope_leaves_other_types_alone() {
     assert_eq!(
         expanded(
-            ".decl Speed(x: agent, v: number)\n.input Speed\nStop(X) :- Speed(X, V), Speed(Y, W), V < W, Speed(_, _)."
+            ".decl Action(x: agent, v: number)\n.input Action\nStop(X) :- Action(X, V), Action(Y, W), V < W, Action(_, _)."
         ),
-        ["Stop(X0) :- Speed(X0, V1), Speed(Y2, W3), V1 < W3, Speed(_4, _), [Sees(X0, Y2)], [Sees(X0, _4)]"]
+        ["Stop(X0) :- Action(X0, V1), Action(Y2, W3), V1 < W3, Action(_4, _), [Sees(X0, Y2)], [Sees(X0, _4)]"]
     );
 }
 
@@ -725,9 +725,9 @@ fn item() -> impl Strategy<Value = ast::Item> {
             ast::Item::Plan(ast::Plan { orders, place: place() })
         }),
         1 => (0..4_usize, name(), name()).prop_map(|(kind, one, other)| {
-            use ast::PromiseKind::{Disjoint, Implies, Irreflexive, Symmetric};
+            use ast::ConstraintKind::{Disjoint, Implies, Irreflexive, Symmetric};
             let kind = [Disjoint, Implies, Irreflexive, Symmetric][kind];
-            ast::Item::Promise(ast::Promise { kind, names: vec![node(one), node(other)], place: place() })
+            ast::Item::Constraint(ast::ConstraintDecl { kind, names: vec![node(one), node(other)], place: place() })
         }),
         1 => proptest::option::of(name()).prop_map(|name| {
             ast::Item::Scope(ast::Scope { predicate: name.map(node), place: place() })
@@ -780,7 +780,7 @@ fn survives(text: &str) {
     );
     if text.len() < 10_000 {
         render(&loaded.diagnostics, &sources, false);
-        loaded.rules.iter().for_each(check_promises);
+        loaded.rules.iter().for_each(check_constraints);
     }
 }
 
@@ -1204,8 +1204,8 @@ proptest! {
 
 // --- what the engine may rely on
 
-/// The promises of [`Rules`].
-fn check_promises(rules: &Rules) {
+/// The constraints of [`Rules`].
+fn check_constraints(rules: &Rules) {
     let mut stratum_of = vec![None; rules.relations.len()];
     for (number, stratum) in rules.strata.iter().enumerate() {
         assert!(!stratum.relations.is_empty() && !stratum.clauses.is_empty());
@@ -1225,7 +1225,7 @@ fn check_promises(rules: &Rules) {
     for (index, relation) in rules.relations.iter().enumerate() {
         assert_eq!(relation.hidden, index >= hidden_from, "hidden predicates come last");
         assert_eq!(relation.hidden, relation.name.starts_with('+'));
-        assert_eq!(relation.given.is_some(), relation.input && relation.derived);
+        assert_eq!(relation.edb.is_some(), relation.input && relation.derived);
         let heads = || {
             rules
                 .clauses
@@ -1324,7 +1324,7 @@ fn check_promises(rules: &Rules) {
 
 proptest! {
     #[test]
-    fn rules_keep_their_promises(
+    fn rules_keep_their_constraints(
         clauses in proptest::collection::vec((random_clause(), 0_usize..4, 0_usize..4), 1..6),
         scoped: bool,
     ) {
@@ -1337,7 +1337,7 @@ proptest! {
         }
         let (_, loaded) = load_text("random.dl", &text);
         if let Some(rules) = loaded.rules {
-            check_promises(&rules);
+            check_constraints(&rules);
         }
     }
 }

@@ -3,7 +3,7 @@
 use crate::random_program::{genomes, recursive_genomes};
 use crate::rule_files::RuleFiles;
 use logicity::datalog;
-use logicity::datalog::{ClauseId, Constraint, Promise, RelId, Rules, Value};
+use logicity::datalog::{ClauseId, Constraint, DeclaredConstraint, RelId, Rules, Value};
 use logicity::datalog::{Options, Program, Session, constraints, naive, optimize};
 use logicity::diag::{Code, Diagnostic, Sources, render};
 use proptest::prelude::*;
@@ -18,9 +18,9 @@ fn rules(text: &str) -> (Sources, Rules) {
     (sources, rules)
 }
 
-fn holds(promise: &Promise, facts: &BTreeSet<(RelId, Vec<Value>)>, rel: RelId, row: &[Value]) -> bool {
+fn holds(constraint: &DeclaredConstraint, facts: &BTreeSet<(RelId, Vec<Value>)>, rel: RelId, row: &[Value]) -> bool {
     let has = |rel: RelId, row: &[Value]| facts.contains(&(rel, row.to_vec()));
-    match promise.constraint {
+    match constraint.constraint {
         Constraint::Disjoint(a, b) => rel != a || !has(b, row),
         Constraint::Implies(a, b) => rel != a || has(b, row),
         Constraint::Irreflexive(a) => rel != a || row[0] != row[1],
@@ -28,12 +28,17 @@ fn holds(promise: &Promise, facts: &BTreeSet<(RelId, Vec<Value>)>, rel: RelId, r
     }
 }
 
-/// The largest part of the facts that keeps the promises.
+/// The largest part of the facts that keeps the constraints.
 fn kept(rules: &Rules, mut facts: BTreeSet<(RelId, Vec<Value>)>) -> BTreeSet<(RelId, Vec<Value>)> {
     loop {
         let bad: Vec<_> = facts
             .iter()
-            .filter(|(rel, row)| !rules.promises.iter().all(|promise| holds(promise, &facts, *rel, row)))
+            .filter(|(rel, row)| {
+                !rules
+                    .constraints
+                    .iter()
+                    .all(|constraint| holds(constraint, &facts, *rel, row))
+            })
             .cloned()
             .collect();
         if bad.is_empty() {
@@ -56,19 +61,19 @@ fn answer(session: &Session) -> Answer {
     )
 }
 
-fn check(rules: &Rules, facts: &BTreeSet<(RelId, Vec<Value>)>, promises: bool) -> Result<(), TestCaseError> {
+fn check(rules: &Rules, facts: &BTreeSet<(RelId, Vec<Value>)>, constraints: bool) -> Result<(), TestCaseError> {
     let modes = [
         Options {
             optimize: false,
-            promises: false,
+            constraints: false,
         },
         Options {
             optimize: true,
-            promises: false,
+            constraints: false,
         },
         Options {
             optimize: true,
-            promises,
+            constraints,
         },
     ];
     for options in modes {
@@ -80,7 +85,7 @@ fn check(rules: &Rules, facts: &BTreeSet<(RelId, Vec<Value>)>, promises: bool) -
                     session.insert(*rel, row).unwrap();
                 }
             }
-            if part == 1 || !promises {
+            if part == 1 || !constraints {
                 session.commit().unwrap();
             }
         }
@@ -96,8 +101,8 @@ fn check(rules: &Rules, facts: &BTreeSet<(RelId, Vec<Value>)>, promises: bool) -
                 options
             );
         }
-        if promises {
-            prop_assert!(constraints::broken(&session).is_empty());
+        if constraints {
+            prop_assert!(constraints::violations(&session).is_empty());
         }
     }
     Ok(())
@@ -119,11 +124,11 @@ const PROMISES: [&str; 9] = [
 ];
 
 /// Rules over those predicates from small numbers.
-fn written(clauses: &[Vec<u8>], promises: u16) -> String {
+fn written(clauses: &[Vec<u8>], constraints: u16) -> String {
     let mut text = BASE.to_owned();
-    for (bit, promise) in PROMISES.iter().enumerate() {
-        if promises >> bit & 1 == 1 {
-            text += promise;
+    for (bit, constraint) in PROMISES.iter().enumerate() {
+        if constraints >> bit & 1 == 1 {
+            text += constraint;
             text.push('\n');
         }
     }
@@ -171,12 +176,12 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
 
     #[test]
-    fn slow_promises_change_no_answer_of_facts_that_keep_them(
+    fn slow_constraints_change_no_answer_of_facts_that_keep_them(
         clauses in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 3..10), 1..5),
-        promises in 0..512_u16,
+        constraints in 0..512_u16,
         facts in proptest::collection::vec((0..5_u8, 0..3_u8, 0..3_u8), 0..24),
     ) {
-        let (_, rules) = rules(&(written(&clauses, promises) + "P(\"a\") :- A(\"b\"), R(\"c\", \"c\").\n"));
+        let (_, rules) = rules(&(written(&clauses, constraints) + "P(\"a\") :- A(\"b\"), R(\"c\", \"c\").\n"));
         let names = ["a", "b", "c"].map(|name| (0..rules.symbols.len() as u32)
             .map(Value)
             .find(|value| rules.symbols.text(logicity::symbol::Symbol(value.0)) == Some(name))
@@ -191,7 +196,7 @@ proptest! {
     }
 
     #[test]
-    fn slow_without_promises_nothing_changes(
+    fn slow_without_constraints_nothing_changes(
         genome in genomes(1..2),
         recursive in recursive_genomes(1..2),
     ) {
@@ -209,8 +214,8 @@ proptest! {
 // --- work
 
 fn with(rules: &Rules, optimize: bool) -> Program {
-    let promises = false;
-    Program::with(rules.clone(), Options { optimize, promises }).unwrap()
+    let constraints = false;
+    Program::with(rules.clone(), Options { optimize, constraints }).unwrap()
 }
 
 /// Inserts the facts of a city of 1,000 agents that see some others each; one in a hundred of the binary ones is returned too.
@@ -269,7 +274,7 @@ fn simplified_rules_look_at_no_more_rows() {
     for file in files {
         let text = std::fs::read_to_string(format!("{}/{file}", env!("CARGO_MANIFEST_DIR"))).unwrap();
         let (_, rules) = rules(&text);
-        let looked_at = |optimize| {
+        let rows_scanned = |optimize| {
             let mut session = with(&rules, optimize).session();
             let moving = insert_city(&mut session);
             let mut counts = Vec::new();
@@ -282,11 +287,11 @@ fn simplified_rules_look_at_no_more_rows() {
                 }
                 session.commit().unwrap();
                 let works = session.work().strata.iter().filter_map(|work| work.work());
-                counts.push(works.map(|work| work.looked_at() + work.given_up).sum::<u64>());
+                counts.push(works.map(|work| work.rows_scanned() + work.given_up).sum::<u64>());
             }
             counts
         };
-        for (simplified, written) in looked_at(true).iter().zip(&looked_at(false)) {
+        for (simplified, written) in rows_scanned(true).iter().zip(&rows_scanned(false)) {
             assert!(simplified * 20 <= written * 21, "{file}: {simplified} of {written}");
         }
     }
@@ -375,7 +380,7 @@ fn contradictions_are_found_and_cost_nothing() {
         rules,
         Options {
             optimize: true,
-            promises: true,
+            constraints: true,
         },
     )
     .unwrap();
@@ -389,7 +394,7 @@ fn contradictions_are_found_and_cost_nothing() {
 }
 
 #[test]
-fn clauses_that_others_cover_under_the_promises_are_told_and_not_run() {
+fn clauses_that_others_cover_under_the_constraints_are_told_and_not_run() {
     let text =
         city("Stop(X) :- IsAtInter(X), IsClose(X, Y), IsCar(Y).\nStop(X) :- IsClose(Y, X), IsBus(Y), IsAtInter(X).");
     let found = lints(&text);
@@ -399,12 +404,12 @@ fn clauses_that_others_cover_under_the_promises_are_told_and_not_run() {
     );
 
     let (_, rules) = rules(&text);
-    let derived = |promises| {
+    let derived = |constraints| {
         let program = Program::with(
             rules.clone(),
             Options {
                 optimize: true,
-                promises,
+                constraints,
             },
         )
         .unwrap();
@@ -454,16 +459,16 @@ fn the_shipped_rules_contradict_nowhere() {
     }
 }
 
-/// What the promises imply is looked for among the clauses that have as much to say, not among all pairs.
+/// What the constraints imply is looked for among the clauses that have as much to say, not among all pairs.
 #[test]
 fn twice_the_clauses_take_little_more_than_twice_the_steps() {
     let kinds = ["IsCar", "IsBus", "IsPedestrian", "IsOld"];
     let program = |count: usize| {
         let clause = |at: usize| {
             let (kind, speed) = (kinds[at % 4], at / 2);
-            format!("Stop(X) :- IsTiro(X), NextTo(Y, X), {kind}(Y), Speed(X, {speed}).\n")
+            format!("Stop(X) :- IsTiro(X), NextTo(Y, X), {kind}(Y), Action(X, {speed}).\n")
         };
-        let speed = ".decl Speed(x: agent, v: number)\n.input Speed\n";
+        let speed = ".decl Action(x: agent, v: number)\n.input Action\n";
         city(&format!("{speed}{}", (0..count).map(clause).collect::<String>()))
     };
     let [one, two] = [1_000, 2_000].map(|count| {
@@ -492,5 +497,5 @@ fn what_is_not_searched_to_the_end_is_told() {
         walk.join(", ")
     ));
     let lints = optimize::lints(&rules(&text).1);
-    assert_eq!(lints.unfinished, ["clauses that others cover under the promises"]);
+    assert_eq!(lints.unfinished, ["clauses that others cover under the constraints"]);
 }

@@ -1,6 +1,6 @@
 //! Checks explanations against the specification: a proof can be replayed, a literal that is said to fail is false.
 
-use logicity::datalog::explain::{Explainer, Explanation, FailureKind, Node, Obstacle, Origin, Premise, Reason};
+use logicity::datalog::explain::{AbsenceReason, Explainer, Explanation, FailureKind, Node, Obstacle, Origin, Premise};
 use logicity::datalog::{Atom, ClauseId, Literal, RelId, Rules, Term, Value};
 use logicity::datalog::{Session, naive};
 use std::collections::{BTreeMap, BTreeSet};
@@ -90,9 +90,9 @@ pub fn check(session: &Session, model: &naive::Database, explanation: &Explanati
                 let mut rows = model[absence.relation.index()].iter();
                 assert!(!rows.any(|row| matches(row, &absence.pattern)));
                 match &absence.reason {
-                    Reason::NotAFact => assert!(!rules.relations[absence.relation.index()].derived),
-                    Reason::NotLookedInto => assert!(explanation.nodes().len() >= Explainer::ABSENCES_MAX),
-                    Reason::NoClause(misses) => {
+                    AbsenceReason::NotAFact => assert!(!rules.relations[absence.relation.index()].derived),
+                    AbsenceReason::NotLookedInto => assert!(explanation.nodes().len() >= Explainer::ABSENCES_MAX),
+                    AbsenceReason::NoClause(misses) => {
                         let clauses = (0..rules.clauses.len() as u32).map(ClauseId).filter(|clause| {
                             let clause = &rules.clauses[clause.index()];
                             clause.head.relation == absence.relation && !clause.body.is_empty()

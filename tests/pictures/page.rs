@@ -3,14 +3,14 @@
 use base64::Engine as _;
 use flate2::read::ZlibDecoder;
 use logicity::city::Cell;
-use logicity::city::{Speed, Split};
-use logicity::datalog::explain::{Explainer, Teller};
+use logicity::city::{Action, Split};
+use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::diag::{Code, Sources};
 use logicity::page::Page;
 use logicity::render::Icons;
 use logicity::rng::Seed;
 use logicity::sim::{Replay, Settings, Simulation, TraceHeader, TraceTick, TraceWriter, World, hash_sources};
-use logicity::task::spf::{Egos, Env, Origin, PathTask, RecordError, record};
+use logicity::task::spf::{ControlMode, Env, Origin, RecordError, SpfTask, record};
 use serde_json::{Value, json};
 use std::io::Read;
 use std::process::Command;
@@ -61,22 +61,22 @@ fn run_with(config: &str, rules: Option<&str>, seed: Seed, ticks: u64) -> Run {
 
 /// An episode in which the first car drives on at that speed whatever the rules want, from its beginning to its end; and what was observed
 /// then, step by step: whom, what the rules wanted, which clauses were broken, where the car was.
-fn drive(config: &str, seed: u64, action: Speed) -> (Run, Vec<Value>) {
+fn drive(config: &str, seed: u64, action: Action) -> (Run, Vec<Value>) {
     let (world, sources) = with_sources(config, None);
-    let task = Arc::new(PathTask::new(Arc::clone(&world), &sources).unwrap());
-    let mut env = Env::new(Arc::clone(&task), Split::Test, Egos::First).unwrap();
+    let task = Arc::new(SpfTask::new(Arc::clone(&world), &sources).unwrap());
+    let mut env = Env::new(Arc::clone(&task), Split::Test, ControlMode::First).unwrap();
     env.reset(seed).unwrap();
     let episode = env.episode().clone();
     let (mut actions, mut steps) = (Vec::new(), Vec::new());
-    while env.riders()[0].is_running() {
+    while env.controlled_cars()[0].is_running() {
         let name = |agent: usize| env.city().agents()[agent].name().to_string();
-        let observes: Vec<String> = env.riders()[0].observer().entities().map(name).collect();
+        let observes: Vec<String> = env.controlled_cars()[0].observer().entities().map(name).collect();
         let (wanted, at) = (env.oracle_action(0).name(), env.city().agents()[0].cell);
         env.step(&[action]).unwrap();
         actions.push(action);
         let demands = task.oracle().demands();
         let position = |&demand: &usize| world.clauses().position(|clause| clause == demands[demand].clause);
-        let broken: Option<Vec<usize>> = env.riders()[0].last().broken.iter().map(position).collect();
+        let broken: Option<Vec<usize>> = env.controlled_cars()[0].last().broken.iter().map(position).collect();
         steps.push(json!({"observes": observes, "wanted": wanted, "broken": broken.unwrap(), "at": [at.row, at.col]}));
     }
     let rules = world.scenario.rules.value.display().to_string();
@@ -86,7 +86,7 @@ fn drive(config: &str, seed: u64, action: Speed) -> (Run, Vec<Value>) {
         config_file: config,
         rule_files: &rule_files,
     };
-    let write = |actions: &[Speed]| {
+    let write = |actions: &[Action]| {
         let stop = Arc::new(|| false);
         record(&task, Split::Test, (&episode, actions), origin, stop, Vec::new())
     };
@@ -142,7 +142,7 @@ fn unpack(page: &str) -> Value {
     serde_json::from_str(&text).unwrap()
 }
 
-/// An explanation of the page as a tree of the words of [`Teller::json`].
+/// An explanation of the page as a tree of the words of [`ExplanationPrinter::json`].
 fn page_tree(data: &Value, number: i64) -> Value {
     let node = &data["nodes"][usize::try_from(number).unwrap()];
     let clause = |index: &Value| {
@@ -223,7 +223,7 @@ fn a_page_tells_the_decisions_of_the_trace_and_why() {
             assert_eq!(told, &json!(flat), "predicate {predicate} in tick {number}");
         }
         let session = replay.session();
-        let teller = Teller::new(session.program().rules(), session.symbols(), &run.sources);
+        let teller = ExplanationPrinter::new(session.program().rules(), session.symbols(), &run.sources);
         for (agent, state) in tick.agents.iter().enumerate() {
             let name = |list: &str, at: &Value| data[list][usize::try_from(at.as_u64().unwrap()).unwrap()].clone();
             assert_eq!(told["at"][agent], json!(state.at));
@@ -234,7 +234,7 @@ fn a_page_tells_the_decisions_of_the_trace_and_why() {
                 None => assert_eq!(told["heading"][agent], json!(-1)),
                 Some(heading) => assert_eq!(name("headings", &told["heading"][agent]), json!(heading)),
             }
-            for (action, number) in Speed::ALL.into_iter().zip(told["why"][agent].as_array().unwrap()) {
+            for (action, number) in Action::ALL.into_iter().zip(told["why"][agent].as_array().unwrap()) {
                 let relation = run.world.vocabulary.action(action).unwrap();
                 let (_, explanation) = (Explainer::new(session))
                     .explain_either(relation, &[Some(replay.value(agent))])
@@ -385,10 +385,10 @@ fn too_long_a_run_is_refused() {
 fn a_driven_car_is_told_of_as_the_task_judged_it() {
     let (mut broke, mut disobeyed, mut heeded) = (0, 0, 0);
     for (config, seed, action) in [
-        ("easy", 3, Speed::Fast),
-        ("expert", 1, Speed::Normal),
-        ("expert", 4, Speed::Fast),
-        ("transfer-hard", 2, Speed::Stop),
+        ("easy", 3, Action::Fast),
+        ("expert", 1, Action::Normal),
+        ("expert", 4, Action::Fast),
+        ("transfer-hard", 2, Action::Stop),
     ] {
         let (run, steps) = drive(config, seed, action);
         let data = unpack(&run.page());
@@ -412,7 +412,7 @@ fn a_driven_car_is_told_of_as_the_task_judged_it() {
             assert_eq!(json!(observes), step["observes"]);
             assert_eq!(data["ticks"][number]["at"][0], step["at"]);
             for (agent, state) in tick.agents.iter().enumerate() {
-                let derived: Vec<&str> = replay.derived(agent).iter().map(Speed::name).collect();
+                let derived: Vec<&str> = replay.derived(agent).iter().map(Action::name).collect();
                 assert_eq!(
                     derived, state.derived,
                     "what the rules derive is what they say without a driver"
@@ -432,7 +432,7 @@ fn a_driven_car_is_told_of_as_the_task_judged_it() {
 
 #[test]
 fn the_program_reads_the_trace_of_a_driven_car() {
-    let (run, steps) = drive("expert", 4, Speed::Fast);
+    let (run, steps) = drive("expert", 4, Action::Fast);
     let folder = tempfile::tempdir().unwrap();
     let trace = folder.path().join("driven.jsonl");
     std::fs::write(&trace, &run.trace).unwrap();
@@ -482,7 +482,7 @@ fn the_program_reads_the_trace_of_a_driven_car() {
 /// What is told of a driven car fits the rules and the agents, or the trace is refused.
 #[test]
 fn a_driver_that_cannot_be_is_refused() {
-    let (run, _) = drive("easy", 3, Speed::Fast);
+    let (run, _) = drive("easy", 3, Action::Fast);
     let mut replay = run.replay();
     for (key, wrong) in [
         ("broken", json!([99])),

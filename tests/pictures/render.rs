@@ -1,13 +1,13 @@
 //! Pictures through the public interface: equal input, equal bytes; a crop is a part of the whole; icons of a class differ, and classes can be
 //! told apart; nothing panics.
 
-use logicity::city::{AgentKind, Building, Buildings, MapConfig, Speed, Split, Widths};
+use logicity::city::{Action, AgentKind, Building, Buildings, MapConfig, Split, Widths};
 use logicity::city::{Cell, CityMap};
 use logicity::diag::Located;
 use logicity::diag::{Sources, Span};
 use logicity::render::{
     Animation, Class, Difficulty, Facing, Icons, Mode, Overview, Pack, Picture, PixelBox, Renderer, Scale, Sprite,
-    View, ViewError, sheet, write_png,
+    Viewport, ViewportError, sheet, write_png,
 };
 use logicity::rng::{Purpose, RngExt, Seed};
 use logicity::sim::{Settings, Simulation};
@@ -70,7 +70,7 @@ struct Agent {
     at: Cell,
     facing: Facing,
     instance: u32,
-    action: Option<Speed>,
+    action: Option<Action>,
 }
 
 impl Agent {
@@ -110,7 +110,7 @@ fn agents(rows: i32, cols: i32, beyond: i32, most: usize) -> impl Strategy<Value
         (-beyond..rows + beyond, -beyond..cols + beyond),
         prop::sample::select(Facing::ALL.to_vec()),
         prop_oneof![0..3_u32, any::<u32>()],
-        prop::option::of(prop::sample::select(Speed::ALL.to_vec())),
+        prop::option::of(prop::sample::select(Action::ALL.to_vec())),
     )
         .prop_map(|(name, kind, concepts, (row, col), facing, instance, action)| Agent {
             name,
@@ -231,8 +231,8 @@ proptest! {
     ) {
         let scale = scale.expect("a scale");
         let icons = Arc::new(Icons::new(Seed(seed), Difficulty::percent(percent).expect("a percentage")));
-        let whole = View::new(Cell::new(-8, -8), 35 + 46, 63 + 46, scale).expect("a view");
-        let view = View::new(Cell::new(row, col), rows, cols, scale).expect("a view");
+        let whole = Viewport::new(Cell::new(-8, -8), 35 + 46, 63 + 46, scale).expect("a view");
+        let view = Viewport::new(Cell::new(row, col), rows, cols, scale).expect("a view");
         let large = Renderer::new(&TINY_MAP, Arc::clone(&icons), whole);
         let small = Renderer::new(&TINY_MAP, Arc::new(Icons::new(Seed(seed), icons.difficulty())), view);
         let sprites = sprites(&agents);
@@ -257,7 +257,7 @@ proptest! {
 /// Each agent, alone on the ground, changes the picture inside of its box most of all, and next to nothing far around it.
 #[test]
 fn boxes_hold_what_shows_of_an_agent() {
-    let view = View::published(Cell::new(0, 0)).unwrap();
+    let view = Viewport::published(Cell::new(0, 0)).unwrap();
     let renderer = Renderer::new(&map("one", 3, ORDINARY), Arc::default(), view);
     for class in Class::known() {
         let name = class.to_string();
@@ -389,7 +389,7 @@ fn classes_are_told_apart_the_better_the_cleaner_they_are() {
 
 #[test]
 fn pictures_are_the_same_on_any_number_of_threads() {
-    let view = View::new(Cell::new(0, 0), 35, 63, Scale::pixels(6).unwrap()).unwrap();
+    let view = Viewport::new(Cell::new(0, 0), 35, 63, Scale::pixels(6).unwrap()).unwrap();
     let mut stream = Seed(5).stream(Purpose::SCENE, 0, 0);
     let states: Vec<Vec<Agent>> = (0..8)
         .map(|_| {
@@ -525,7 +525,7 @@ fn a_gif_stores_only_what_changes() {
         at: Cell::new(49, col),
         facing: Facing::Right,
         instance: 1,
-        action: Some(Speed::Normal),
+        action: Some(Action::Normal),
     };
     let frames = [10, 12, 12].map(|col| draw(&overview, 1, &[car(col)]));
     let bytes = gif_of(&frames[0], &frames);
@@ -610,7 +610,7 @@ fn compare_palette(name: &str, picture: &Picture) {
 /// One agent of each look, stopped and moving, on a tiny map.
 #[test]
 fn the_picture_of_a_tiny_city() {
-    let agent = |name: &str, concepts: &[&str], at: (i32, i32), facing: Facing, action: Option<Speed>| Agent {
+    let agent = |name: &str, concepts: &[&str], at: (i32, i32), facing: Facing, action: Option<Action>| Agent {
         name: name.into(),
         kind: if name.starts_with("Car") {
             AgentKind::Car
@@ -623,8 +623,8 @@ fn the_picture_of_a_tiny_city() {
         instance: 0,
         action,
     };
+    use Action::{Fast, Normal, Slow, Stop};
     use Facing::{Down, Left, Right, Up, UpRight};
-    use Speed::{Fast, Normal, Slow, Stop};
     let agents = [
         agent("Car_1", &[], (5, 12), Right, Some(Normal)),
         agent("Car_2", &["ambulance"], (1, 24), Left, Some(Fast)),
@@ -664,7 +664,7 @@ fn the_pictures_of_the_expert_city() {
             .draw(city.now(), &sprites),
     );
     for (name, difficulty) in [("crop.png", Difficulty::CLEAN), ("crop_noisy.png", Difficulty::NOISY)] {
-        let view = View::new(Cell::new(26, 26), 48, 64, Scale::pixels(8).unwrap()).unwrap();
+        let view = Viewport::new(Cell::new(26, 26), 48, 64, Scale::pixels(8).unwrap()).unwrap();
         let view = view.with_agents(48, 32).unwrap();
         let icons = Arc::new(Icons::new(Seed(0), difficulty));
         compare_palette(name, &Renderer::new(world.map(), icons, view).draw(&sprites));
@@ -713,24 +713,36 @@ fn the_picture_of_a_huge_map_is_bounded() {
     let long = map("long", 88, ORDINARY);
     let (width, height) = Overview::new(&long, Arc::default()).unwrap().size();
     assert!(width < 2000 && height < 2000, "{width} x {height}");
-    assert_eq!(View::whole(&long, Scale::pixels(8).unwrap()), Err(ViewError::TooLarge));
+    assert_eq!(
+        Viewport::whole(&long, Scale::pixels(8).unwrap()),
+        Err(ViewportError::TooLarge)
+    );
 }
 
 #[test]
 fn views_that_cannot_be_drawn_are_refused() {
     let scale = Scale::pixels(8).unwrap();
-    assert_eq!(View::new(Cell::new(0, 0), 0, 1, scale), Err(ViewError::Empty));
-    assert_eq!(View::new(Cell::new(0, 0), u32::MAX, 1, scale), Err(ViewError::TooLarge));
-    assert_eq!(View::new(Cell::new(i32::MAX, 0), 2, 1, scale), Err(ViewError::TooLarge));
-    assert_eq!(View::new(Cell::new(0, 0), 2000, 2000, scale), Err(ViewError::TooLarge));
-    let view = View::new(Cell::new(0, 0), 10, 10, scale).unwrap();
-    assert_eq!(view.with_agents(0, 10), Err(ViewError::IconSize));
+    assert_eq!(Viewport::new(Cell::new(0, 0), 0, 1, scale), Err(ViewportError::Empty));
+    assert_eq!(
+        Viewport::new(Cell::new(0, 0), u32::MAX, 1, scale),
+        Err(ViewportError::TooLarge)
+    );
+    assert_eq!(
+        Viewport::new(Cell::new(i32::MAX, 0), 2, 1, scale),
+        Err(ViewportError::TooLarge)
+    );
+    assert_eq!(
+        Viewport::new(Cell::new(0, 0), 2000, 2000, scale),
+        Err(ViewportError::TooLarge)
+    );
+    let view = Viewport::new(Cell::new(0, 0), 10, 10, scale).unwrap();
+    assert_eq!(view.with_agents(0, 10), Err(ViewportError::IconSize));
     assert_eq!(
         (Scale::pixels(0), Scale::pixels(65), Scale::cells(0)),
         (None, None, None)
     );
     // The last cell there is.
-    let last = View::new(Cell::new(i32::MAX, i32::MIN), 1, 1, scale).unwrap();
+    let last = Viewport::new(Cell::new(i32::MAX, i32::MIN), 1, 1, scale).unwrap();
     assert_eq!(
         Renderer::new(&TINY_MAP, Arc::default(), last).draw(&[]).pixels().len(),
         3 * 64

@@ -611,9 +611,9 @@ fn wrong_usage_exits_with_2() {
         }
     }
     fails(
-        &logicity(["infer", "--check-promises", "--executor", "dense"]),
+        &logicity(["infer", "--check-constraints", "--executor", "dense"]),
         2,
-        &["--check-promises", "--executor dense"],
+        &["--check-constraints", "--executor dense"],
     );
     let empty = write(folder.path(), "empty.dl", "");
     fails(
@@ -1011,20 +1011,20 @@ fn a_faulty_scene_keeps_answers_in_step() {
     fails(&with_input(["infer"], deep.as_bytes()), 1, &["invalid-scene"]);
 }
 
-/// Promises of the rules are no rules: only who asks is told where facts break one.
+/// Constraints of the rules are no rules: only who asks is told where facts break one.
 #[test]
-fn promises_are_checked_where_asked_for() {
+fn constraints_are_checked_where_asked_for() {
     let bus = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e1"]}}"#;
     let car = r#"{"entities":["e0","e1"],"ego":"e0","facts":{"IsBus":["e1"],"IsCar":["e1"]}}"#;
     let input = format!("{bus}\n{car}\n");
     let plain = with_input(["infer"], input.as_bytes());
     assert_eq!(plain.status.code(), Some(0), "{}", err(&plain));
-    let checked = with_input(["infer", "--check-promises"], input.as_bytes());
+    let checked = with_input(["infer", "--check-constraints"], input.as_bytes());
     fails(
         &checked,
         1,
         &[
-            "broken-promise",
+            "constraint-violation",
             "`IsBus(\"e1\")` holds, `IsCar(\"e1\")` does not",
             "<stdin>:1:",
         ],
@@ -1035,7 +1035,7 @@ fn promises_are_checked_where_asked_for() {
             .map(|line| serde_json::from_str(line).unwrap())
             .collect()
     };
-    assert_eq!(answers(&checked)[0]["error"][0]["code"], "broken-promise");
+    assert_eq!(answers(&checked)[0]["error"][0]["code"], "constraint-violation");
     assert_eq!(answers(&checked)[1], answers(&plain)[1]);
 
     let folder = tempfile::tempdir().unwrap();
@@ -1057,7 +1057,7 @@ fn promises_are_checked_where_asked_for() {
         &rules,
     ]);
     assert_eq!(unchecked.status.code(), Some(0), "{}", err(&unchecked));
-    let check = "--check-promises";
+    let check = "--check-constraints";
     let kept = logicity([
         "run",
         "configs/expert.yaml",
@@ -1087,7 +1087,7 @@ fn promises_are_checked_where_asked_for() {
         &output,
         1,
         &[
-            "broken-promise",
+            "constraint-violation",
             "odd.dl:3:1",
             "in tick 0 for the first time; in 3 of 3 ticks",
         ],

@@ -192,15 +192,15 @@ fn episodes_fail_as_their_fixture_says() {
 }
 
 #[test]
-fn facts_that_break_promises_are_refused() {
-    let folder = fixtures().join("broken-promise");
+fn facts_that_break_constraints_are_refused() {
+    let folder = fixtures().join("constraint-violation");
     let folder = folder.to_str().unwrap();
     let output = logicity(&["query", &format!("{folder}/main.dl"), "-F", folder, "-D", "-"]);
     let said = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(output.stdout.is_empty());
     for part in [
-        "error[broken-promise]: both `Car(\"b\")` and `Walker(\"b\")` hold",
+        "error[constraint-violation]: both `Car(\"b\")` and `Walker(\"b\")` hold",
         "`Bus(\"c\")` holds, `Car(\"c\")` does not",
         "`Near(\"b\", \"b\")` holds",
         "`Near(\"a\", \"b\")` holds, `Near(\"b\", \"a\")` does not",

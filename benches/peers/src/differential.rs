@@ -56,15 +56,15 @@ struct Base<'a, 's> {
     scope: Scope<'s, u32>,
     facts: &'a Facts,
     /// Where changes of the pairs of a relation go in.
-    inputs: RefCell<Inputs>,
+    inputs: RefCell<Edb>,
 }
 
 /// By the name of the relation.
-type Inputs = Vec<(String, InputSession<u32, (u32, u32), isize>)>;
+type Edb = Vec<(String, InputSession<u32, (u32, u32), isize>)>;
 
 /// The city as a dataflow that waits for changes of its pairs.
 pub struct City {
-    inputs: Inputs,
+    inputs: Edb,
     probe: Handle<u32>,
     counters: Vec<Rc<Cell<isize>>>,
     now: u32,

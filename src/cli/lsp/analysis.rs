@@ -174,7 +174,7 @@ impl Analysis {
                 let columns = decl.columns.iter().flatten();
                 columns.for_each(|column| self.add(&column.ty, Meaning::Type, false));
             }
-            Item::Mark(ast::Mark { names, .. }) | Item::Promise(ast::Promise { names, .. }) => {
+            Item::Mark(ast::Mark { names, .. }) | Item::Constraint(ast::ConstraintDecl { names, .. }) => {
                 names.iter().for_each(|name| self.add(name, Meaning::Predicate, false));
             }
             Item::Scope(scope) => scope

@@ -12,7 +12,7 @@ use crate::cli::query;
 use crate::cli::query::Times;
 use crate::cli::{Failure, read};
 use crate::datalog;
-use crate::datalog::{BaseType, Functor, Inputs, Literal, RelId, Relation, Rules, Value, Workspace, ast};
+use crate::datalog::{BaseType, Edb, Functor, Literal, RelId, Relation, Rules, Value, Workspace, ast};
 use crate::datalog::{Delta, Limits, Program, RowError, Session, facts};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use crate::symbol::Symbol;
@@ -66,7 +66,7 @@ pub struct Answer {
 impl<'s> Workbench<'s> {
     /// With nothing on it.
     pub fn new(sources: &'s mut Sources, limits: Limits) -> Result<Self, Failure> {
-        let texts = Workspace::new(Inputs::Extended);
+        let texts = Workspace::new(Edb::Extensible);
         let loaded = texts.check();
         let rules = loaded.rules.ok_or(loaded.diagnostics)?;
         Ok(Workbench {
@@ -101,7 +101,7 @@ impl<'s> Workbench<'s> {
     /// Reads all files anew. What was typed stays, what was retracted from files is back.
     pub fn reload(&mut self) -> Result<Outcome, Failure> {
         let first_new = self.sources.ids().count();
-        let mut texts = Workspace::new(Inputs::Extended);
+        let mut texts = Workspace::new(Edb::Extensible);
         for path in &self.files {
             let text = read(path)?;
             let entry = self.sources.add(path.display().to_string(), text);

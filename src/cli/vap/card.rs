@@ -1,6 +1,6 @@
 //! What README of a data set says.
 
-use crate::city::Speed;
+use crate::city::Action;
 use crate::cli::vap::folder::{Manifest, Settings};
 use crate::cli::vap::{Mode, percent};
 use crate::task::vap::table::{ENTITY_NAMES, ENTITY_NUMBERS, PAIR_NAMES};
@@ -107,7 +107,7 @@ fn labels(mode: Mode, manifest: &Manifest) -> String {
         .to_owned();
     let published = mode.published();
     let totals = [manifest.actions, published].map(|counts| counts.iter().sum());
-    for (index, action) in Speed::ALL.into_iter().enumerate() {
+    for (index, action) in Action::ALL.into_iter().enumerate() {
         let (here, there) = (manifest.actions[index], published[index]);
         let [share, share_there] = [percent(here, totals[0]), percent(there, totals[1])];
         let name = action.name();

@@ -58,7 +58,7 @@ pub(super) struct Record {
     /// Of the city.
     pub(super) seed: u64,
     pub(super) frames: usize,
-    /// Labels of cars, in the order of [`Speed::ALL`](crate::city::Speed::ALL).
+    /// Labels of cars, in the order of [`Action::ALL`](crate::city::Action::ALL).
     pub(super) actions: [u64; 4],
     /// Agents of all frames.
     pub(super) agents: u64,

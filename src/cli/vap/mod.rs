@@ -6,7 +6,7 @@ mod card;
 mod check;
 mod folder;
 
-use crate::city::{Speed, Split};
+use crate::city::{Action, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{Failure, load_city, make_folder, one_of, progress};
 use crate::config::Scenario;
@@ -62,7 +62,7 @@ impl Mode {
         format!("vap-{}", self.name())
     }
 
-    /// What the paper's fixed test set counts, in the order of [`Speed::ALL`].
+    /// What the paper's fixed test set counts, in the order of [`Action::ALL`].
     const fn published(self) -> [u64; 4] {
         match self {
             Mode::Easy => [3042, 3978, 0, 7220],
@@ -264,6 +264,6 @@ fn shares<'a>(counts: impl Iterator<Item = (&'a str, u64)>, total: u64) -> Strin
 
 /// How many labels are which.
 fn told(actions: [u64; 4]) -> String {
-    let names = Speed::ALL.iter().map(|action| action.name());
+    let names = Action::ALL.iter().map(|action| action.name());
     shares(names.zip(actions), actions.iter().sum())
 }

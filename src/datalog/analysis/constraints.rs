@@ -1,4 +1,4 @@
-//! Whether facts are as the rules promise.
+//! Whether facts are as the rules constraint.
 
 use crate::datalog::check::{Constraint, RelId};
 use crate::datalog::session::Session;
@@ -7,15 +7,15 @@ use crate::datalog::value::{Value, print_float};
 use crate::diag::{Code, Diagnostic};
 use crate::symbol::Symbol;
 
-/// At most this many broken promises are told, one row for each.
+/// At most this many violations of constraints are told, one row for each.
 pub const BROKEN_MAX: usize = 20;
 
-/// The promises that the facts of the last commit break, each with a row that shows it.
-pub fn broken(session: &Session) -> Vec<Diagnostic> {
+/// The constraints that the facts of the last commit break, each with a row that shows it.
+pub fn violations(session: &Session) -> Vec<Diagnostic> {
     let mut faults = Vec::new();
-    for promise in &session.program().rules().promises {
+    for constraint in &session.program().rules().constraints {
         let reversed = |row: &[Value]| -> Vec<Value> { row.iter().rev().copied().collect() };
-        let found = match promise.constraint {
+        let found = match constraint.constraint {
             Constraint::Disjoint(a, b) => session
                 .rows(a)
                 .find(|row| session.contains(b, row))
@@ -39,8 +39,8 @@ pub fn broken(session: &Session) -> Vec<Diagnostic> {
         if let Some(message) = found
             && faults.len() < BROKEN_MAX
         {
-            let fault = Diagnostic::new(Code::BROKEN_PROMISE, message).at(promise.span, "promised here");
-            faults.push(fault.help("correct the facts, or take the promise back"));
+            let fault = Diagnostic::new(Code::CONSTRAINT_VIOLATION, message).at(constraint.span, "declared here");
+            faults.push(fault.help("correct the facts, or take the constraint back"));
         }
     }
     faults

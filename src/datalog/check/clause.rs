@@ -85,7 +85,7 @@ pub(crate) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults:
     }
     for index in 0..names.relations.len() {
         let relation = &names.relations[index];
-        if relation.input && relation.derived && relation.given.is_none() {
+        if relation.input && relation.derived && relation.edb.is_none() {
             give(
                 RelId(u32::try_from(index).expect("fewer than 2^32 predicates")),
                 names,
@@ -155,7 +155,7 @@ fn give(id: RelId, names: &mut Names, out: &mut Clauses) {
     });
     names.signatures.push(names.signatures[id.index()].clone());
     names.relations.push(hidden);
-    names.relations[id.index()].given = Some(given);
+    names.relations[id.index()].edb = Some(given);
 }
 
 fn one(clause: &ast::Clause, scopes: &mut scope::Scopes, names: &mut Names, out: &mut Clauses, faults: &mut Faults) {

@@ -2,7 +2,7 @@
 //!
 //! The stages, each in its own file or folder: `inline` (predicates that stand for their bodies), `names` (types and predicates),
 //! `clause` (alternatives and several heads), `witness` (the rows of an extreme value), `body` (one clause: names, expressions, types,
-//! safety), `aggregate` and `range` (hidden predicates for these), `scope` (guards), `promise` (integrity constraints), `strata` (the
+//! safety), `aggregate` and `range` (hidden predicates for these), `scope` (guards), `constraints` (integrity constraints), `strata` (the
 //! order of evaluation), `lint` (warnings that need all clauses), `subsumption` (which clause derives all that another one does). None stops at the first fault.
 //!
 //! This room does not know how rules are evaluated.
@@ -10,10 +10,10 @@
 mod aggregate;
 mod body;
 pub(crate) mod clause;
+mod constraints;
 pub(crate) mod inline;
 mod lint;
 pub(crate) mod names;
-mod promise;
 mod range;
 mod rules;
 mod scope;
@@ -27,8 +27,8 @@ use crate::diag::Faults;
 use crate::symbol::Symbols;
 
 pub use rules::{
-    Atom, Clause, ClauseId, Column, Constraint, Directive, Literal, Promise, RelId, Relation, RowFormat, RowPlace,
-    Rules, Stratum, Term, Type, TypeId, VarId,
+    Atom, Clause, ClauseId, Column, Constraint, DeclaredConstraint, Directive, Literal, RelId, Relation, RowFormat,
+    RowPlace, Rules, Stratum, Term, Type, TypeId, VarId,
 };
 #[cfg(feature = "optimizer")]
 pub(crate) use subsets::Budget;
@@ -38,19 +38,19 @@ pub(crate) use subsets::random_clauses;
 
 /// What holds of a predicate that is `.input`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Inputs {
+pub enum Edb {
     /// The rows that are given, and the facts of the text: a rule for it is an error.
     #[default]
-    Given,
+    Fixed,
     /// Besides, what rules derive, as in Soufflé: a rule for it is told by a warning.
-    Extended,
+    Extensible,
 }
 
 /// Checks all items. The constants' texts are added to `symbols`. There are no rules if there is an error.
 pub(crate) fn check(
     items: &[ast::Item],
     complete: bool,
-    inputs: Inputs,
+    inputs: Edb,
     symbols: Symbols,
     faults: &mut Faults,
 ) -> (Option<Rules>, Comparing) {
@@ -59,7 +59,7 @@ pub(crate) fn check(
     let items = replaced.as_deref().unwrap_or(items);
     let mut names = names::declare(items, complete, inputs, faults);
     let checked = clause::check(items, &mut names, symbols, faults);
-    let promises = promise::check(items, &mut names, faults);
+    let constraints = constraints::check(items, &mut names, faults);
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
     let mut compared = Comparing::default();
@@ -81,7 +81,7 @@ pub(crate) fn check(
         relations,
         clauses,
         symbols: checked.symbols,
-        promises,
+        constraints,
     };
     (Some(rules), compared)
 }

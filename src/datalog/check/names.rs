@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use crate::diag::{Code, Diagnostic, Faults, Span, did_you_mean};
 
-use crate::datalog::check::Inputs;
+use crate::datalog::check::Edb;
 use crate::datalog::check::rules::{Column, Directive, RelId, Relation, RowFormat, RowPlace, Type, TypeId};
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::syntax::ast::{Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
@@ -52,7 +52,7 @@ pub(crate) struct Names {
     /// Whether every declaration was read; if not, unknown names are not reported.
     complete: bool,
     /// What an `.input` may be.
-    pub inputs: Inputs,
+    pub inputs: Edb,
 }
 
 /// Unknown names and where they are used, in the order of first use.
@@ -62,7 +62,7 @@ struct Unknown {
     types: indexmap::IndexMap<String, Vec<Span>>,
 }
 
-pub(crate) fn declare(items: &[Item], complete: bool, inputs: Inputs, faults: &mut Faults) -> Names {
+pub(crate) fn declare(items: &[Item], complete: bool, inputs: Edb, faults: &mut Faults) -> Names {
     let mut names = Names {
         types: Vec::new(),
         relations: Vec::new(),
@@ -558,7 +558,7 @@ impl Names {
                 doc: decl.doc.clone(),
                 span,
                 input: false,
-                given: None,
+                edb: None,
                 output: false,
                 printsize: false,
                 derived: false,

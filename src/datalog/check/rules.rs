@@ -68,7 +68,7 @@ pub struct Relation {
     /// Marked `.input`.
     pub input: bool,
     /// Where rows that are given go if rules derive further ones: a hidden predicate that the last of these rules reads.
-    pub given: Option<RelId>,
+    pub edb: Option<RelId>,
     /// Marked `.output`.
     pub output: bool,
     /// Marked `.printsize`.
@@ -137,7 +137,7 @@ impl Relation {
             doc,
             span,
             input: false,
-            given: None,
+            edb: None,
             output: false,
             printsize: false,
             derived: true,
@@ -315,10 +315,10 @@ pub enum Constraint {
     Symmetric(RelId),
 }
 
-/// A constraint and where it is promised.
+/// A constraint and where it is declared.
 #[derive(Clone, Copy, Debug)]
-pub struct Promise {
-    /// What is promised.
+pub struct DeclaredConstraint {
+    /// What is declared.
     pub constraint: Constraint,
     /// The directive.
     pub span: Span,
@@ -347,8 +347,8 @@ pub struct Rules {
     /// Strongly connected components of the predicates that have clauses, in an order in which each comes after all it depends
     /// on.
     pub strata: Vec<Stratum>,
-    /// What is promised of the facts of predicates without rules, in the order of the text.
-    pub promises: Vec<Promise>,
+    /// What is declared of the facts of predicates without rules, in the order of the text.
+    pub constraints: Vec<DeclaredConstraint>,
     /// The texts of all constants.
     pub symbols: Symbols,
 }

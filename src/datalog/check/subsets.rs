@@ -137,8 +137,8 @@ impl<E: Clone + Ord + Hash> Subsets<E> {
                 open.extend(ranks.iter().filter_map(|rank| children.get(rank)));
                 open.extend(children.range(free..).map(|(_, child)| child));
             }
-            let looked_at = children.len().min(ranks.len()) + (open.len() - before) + sets.len();
-            if !budget.take(1 + looked_at) {
+            let rows_scanned = children.len().min(ranks.len()) + (open.len() - before) + sets.len();
+            if !budget.take(1 + rows_scanned) {
                 return None;
             }
             found.extend(sets);

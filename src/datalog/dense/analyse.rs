@@ -10,7 +10,7 @@ use std::fmt;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Choice {
     /// By position of the stratum: why it cannot be dense; `None` if it can.
-    pub relational: Vec<Option<Reason>>,
+    pub relational: Vec<Option<Unsupported>>,
 }
 
 impl Choice {
@@ -27,7 +27,7 @@ impl Choice {
 
 /// Why a stratum cannot be dense.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Reason {
+pub enum Unsupported {
     /// It depends on itself.
     Recursive,
     /// The predicate has no column, or more than two.
@@ -46,7 +46,7 @@ pub enum Reason {
     ReadBy(RelId),
 }
 
-impl Reason {
+impl Unsupported {
     /// In words, to go after "because".
     pub fn show(&self, rules: &Rules) -> String {
         let name = |relation: &RelId| {
@@ -57,27 +57,28 @@ impl Reason {
             }
         };
         match self {
-            Reason::Recursive => "a predicate depends on itself".to_owned(),
-            Reason::Columns(relation) => format!(
+            Unsupported::Recursive => "a predicate depends on itself".to_owned(),
+            Unsupported::Columns(relation) => format!(
                 "{} has {} columns, not one or two",
                 name(relation),
                 rules.relations[relation.index()].arity()
             ),
-            Reason::NotSymbols(relation) => format!("{} has a column that does not hold symbols", name(relation)),
-            Reason::Constant(_) => "a clause names a constant".to_owned(),
-            Reason::Computes(_) => "a clause computes or compares values".to_owned(),
-            Reason::NoVariable(_) => "a negated atom has no variable".to_owned(),
-            Reason::Variables(_) => format!("a clause has more than {} variables", Dense::VARIABLES_MAX),
-            Reason::ReadBy(relation) => format!("the relational executor needs {}", name(relation)),
+            Unsupported::NotSymbols(relation) => format!("{} has a column that does not hold symbols", name(relation)),
+            Unsupported::Constant(_) => "a clause names a constant".to_owned(),
+            Unsupported::Computes(_) => "a clause computes or compares values".to_owned(),
+            Unsupported::NoVariable(_) => "a negated atom has no variable".to_owned(),
+            Unsupported::Variables(_) => format!("a clause has more than {} variables", Dense::VARIABLES_MAX),
+            Unsupported::ReadBy(relation) => format!("the relational executor needs {}", name(relation)),
         }
     }
 
     /// The place that shows it, if it is not a whole predicate.
     pub fn span(&self) -> Option<Span> {
         match self {
-            Reason::Constant(span) | Reason::Computes(span) | Reason::NoVariable(span) | Reason::Variables(span) => {
-                Some(*span)
-            }
+            Unsupported::Constant(span)
+            | Unsupported::Computes(span)
+            | Unsupported::NoVariable(span)
+            | Unsupported::Variables(span) => Some(*span),
             _ => None,
         }
     }
@@ -93,7 +94,8 @@ impl fmt::Display for Choice {
 /// Chooses the executor of every stratum. A stratum is dense if it can be and no stratum that cannot be depends on it; so the
 /// relational executor runs first, and the dense one after it.
 pub fn choose(rules: &Rules) -> Choice {
-    let mut relational: Vec<Option<Reason>> = (rules.strata.iter()).map(|stratum| obstacle(rules, stratum)).collect();
+    let mut relational: Vec<Option<Unsupported>> =
+        (rules.strata.iter()).map(|stratum| obstacle(rules, stratum)).collect();
     let mut home = vec![None; rules.relations.len()];
     for (position, stratum) in rules.strata.iter().enumerate() {
         for relation in &stratum.relations {
@@ -111,7 +113,7 @@ pub fn choose(rules: &Rules) -> Choice {
             if let Some(read) = home[atom.relation.index()]
                 && read != position
             {
-                relational[read].get_or_insert(Reason::ReadBy(atom.relation));
+                relational[read].get_or_insert(Unsupported::ReadBy(atom.relation));
             }
         }
     }
@@ -119,27 +121,27 @@ pub fn choose(rules: &Rules) -> Choice {
 }
 
 /// What keeps a stratum from being dense, if anything in itself does.
-fn obstacle(rules: &Rules, stratum: &Stratum) -> Option<Reason> {
+fn obstacle(rules: &Rules, stratum: &Stratum) -> Option<Unsupported> {
     if stratum.recursive {
-        return Some(Reason::Recursive);
+        return Some(Unsupported::Recursive);
     }
     stratum.clauses.iter().find_map(|clause| {
         let clause = &rules.clauses[clause.index()];
         let wildcards = clause.body.iter().flat_map(Literal::terms);
         let wildcards = wildcards.filter(|term| **term == Term::Wildcard).count();
         if clause.variables.len() + wildcards > Dense::VARIABLES_MAX {
-            return Some(Reason::Variables(clause.span));
+            return Some(Unsupported::Variables(clause.span));
         }
         unfit(rules, &clause.head).or_else(|| clause.body.iter().find_map(|literal| obstacle_in(rules, literal)))
     })
 }
 
-fn obstacle_in(rules: &Rules, literal: &Literal) -> Option<Reason> {
+fn obstacle_in(rules: &Rules, literal: &Literal) -> Option<Unsupported> {
     match literal {
         Literal::Positive(atom) | Literal::Guard(atom) => unfit(rules, atom),
         Literal::Negative(atom) => unfit(rules, atom).or_else(|| {
             let bound = atom.terms.iter().any(|term| matches!(term, Term::Variable(_)));
-            (!bound).then_some(Reason::NoVariable(atom.span))
+            (!bound).then_some(Unsupported::NoVariable(atom.span))
         }),
         Literal::Compare {
             op: Comparison::Equal | Comparison::NotEqual,
@@ -148,19 +150,19 @@ fn obstacle_in(rules: &Rules, literal: &Literal) -> Option<Reason> {
             base: BaseType::Symbol,
             ..
         } => None,
-        Literal::Compare { span, .. } | Literal::Compute { span, .. } => Some(Reason::Computes(*span)),
-        Literal::Aggregate { atom, .. } => Some(Reason::Computes(atom.span)),
+        Literal::Compare { span, .. } | Literal::Compute { span, .. } => Some(Unsupported::Computes(*span)),
+        Literal::Aggregate { atom, .. } => Some(Unsupported::Computes(atom.span)),
     }
 }
 
-fn unfit(rules: &Rules, atom: &Atom) -> Option<Reason> {
+fn unfit(rules: &Rules, atom: &Atom) -> Option<Unsupported> {
     let relation = &rules.relations[atom.relation.index()];
     if !(1..=2).contains(&relation.arity()) {
-        return Some(Reason::Columns(atom.relation));
+        return Some(Unsupported::Columns(atom.relation));
     }
     if relation.columns.iter().any(|column| column.base != BaseType::Symbol) {
-        return Some(Reason::NotSymbols(atom.relation));
+        return Some(Unsupported::NotSymbols(atom.relation));
     }
     let constant = atom.terms.iter().any(|term| matches!(term, Term::Constant(_)));
-    constant.then_some(Reason::Constant(atom.span))
+    constant.then_some(Unsupported::Constant(atom.span))
 }

@@ -1,7 +1,7 @@
 //! Clauses as what they ask of variables, and the searches for those that only have to exist.
 
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Term};
-use crate::datalog::dense::program::Axis;
+use crate::datalog::dense::program::Argument;
 use crate::datalog::syntax::ast::Comparison;
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ pub(super) enum Property {
     Holds(RelId),
     Diagonal(RelId),
     /// The predicate relates something to it; it is in this column.
-    Related(RelId, Axis),
+    Related(RelId, Argument),
 }
 
 /// A literal over variables.
@@ -65,12 +65,12 @@ impl Body {
                 }
                 Literal::Negative(Atom { relation, terms, .. }) => literals.push(match terms.as_slice() {
                     [term, Term::Wildcard] => Lit::Is(
-                        Property::Related(*relation, Axis::First),
+                        Property::Related(*relation, Argument::First),
                         number(term, &mut fresh),
                         false,
                     ),
                     [Term::Wildcard, term] => Lit::Is(
-                        Property::Related(*relation, Axis::Second),
+                        Property::Related(*relation, Argument::Second),
                         number(term, &mut fresh),
                         false,
                     ),
@@ -161,7 +161,7 @@ pub(super) struct Seek {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Relates {
     /// The value is in this column of the predicate.
-    By(RelId, Axis),
+    By(RelId, Argument),
     Same,
 }
 
@@ -180,10 +180,10 @@ impl Body {
         let place = |of: Var| bound.iter().position(|&bound| bound == of);
         let of = |literal: &Lit| match *literal {
             Lit::Pair(relation, left, right, holds) if right == var => {
-                Some((Relates::By(relation, Axis::Second), place(left)?, holds))
+                Some((Relates::By(relation, Argument::Second), place(left)?, holds))
             }
             Lit::Pair(relation, left, right, holds) if left == var => {
-                Some((Relates::By(relation, Axis::First), place(right)?, holds))
+                Some((Relates::By(relation, Argument::First), place(right)?, holds))
             }
             Lit::Same(left, right, holds) if right == var => Some((Relates::Same, place(left)?, holds)),
             Lit::Same(left, right, holds) if left == var => Some((Relates::Same, place(right)?, holds)),

@@ -4,14 +4,15 @@ use crate::datalog::check::{ClauseId, Literal, RelId, Rules};
 use crate::datalog::dense::analyse::Choice;
 use crate::datalog::dense::body::{Body, Lit, Property, Relates, Search, Seek};
 use crate::datalog::dense::program::{
-    Any, Axis, Counting, Demand, Dense, Fired, Home, Input, List, Op, Place, Range, Rare, Reg, Step, Test,
+    Any, Argument, DemandOp, Dense, Fired, Home, Input, List, Op, Place, Range, Rare, Reg, SearchStep, Test,
+    TrackFirings,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
 impl Dense {
     /// Compiles the dense strata of a choice made by [`super::choose`] for these rules. What other strata derive is input. The
     /// inputs that `steady` names seldom change: what follows from them alone is computed only when they do.
-    pub fn new(rules: &Rules, choice: &Choice, counting: Counting, steady: impl Fn(RelId) -> bool) -> Dense {
+    pub fn new(rules: &Rules, choice: &Choice, counting: TrackFirings, steady: impl Fn(RelId) -> bool) -> Dense {
         let strata = || (rules.strata.iter().enumerate()).filter(|(position, _)| choice.is_dense(*position));
         let mut derived = vec![false; rules.relations.len()];
         for relation in strata().flat_map(|(_, stratum)| &stratum.relations) {
@@ -65,7 +66,7 @@ enum Changes {
 
 struct Compiler<'a> {
     rules: &'a Rules,
-    counting: Counting,
+    counting: TrackFirings,
     /// By [`RelId`].
     derived: Vec<bool>,
     /// Predicates that scopes ask for.
@@ -86,7 +87,7 @@ struct Compiler<'a> {
 }
 
 impl<'a> Compiler<'a> {
-    fn new(rules: &'a Rules, counting: Counting, derived: Vec<bool>) -> Self {
+    fn new(rules: &'a Rules, counting: TrackFirings, derived: Vec<bool>) -> Self {
         let literals = rules.clauses.iter().flat_map(|clause| &clause.body);
         let mut guards: Vec<RelId> = literals
             .filter_map(|literal| match literal {
@@ -140,7 +141,7 @@ impl<'a> Compiler<'a> {
                 *self.uses.entry((property, holds)).or_default() += 1;
             }
             let (relation, asked_of_head) = match *literal {
-                Lit::Is(Property::Related(relation, axis), var, _) => (relation, var == 0 && axis == Axis::First),
+                Lit::Is(Property::Related(relation, axis), var, _) => (relation, var == 0 && axis == Argument::First),
                 Lit::Is(property @ (Property::Holds(relation) | Property::Diagonal(relation)), var, _) => {
                     if self.is_given(property) {
                         given.insert((steady(relation), property));
@@ -234,7 +235,7 @@ impl<'a> Compiler<'a> {
         // One variable is found faster than several.
         own.sort_by_key(Vec::len);
 
-        if let (Home::Set(dst), Counting::Off) = (self.out.homes[head.index()], self.counting) {
+        if let (Home::Set(dst), TrackFirings::Off) = (self.out.homes[head.index()], self.counting) {
             let last = own.pop();
             let (mut left, mut right) = self.halves(asked);
             for search in own {
@@ -242,7 +243,7 @@ impl<'a> Compiler<'a> {
                 right = left;
             }
             match last {
-                Some(search) => self.add_existing(Demand { dst, left, right }, &search),
+                Some(search) => self.add_existing(DemandOp { dst, left, right }, &search),
                 None => self.add(dst, left, right),
             }
             return;
@@ -254,7 +255,7 @@ impl<'a> Compiler<'a> {
         match self.out.homes[head.index()] {
             Home::Set(dst) => {
                 self.add(dst, found, found);
-                if self.counting == Counting::Each {
+                if self.counting == TrackFirings::Each {
                     self.out.fired[id.index()] = Some(Fired::Set(found));
                 }
             }
@@ -264,12 +265,12 @@ impl<'a> Compiler<'a> {
                 let steps = self.steps(&search);
                 let steps = Range::extend(&mut self.out.steps, steps);
                 let dst = match self.counting {
-                    Counting::Off => rows,
-                    Counting::Each => self.row_list(),
+                    TrackFirings::Off => rows,
+                    TrackFirings::Each => self.row_list(),
                 };
                 let demand = found;
                 self.out.ops.push(Op::Rare(Rare::Rows { dst, demand, steps }));
-                if self.counting == Counting::Each {
+                if self.counting == TrackFirings::Each {
                     self.out.fired[id.index()] = Some(Fired::Rows(dst));
                     self.out.ops.push(Op::Rare(Rare::OrRows { dst: rows, from: dst }));
                 }
@@ -309,12 +310,12 @@ impl<'a> Compiler<'a> {
     /// The members of both `left` and `right` for which a search succeeds.
     fn exists(&mut self, left: Reg, right: Reg, search: &Search) -> Reg {
         let dst = self.cleared(Changes::Often);
-        self.add_existing(Demand { dst, left, right }, search);
+        self.add_existing(DemandOp { dst, left, right }, search);
         dst
     }
 
     /// Adds those who are asked about and for whom a search succeeds.
-    fn add_existing(&mut self, demand: Demand, search: &Search) {
+    fn add_existing(&mut self, demand: DemandOp, search: &Search) {
         let steps = self.steps(search);
         let op = self
             .any(demand, &steps)
@@ -328,8 +329,8 @@ impl<'a> Compiler<'a> {
     }
 
     /// An operation of its own for a search with one step that asks a few given lists only.
-    fn any(&self, demand: Demand, steps: &[Step]) -> Option<Op> {
-        let [Step { among, tests }] = *steps else {
+    fn any(&self, demand: DemandOp, steps: &[SearchStep]) -> Option<Op> {
+        let [SearchStep { among, tests }] = *steps else {
             return None;
         };
         let list = |test: &Test| match test.list {
@@ -377,8 +378,8 @@ impl<'a> Compiler<'a> {
             }
             Property::Related(relation, axis) => {
                 let other = match axis {
-                    Axis::First => Axis::Second,
-                    Axis::Second => Axis::First,
+                    Argument::First => Argument::Second,
+                    Argument::Second => Argument::First,
                 };
                 let search = vec![Seek {
                     properties: Vec::new(),
@@ -457,7 +458,7 @@ impl<'a> Compiler<'a> {
         dst
     }
 
-    fn steps(&mut self, search: &Search) -> Vec<Step> {
+    fn steps(&mut self, search: &Search) -> Vec<SearchStep> {
         let step = |seek: &Seek| {
             let asked = self.ask(&seek.properties);
             let tests = (seek.relations.iter())
@@ -467,7 +468,7 @@ impl<'a> Compiler<'a> {
                     holds,
                 })
                 .collect();
-            Step {
+            SearchStep {
                 among: self.combine(asked),
                 tests: Range::extend(&mut self.out.tests, tests),
             }

@@ -1,8 +1,8 @@
 //! Facts held as bits.
 
 use crate::datalog::check::RelId;
-use crate::datalog::dense::program::{Axis, Dense, Input, List, Reg};
-use crate::datalog::dense::run::{Frame, Pairs};
+use crate::datalog::dense::program::{Argument, Dense, Input, List, Reg};
+use crate::datalog::dense::run::{BinaryFacts, BitState};
 use crate::datalog::dense::sets::{Set, and, is_empty};
 
 /// Facts of all predicates that a program reads, held as bits.
@@ -46,8 +46,8 @@ impl<const W: usize> BitFacts<W> {
         if let &[x, y] = row {
             for (position, list) in program.lists().iter().enumerate() {
                 let (at, member) = match *list {
-                    List(read, Axis::Second) if read == relation => (x, y),
-                    List(read, Axis::First) if read == relation => (y, x),
+                    List(read, Argument::Second) if read == relation => (x, y),
+                    List(read, Argument::First) if read == relation => (y, x),
                     List(..) => continue,
                 };
                 self.lists[position * W + at / 64][at % 64][member / 64] |= 1 << (member % 64);
@@ -60,7 +60,7 @@ impl<const W: usize> BitFacts<W> {
     ///
     /// # Panics
     /// If the frame is for another number of entities.
-    pub fn load(&self, program: &Dense, frame: &mut Frame<W>) {
+    pub fn load(&self, program: &Dense, frame: &mut BitState<W>) {
         assert_eq!(self.count, frame.count);
         let (restless, steady) = self.inputs.split_at(program.restless);
         let (into, steady_into) = (frame.sets[Reg::INPUTS.index()..]).split_at_mut(program.restless);
@@ -75,7 +75,7 @@ impl<const W: usize> BitFacts<W> {
     }
 }
 
-impl<const W: usize> Pairs<W> for BitFacts<W> {
+impl<const W: usize> BinaryFacts<W> for BitFacts<W> {
     #[inline]
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W> {
         and(among, &self.lists[list * W + at / 64][at % 64])

@@ -8,12 +8,12 @@
 //! ```text
 //! Rules --choose--> Choice (which strata) --compile--> Dense (immutable, shareable)
 //!                                                        |
-//!      facts: Frame::set_input, Pairs --------------> Frame::run --> Frame::set, Frame::row
+//!      facts: BitState::set_input, BinaryFacts --------------> BitState::run --> BitState::set, BitState::row
 //! ```
 //!
 //! `analyse` decides which strata can be evaluated so and tells why others cannot; `body` says what a clause asks of each variable;
 //! `compile` writes that as a `program`, a short list of operations on numbered sets, in which what several clauses ask is asked once;
-//! `run` executes the list. Facts about pairs are asked of a [`Pairs`], which may hold them ([`BitFacts`], in `facts`) or compute them when
+//! `run` executes the list. Facts about pairs are asked of a [`BinaryFacts`], which may hold them ([`BitFacts`], in `facts`) or compute them when
 //! asked. Answers are those of [`super::naive`] if every symbol in the facts is an entity.
 
 mod analyse;
@@ -24,8 +24,8 @@ mod program;
 mod run;
 mod sets;
 
-pub use analyse::{Choice, Reason, choose};
+pub use analyse::{Choice, Unsupported, choose};
 pub use facts::BitFacts;
-pub use program::{Axis, Counting, Dense, Input, List};
-pub use run::{Frame, Pairs};
+pub use program::{Argument, Dense, Input, List, TrackFirings};
+pub use run::{BinaryFacts, BitState};
 pub use sets::{Set, and, first, has, is_empty, members, without};

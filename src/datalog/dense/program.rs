@@ -48,7 +48,7 @@ impl Range {
 
 /// The members of both `left` and `right` that are not in `dst` yet. Those for which a search succeeds are added to `dst`.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Demand {
+pub(super) struct DemandOp {
     pub dst: Reg,
     pub left: Reg,
     pub right: Reg,
@@ -88,12 +88,12 @@ pub(super) enum Op {
         left: Reg,
         right: Reg,
     },
-    Any0(Demand, Any<0>),
-    Any1(Demand, Any<1>),
-    Any2(Demand, Any<2>),
-    Any3(Demand, Any<3>),
+    Any0(DemandOp, Any<0>),
+    Any1(DemandOp, Any<1>),
+    Any2(DemandOp, Any<2>),
+    Any3(DemandOp, Any<3>),
     /// The search for a value of each step.
-    Exists(Demand, Range),
+    Exists(DemandOp, Range),
     Rare(Rare),
 }
 
@@ -110,7 +110,7 @@ pub(super) enum Rare {
 
 /// Finds the values of one variable, those of the steps before and of the head's first variable being bound.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Step {
+pub(super) struct SearchStep {
     /// Of whom all is true that is asked of it alone.
     pub among: Reg,
     /// What relates it to bound variables.
@@ -132,14 +132,14 @@ pub(super) enum Place {
     /// A position in [`Dense::lists`].
     Given(usize),
     /// A list of derived rows, and the column of the value.
-    Derived(usize, Axis),
+    Derived(usize, Argument),
     /// The variable itself.
     Same,
 }
 
 /// A column of a predicate with two.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Axis {
+pub enum Argument {
     /// The first.
     First,
     /// The second.
@@ -157,11 +157,11 @@ pub enum Input {
 
 /// Rows that the caller provides: for each value of one column of the predicate, the values of the named other one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct List(pub RelId, pub Axis);
+pub struct List(pub RelId, pub Argument);
 
 /// What is kept of the work of single clauses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Counting {
+pub enum TrackFirings {
     /// Nothing: a clause looks only where its predicate is not derived yet.
     Off,
     /// What each clause derives.
@@ -175,7 +175,7 @@ pub struct Dense {
     pub(super) lists: Vec<List>,
     pub(super) set_count: usize,
     pub(super) row_lists: usize,
-    pub(super) steps: Vec<Step>,
+    pub(super) steps: Vec<SearchStep>,
     pub(super) tests: Vec<Test>,
     /// How many of `inputs` change often; the others follow.
     pub(super) restless: usize,
@@ -212,12 +212,12 @@ impl Dense {
     /// Variables that a search binds at a time, the head's included.
     pub(super) const VARIABLES_MAX: usize = 24;
 
-    /// The sets the caller provides, in the order of [`super::Frame::set_input`].
+    /// The sets the caller provides, in the order of [`super::BitState::set_input`].
     pub fn inputs(&self) -> &[Input] {
         &self.inputs
     }
 
-    /// The rows the caller provides, see [`super::Pairs`].
+    /// The rows the caller provides, see [`super::BinaryFacts`].
     pub fn lists(&self) -> &[List] {
         &self.lists
     }
@@ -235,7 +235,7 @@ impl Dense {
     }
 
     #[inline]
-    pub(super) fn steps(&self, range: Range) -> &[Step] {
+    pub(super) fn steps(&self, range: Range) -> &[SearchStep] {
         range.cut(&self.steps)
     }
 

@@ -1,11 +1,11 @@
 //! Running a [`Dense`] program.
 
 use crate::datalog::check::{ClauseId, RelId};
-use crate::datalog::dense::program::{Any, Axis, Demand, Dense, Op, Place, Range, Rare, Reg, Step};
+use crate::datalog::dense::program::{Any, Argument, DemandOp, Dense, Op, Place, Range, Rare, Reg, SearchStep};
 use crate::datalog::dense::sets::{Set, and, first, has, is_empty, members, only, or, without};
 
 /// Where facts about pairs come from.
-pub trait Pairs<const W: usize> {
+pub trait BinaryFacts<const W: usize> {
     /// Those of `among` that stand in the relation of the list to entity `at`. `list` is a position in [`Dense::lists`].
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W>;
 
@@ -69,7 +69,7 @@ impl<const W: usize> Sets<W> for [Set<W>; FEW] {
     }
 }
 
-impl Demand {
+impl DemandOp {
     /// Who is asked about.
     #[inline(always)]
     fn of<const W: usize>(&self, sets: &(impl Sets<W> + ?Sized)) -> Set<W> {
@@ -80,9 +80,9 @@ impl Demand {
 #[inline(always)]
 fn add_any<const W: usize, const N: usize>(
     sets: &mut (impl Sets<W> + ?Sized),
-    demand: &Demand,
+    demand: &DemandOp,
     search: &Any<N>,
-    pairs: &impl Pairs<W>,
+    pairs: &impl BinaryFacts<W>,
 ) {
     let (asked, among) = (demand.of(sets), *sets.get(search.among));
     if !is_empty(&asked) && !is_empty(&among) {
@@ -97,7 +97,7 @@ fn add_any<const W: usize, const N: usize>(
 
 /// The sets a [`Dense`] program reads and writes, for one universe.
 #[derive(Clone, Debug)]
-pub struct Frame<const W: usize> {
+pub struct BitState<const W: usize> {
     pub(super) count: usize,
     pub(super) sets: Vec<Set<W>>,
     /// Whether a steady input has changed since what follows from it was computed.
@@ -106,13 +106,13 @@ pub struct Frame<const W: usize> {
     rows: Vec<Set<W>>,
 }
 
-impl<const W: usize> Frame<W> {
+impl<const W: usize> BitState<W> {
     /// For `count` entities; all inputs are empty.
     ///
     /// # Panics
     /// If a set does not hold so many.
     pub fn new(program: &Dense, count: usize) -> Self {
-        let mut frame = Frame {
+        let mut frame = BitState {
             count: 0,
             sets: vec![[0; W]; program.set_count.max(FEW)],
             unsettled: true,
@@ -161,8 +161,8 @@ impl<const W: usize> Frame<W> {
     }
 
     /// Evaluates the program.
-    pub fn run(&mut self, program: &Dense, pairs: &impl Pairs<W>) {
-        let Frame {
+    pub fn run(&mut self, program: &Dense, pairs: &impl BinaryFacts<W>) {
+        let BitState {
             count,
             sets,
             unsettled,
@@ -195,9 +195,9 @@ impl<const W: usize> Frame<W> {
         (at < self.count).then(|| &self.rows[list * self.count + at])
     }
 
-    /// The entities that a clause derives its head of, if the head has one column and clauses are counted ([`Counting::Each`]).
+    /// The entities that a clause derives its head of, if the head has one column and clauses are counted ([`TrackFirings::Each`]).
     ///
-    /// [`Counting::Each`]: super::Counting::Each
+    /// [`TrackFirings::Each`]: super::TrackFirings::Each
     pub fn fired(&self, program: &Dense, clause: ClauseId) -> Option<&Set<W>> {
         program.fired(clause).map(|set| &self.sets[set.index()])
     }
@@ -221,7 +221,7 @@ fn execute<const W: usize>(
     sets: &mut (impl Sets<W> + ?Sized),
     rows: &mut [Set<W>],
     count: usize,
-    pairs: &impl Pairs<W>,
+    pairs: &impl BinaryFacts<W>,
 ) {
     for op in ops {
         match op {
@@ -257,7 +257,7 @@ fn execute_rare<const W: usize>(
     sets: &mut (impl Sets<W> + ?Sized),
     rows: &mut [Set<W>],
     count: usize,
-    pairs: &impl Pairs<W>,
+    pairs: &impl BinaryFacts<W>,
 ) {
     match op {
         Rare::Rows { dst, demand, steps } => {
@@ -317,7 +317,7 @@ struct Search<'a, const W: usize, P> {
 /// The values of the head's first variable and of those of the steps so far.
 type Bound = [usize; Dense::VARIABLES_MAX + 1];
 
-impl<const W: usize, P: Pairs<W>> Search<'_, W, P> {
+impl<const W: usize, P: BinaryFacts<W>> Search<'_, W, P> {
     /// Those of `demand` for which values of all steps exist.
     #[inline(never)]
     fn exists(&self, demand: Set<W>, steps: Range) -> Set<W> {
@@ -338,7 +338,7 @@ impl<const W: usize, P: Pairs<W>> Search<'_, W, P> {
     }
 
     /// The values of the first step for an entity for which values of the others exist.
-    fn values(&self, ego: usize, steps: &[Step]) -> Set<W> {
+    fn values(&self, ego: usize, steps: &[SearchStep]) -> Set<W> {
         let mut bound = [0; Dense::VARIABLES_MAX + 1];
         bound[0] = ego;
         let mut set = self.narrow(&steps[0], &bound);
@@ -353,7 +353,7 @@ impl<const W: usize, P: Pairs<W>> Search<'_, W, P> {
     }
 
     /// Whether some member of `set`, taken for step `depth`, leaves values for all further steps.
-    fn go_on(&self, steps: &[Step], depth: usize, set: Set<W>, bound: &mut Bound) -> bool {
+    fn go_on(&self, steps: &[SearchStep], depth: usize, set: Set<W>, bound: &mut Bound) -> bool {
         let Some(next) = steps.get(depth + 1) else {
             return !is_empty(&set);
         };
@@ -369,14 +369,14 @@ impl<const W: usize, P: Pairs<W>> Search<'_, W, P> {
 
     /// The values that a step leaves, given those that are bound.
     #[inline]
-    fn narrow(&self, step: &Step, bound: &Bound) -> Set<W> {
+    fn narrow(&self, step: &SearchStep, bound: &Bound) -> Set<W> {
         let mut set = self.sets[step.among.index()];
         for test in self.program.tests(step.tests) {
             let at = bound[test.to];
             let fitting = match test.list {
                 Place::Given(list) => self.pairs.narrow(list, at, set),
-                Place::Derived(list, Axis::Second) => and(set, &self.rows[list * self.count + at]),
-                Place::Derived(list, Axis::First) => {
+                Place::Derived(list, Argument::Second) => and(set, &self.rows[list * self.count + at]),
+                Place::Derived(list, Argument::First) => {
                     let mut fitting = [0; W];
                     for member in members(&set) {
                         if has(&self.rows[list * self.count + member], at) {

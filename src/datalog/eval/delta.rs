@@ -69,7 +69,7 @@ impl fmt::Debug for Rows {
 
 /// How one relation changed.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Change {
+pub struct RelationChange {
     /// The relation.
     pub relation: RelId,
     /// Rows that hold now and did not before.
@@ -81,12 +81,12 @@ pub struct Change {
 /// What a commit changed, in base and derived relations.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Delta {
-    changes: Vec<Change>,
+    changes: Vec<RelationChange>,
 }
 
 impl Delta {
     pub(super) fn push(&mut self, relation: RelId, added: Rows, removed: Rows) {
-        self.changes.push(Change {
+        self.changes.push(RelationChange {
             relation,
             added,
             removed,
@@ -94,12 +94,12 @@ impl Delta {
     }
 
     /// The relations that changed, in the order of their ids.
-    pub fn changes(&self) -> &[Change] {
+    pub fn changes(&self) -> &[RelationChange] {
         &self.changes
     }
 
     /// How a relation changed, if it did.
-    pub fn of(&self, rel: RelId) -> Option<&Change> {
+    pub fn of(&self, rel: RelId) -> Option<&RelationChange> {
         let position = self.changes.binary_search_by_key(&rel, |change| change.relation).ok()?;
         Some(&self.changes[position])
     }

@@ -5,11 +5,11 @@ use crate::datalog::check::{ClauseId, RelId, Term};
 use crate::datalog::eval::adapt::Basis;
 use crate::datalog::eval::delta::{Delta, Rows};
 use crate::datalog::eval::join;
-use crate::datalog::eval::join::{Ask, Effort, Output, Stop, View};
+use crate::datalog::eval::join::{Abort, CancelFn, JoinState, Output, RowView};
 use crate::datalog::eval::limits::{EvalError, Limits};
-use crate::datalog::eval::noted::Noted;
-use crate::datalog::eval::stats::{Moment, RuleWork, Strategy, StratumWork, Work, WorkLog};
-use crate::datalog::eval::table::{Net, Table};
+use crate::datalog::eval::pending::PendingChanges;
+use crate::datalog::eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
+use crate::datalog::eval::table::{Table, TableDelta};
 use crate::datalog::eval::workers::Workers;
 use crate::datalog::plan::Compiled;
 use crate::datalog::plan::Plans;
@@ -38,8 +38,8 @@ pub(crate) trait Store: Send + Sync {
         &mut self,
         compiled: &Compiled,
         symbols: &Symbols,
-        orders: Orders<'_>,
-    ) -> Result<(Delta, WorkLog), EvalError>;
+        orders: CommitOptions<'_>,
+    ) -> Result<(Delta, EvalStats), EvalError>;
     /// Whether the row, which has the right arity, is there.
     fn contains(&self, relation: RelId, row: &[Value]) -> bool;
     /// The row at a position below `len`, padded.
@@ -54,19 +54,19 @@ pub(crate) trait Store: Send + Sync {
 
 /// How a commit is to be made.
 #[derive(Clone, Copy)]
-pub(crate) struct Orders<'a> {
+pub(crate) struct CommitOptions<'a> {
     pub(crate) strategy: Strategy,
     pub(crate) limits: Limits,
     pub(crate) workers: &'a Workers,
     /// Is told when a clause begins and ends.
-    pub(crate) watch: Option<&'a dyn Fn(Moment)>,
+    pub(crate) watch: Option<&'a dyn Fn(EvalEvent)>,
     /// Whether to give the commit up. Asked on the calling thread.
-    pub(crate) ask: Ask<'a>,
+    pub(crate) ask: CancelFn<'a>,
 }
 
 /// What a stratum may take of what is left.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Room {
+pub(crate) struct Quota {
     /// Rows of its members. If these are as many as there is memory for, `narrowed`.
     pub(crate) rows: usize,
     narrowed: bool,
@@ -76,15 +76,15 @@ pub(crate) struct Room {
     bytes: u64,
 }
 
-impl Room {
+impl Quota {
     /// Fails if the members of a stratum together have more rows than there is room for.
     pub(crate) fn check_rows(&self, total: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<(), Failure> {
-        meter.fail_if(total > self.rows, stratum, Stop::Overflow)
+        meter.fail_if(total > self.rows, stratum, Abort::Overflow)
     }
 
     /// Fails if the rows of the members take more memory than there is room for.
     pub(crate) fn check_bytes(&self, bytes: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<(), Failure> {
-        meter.fail_if(bytes as u64 > self.bytes, stratum, Stop::Memory)
+        meter.fail_if(bytes as u64 > self.bytes, stratum, Abort::Memory)
     }
 }
 
@@ -106,7 +106,7 @@ pub(crate) struct State<const W: usize> {
     /// By [`RelId`]: the facts in the text, for relations that no clause with a body derives. They cannot be retracted.
     given: Vec<Vec<Row<W>>>,
     /// By [`RelId`]: changes for the next commit.
-    noted: Vec<Noted<W>>,
+    noted: Vec<PendingChanges<W>>,
     /// How clauses are evaluated, for relations of about the sizes they have.
     pub(crate) plans: Arc<Plans>,
     /// By position of the stratum: the sizes it was planned for.
@@ -124,7 +124,7 @@ pub(crate) struct State<const W: usize> {
 /// What computing a stratum from scratch took.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cost {
-    looked_at: u64,
+    rows_scanned: u64,
     /// How many rows its inputs had.
     inputs: u64,
 }
@@ -135,9 +135,9 @@ pub(crate) struct Commit<'a, const W: usize> {
     /// How clauses are evaluated: the session's own plans.
     pub(crate) plans: Arc<Plans>,
     pub(crate) symbols: &'a Symbols,
-    orders: Orders<'a>,
+    orders: CommitOptions<'a>,
     /// By [`RelId`]: how the relations changed so far, and what they were before.
-    pub(crate) changed: Vec<Option<(Net<W>, Table<W>)>>,
+    pub(crate) changed: Vec<Option<(TableDelta<W>, Table<W>)>>,
 }
 
 impl<const W: usize> Commit<'_, W> {
@@ -155,28 +155,28 @@ impl<const W: usize> Commit<'_, W> {
     }
 
     /// How a relation changed, if it did.
-    pub(crate) fn net(&self, relation: RelId) -> Option<&Net<W>> {
+    pub(crate) fn net(&self, relation: RelId) -> Option<&TableDelta<W>> {
         self.changed[relation.index()].as_ref().map(|(net, _)| net)
     }
 }
 
 /// The clause whose evaluation was given up, and why.
-pub(crate) type Failure = (ClauseId, Stop);
+pub(crate) type Failure = (ClauseId, Abort);
 
 /// Runs plans and keeps account of it.
 pub(crate) struct Meter<'a> {
-    effort: Effort,
-    rules: Vec<RuleWork>,
+    effort: JoinState,
+    rules: Vec<RuleStats>,
     /// `None`: everything is done on the calling thread.
     workers: Option<&'a Workers>,
-    watch: Option<&'a dyn Fn(Moment)>,
-    ask: Ask<'a>,
+    watch: Option<&'a dyn Fn(EvalEvent)>,
+    ask: CancelFn<'a>,
 }
 
 impl<'a> Meter<'a> {
     /// Nothing done yet; no more than `budget` rows may be looked at.
-    fn new(budget: u64, orders: Orders<'a>, workers: Option<&'a Workers>) -> Self {
-        let mut effort = Effort::new(budget);
+    fn new(budget: u64, orders: CommitOptions<'a>, workers: Option<&'a Workers>) -> Self {
+        let mut effort = JoinState::new(budget);
         effort.text_bytes = orders.limits.bytes;
         Meter {
             effort,
@@ -200,24 +200,24 @@ impl<'a> Meter<'a> {
         &mut self,
         clause: ClauseId,
         plan: &Plan,
-        (views, given): (&[View<'_, W>], usize),
+        (views, given): (&[RowView<'_, W>], usize),
         symbols: &Symbols,
         out: &mut Output<W>,
     ) -> Result<(), Failure> {
-        let before = (self.effort.looked_at, out.pushed);
+        let before = (self.effort.rows_scanned, out.pushed);
         let tell = |moment| self.watch.iter().for_each(|watch| watch(moment));
-        tell(Moment::Begin(clause));
+        tell(EvalEvent::Begin(clause));
         let result = match self.workers {
             Some(workers) => workers.run(plan, views, (symbols, self.ask), &mut self.effort, out),
             None => join::run(plan, views, (symbols, self.ask), &mut self.effort, out),
         };
-        tell(Moment::End(clause));
+        tell(EvalEvent::End(clause));
         let position = self.rules.binary_search_by_key(&clause, |rule| rule.clause);
         let position = position.unwrap_or_else(|position| {
-            let rule = RuleWork {
+            let rule = RuleStats {
                 clause,
                 given: 0,
-                looked_at: 0,
+                rows_scanned: 0,
                 derived: 0,
             };
             self.rules.insert(position, rule);
@@ -225,13 +225,13 @@ impl<'a> Meter<'a> {
         });
         let rule = &mut self.rules[position];
         rule.given += given as u64;
-        rule.looked_at += self.effort.looked_at - before.0;
+        rule.rows_scanned += self.effort.rows_scanned - before.0;
         rule.derived += out.pushed - before.1;
         result.map_err(|stop| (clause, stop))
     }
 
     /// Gives a stratum up if `failed`, at the clause that has derived most, repetitions included.
-    fn fail_if(&self, failed: bool, stratum: &StratumPlan, stop: Stop) -> Result<(), Failure> {
+    fn fail_if(&self, failed: bool, stratum: &StratumPlan, stop: Abort) -> Result<(), Failure> {
         let derived = |clause: &ClauseId| {
             let position = self.rules.binary_search_by_key(clause, |rule| rule.clause);
             position.map_or(0, |position| self.rules[position].derived)
@@ -242,8 +242,8 @@ impl<'a> Meter<'a> {
     }
 
     /// What was done, in so many rounds.
-    pub(crate) fn finish(self, rounds: usize) -> Work {
-        Work {
+    pub(crate) fn finish(self, rounds: usize) -> WorkCounts {
+        WorkCounts {
             rounds,
             rules: self.rules,
             given_up: 0,
@@ -268,7 +268,7 @@ impl<const W: usize> State<W> {
             copies_max: indexes().max().unwrap_or(0) + 1,
             costs: vec![Cost::default(); compiled.plans.strata.len()],
             // They are inserted like any other fact, once.
-            noted: given.iter().cloned().map(Noted::of).collect(),
+            noted: given.iter().cloned().map(PendingChanges::of).collect(),
             plans: Arc::clone(&compiled.plans),
             bases: vec![Basis::default(); compiled.plans.strata.len()],
             given,
@@ -276,7 +276,7 @@ impl<const W: usize> State<W> {
         }
     }
 
-    fn try_commit(&mut self, commit: &mut Commit<'_, W>) -> Result<(WorkLog, Vec<Cost>), EvalError> {
+    fn try_commit(&mut self, commit: &mut Commit<'_, W>) -> Result<(EvalStats, Vec<Cost>), EvalError> {
         let limits = commit.orders.limits;
         let Compiled { rules, plans, .. } = commit.compiled;
         for relation in (0..rules.relations.len() as u32).map(RelId) {
@@ -291,7 +291,7 @@ impl<const W: usize> State<W> {
             }
         }
 
-        let mut log = WorkLog::default();
+        let mut log = EvalStats::default();
         let mut costs = self.costs.clone();
         // Rows derived by the strata so far, and rows looked at for them. A limit that is passed by a sum of these is passed
         // whatever was there before.
@@ -299,27 +299,27 @@ impl<const W: usize> State<W> {
         for ((stratum, cost), number) in plans.strata.iter().zip(&mut costs).zip(0..) {
             let changes = stratum.inputs.iter().any(|&input| commit.net(input).is_some());
             let work = if self.committed && !changes {
-                StratumWork::Skipped
+                StratumStats::Skipped
             } else {
                 let room = self.room(commit, stratum, (derived, steps));
                 let work = self.update(commit, (stratum, number), cost, room);
                 work.map_err(|(clause, stop)| match stop {
-                    Stop::Budget => EvalError::TooManySteps {
+                    Abort::Budget => EvalError::TooManySteps {
                         limit: limits.steps,
                         clause,
                     },
-                    Stop::Overflow if !room.narrowed => EvalError::TooManyRows {
+                    Abort::Overflow if !room.narrowed => EvalError::TooManyRows {
                         limit: limits.rows,
                         clause,
                     },
-                    Stop::Overflow | Stop::Memory => EvalError::TooMuchMemory {
+                    Abort::Overflow | Abort::Memory => EvalError::TooMuchMemory {
                         limit: limits.bytes,
                         clause,
                     },
-                    Stop::Interrupted => EvalError::Interrupted { clause },
+                    Abort::Interrupted => EvalError::Interrupted { clause },
                 })?
             };
-            steps += work.work().map_or(0, |work| work.looked_at() + work.given_up);
+            steps += work.work().map_or(0, |work| work.rows_scanned() + work.given_up);
             log.strata.push(work);
             let members = stratum.members.iter();
             derived += members.map(|&relation| self.len(relation)).sum::<usize>();
@@ -328,7 +328,7 @@ impl<const W: usize> State<W> {
     }
 
     /// What the limits leave for a stratum after so many rows were derived and looked at.
-    fn room(&self, commit: &Commit<'_, W>, stratum: &StratumPlan, (derived, steps): (usize, u64)) -> Room {
+    fn room(&self, commit: &Commit<'_, W>, stratum: &StratumPlan, (derived, steps): (usize, u64)) -> Quota {
         let limits = commit.orders.limits;
         let most = (self.rows * self.copies_max * size_of::<Row<W>>()) as u64;
         // Adding up takes longer than many a commit.
@@ -342,7 +342,7 @@ impl<const W: usize> State<W> {
         let bytes = limits.bytes.saturating_sub(held + commit.symbols.bytes());
         let rows = limits.rows.saturating_sub(derived);
         let fit = usize::try_from(bytes / size_of::<Row<W>>() as u64).unwrap_or(usize::MAX);
-        Room {
+        Quota {
             rows: rows.min(fit),
             narrowed: fit < rows,
             steps: limits.steps.saturating_sub(steps),
@@ -355,7 +355,9 @@ impl<const W: usize> State<W> {
         let clauses = stratum.clauses.iter().map(|clause| &plans.clauses[clause.index()]);
         let all = clauses.flat_map(|clause| {
             let deltas = clause.deltas.iter().map(|(_, plan)| plan);
-            deltas.chain(clause.detours.iter().flatten()).chain([&clause.complete])
+            deltas
+                .chain(clause.alternatives.iter().flatten())
+                .chain([&clause.complete])
         });
         let sources = all.flat_map(|plan| &plan.steps).flat_map(Step::sources);
         let finished = sources.filter(|source| source.version == Version::Complete);
@@ -380,9 +382,9 @@ impl<const W: usize> State<W> {
         commit: &mut Commit<'_, W>,
         (stratum, number): (&StratumPlan, usize),
         cost: &mut Cost,
-        room: Room,
-    ) -> Result<StratumWork, Failure> {
-        let Orders { strategy, workers, .. } = commit.orders;
+        room: Quota,
+    ) -> Result<StratumStats, Failure> {
+        let CommitOptions { strategy, workers, .. } = commit.orders;
         // Symbols are numbered in the order in which they are made, so that is left to one thread.
         let several = workers.are_several() && !makes_texts(&commit.plans, stratum);
         let workers = several.then_some(workers);
@@ -391,7 +393,7 @@ impl<const W: usize> State<W> {
         let mut given_up = 0;
         if self.committed && stratum.maintainable && strategy != Strategy::Recompute {
             // Had the inputs as many rows as now, it would have taken about this.
-            let recomputing = u128::from(cost.looked_at) * u128::from(inputs + 1) / u128::from(cost.inputs + 1);
+            let recomputing = u128::from(cost.rows_scanned) * u128::from(inputs + 1) / u128::from(cost.inputs + 1);
             let recomputing = u64::try_from(recomputing).unwrap_or(u64::MAX);
             let maintaining = || Self::maintenance_cost(commit, stratum);
             let budget = match strategy {
@@ -410,16 +412,16 @@ impl<const W: usize> State<W> {
                                 self.put(commit, relation, net, table);
                             }
                         }
-                        return Ok(StratumWork::Maintained(meter.finish(rounds)));
+                        return Ok(StratumStats::Maintained(meter.finish(rounds)));
                     }
-                    Err(failure @ (_, Stop::Interrupted)) => return Err(failure),
+                    Err(failure @ (_, Abort::Interrupted)) => return Err(failure),
                     // Where it was stopped may depend on the number of threads. That it passed the budget does not.
                     Err(_) => given_up = budget,
                 }
             }
         }
 
-        let room = Room {
+        let room = Quota {
             steps: room.steps - given_up,
             ..room
         };
@@ -427,7 +429,7 @@ impl<const W: usize> State<W> {
         if room.narrowed || room.bytes < commit.orders.limits.bytes / 2 {
             let missing = self.missing_indexes(&commit.plans, stratum);
             if let (true, Some(&clause)) = (missing > room.bytes, stratum.clauses.first()) {
-                return Err((clause, Stop::Memory));
+                return Err((clause, Abort::Memory));
             }
         }
         let attempt = |workers| {
@@ -437,17 +439,17 @@ impl<const W: usize> State<W> {
         };
         let (results, rounds, meter) = match attempt(workers) {
             // Which limit is passed first, and where, may depend on the number of threads.
-            Err((_, stop)) if several && stop != Stop::Interrupted => attempt(None)?,
+            Err((_, stop)) if several && stop != Abort::Interrupted => attempt(None)?,
             result => result?,
         };
         *cost = Cost {
-            looked_at: meter.effort.looked_at,
+            rows_scanned: meter.effort.rows_scanned,
             inputs,
         };
         for (&relation, rows) in stratum.members.iter().zip(results) {
             let table = &self.tables[relation.index()];
             let rows = Arc::new(rows);
-            let net = Net::between(&table.rows, &rows);
+            let net = TableDelta::between(&table.rows, &rows);
             if !net.is_empty() {
                 let table = table.replaced(&specs(&commit.plans, relation), &net, rows);
                 self.put(commit, relation, net, table);
@@ -455,7 +457,7 @@ impl<const W: usize> State<W> {
         }
         let mut work = meter.finish(rounds);
         work.given_up = given_up;
-        Ok(StratumWork::Recomputed(work))
+        Ok(StratumStats::Recomputed(work))
     }
 
     /// About how many rows maintaining the stratum looks at.
@@ -471,7 +473,7 @@ impl<const W: usize> State<W> {
     }
 
     /// Puts a relation's new table in place.
-    fn put(&mut self, commit: &mut Commit<'_, W>, relation: RelId, net: Net<W>, table: Table<W>) {
+    fn put(&mut self, commit: &mut Commit<'_, W>, relation: RelId, net: TableDelta<W>, table: Table<W>) {
         let old = std::mem::replace(&mut self.tables[relation.index()], table);
         self.rows = self.rows + self.len(relation) - old.rows.len();
         commit.changed[relation.index()] = Some((net, old));
@@ -482,7 +484,7 @@ impl<const W: usize> State<W> {
         &self,
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
-        room: Room,
+        room: Quota,
         meter: &mut Meter<'_>,
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
         let plans = &commit.plans;
@@ -515,16 +517,16 @@ impl<const W: usize> State<W> {
         Ok((rows, 1))
     }
 
-    fn complete_views<'a>(&'a self, plans: &'a Plans, plan: &'a Plan) -> impl Iterator<Item = View<'a, W>> {
+    fn complete_views<'a>(&'a self, plans: &'a Plans, plan: &'a Plan) -> impl Iterator<Item = RowView<'a, W>> {
         plan.steps.iter().map(|step| self.complete_view(plans, step))
     }
 
-    pub(crate) fn complete_view(&self, plans: &Plans, step: &Step) -> View<'_, W> {
+    pub(crate) fn complete_view(&self, plans: &Plans, step: &Step) -> RowView<'_, W> {
         let batch = |source: Source| {
             let spec = &plans.indexes[source.index];
             self.tables[spec.relation.index()].batch(spec)
         };
-        View::for_step(step, batch)
+        RowView::for_step(step, batch)
     }
 }
 
@@ -568,7 +570,7 @@ impl<const W: usize> Store for State<W> {
         for (noted, given) in self.noted.iter_mut().zip(&self.given) {
             noted.clear();
             if !self.committed {
-                *noted = Noted::of(given.clone());
+                *noted = PendingChanges::of(given.clone());
             }
         }
     }
@@ -577,8 +579,8 @@ impl<const W: usize> Store for State<W> {
         &mut self,
         compiled: &Compiled,
         symbols: &Symbols,
-        orders: Orders<'_>,
-    ) -> Result<(Delta, WorkLog), EvalError> {
+        orders: CommitOptions<'_>,
+    ) -> Result<(Delta, EvalStats), EvalError> {
         let mut commit = Commit {
             compiled,
             // The commit alone holds them while it is made, so that it can change them in place.
@@ -591,7 +593,7 @@ impl<const W: usize> Store for State<W> {
         self.plans = Arc::clone(&commit.plans);
         match result {
             Ok((log, costs)) => {
-                self.noted.iter_mut().for_each(Noted::clear);
+                self.noted.iter_mut().for_each(PendingChanges::clear);
                 self.costs = costs;
                 self.committed = true;
                 Ok((commit.delta(), log))
@@ -635,9 +637,9 @@ impl<const W: usize> Store for State<W> {
         let plan = &self.plans.clauses[clause.index()].complete;
         let mut out = Output::new(usize::MAX);
         if self.committed {
-            let views: Vec<View<'_, W>> = self.complete_views(&self.plans, plan).collect();
+            let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, plan).collect();
             // What a clause derives is in its head's relation, which is within the limit: it cannot overflow.
-            let _ = join::run(plan, &views, (symbols, None), &mut Effort::new(u64::MAX), &mut out);
+            let _ = join::run(plan, &views, (symbols, None), &mut JoinState::new(u64::MAX), &mut out);
         }
         let arity = compiled.rules.relations[plan.head.index()].arity();
         out.take().iter().map(|row| row.0[..arity].to_vec()).collect()

@@ -1,6 +1,6 @@
 //! Runs the steps of a plan: one pipelined nested-loop join over sorted rows, without intermediate relations.
 
-use crate::datalog::eval::seen::{Added, Seen, raise};
+use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
 use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
 use crate::datalog::row::{Batch, Row, difference, gallop, normalise};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
@@ -11,21 +11,21 @@ use std::cmp::Ordering;
 
 /// The rows a step looks at: sorted batches, mostly one; for a step that meets lists, one for each list.
 #[derive(Clone, Debug)]
-pub(crate) struct View<'a, const W: usize> {
+pub(crate) struct RowView<'a, const W: usize> {
     pub(crate) first: Batch<'a, W>,
     pub(crate) rest: Vec<Batch<'a, W>>,
 }
 
-impl<'a, const W: usize> View<'a, W> {
+impl<'a, const W: usize> RowView<'a, W> {
     /// For a step that looks at no rows.
-    pub(crate) const NONE: Self = View {
+    pub(crate) const NONE: Self = RowView {
         first: Batch { rows: &[], starts: &[] },
         rest: Vec::new(),
     };
 
     /// One batch.
     pub(crate) fn of(first: Batch<'a, W>) -> Self {
-        View {
+        RowView {
             first,
             rest: Vec::new(),
         }
@@ -35,15 +35,15 @@ impl<'a, const W: usize> View<'a, W> {
     #[inline]
     pub(crate) fn for_step(step: &Step, batch: impl Fn(Source) -> Batch<'a, W>) -> Self {
         match (step.source(), step) {
-            (Some(source), _) => View::of(batch(source)),
-            (None, Step::Meet { lists, .. }) => {
+            (Some(source), _) => RowView::of(batch(source)),
+            (None, Step::LeapfrogJoin { lists, .. }) => {
                 let mut batches = lists.iter().map(|list| batch(list.source));
-                batches.next().map_or(View::NONE, |first| View {
+                batches.next().map_or(RowView::NONE, |first| RowView {
                     first,
                     rest: batches.collect(),
                 })
             }
-            _ => View::NONE,
+            _ => RowView::NONE,
         }
     }
 
@@ -58,7 +58,7 @@ impl<'a, const W: usize> View<'a, W> {
 }
 
 /// Derived rows on their way to a relation, with some or no repetitions. The memory they take is bounded: where words are dense,
-/// rows are marked in a [`Seen`] and repetitions never get in; where they are not, rows are put in order when there are many and
+/// rows are marked in a [`SeenBitmap`] and repetitions never get in; where they are not, rows are put in order when there are many and
 /// repetitions are dropped.
 #[derive(Debug)]
 pub(crate) struct Output<const W: usize> {
@@ -66,7 +66,7 @@ pub(crate) struct Output<const W: usize> {
     /// Rows ever pushed.
     pub(crate) pushed: u64,
     /// Holds what is in `rows`, if there is one.
-    seen: Option<Seen<W>>,
+    seen: Option<SeenBitmap<W>>,
     /// Whether `seen`, if there is one, holds all rows that were ever pushed.
     whole: bool,
     /// Whether rows were taken.
@@ -89,7 +89,7 @@ pub(crate) struct Output<const W: usize> {
 
 /// Why an evaluation was given up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Stop {
+pub(crate) enum Abort {
     /// More distinct rows were derived than the limit allows.
     Overflow,
     /// More rows were looked at than allowed.
@@ -101,14 +101,14 @@ pub(crate) enum Stop {
 }
 
 /// Is asked now and then whether to give an evaluation up.
-pub(crate) type Ask<'a> = Option<&'a dyn Fn() -> bool>;
+pub(crate) type CancelFn<'a> = Option<&'a dyn Fn() -> bool>;
 
 /// What evaluations need besides their inputs, and how much they did.
 #[derive(Debug)]
-pub(crate) struct Effort {
+pub(crate) struct JoinState {
     slots: Vec<Value>,
     /// Rows that scans and tests looked at.
-    pub(crate) looked_at: u64,
+    pub(crate) rows_scanned: u64,
     /// More than this is too much.
     pub(crate) budget: u64,
     /// With more rows than this it is time to see whether to go on.
@@ -117,15 +117,15 @@ pub(crate) struct Effort {
     pub(crate) text_bytes: u64,
 }
 
-impl Effort {
+impl JoinState {
     /// So many rows are looked at between two questions whether to go on: a fraction of a millisecond.
     const PAUSE: u64 = 1 << 14;
 
     /// None yet.
     pub(crate) fn new(budget: u64) -> Self {
-        Effort {
+        JoinState {
             slots: Vec::new(),
-            looked_at: 0,
+            rows_scanned: 0,
             budget,
             pause: budget.min(Self::PAUSE),
             text_bytes: u64::MAX,
@@ -174,7 +174,7 @@ impl<const W: usize> Output<W> {
     /// An empty output for some of the rows that are to go into this one, at most `limit` of them. It leaves out what is known here.
     pub(crate) fn fork(&self, limit: usize) -> Self {
         Output {
-            seen: self.seen.as_ref().map(Seen::fork),
+            seen: self.seen.as_ref().map(SeenBitmap::fork),
             ..Self::new(limit)
         }
     }
@@ -186,11 +186,11 @@ impl<const W: usize> Output<W> {
 
     /// What the bits of known rows take.
     pub(crate) fn seen_bytes(&self) -> usize {
-        self.seen.as_ref().map_or(0, Seen::bytes)
+        self.seen.as_ref().map_or(0, SeenBitmap::bytes)
     }
 
     /// Takes in what was derived into a fork.
-    pub(crate) fn absorb(&mut self, mut fork: Self) -> Result<(), Stop> {
+    pub(crate) fn absorb(&mut self, mut fork: Self) -> Result<(), Abort> {
         let pushed = self.pushed + fork.pushed;
         self.pushed = pushed;
         if let (Some(seen), Some(other)) = (&mut self.seen, &fork.seen)
@@ -203,7 +203,7 @@ impl<const W: usize> Output<W> {
             }
             self.kept += seen.absorb(other);
             return if self.kept > self.limit {
-                Err(Stop::Overflow)
+                Err(Abort::Overflow)
             } else {
                 Ok(())
             };
@@ -235,7 +235,7 @@ impl<const W: usize> Output<W> {
     }
 
     #[inline]
-    fn push(&mut self, row: Row<W>) -> Result<(), Stop> {
+    fn push(&mut self, row: Row<W>) -> Result<(), Abort> {
         self.pushed += 1;
         if let Some(seen) = &mut self.seen {
             match seen.add(&row) {
@@ -243,7 +243,7 @@ impl<const W: usize> Output<W> {
                 Added::New if seen.keeps() => {
                     self.kept += 1;
                     return if self.kept > self.limit {
-                        Err(Stop::Overflow)
+                        Err(Abort::Overflow)
                     } else {
                         Ok(())
                     };
@@ -262,14 +262,14 @@ impl<const W: usize> Output<W> {
 
     /// Pushes rows that are like `row` but for one word, which they have from a column of the rows found.
     #[inline]
-    fn push_along(&mut self, mut row: Row<W>, word: usize, found: &[Row<W>], column: usize) -> Result<(), Stop> {
+    fn push_along(&mut self, mut row: Row<W>, word: usize, found: &[Row<W>], column: usize) -> Result<(), Abort> {
         let mut rest = found;
         if let Some(seen) = self.seen.as_mut().filter(|seen| seen.keeps()) {
             let (added, new) = seen.keep_along(row, word, found.iter().map(|other| other.0[column]));
             self.pushed += added as u64;
             self.kept += new;
             if self.kept > self.limit {
-                return Err(Stop::Overflow);
+                return Err(Abort::Overflow);
             }
             rest = &found[added..];
         }
@@ -300,9 +300,9 @@ impl<const W: usize> Output<W> {
 
     /// Finds the better way to hold the rows there are.
     #[cold]
-    fn act(&mut self) -> Result<(), Stop> {
+    fn act(&mut self) -> Result<(), Abort> {
         if self.seen.is_none() {
-            self.seen = Seen::over(&self.rows, self.largest, self.pushed.min(Self::SEEN_ROWS_MAX));
+            self.seen = SeenBitmap::over(&self.rows, self.largest, self.pushed.min(Self::SEEN_ROWS_MAX));
             if self.seen.is_some() {
                 self.whole = !self.took;
                 self.may_learn = self.took;
@@ -319,7 +319,7 @@ impl<const W: usize> Output<W> {
             self.compact_at = self.compact_at.max(self.rows.len().saturating_mul(2));
         }
         if self.rows.len().max(self.kept) > self.limit {
-            return Err(Stop::Overflow);
+            return Err(Abort::Overflow);
         }
         self.act_at = self
             .rows
@@ -379,18 +379,18 @@ impl<const W: usize> Output<W> {
 
     /// The rows that it knows were pushed, in order: all of them if it [is whole](Output::is_whole).
     pub(crate) fn all(&self) -> Vec<Row<W>> {
-        self.seen.as_ref().map(Seen::all).unwrap_or_default()
+        self.seen.as_ref().map(SeenBitmap::all).unwrap_or_default()
     }
 }
 
 /// Evaluates a plan. `views` has an element for each of its steps.
 pub(crate) fn run<const W: usize>(
     plan: &Plan,
-    views: &[View<'_, W>],
-    (symbols, ask): (&Symbols, Ask<'_>),
-    effort: &mut Effort,
+    views: &[RowView<'_, W>],
+    (symbols, ask): (&Symbols, CancelFn<'_>),
+    effort: &mut JoinState,
     out: &mut Output<W>,
-) -> Result<(), Stop> {
+) -> Result<(), Abort> {
     effort.slots.clear();
     effort.slots.extend_from_slice(&plan.slots);
     let mut join = Join {
@@ -398,7 +398,7 @@ pub(crate) fn run<const W: usize>(
         views,
         symbols,
         slots: &mut effort.slots,
-        looked_at: effort.looked_at,
+        rows_scanned: effort.rows_scanned,
         budget: effort.budget,
         pause: effort.pause,
         ask,
@@ -408,11 +408,11 @@ pub(crate) fn run<const W: usize>(
         out,
     };
     let result = join.from(0, plan.steps.len());
-    (effort.looked_at, effort.pause) = (join.looked_at, join.pause);
+    (effort.rows_scanned, effort.pause) = (join.rows_scanned, join.pause);
     result?;
     // The last scan may have been the one that was too much.
-    if effort.looked_at > effort.budget {
-        return Err(Stop::Budget);
+    if effort.rows_scanned > effort.budget {
+        return Err(Abort::Budget);
     }
     Ok(())
 }
@@ -422,13 +422,13 @@ type Columns<'a> = &'a [(u16, Slot)];
 
 struct Join<'a, const W: usize> {
     plan: &'a Plan,
-    views: &'a [View<'a, W>],
+    views: &'a [RowView<'a, W>],
     symbols: &'a Symbols,
     slots: &'a mut [Value],
-    looked_at: u64,
+    rows_scanned: u64,
     budget: u64,
     pause: u64,
-    ask: Ask<'a>,
+    ask: CancelFn<'a>,
     text_bytes: u64,
     /// Made when first needed.
     patterns: Option<Patterns>,
@@ -439,7 +439,7 @@ struct Join<'a, const W: usize> {
 
 impl<const W: usize> Join<'_, W> {
     /// Does the steps from `depth` to `end` and says whether they succeeded at least once. A success of all steps derives a row.
-    fn from(&mut self, depth: usize, end: usize) -> Result<bool, Stop> {
+    fn from(&mut self, depth: usize, end: usize) -> Result<bool, Abort> {
         let plan = self.plan;
         let mut depth = depth;
         loop {
@@ -447,7 +447,7 @@ impl<const W: usize> Join<'_, W> {
                 return if end == plan.steps.len() { self.emit() } else { Ok(true) };
             }
             let passed = match &plan.steps[depth] {
-                step @ (Step::Scan { .. } | Step::Meet { .. }) => match plan.enough[depth] as usize {
+                step @ (Step::Scan { .. } | Step::LeapfrogJoin { .. }) => match plan.enough[depth] as usize {
                     0 => return self.branch(step, depth, (end, false)),
                     // Within a part of which one success is enough there are only such parts, so this one ends in front of `end`.
                     part => {
@@ -460,7 +460,7 @@ impl<const W: usize> Join<'_, W> {
                     }
                 },
                 Step::Exists { key, .. } => self.holds(depth, key),
-                Step::Absent { key, .. } => !self.holds(depth, key),
+                Step::AntiJoin { key, .. } => !self.holds(depth, key),
                 Step::Copy { to, from } => {
                     self.slots[*to as usize] = self.slots[*from as usize];
                     true
@@ -498,8 +498,8 @@ impl<const W: usize> Join<'_, W> {
                     let words = self.key(key);
                     let views = self.views;
                     let ranges = views[depth].batches().map(|batch| batch.range(&words[..key.len()]));
-                    self.looked_at += ranges.map(|range| range.len() as u64).sum::<u64>();
-                    if self.looked_at > self.pause {
+                    self.rows_scanned += ranges.map(|range| range.len() as u64).sum::<u64>();
+                    if self.rows_scanned > self.pause {
                         self.pause()?;
                     }
                     let rows = views[depth]
@@ -520,20 +520,20 @@ impl<const W: usize> Join<'_, W> {
 
     /// Whether to go on after so many rows.
     #[cold]
-    fn pause(&mut self) -> Result<(), Stop> {
-        if self.looked_at > self.budget {
-            return Err(Stop::Budget);
+    fn pause(&mut self) -> Result<(), Abort> {
+        if self.rows_scanned > self.budget {
+            return Err(Abort::Budget);
         }
         if self.ask.is_some_and(|ask| ask()) {
-            return Err(Stop::Interrupted);
+            return Err(Abort::Interrupted);
         }
-        self.pause = self.budget.min(self.looked_at + Effort::PAUSE);
+        self.pause = self.budget.min(self.rows_scanned + JoinState::PAUSE);
         Ok(())
     }
 
     #[inline]
     fn holds(&mut self, depth: usize, key: &[Slot]) -> bool {
-        self.looked_at += 1;
+        self.rows_scanned += 1;
         let view = &self.views[depth];
         match *key {
             [slot] => view.holds(&[self.slots[slot as usize]]),
@@ -543,8 +543,8 @@ impl<const W: usize> Join<'_, W> {
     }
 
     /// Does a step that may go on several times, and those behind it to `end`; only until they succeed if `once` is set.
-    fn branch(&mut self, step: &Step, depth: usize, (end, once): (usize, bool)) -> Result<bool, Stop> {
-        if self.looked_at > self.pause {
+    fn branch(&mut self, step: &Step, depth: usize, (end, once): (usize, bool)) -> Result<bool, Abort> {
+        if self.rows_scanned > self.pause {
             self.pause()?;
         }
         match step {
@@ -562,7 +562,7 @@ impl<const W: usize> Join<'_, W> {
                 }
                 self.scan((depth, end, once), key, (bind, check), *distinct as usize)
             }
-            Step::Meet { lists, to } => {
+            Step::LeapfrogJoin { lists, to } => {
                 let base = self.cursors.len();
                 let result = self.meet((depth, end, once), lists, *to);
                 self.cursors.truncate(base);
@@ -578,7 +578,7 @@ impl<const W: usize> Join<'_, W> {
         key: &[Slot],
         (bind, check): (Columns<'_>, Columns<'_>),
         distinct: usize,
-    ) -> Result<bool, Stop> {
+    ) -> Result<bool, Abort> {
         let views = self.views;
         let words = self.key(key);
         let last = depth + 1 == self.plan.steps.len();
@@ -590,7 +590,7 @@ impl<const W: usize> Join<'_, W> {
                 if distinct > 0 {
                     rest = &rest[gallop(rest, |other| other.0[..distinct] == row.0[..distinct])..];
                 }
-                self.looked_at += 1;
+                self.rows_scanned += 1;
                 for &(column, slot) in bind {
                     self.slots[slot as usize] = row.0[column as usize];
                 }
@@ -613,7 +613,7 @@ impl<const W: usize> Join<'_, W> {
 
     /// Leapfrog: each list in turn is asked for the first word that is not less than the largest found so far; where all lists
     /// have found the same one, it is in all. The caller drops the cursors.
-    fn meet(&mut self, (depth, end, once): (usize, usize, bool), lists: &[List], to: Slot) -> Result<bool, Stop> {
+    fn meet(&mut self, (depth, end, once): (usize, usize, bool), lists: &[List], to: Slot) -> Result<bool, Abort> {
         let views = self.views;
         let base = self.cursors.len();
         for (list, batch) in lists.iter().zip(views[depth].batches()) {
@@ -623,7 +623,7 @@ impl<const W: usize> Join<'_, W> {
         }
         let (mut any, mut word, mut agreeing, mut at) = (false, Value(0), 0, 0);
         loop {
-            self.looked_at += 1;
+            self.rows_scanned += 1;
             let (rows, column) = &mut self.cursors[base + at];
             *rows = &rows[gallop(rows, |row| row.0[*column] < word)..];
             let Some(row) = rows.first() else { return Ok(any) };
@@ -649,7 +649,7 @@ impl<const W: usize> Join<'_, W> {
     }
 
     /// The last scan of a plan: every row found is a row derived.
-    fn spread(&mut self, depth: usize, key: &[Value], bind: &[(u16, Slot)]) -> Result<bool, Stop> {
+    fn spread(&mut self, depth: usize, key: &[Value], bind: &[(u16, Slot)]) -> Result<bool, Abort> {
         let mut row = Row(self.key(&self.plan.output));
         // (word of the row derived, column of the index)
         let mut moves = [(0, 0); W];
@@ -665,7 +665,7 @@ impl<const W: usize> Join<'_, W> {
         for batch in views[depth].batches() {
             let found = batch.range(key);
             any |= !found.is_empty();
-            self.looked_at += found.len() as u64;
+            self.rows_scanned += found.len() as u64;
             if let [(word, column)] = moves[..count] {
                 self.out.push_along(row, word, found, column)?;
             } else {
@@ -695,7 +695,7 @@ impl<const W: usize> Join<'_, W> {
 
     /// As [`Join::compute`], for a functor that makes texts: there must be room for them.
     #[cold]
-    fn make(&self, functor: Functor, base: BaseType, arguments: &[Slot]) -> Result<Option<Value>, Stop> {
+    fn make(&self, functor: Functor, base: BaseType, arguments: &[Slot]) -> Result<Option<Value>, Abort> {
         if functor == Functor::Cat {
             let length = |&slot: &Slot| {
                 self.symbols
@@ -703,12 +703,12 @@ impl<const W: usize> Join<'_, W> {
                     .map_or(0, str::len)
             };
             if arguments.iter().map(length).sum::<usize>() as u64 > self.text_bytes {
-                return Err(Stop::Memory);
+                return Err(Abort::Memory);
             }
         }
         let value = self.compute(functor, base, arguments);
         if self.symbols.bytes() > self.text_bytes {
-            return Err(Stop::Memory);
+            return Err(Abort::Memory);
         }
         Ok(value)
     }
@@ -733,7 +733,7 @@ impl<const W: usize> Join<'_, W> {
     }
 
     #[inline]
-    fn emit(&mut self) -> Result<bool, Stop> {
+    fn emit(&mut self) -> Result<bool, Abort> {
         let row = self.key(&self.plan.output);
         self.out.push(Row(row))?;
         Ok(true)

@@ -12,10 +12,10 @@
 //! a head, and a stratum can be recomputed in one commit and maintained in the next.
 
 use crate::datalog::check::RelId;
-use crate::datalog::eval::exec::{Commit, Failure, Meter, Room, State, specs};
-use crate::datalog::eval::join::{Output, View};
+use crate::datalog::eval::exec::{Commit, Failure, Meter, Quota, State, specs};
+use crate::datalog::eval::join::{Output, RowView};
 use crate::datalog::eval::recursion::{Iteration, Relation, Variable};
-use crate::datalog::eval::table::{Net, Table};
+use crate::datalog::eval::table::{Table, TableDelta};
 use crate::datalog::plan::steps::{ChangePlan, Plan, Source, Step, StratumPlan, Version};
 use crate::datalog::row::{Batch, Row, difference, merge};
 use std::sync::Arc;
@@ -30,16 +30,16 @@ impl<const W: usize> State<W> {
         &self,
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
-        room: Room,
+        room: Quota,
         meter: &mut Meter<'_>,
-    ) -> Result<(Vec<Net<W>>, usize), Failure> {
+    ) -> Result<(Vec<TableDelta<W>>, usize), Failure> {
         let plans = &commit.plans;
         let members = &stratum.members;
         let (lost, mut rounds) = self.lose(commit, stratum, meter)?;
 
         // In a recursive stratum, what may be lost must not be the reason for anything.
         let without = |(relation, lost): (&RelId, &Vec<Row<W>>)| {
-            let net = Net {
+            let net = TableDelta {
                 added: Arc::default(),
                 removed: lost.clone(),
             };
@@ -56,27 +56,27 @@ impl<const W: usize> State<W> {
 
         let gone = self.keep(commit, stratum, &base, &lost, meter)?;
         let gained = self.gain(commit, stratum, &base, room, meter)?;
-        let nets: Vec<Net<W>> = if stratum.recursive {
+        let nets: Vec<TableDelta<W>> = if stratum.recursive {
             let again = lost.iter().zip(&gone).map(|(lost, gone)| difference(lost, gone));
             let seeds = again.zip(gained).map(|(again, gained)| merge(&again, &gained));
             let seeds = seeds.map(|rows| Output::of(rows, room.rows)).collect();
             let (grown, more) = self.grow(commit, stratum, Some(&base), seeds, room, meter)?;
             rounds += more;
-            let net = |(lost, grown): (&Vec<Row<W>>, &Vec<Row<W>>)| Net {
+            let net = |(lost, grown): (&Vec<Row<W>>, &Vec<Row<W>>)| TableDelta {
                 added: difference(grown, lost).into(),
                 removed: difference(lost, grown),
             };
             lost.iter().zip(&grown).map(net).collect()
         } else {
             let nets = gained.into_iter().zip(gone);
-            nets.map(|(added, removed)| Net {
+            nets.map(|(added, removed)| TableDelta {
                 added: added.into(),
                 removed,
             })
             .collect()
         };
 
-        let after = |(relation, net): (&RelId, &Net<W>)| {
+        let after = |(relation, net): (&RelId, &TableDelta<W>)| {
             self.tables[relation.index()].rows.len() + net.added.len() - net.removed.len()
         };
         let total: usize = members.iter().zip(&nets).map(after).sum();
@@ -98,7 +98,7 @@ impl<const W: usize> State<W> {
         };
         // What is lost held, so there is no need for a limit.
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(usize::MAX)).collect();
-        let mut steps: Vec<View<'_, W>> = Vec::new();
+        let mut steps: Vec<RowView<'_, W>> = Vec::new();
         for &clause in &stratum.clauses {
             for change in &plans.clauses[clause.index()].changes {
                 let Some(net) = commit.net(change.over) else { continue };
@@ -194,13 +194,13 @@ impl<const W: usize> State<W> {
         commit: &Commit<'_, W>,
         stratum: &StratumPlan,
         base: &[&Table<W>],
-        room: Room,
+        room: Quota,
         meter: &mut Meter<'_>,
     ) -> Result<ByMember<W>, Failure> {
         let plans = &commit.plans;
         let now = |relation| self.now(stratum, base, relation);
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(room.rows)).collect();
-        let mut steps: Vec<View<'_, W>> = Vec::new();
+        let mut steps: Vec<RowView<'_, W>> = Vec::new();
         for &clause in &stratum.clauses {
             for change in &plans.clauses[clause.index()].changes {
                 let Some(net) = commit.net(change.over) else { continue };
@@ -236,7 +236,7 @@ fn views<'a, 'b: 'a, const W: usize>(
     rows: &'a [Row<W>],
     known: Option<&'a Table<W>>,
     table: &'a impl Fn(RelId) -> &'b Table<W>,
-) -> impl Iterator<Item = View<'a, W>> {
+) -> impl Iterator<Item = RowView<'a, W>> {
     let indexes = &commit.plans.indexes;
     let view = move |(position, step): (usize, &Step)| {
         let batch = |source: Source| {
@@ -248,7 +248,7 @@ fn views<'a, 'b: 'a, const W: usize>(
                 _ => table(spec.relation).batch(spec),
             }
         };
-        View::for_step(step, batch)
+        RowView::for_step(step, batch)
     };
     plan.steps.iter().enumerate().map(view)
 }

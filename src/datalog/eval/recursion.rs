@@ -5,8 +5,8 @@
 //! number and the types of their rows at compile time.
 
 use crate::datalog::check::{ClauseId, RelId};
-use crate::datalog::eval::exec::{Commit, Failure, Meter, Room, State};
-use crate::datalog::eval::join::{Output, View};
+use crate::datalog::eval::exec::{Commit, Failure, Meter, Quota, State};
+use crate::datalog::eval::join::{Output, RowView};
 use crate::datalog::eval::table::{Table, project};
 use crate::datalog::plan::Compiled;
 use crate::datalog::plan::Plans;
@@ -26,7 +26,7 @@ impl<const W: usize> State<W> {
         stratum: &StratumPlan,
         base: Option<&[&Table<W>]>,
         mut outputs: Vec<Output<W>>,
-        room: Room,
+        room: Quota,
         meter: &mut Meter<'_>,
     ) -> Result<(Vec<Vec<Row<W>>>, usize), Failure> {
         let plans = &commit.plans;
@@ -58,7 +58,7 @@ impl<const W: usize> State<W> {
             room.check_rows(total, stratum, meter)?;
             let copies: usize = recursion.grown.iter().map(Grown::len).sum();
             room.check_bytes((total + copies) * size_of::<Row<W>>(), stratum, meter)?;
-            let mut views: Vec<View<'_, W>> = Vec::new();
+            let mut views: Vec<RowView<'_, W>> = Vec::new();
             for &(clause, over, plan) in &chosen {
                 let Some(head) = plans.member[plan.head.index()] else {
                     continue;
@@ -93,10 +93,16 @@ impl<const W: usize> State<W> {
         };
         let mut chosen = Vec::new();
         for &clause in &stratum.clauses {
-            let ClausePlans { deltas, detours, .. } = &plans.clauses[clause.index()];
-            for ((over, plan), detours) in deltas.iter().zip(detours) {
+            let ClausePlans {
+                deltas, alternatives, ..
+            } = &plans.clauses[clause.index()];
+            for ((over, plan), alternatives) in deltas.iter().zip(alternatives) {
                 if let Some(over) = plans.member[over.index()].filter(|&over| !held[over].new.is_empty()) {
-                    chosen.push((clause, over, estimate::choose(plan, detours, &plans.indexes, &shape)));
+                    chosen.push((
+                        clause,
+                        over,
+                        estimate::choose(plan, alternatives, &plans.indexes, &shape),
+                    ));
                 }
             }
         }
@@ -158,11 +164,11 @@ impl<'b, const W: usize> Recursion<'b, W> {
         let variables = members.iter().map(|member| iteration.variable(name(member))).collect();
         let clauses = || stratum.clauses.iter().map(|clause| &plans.clauses[clause.index()]);
         let mut forward = vec![base.is_none(); members.len()];
-        let detours = clauses().flat_map(|clause| &clause.detours).flatten();
+        let alternatives = clauses().flat_map(|clause| &clause.alternatives).flatten();
         let all = clauses()
             .flat_map(|clause| &clause.deltas)
             .map(|(_, plan)| plan)
-            .chain(detours);
+            .chain(alternatives);
         for source in all.flat_map(|plan| &plan.steps).flat_map(Step::sources) {
             let relation = plans.indexes[source.index].relation;
             if let (Version::Old | Version::All, Some(member)) = (source.version, plans.member[relation.index()]) {
@@ -259,12 +265,12 @@ impl<'b, const W: usize> Recursion<'b, W> {
     }
 
     /// The rows of a member that a step looks at.
-    fn view<'a>(&'a self, held: &'a [Held<'a, W>], plans: &Plans, source: Source) -> View<'a, W> {
+    fn view<'a>(&'a self, held: &'a [Held<'a, W>], plans: &Plans, source: Source) -> RowView<'a, W> {
         let spec = &plans.indexes[source.index];
         let (with_old, with_new) = (source.version != Version::New, source.version != Version::Old);
         let mut batches: Vec<Batch<'a, W>> = Vec::new();
         let Some(member) = plans.member[spec.relation.index()] else {
-            return View::NONE;
+            return RowView::NONE;
         };
         if let (true, Some(base)) = (with_old, self.base) {
             batches.push(base[member].batch(spec));
@@ -278,8 +284,8 @@ impl<'b, const W: usize> Recursion<'b, W> {
             batches.extend(with_new.then(|| Batch::plain(new)));
         }
         match batches.pop() {
-            Some(first) => View { first, rest: batches },
-            None => View::NONE,
+            Some(first) => RowView { first, rest: batches },
+            None => RowView::NONE,
         }
     }
 

@@ -4,7 +4,7 @@ use crate::datalog::check::ClauseId;
 
 /// What [`Session::commit_watched`] tells of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Moment {
+pub enum EvalEvent {
     /// A clause begins to be evaluated.
     Begin(ClauseId),
     /// It has been evaluated. There is always just one that has begun.
@@ -28,41 +28,41 @@ pub enum Strategy {
 
 /// What a commit did with a stratum.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum StratumWork {
+pub enum StratumStats {
     /// Nothing: none of its inputs changed.
     Skipped,
     /// Followed the change of its inputs.
-    Maintained(Work),
+    Maintained(WorkCounts),
     /// Computed it from scratch: at the first commit, if the change is large, or if the stratum cannot be maintained.
-    Recomputed(Work),
+    Recomputed(WorkCounts),
 }
 
-impl StratumWork {
+impl StratumStats {
     /// What was done, unless the stratum was skipped.
-    pub fn work(&self) -> Option<&Work> {
+    pub fn work(&self) -> Option<&WorkCounts> {
         match self {
-            StratumWork::Skipped => None,
-            StratumWork::Maintained(work) | StratumWork::Recomputed(work) => Some(work),
+            StratumStats::Skipped => None,
+            StratumStats::Maintained(work) | StratumStats::Recomputed(work) => Some(work),
         }
     }
 }
 
 /// What it took to bring a stratum up to date.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Work {
+pub struct WorkCounts {
     /// Rounds to a fixpoint; 1 if the stratum is not recursive.
     pub rounds: usize,
     /// What its clauses did, those that ran, in order.
-    pub rules: Vec<RuleWork>,
+    pub rules: Vec<RuleStats>,
     /// If maintaining the stratum was given up: after so many rows were looked at, as many as recomputing it would take; else 0.
     /// They are not in `rules`.
     pub given_up: u64,
 }
 
-impl Work {
+impl WorkCounts {
     /// Rows that scans and tests of its clauses looked at.
-    pub fn looked_at(&self) -> u64 {
-        self.rules.iter().map(|rule| rule.looked_at).sum()
+    pub fn rows_scanned(&self) -> u64 {
+        self.rules.iter().map(|rule| rule.rows_scanned).sum()
     }
 
     /// Rows that its clauses derived, repetitions included.
@@ -73,38 +73,38 @@ impl Work {
 
 /// What one clause did in a commit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RuleWork {
+pub struct RuleStats {
     /// The clause.
     pub clause: ClauseId,
     /// Changed rows, and rows of its head in doubt, from which it was evaluated. 0 if it ran once over all rows.
     pub given: u64,
     /// Rows that its scans and tests looked at.
-    pub looked_at: u64,
+    pub rows_scanned: u64,
     /// Rows it derived, repetitions included: of those that may go, that stay nevertheless, and that come.
     pub derived: u64,
 }
 
 /// What a commit did.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct WorkLog {
+pub struct EvalStats {
     /// By position in [`Rules::strata`]; empty before the first commit.
-    pub strata: Vec<StratumWork>,
+    pub strata: Vec<StratumStats>,
 }
 
-impl WorkLog {
+impl EvalStats {
     /// Positions in [`Rules::strata`] of the strata that were maintained or recomputed.
     pub fn evaluated(&self) -> impl Iterator<Item = usize> {
         let strata = self.strata.iter().enumerate();
         strata
-            .filter(|(_, work)| **work != StratumWork::Skipped)
+            .filter(|(_, work)| **work != StratumStats::Skipped)
             .map(|(position, _)| position)
     }
 
     /// What each clause did that ran, in the order of the strata.
-    pub fn rules(&self) -> impl Iterator<Item = &RuleWork> {
+    pub fn rules(&self) -> impl Iterator<Item = &RuleStats> {
         self.strata
             .iter()
-            .filter_map(StratumWork::work)
+            .filter_map(StratumStats::work)
             .flat_map(|work| &work.rules)
     }
 }

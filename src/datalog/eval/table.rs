@@ -7,13 +7,13 @@ use std::sync::{Arc, OnceLock};
 
 /// Rows that came and rows that went, both sorted; no row is in both.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Net<const W: usize> {
+pub(crate) struct TableDelta<const W: usize> {
     /// Shared with the table if there was nothing before.
     pub(crate) added: Arc<Vec<Row<W>>>,
     pub(crate) removed: Vec<Row<W>>,
 }
 
-impl<const W: usize> Net<W> {
+impl<const W: usize> TableDelta<W> {
     pub(crate) fn is_empty(&self) -> bool {
         self.added.is_empty() && self.removed.is_empty()
     }
@@ -24,7 +24,7 @@ impl<const W: usize> Net<W> {
 
     /// From one set of rows to another.
     pub(crate) fn between(old: &[Row<W>], new: &Arc<Vec<Row<W>>>) -> Self {
-        Net {
+        TableDelta {
             added: match old {
                 [] => Arc::clone(new),
                 _ => difference(new, old).into(),
@@ -94,7 +94,7 @@ impl<const W: usize> Table<W> {
     pub(crate) fn update(
         &self,
         changes: impl ExactSizeIterator<Item = (Row<W>, bool)>,
-    ) -> Option<(Net<W>, Arc<Vec<Row<W>>>)> {
+    ) -> Option<(TableDelta<W>, Arc<Vec<Row<W>>>)> {
         let count = changes.len();
         let (mut added, mut removed) = (Vec::new(), Vec::new());
         let mut finder = Finder::new(self.known());
@@ -123,17 +123,17 @@ impl<const W: usize> Table<W> {
         }
         append(&mut rows, &self.rows[copied..]);
         let added = added.into();
-        Some((Net { added, removed }, rows.into()))
+        Some((TableDelta { added, removed }, rows.into()))
     }
 
     /// The table after a change. Indexes that are in use are patched.
-    pub(crate) fn patched(&self, specs: &[&IndexSpec], net: &Net<W>) -> Table<W> {
+    pub(crate) fn patched(&self, specs: &[&IndexSpec], net: &TableDelta<W>) -> Table<W> {
         let rows = patch(self.known(), net);
         self.replaced(specs, net, rows.into())
     }
 
     /// The same, if the rows after the change are known.
-    pub(crate) fn replaced(&self, specs: &[&IndexSpec], net: &Net<W>, rows: Arc<Vec<Row<W>>>) -> Table<W> {
+    pub(crate) fn replaced(&self, specs: &[&IndexSpec], net: &TableDelta<W>, rows: Arc<Vec<Row<W>>>) -> Table<W> {
         let indexes = self.indexes.iter().zip(specs).map(|(index, spec)| {
             let index = index.get().filter(|_| net.len() <= rows.len() / 2);
             index
@@ -187,7 +187,7 @@ impl<const W: usize> Index<W> {
     }
 
     /// The index after a change; `None` if it is not worth it. `old` and `new` are the relation's own rows.
-    fn patched(&self, old: &[Row<W>], spec: &IndexSpec, net: &Net<W>, new: &[Row<W>]) -> Option<Self> {
+    fn patched(&self, old: &[Row<W>], spec: &IndexSpec, net: &TableDelta<W>, new: &[Row<W>]) -> Option<Self> {
         let idle = if self.used.load(Relaxed) { 0 } else { self.idle + 1 };
         if idle > Self::IDLE_MAX {
             return None;
@@ -195,7 +195,7 @@ impl<const W: usize> Index<W> {
         let (rows, starts) = if spec.position == 0 {
             (Vec::new(), patch_directory(&self.starts, net, new))
         } else {
-            let net = Net {
+            let net = TableDelta {
                 added: project(&net.added, &spec.columns).into(),
                 removed: project(&net.removed, &spec.columns),
             };
@@ -291,7 +291,7 @@ fn append<const W: usize>(to: &mut Vec<Row<W>>, rows: &[Row<W>]) {
 }
 
 /// The rows after a change.
-fn patch<const W: usize>(batch: Batch<'_, W>, net: &Net<W>) -> Vec<Row<W>> {
+fn patch<const W: usize>(batch: Batch<'_, W>, net: &TableDelta<W>) -> Vec<Row<W>> {
     let mut rows = Vec::with_capacity((batch.rows.len() + net.added.len()).saturating_sub(net.removed.len()));
     let mut finder = Finder::new(batch);
     let (mut added, mut removed) = (&net.added[..], &net.removed[..]);
@@ -338,7 +338,7 @@ fn directory<const W: usize>(rows: &[Row<W>]) -> Vec<u32> {
 }
 
 /// The directory after a change; `rows` are those after it.
-fn patch_directory<const W: usize>(old: &[u32], net: &Net<W>, rows: &[Row<W>]) -> Vec<u32> {
+fn patch_directory<const W: usize>(old: &[u32], net: &TableDelta<W>, rows: &[Row<W>]) -> Vec<u32> {
     let beyond = net.added.last().is_some_and(|row| row.0[0].0 as usize + 1 >= old.len());
     if old.is_empty() || beyond || !Index::<W>::dense(rows.len(), old.len()) {
         return directory(rows);
@@ -494,7 +494,7 @@ mod tests {
                 word < u32::from(Index::<2>::IDLE_MAX) + 2,
                 "{word}"
             );
-            let net = Net {
+            let net = TableDelta {
                 added: vec![Row([Value(200 + word), Value(0)])].into(),
                 removed: Vec::new(),
             };

@@ -5,7 +5,7 @@
 //! logs are those of one thread. What is little work stays on the calling thread.
 
 use crate::datalog::eval::join;
-use crate::datalog::eval::join::{Ask, Effort, Output, Stop, View};
+use crate::datalog::eval::join::{Abort, CancelFn, JoinState, Output, RowView};
 use crate::datalog::plan::estimate::Shape;
 use crate::datalog::plan::steps::{Plan, Slot, Step};
 use crate::datalog::row::{Batch, Row, gallop, normalise};
@@ -58,8 +58,8 @@ pub(crate) struct Workers {
 /// What one thread does.
 struct Hand<const W: usize> {
     out: Output<W>,
-    effort: Effort,
-    result: Result<(), Stop>,
+    effort: JoinState,
+    result: Result<(), Abort>,
 }
 
 impl Workers {
@@ -94,11 +94,11 @@ impl Workers {
     pub(crate) fn run<const W: usize>(
         &self,
         plan: &Plan,
-        views: &[View<'_, W>],
-        (symbols, ask): (&Symbols, Ask<'_>),
-        effort: &mut Effort,
+        views: &[RowView<'_, W>],
+        (symbols, ask): (&Symbols, CancelFn<'_>),
+        effort: &mut JoinState,
         out: &mut Output<W>,
-    ) -> Result<(), Stop> {
+    ) -> Result<(), Abort> {
         if let Some(pool) = &self.pool {
             let chunks = self.split(plan, views, out.seen_bytes());
             if !chunks.is_empty() {
@@ -124,7 +124,7 @@ impl Workers {
 
     /// The rows of the first scan in pieces; none if the plan is better evaluated as a whole. `copied` bytes it takes to give
     /// each thread an output.
-    fn split<'a, const W: usize>(&self, plan: &Plan, views: &[View<'a, W>], copied: usize) -> Vec<&'a [Row<W>]> {
+    fn split<'a, const W: usize>(&self, plan: &Plan, views: &[RowView<'a, W>], copied: usize) -> Vec<&'a [Row<W>]> {
         let Some(Step::Scan { key, distinct, .. }) = plan.steps.first() else {
             return Vec::new();
         };
@@ -156,15 +156,15 @@ impl Workers {
     fn evaluate<const W: usize>(
         &self,
         pool: &rayon::ThreadPool,
-        (plan, views, chunks): (&Plan, &[View<'_, W>], &[&[Row<W>]]),
-        (symbols, ask): (&Symbols, Ask<'_>),
-        effort: &Effort,
+        (plan, views, chunks): (&Plan, &[RowView<'_, W>], &[&[Row<W>]]),
+        (symbols, ask): (&Symbols, CancelFn<'_>),
+        effort: &JoinState,
         out: &Output<W>,
     ) -> Vec<Hand<W>> {
         let count = self.threads.count.get();
         let hand = || Hand {
             out: out.fork(out.limit() / count),
-            effort: Effort::new(effort.budget.saturating_sub(effort.looked_at)),
+            effort: JoinState::new(effort.budget.saturating_sub(effort.rows_scanned)),
             result: Ok(()),
         };
         let mut hands: Vec<Hand<W>> = (0..count).map(|_| hand()).collect();
@@ -178,7 +178,7 @@ impl Workers {
                     let mut views = views.to_vec();
                     let give_up = || interrupted.load(Relaxed);
                     while let (Some(chunk), false) = (chunks.get(next.fetch_add(1, Relaxed)), stopped.load(Relaxed)) {
-                        views[0] = View::of(Batch::plain(chunk));
+                        views[0] = RowView::of(Batch::plain(chunk));
                         let (symbols, out) = ((symbols, Some(&give_up as _)), &mut hand.out);
                         hand.result = join::run(plan, &views, symbols, &mut hand.effort, out);
                         if hand.result.is_err() {
@@ -200,7 +200,7 @@ impl Workers {
         });
         if interrupted.load(Relaxed) {
             // Also if all were done before they saw it.
-            hands[0].result = Err(Stop::Interrupted);
+            hands[0].result = Err(Abort::Interrupted);
         }
         hands
     }
@@ -210,26 +210,26 @@ impl Workers {
 /// are too many, since some may have been derived by several.
 fn join_hands<const W: usize>(
     hands: Vec<Hand<W>>,
-    effort: &mut Effort,
+    effort: &mut JoinState,
     out: &mut Output<W>,
-) -> Option<Result<(), Stop>> {
-    let stopped = |with: Stop| hands.iter().any(|hand| hand.result == Err(with));
-    if stopped(Stop::Interrupted) {
-        return Some(Err(Stop::Interrupted));
+) -> Option<Result<(), Abort>> {
+    let stopped = |with: Abort| hands.iter().any(|hand| hand.result == Err(with));
+    if stopped(Abort::Interrupted) {
+        return Some(Err(Abort::Interrupted));
     }
-    if stopped(Stop::Overflow) {
+    if stopped(Abort::Overflow) {
         return None;
     }
-    effort.looked_at += hands.iter().map(|hand| hand.effort.looked_at).sum::<u64>();
-    if stopped(Stop::Budget) || effort.looked_at > effort.budget {
-        return Some(Err(Stop::Budget));
+    effort.rows_scanned += hands.iter().map(|hand| hand.effort.rows_scanned).sum::<u64>();
+    if stopped(Abort::Budget) || effort.rows_scanned > effort.budget {
+        return Some(Err(Abort::Budget));
     }
     Some(hands.into_iter().try_for_each(|hand| out.absorb(hand.out)))
 }
 
 /// About how many rows evaluating the plan looks at.
-fn expected<const W: usize>(plan: &Plan, views: &[View<'_, W>]) -> f64 {
-    let (mut flow, mut looked_at) = (1.0, 0.0);
+fn expected<const W: usize>(plan: &Plan, views: &[RowView<'_, W>]) -> f64 {
+    let (mut flow, mut rows_scanned) = (1.0, 0.0);
     let in_batch = |batch: &Batch<'_, W>, key: &[Slot]| {
         let columns: Vec<u16> = (0..key.len() as u16).collect();
         Shape::of(batch.rows).found(&columns)
@@ -238,23 +238,23 @@ fn expected<const W: usize>(plan: &Plan, views: &[View<'_, W>]) -> f64 {
         match step {
             Step::Scan { key, .. } | Step::Aggregate { key, .. } => {
                 let found: f64 = view.batches().map(|batch| in_batch(batch, key)).sum();
-                looked_at += flow * found;
+                rows_scanned += flow * found;
                 if let Step::Scan { .. } = step {
                     flow *= found;
                 }
             }
-            Step::Meet { lists, .. } => {
+            Step::LeapfrogJoin { lists, .. } => {
                 let found = lists.iter().zip(view.batches());
                 let least = found
                     .map(|(list, batch)| in_batch(batch, &list.key))
                     .fold(f64::INFINITY, f64::min);
-                looked_at += flow * least * lists.len() as f64;
+                rows_scanned += flow * least * lists.len() as f64;
                 flow *= least;
             }
             _ => {}
         }
     }
-    looked_at
+    rows_scanned
 }
 
 #[cfg(test)]
@@ -302,15 +302,15 @@ mod tests {
                     assert_eq!(spec.relation, RelId(0));
                     tables[0].batch(spec)
                 };
-                let view = |step: &Step| View::for_step(step, batch);
-                let views: Vec<View<'_, 2>> = plan.steps.iter().map(view).collect();
-                let run = |workers: &Workers, budget: u64, limit: usize| -> Result<Done, Stop> {
-                    let (mut effort, mut out) = (Effort::new(budget), Output::new(limit));
+                let view = |step: &Step| RowView::for_step(step, batch);
+                let views: Vec<RowView<'_, 2>> = plan.steps.iter().map(view).collect();
+                let run = |workers: &Workers, budget: u64, limit: usize| -> Result<Done, Abort> {
+                    let (mut effort, mut out) = (JoinState::new(budget), Output::new(limit));
                     // The second time most rows are known.
                     workers.run(plan, &views, (&symbols, None), &mut effort, &mut out)?;
                     workers.run(plan, &views, (&symbols, None), &mut effort, &mut out)?;
                     let pushed = out.pushed;
-                    Ok((out.take_by(|rows| workers.normalise(rows)), pushed, effort.looked_at))
+                    Ok((out.take_by(|rows| workers.normalise(rows)), pushed, effort.rows_scanned))
                 };
                 let alone = Workers::default();
                 let expected = run(&alone, u64::MAX, usize::MAX).unwrap();
@@ -322,10 +322,10 @@ mod tests {
                     .unwrap();
                     assert_eq!(workers.split(plan, &views, 0).len() > count, splits);
                     assert_eq!(run(&workers, u64::MAX, usize::MAX).as_ref(), Ok(&expected));
-                    let (rows, _, looked_at) = &expected;
-                    assert_eq!(run(&workers, *looked_at, rows.len()).as_ref(), Ok(&expected));
-                    assert_eq!(run(&workers, looked_at - 1, usize::MAX), Err(Stop::Budget));
-                    assert_eq!(run(&alone, looked_at - 1, usize::MAX), Err(Stop::Budget));
+                    let (rows, _, rows_scanned) = &expected;
+                    assert_eq!(run(&workers, *rows_scanned, rows.len()).as_ref(), Ok(&expected));
+                    assert_eq!(run(&workers, rows_scanned - 1, usize::MAX), Err(Abort::Budget));
+                    assert_eq!(run(&alone, rows_scanned - 1, usize::MAX), Err(Abort::Budget));
                 }
             }
         }

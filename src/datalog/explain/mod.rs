@@ -1,7 +1,7 @@
 //! Why a fact holds, and why another does not.
 //!
 //! Reach for [`Session::explain`] and [`Session::explain_absence`] to ask one question; for an [`Explainer`] to ask many about
-//! the same state, since it keeps what it found out on the way; for [`Teller`] to turn an answer into text or JSON.
+//! the same state, since it keeps what it found out on the way; for [`ExplanationPrinter`] to turn an answer into text or JSON.
 //!
 //! ```text
 //! Session --explain--> Explanation (nodes: what holds by which clause, what does not hold and for lack of what) --tell--> text
@@ -18,13 +18,13 @@
 //! **What does not hold** is told clause by clause: the literals that fail under the nearest binding. See [`Miss`].
 //!
 //! This module reads a session through its public functions only and so knows nothing of how relations are kept or evaluated.
-//! Work is bounded: see [`Explainer::set_limit`].
+//! WorkCounts is bounded: see [`Explainer::set_limit`].
 
+mod explanation_printer;
 mod heights;
-mod printer;
 mod search;
 
-pub use printer::Teller;
+pub use explanation_printer::ExplanationPrinter;
 
 use crate::datalog::check::{ClauseId, Literal, RelId};
 use crate::datalog::session::Session;
@@ -140,12 +140,12 @@ pub struct Absence {
     /// No row of it has these values.
     pub pattern: Pattern,
     /// Why.
-    pub reason: Reason,
+    pub reason: AbsenceReason,
 }
 
 /// Why something does not hold.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Reason {
+pub enum AbsenceReason {
     /// No clause speaks of the predicate, and it is not among the facts.
     NotAFact,
     /// No clause of the predicate holds: one entry for each clause with a body.
@@ -535,9 +535,9 @@ impl Making {
         pattern: Pattern,
     ) -> Result<Absence, ExplainError> {
         let reason = if !search.rules().relations[relation.index()].derived {
-            Reason::NotAFact
+            AbsenceReason::NotAFact
         } else if self.absences == Explainer::ABSENCES_MAX {
-            Reason::NotLookedInto
+            AbsenceReason::NotLookedInto
         } else {
             self.absences += 1;
             let mut misses = Vec::new();
@@ -546,7 +546,7 @@ impl Making {
                     misses.push(Miss { clause, obstacle });
                 }
             }
-            Reason::NoClause(misses)
+            AbsenceReason::NoClause(misses)
         };
         Ok(Absence {
             relation,

@@ -102,14 +102,14 @@ fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
                 flow *= found(*source, key.len());
                 effort += flow;
             }
-            Step::Meet { lists, .. } => {
+            Step::LeapfrogJoin { lists, .. } => {
                 let found = lists.iter().map(|list| found(list.source, list.key.len()));
                 let least = found.fold(f64::INFINITY, f64::min);
                 effort += flow * least * lists.len() as f64;
                 flow *= least;
             }
             Step::Exists { source, key } => flow *= found(*source, key.len()).min(1.0),
-            Step::Absent { source, key } => flow *= 1.0 - found(*source, key.len()).min(0.9),
+            Step::AntiJoin { source, key } => flow *= 1.0 - found(*source, key.len()).min(0.9),
             Step::Copy { .. } | Step::Compute { test: false, .. } => {}
             Step::Aggregate { source, key, .. } => effort += flow * found(*source, key.len()),
             Step::Compare {

@@ -19,7 +19,7 @@ pub(crate) const CLAUSE_MAX: usize = 128;
 /// the more there are. Its stratum is always recomputed.
 const MAINTAINED_LITERALS_MAX: usize = 24;
 
-/// A clause with more literals than this has no detours.
+/// A clause with more literals than this has no alternatives.
 const DETOUR_LITERALS_MAX: usize = 8;
 
 /// Putting a row into another order costs as much as looking at so many. Sorting costs more, but the order serves later commits.
@@ -54,7 +54,7 @@ pub(crate) fn plan_clause(
         .collect();
     let order = Order::Text { large: &[] };
     let complete = Planner::new(clause, indexes, order).plan(First::Any, &|_| Version::Complete)?;
-    let (mut deltas, mut detours) = (Vec::new(), Vec::new());
+    let (mut deltas, mut alternatives) = (Vec::new(), Vec::new());
     for &delta in &recursive {
         // Each derivation is found once: by the plan of its first atom that holds by a new row.
         let version = |position: usize| match position.cmp(&delta) {
@@ -70,7 +70,7 @@ pub(crate) fn plan_clause(
                 matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
             if finished && clause.body.len() <= DETOUR_LITERALS_MAX {
                 let other = Planner::new(clause, indexes, order).plan(First::Literal(position), &version)?;
-                // An index over a relation that grows has to be kept up; a detour must do without.
+                // An index over a relation that grows has to be kept up; a alternative must do without.
                 let mut sources = other.steps.iter().flat_map(Step::sources);
                 let own = |source: Source| source.version == Version::Complete || indexes.is_own(source.index);
                 let cheap = sources.all(own) && !other.searches_new();
@@ -82,7 +82,7 @@ pub(crate) fn plan_clause(
         }
         if let Some(atom) = clause.body[delta].atom() {
             deltas.push((atom.relation, plan));
-            detours.push(others);
+            alternatives.push(others);
         }
     }
     // In maintenance a recursive relation is no longer small, as it is when a computation from scratch begins.
@@ -93,7 +93,7 @@ pub(crate) fn plan_clause(
     Ok(ClausePlans {
         complete,
         deltas,
-        detours,
+        alternatives,
         changes,
         check,
     })
@@ -273,7 +273,7 @@ impl<'a> Planner<'a> {
                     let key = head.terms.iter().filter_map(|term| self.slot(term)).collect();
                     let (index, version) = (IndexId(head.relation.0), Version::Complete);
                     let source = Source { index, version };
-                    self.push(Step::Absent { source, key });
+                    self.push(Step::AntiJoin { source, key });
                 }
                 if !tests_placed {
                     self.place_tests(version);
@@ -363,7 +363,7 @@ impl<'a> Planner<'a> {
                 Literal::Negative(atom) => {
                     self.expect(atom, |flow, size, key| flow.absent(size, key));
                     let (source, key) = self.lookup(atom, Version::Complete);
-                    self.push(Step::Absent { source, key });
+                    self.push(Step::AntiJoin { source, key });
                 }
                 Literal::Compare {
                     op, left, right, base, ..
@@ -637,7 +637,7 @@ impl<'a> Planner<'a> {
         }
         self.bound[variable.index()] = true;
         positions.iter().for_each(|&position| self.placed(position));
-        self.push(Step::Meet {
+        self.push(Step::LeapfrogJoin {
             lists,
             to: variable.index() as Slot,
         });

@@ -3,7 +3,7 @@
 //! A scan binds variables, one atom at a time; every other step tests what is already bound, and stands as early as it can.
 //!
 //! A clause of a recursive stratum has one plan for each of its atoms over that stratum, beginning with the newest rows of it, and
-//! *detours*, which reach those rows later. The sizes of relations decide in every round which one runs ([`super::estimate`]).
+//! *alternatives*, which reach those rows later. The sizes of relations decide in every round which one runs ([`super::estimate`]).
 //!
 //! For maintenance every clause has one plan for each of its atoms, negated ones included, beginning with the rows that changed, and one
 //! that begins with rows of the head and asks whether they can be derived.
@@ -168,11 +168,11 @@ pub(crate) enum Step {
     },
     /// For each word that all lists have, fill the slot with it and go on: a leapfrog join of one variable. However skewed the
     /// rows are, it looks at no more of each list than the shortest is long.
-    Meet { lists: Vec<List>, to: Slot },
+    LeapfrogJoin { lists: Vec<List>, to: Slot },
     /// Go on if some row begins with the key.
     Exists { source: Source, key: Vec<Slot> },
     /// Go on if no row begins with the key.
-    Absent { source: Source, key: Vec<Slot> },
+    AntiJoin { source: Source, key: Vec<Slot> },
     /// Fill a slot from another.
     Copy { to: Slot, from: Slot },
     /// Go on if the comparison holds.
@@ -210,16 +210,16 @@ impl Step {
         match self {
             Step::Scan { source, .. }
             | Step::Exists { source, .. }
-            | Step::Absent { source, .. }
+            | Step::AntiJoin { source, .. }
             | Step::Aggregate { source, .. } => Some(*source),
-            Step::Meet { .. } | Step::Copy { .. } | Step::Compare { .. } | Step::Compute { .. } => None,
+            Step::LeapfrogJoin { .. } | Step::Copy { .. } | Step::Compare { .. } | Step::Compute { .. } => None,
         }
     }
 
     /// Wherever the step finds rows.
     pub(crate) fn sources(&self) -> impl Iterator<Item = Source> {
         let lists: &[List] = match self {
-            Step::Meet { lists, .. } => lists,
+            Step::LeapfrogJoin { lists, .. } => lists,
             _ => &[],
         };
         self.source().into_iter().chain(lists.iter().map(|list| list.source))
@@ -229,7 +229,7 @@ impl Step {
     pub(crate) fn fills(&self) -> Vec<Slot> {
         match self {
             Step::Scan { bind, .. } => bind.iter().map(|&(_, slot)| slot).collect(),
-            Step::Meet { to, .. } | Step::Copy { to, .. } => vec![*to],
+            Step::LeapfrogJoin { to, .. } | Step::Copy { to, .. } => vec![*to],
             Step::Compute { to, test: false, .. } | Step::Aggregate { to, test: false, .. } => vec![*to],
             _ => Vec::new(),
         }
@@ -239,8 +239,8 @@ impl Step {
     pub(crate) fn reads(&self, slot: Slot) -> bool {
         match self {
             Step::Scan { key, check, .. } => key.contains(&slot) || check.iter().any(|&(_, other)| other == slot),
-            Step::Meet { lists, .. } => lists.iter().any(|list| list.key.contains(&slot)),
-            Step::Exists { key, .. } | Step::Absent { key, .. } => key.contains(&slot),
+            Step::LeapfrogJoin { lists, .. } => lists.iter().any(|list| list.key.contains(&slot)),
+            Step::Exists { key, .. } | Step::AntiJoin { key, .. } => key.contains(&slot),
             Step::Copy { from, .. } => *from == slot,
             Step::Compare { left, right, .. } => *left == slot || *right == slot,
             Step::Compute {
@@ -252,7 +252,7 @@ impl Step {
 
     /// Whether it may go on several times.
     pub(crate) fn branches(&self) -> bool {
-        matches!(self, Step::Scan { .. } | Step::Meet { .. })
+        matches!(self, Step::Scan { .. } | Step::LeapfrogJoin { .. })
     }
 }
 
@@ -290,7 +290,7 @@ pub(crate) struct ClausePlans {
     pub(crate) deltas: Vec<(RelId, Plan)>,
     /// By position in `deltas`: plans of the same answer that begin with a finished relation and come to the newest rows later.
     /// Better when there are many new rows; which one is used is decided from the sizes in every round.
-    pub(crate) detours: Vec<Vec<Plan>>,
+    pub(crate) alternatives: Vec<Vec<Plan>>,
     /// One for each atom of the body: what follows from rows of it that came or went. None if the clause is too large.
     pub(crate) changes: Vec<ChangePlan>,
     /// Begins with rows of the head: which of them the clause derives. `None` if the clause is too large.

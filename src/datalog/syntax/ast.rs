@@ -44,7 +44,7 @@ pub enum Item {
     /// `.input A, B`, `.output A`, `.printsize A`
     Mark(Mark),
     /// `.disjoint A, B`, `.implies A, B`, `.irreflexive A`, `.symmetric A`
-    Promise(Promise),
+    Constraint(ConstraintDecl),
     /// `.pragma "key" "value"`: read and ignored.
     Pragma(Pragma),
     /// `.plan 1:(2,1)`: read and ignored.
@@ -152,18 +152,18 @@ pub struct DirectiveOption {
 
 /// `.disjoint A, B` and the like.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Promise {
+pub struct ConstraintDecl {
     /// Which directive.
-    pub kind: PromiseKind,
+    pub kind: ConstraintKind,
     /// The predicates it names: two for `.implies`, at least two for `.disjoint`, else at least one.
     pub names: Vec<Name>,
     /// All of it.
     pub place: Place,
 }
 
-/// What a [`Promise`] says of its predicates.
+/// What a [`ConstraintDecl`] says of its predicates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PromiseKind {
+pub enum ConstraintKind {
     /// `.disjoint`
     Disjoint,
     /// `.implies`
@@ -174,14 +174,14 @@ pub enum PromiseKind {
     Symmetric,
 }
 
-impl PromiseKind {
+impl ConstraintKind {
     /// The directive without its dot.
     pub fn name(self) -> &'static str {
         match self {
-            PromiseKind::Disjoint => "disjoint",
-            PromiseKind::Implies => "implies",
-            PromiseKind::Irreflexive => "irreflexive",
-            PromiseKind::Symmetric => "symmetric",
+            ConstraintKind::Disjoint => "disjoint",
+            ConstraintKind::Implies => "implies",
+            ConstraintKind::Irreflexive => "irreflexive",
+            ConstraintKind::Symmetric => "symmetric",
         }
     }
 }

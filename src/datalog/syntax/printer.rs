@@ -77,9 +77,9 @@ impl Display for Item {
                 })?;
                 writeln!(f)
             }
-            Item::Promise(promise) => {
-                write!(f, ".{} ", promise.kind.name())?;
-                separated(f, &promise.names, |f, name| f.write_str(&name.text))?;
+            Item::Constraint(constraint) => {
+                write!(f, ".{} ", constraint.kind.name())?;
+                separated(f, &constraint.names, |f, name| f.write_str(&name.text))?;
                 writeln!(f)
             }
             Item::Scope(scope) => match &scope.predicate {

@@ -7,7 +7,7 @@ mod wording;
 
 pub use wording::{RulesFile, letter};
 
-use crate::city::{AgentKind, AgentName, AgentSet, Speed, Split};
+use crate::city::{Action, AgentKind, AgentName, AgentSet, Split};
 use crate::config::Definition;
 use crate::diag::{Code, Diagnostic, did_you_mean};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
@@ -104,7 +104,7 @@ pub struct Question {
     /// All that is true of them.
     pub facts: Facts,
     /// What the rules want.
-    pub answer: Speed,
+    pub answer: Action,
     /// Where it is from.
     pub source: Source,
 }
@@ -149,11 +149,11 @@ impl QuestionSet {
         let questions = search
             .run(&request.about, &mut known, &mut watch)
             .map_err(|fault| vec![fault])?;
-        let lacking = |action: &Speed| {
+        let lacking = |action: &Action| {
             let answers = |questions: &[Question]| questions.iter().any(|question| question.answer == *action);
             answers(&questions) && !answers(&demonstrations)
         };
-        if let (true, Some(action)) = (request.shots > 0, Speed::ALL.into_iter().find(lacking)) {
+        if let (true, Some(action)) = (request.shots > 0, Action::ALL.into_iter().find(lacking)) {
             let (name, split) = (action.name(), request.demonstrations.name());
             let message = format!("no demonstration of {name} found among the cars of `{split}`");
             return Err(vec![
@@ -173,24 +173,24 @@ impl QuestionSet {
         })
     }
 
-    /// How many questions have each answer, in the order of [`Speed::ALL`].
+    /// How many questions have each answer, in the order of [`Action::ALL`].
     pub fn answers(&self) -> [usize; 4] {
-        Speed::ALL.map(|action| {
+        Action::ALL.map(|action| {
             let answers = self.questions.iter().filter(|question| question.answer == action);
             answers.count()
         })
     }
 }
 
-/// The actions that the rules can ask, in the order of [`Speed::ALL`].
-pub fn askable(world: &World) -> Vec<Speed> {
+/// The actions that the rules can ask, in the order of [`Action::ALL`].
+pub fn askable(world: &World) -> Vec<Action> {
     let clauses = &world.program.rules().clauses;
-    let asked = |action: &Speed| {
+    let asked = |action: &Action| {
         let relation = world.vocabulary.action(*action);
         let derived = relation.is_some_and(|relation| clauses.iter().any(|clause| clause.head.relation == relation));
         derived || *action == world.vocabulary.default_action()
     };
-    Speed::ALL.into_iter().filter(asked).collect()
+    Action::ALL.into_iter().filter(asked).collect()
 }
 
 /// Whether a request can be met at all.
@@ -219,7 +219,7 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
             }
         })
         .collect();
-    let actions: Vec<&str> = askable(world).into_iter().map(Speed::name).collect();
+    let actions: Vec<&str> = askable(world).into_iter().map(Action::name).collect();
     if request.shots > 0 && request.shots < actions.len() {
         let message = format!(
             "{} demonstrations cannot show all that the rules can ask: {}",
@@ -296,7 +296,7 @@ impl<'w> Search<'w> {
         let mut city = Simulation::new(Arc::clone(self.world), self.split, self.seed, Settings::default())?;
         let asked = askable(self.world);
         let share = |place: usize| self.count / asked.len() + usize::from(place < self.count % asked.len());
-        let wanted: Vec<(Speed, usize)> = asked
+        let wanted: Vec<(Action, usize)> = asked
             .iter()
             .enumerate()
             .map(|(place, &action)| (action, share(place)))
@@ -373,7 +373,7 @@ impl<'w> Search<'w> {
     }
 
     /// A decision as a question; the order of its entities is drawn.
-    fn question(&self, facts: &Facts, ego: usize, order: Seed, answer: Speed, source: Source) -> Question {
+    fn question(&self, facts: &Facts, ego: usize, order: Seed, answer: Action, source: Source) -> Question {
         let vocabulary = &self.world.vocabulary;
         let sees = &facts.rows[vocabulary.sees];
         let mut named: Vec<u32> = match self.extent {

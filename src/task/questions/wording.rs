@@ -1,6 +1,6 @@
 //! Questions as text, as JSON lines and as a table.
 
-use crate::city::{Speed, Split};
+use crate::city::{Action, Split};
 use crate::sim::World;
 use crate::task::questions::{Question, QuestionSet};
 use serde_json::{Map, Value, json};
@@ -15,8 +15,8 @@ pub struct RulesFile<'a> {
     pub hash: &'a str,
 }
 
-/// The letter of an option: A to D, in the order of [`Speed::ALL`].
-pub fn letter(action: Speed) -> char {
+/// The letter of an option: A to D, in the order of [`Action::ALL`].
+pub fn letter(action: Action) -> char {
     ['A', 'B', 'C', 'D'][action as usize]
 }
 
@@ -37,7 +37,7 @@ impl QuestionSet {
             })
         });
         let (system, shown) = (self.instructions(), shown.collect::<Vec<_>>());
-        let options: Map<String, Value> = Speed::ALL
+        let options: Map<String, Value> = Action::ALL
             .iter()
             .map(|&action| (letter(action).into(), action.name().into()))
             .collect();
@@ -86,7 +86,7 @@ impl QuestionSet {
     }
 
     fn rows(&self, questions: &[Question], out: &mut impl Write) -> io::Result<()> {
-        let options = Speed::ALL.map(Speed::name).join(",");
+        let options = Action::ALL.map(Action::name).join(",");
         for question in questions {
             // Names of predicates are identifiers, so there is no quote in the text.
             writeln!(out, "\"{}\",{options},{}", self.text(question), letter(question.answer))?;

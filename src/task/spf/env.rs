@@ -1,11 +1,11 @@
 //! One city in which cars are driven from outside.
 
 use crate::city::Agent;
-use crate::city::{AgentKind, Speed, Split};
+use crate::city::{Action, AgentKind, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Actions, Observer, Settings, Simulation, Stop};
-use crate::task::spf::{Episode, PathTask};
+use crate::task::spf::{Episode, SpfTask};
 use std::sync::Arc;
 
 impl Purpose {
@@ -15,41 +15,41 @@ impl Purpose {
 
 /// Who is driven from outside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Egos {
+pub enum ControlMode {
     /// The first car.
     First,
-    /// Every car, each a rider of its own.
+    /// Every car, each a controlled_car of its own.
     Cars,
 }
 
 /// A city in which one car or every car is driven from outside. The same task, split and seed give the same episodes.
 pub struct Env {
-    task: Arc<PathTask>,
+    task: Arc<SpfTask>,
     city: Simulation,
-    egos: Egos,
-    riders: Vec<Rider>,
+    egos: ControlMode,
+    controlled_cars: Vec<ControlledCar>,
     /// The episode has at most so many steps.
     horizon: u32,
     steps: u32,
-    controls: Vec<(usize, Speed)>,
+    controls: Vec<(usize, Action)>,
     episode: Episode,
     /// The agents of the episode before, whose memory the next one uses again.
     spare: Vec<Agent>,
 }
 
 /// A car that is driven from outside.
-pub struct Rider {
+pub struct ControlledCar {
     observer: Observer,
     /// Cells of its route, start and goal included.
     cells: usize,
     derived: Actions,
-    last: Step,
+    last: Transition,
     running: bool,
 }
 
 /// What came of an action.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Step {
+pub struct Transition {
     /// What it is worth.
     pub reward: f64,
     /// Whether the episode has ended: the goal is reached or a rule is broken.
@@ -62,7 +62,7 @@ pub struct Step {
     pub broken: Vec<usize>,
 }
 
-impl Rider {
+impl ControlledCar {
     /// What it observes.
     pub fn observer(&self) -> &Observer {
         &self.observer
@@ -84,7 +84,7 @@ impl Rider {
     }
 
     /// What came of its last action.
-    pub fn last(&self) -> &Step {
+    pub fn last(&self) -> &Transition {
         &self.last
     }
 
@@ -99,7 +99,7 @@ impl Env {
     ///
     /// # Errors
     /// `unknown-split`, `no-start-cell`, `no-route`, `limit-exceeded`: see [`Simulation::new`]; `invalid-value` if the split has no car.
-    pub fn new(task: Arc<PathTask>, split: Split, egos: Egos) -> Result<Env, Diagnostic> {
+    pub fn new(task: Arc<SpfTask>, split: Split, egos: ControlMode) -> Result<Env, Diagnostic> {
         Env::new_until(task, split, egos, Arc::new(|| false))
     }
 
@@ -107,7 +107,7 @@ impl Env {
     ///
     /// # Errors
     /// As [`Env::new`].
-    pub fn new_until(task: Arc<PathTask>, split: Split, egos: Egos, stop: Stop) -> Result<Env, Diagnostic> {
+    pub fn new_until(task: Arc<SpfTask>, split: Split, egos: ControlMode, stop: Stop) -> Result<Env, Diagnostic> {
         Env::with(task, split, egos, Settings::default(), stop)
     }
 
@@ -116,9 +116,9 @@ impl Env {
     /// # Errors
     /// As [`Env::new`].
     pub(super) fn with(
-        task: Arc<PathTask>,
+        task: Arc<SpfTask>,
         split: Split,
-        egos: Egos,
+        egos: ControlMode,
         settings: Settings,
         stop: Stop,
     ) -> Result<Env, Diagnostic> {
@@ -128,36 +128,36 @@ impl Env {
             .filter(|(_, agent)| agent.kind == AgentKind::Car)
             .map(|(position, _)| position);
         let driven = cars.take(match egos {
-            Egos::First => 1,
-            Egos::Cars => usize::MAX,
+            ControlMode::First => 1,
+            ControlMode::Cars => usize::MAX,
         });
-        let rider = |ego| Rider {
+        let controlled_car = |ego| ControlledCar {
             observer: Observer::new(Arc::clone(task.oracle()), ego),
             cells: 0,
             derived: Actions::default(),
-            last: Step::default(),
+            last: Transition::default(),
             running: false,
         };
-        let riders: Vec<Rider> = driven.map(rider).collect();
-        if riders.is_empty() {
+        let controlled_cars: Vec<ControlledCar> = driven.map(controlled_car).collect();
+        if controlled_cars.is_empty() {
             let message = format!("the split `{}` has no car to drive", split.name());
             return Err(Diagnostic::new(Code::INVALID_VALUE, message).at(task.config().span, "for this task"));
         }
         Ok(Env {
             horizon: task.config().horizon,
             steps: 0,
-            controls: Vec::with_capacity(riders.len()),
+            controls: Vec::with_capacity(controlled_cars.len()),
             episode: Episode::of(0, city.agents()),
             spare: Vec::new(),
             egos,
-            riders,
+            controlled_cars,
             city,
             task,
         })
     }
 
     /// What does not change.
-    pub fn task(&self) -> &Arc<PathTask> {
+    pub fn task(&self) -> &Arc<SpfTask> {
         &self.task
     }
 
@@ -172,8 +172,8 @@ impl Env {
     }
 
     /// The cars that are driven, in the order of the list of agents.
-    pub fn riders(&self) -> &[Rider] {
-        &self.riders
+    pub fn controlled_cars(&self) -> &[ControlledCar] {
+        &self.controlled_cars
     }
 
     /// How many steps the episode has had.
@@ -198,7 +198,7 @@ impl Env {
     /// `no-start-cell`, `no-route`, `limit-exceeded`.
     pub fn reset(&mut self, seed: u64) -> Result<(), Diagnostic> {
         self.city.draw_agents(Seed(seed), &mut self.spare)?;
-        let first = &mut self.spare[self.riders[0].agent()];
+        let first = &mut self.spare[self.controlled_cars[0].agent()];
         if let Some(ego) = &self.task.config().ego {
             let mut stream = Seed(seed).stream(Purpose::EGO, 0, 0);
             let most = ego.priority[self.city.split() as usize];
@@ -227,7 +227,7 @@ impl Env {
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
         self.spare = episode.place(self.task.world(), self.city.agents())?;
         let config = self.task.config();
-        let oracle = episode.oracle.as_ref().filter(|_| self.egos == Egos::First);
+        let oracle = episode.oracle.as_ref().filter(|_| self.egos == ControlMode::First);
         let horizon = oracle.map(|oracle| oracle.steps.saturating_mul(config.patience));
         self.horizon = horizon.unwrap_or(config.horizon).max(1);
         self.begin(episode.seed)?;
@@ -249,54 +249,64 @@ impl Env {
         }
         self.city.restart(Seed(seed), &mut self.spare);
         self.steps = 0;
-        for rider in &mut self.riders {
-            rider.cells = self.city.agents()[rider.agent()].route().steps() + 1;
-            rider.running = true;
-            rider.last = Step::default();
-            rider.observer.begin(&self.city);
+        for controlled_car in &mut self.controlled_cars {
+            controlled_car.cells = self.city.agents()[controlled_car.agent()].route().steps() + 1;
+            controlled_car.running = true;
+            controlled_car.last = Transition::default();
+            controlled_car.observer.begin(&self.city);
         }
         self.look()
     }
 
-    /// Also for riders whose episode has ended: what is told of them is told of the present.
+    /// Also for controlled_cars whose episode has ended: what is told of them is told of the present.
     fn look(&mut self) -> Result<(), Diagnostic> {
-        for rider in &mut self.riders {
-            rider.observer.look(&self.city);
-            rider.derived = rider.observer.derived(&self.city)?;
+        for controlled_car in &mut self.controlled_cars {
+            controlled_car.observer.look(&self.city);
+            controlled_car.derived = controlled_car.observer.derived(&self.city)?;
         }
         Ok(())
     }
 
-    /// The action that the rules want of a rider.
-    pub fn oracle_action(&self, rider: usize) -> Speed {
-        self.task.world().vocabulary.decide(self.riders[rider].derived)
+    /// The action that the rules want of a controlled_car.
+    pub fn oracle_action(&self, controlled_car: usize) -> Action {
+        self.task
+            .world()
+            .vocabulary
+            .decide(self.controlled_cars[controlled_car].derived)
     }
 
-    /// Lets the riders act and the city go on by a tick. `actions` has one for each rider; those whose episode has ended are driven by the
-    /// rules and go on to observe. What came of it is in [`Rider::last`].
+    /// Lets the controlled_cars act and the city go on by a tick. `actions` has one for each controlled_car; those whose episode has ended are driven by the
+    /// rules and go on to observe. What came of it is in [`ControlledCar::last`].
     ///
     /// # Errors
     /// `limit-exceeded` for rules that derive too much.
     ///
     /// # Panics
-    /// If there are not as many actions as riders.
-    pub fn step(&mut self, actions: &[Speed]) -> Result<(), Diagnostic> {
-        assert!(actions.len() == self.riders.len(), "one action for each rider");
+    /// If there are not as many actions as controlled_cars.
+    pub fn step(&mut self, actions: &[Action]) -> Result<(), Diagnostic> {
+        assert!(
+            actions.len() == self.controlled_cars.len(),
+            "one action for each controlled_car"
+        );
         self.controls.clear();
-        for (rider, &action) in self.riders.iter_mut().zip(actions) {
-            if rider.running {
-                let broken = rider.observer.broken(&self.city, action)?;
-                rider.last.broken.clear();
-                rider.last.broken.extend_from_slice(broken);
-                rider.last.reward = self.task.reward(action, broken, rider.cells);
-                self.controls.push((rider.agent(), action));
+        for (controlled_car, &action) in self.controlled_cars.iter_mut().zip(actions) {
+            if controlled_car.running {
+                let broken = controlled_car.observer.violations(&self.city, action)?;
+                controlled_car.last.broken.clear();
+                controlled_car.last.broken.extend_from_slice(broken);
+                controlled_car.last.reward = self.task.reward(action, broken, controlled_car.cells);
+                self.controls.push((controlled_car.agent(), action));
             }
         }
         self.city.tick(&self.controls)?;
         self.steps += 1;
-        for rider in self.riders.iter_mut().filter(|rider| rider.running) {
-            let arrived = self.city.agents()[rider.agent()].at_goal();
-            let last = &mut rider.last;
+        for controlled_car in self
+            .controlled_cars
+            .iter_mut()
+            .filter(|controlled_car| controlled_car.running)
+        {
+            let arrived = self.city.agents()[controlled_car.agent()].at_goal();
+            let last = &mut controlled_car.last;
             last.success = arrived && last.broken.is_empty();
             last.terminated = arrived || !last.broken.is_empty();
             last.truncated = !last.terminated && self.steps >= self.horizon;
@@ -305,37 +315,37 @@ impl Env {
             }
         }
         self.look()?;
-        for rider in &mut self.riders {
-            rider.running &= !(rider.last.terminated || rider.last.truncated);
+        for controlled_car in &mut self.controlled_cars {
+            controlled_car.running &= !(controlled_car.last.terminated || controlled_car.last.truncated);
         }
         Ok(())
     }
 
-    /// Writes the abstract observation of a rider: the true atoms as [`Observer::write`] does; if the configuration wants it, the cells
+    /// Writes the abstract observation of a controlled_car: the true atoms as [`Observer::write`] does; if the configuration wants it, the cells
     /// of its route divided by twice the side of the region, at most 1.
     ///
     /// # Panics
-    /// If there is not room for [`PathTask::observation_width`] numbers.
-    pub fn observe(&self, rider: usize, out: &mut [f32]) {
-        let rider = &self.riders[rider];
-        rider.observer.write(out);
+    /// If there is not room for [`SpfTask::observation_width`] numbers.
+    pub fn observe(&self, controlled_car: usize, out: &mut [f32]) {
+        let controlled_car = &self.controlled_cars[controlled_car];
+        controlled_car.observer.write(out);
         if self.task.config().route_length {
             let region = self.task.region(self.city.split());
             #[allow(clippy::cast_precision_loss)] // a share
-            let share = rider.cells as f32 / (2.0 * region as f32);
+            let share = controlled_car.cells as f32 / (2.0 * region as f32);
             out[self.task.oracle().width()] = share.min(1.0);
         }
     }
 
-    /// Writes the exact observation of a rider, [`PathTask::state_shape`] numbers row by row; see [`Observer::write_state`].
-    pub fn observe_state(&self, rider: usize, out: &mut [f32]) {
-        (self.riders[rider].observer).write_state(&self.city, self.task.priority_scale, out);
+    /// Writes the exact observation of a controlled_car, [`SpfTask::state_shape`] numbers row by row; see [`Observer::write_state`].
+    pub fn observe_state(&self, controlled_car: usize, out: &mut [f32]) {
+        (self.controlled_cars[controlled_car].observer).write_state(&self.city, self.task.priority_scale, out);
     }
 
-    /// How much of its route a rider has gone, from 0 to 1.
+    /// How much of its route a controlled_car has gone, from 0 to 1.
     #[allow(clippy::cast_precision_loss)] // a share
-    pub fn progress(&self, rider: usize) -> f64 {
-        let agent = &self.city.agents()[self.riders[rider].agent()];
+    pub fn progress(&self, controlled_car: usize) -> f64 {
+        let agent = &self.city.agents()[self.controlled_cars[controlled_car].agent()];
         agent.position() as f64 / (agent.route().steps().max(1)) as f64
     }
 }

@@ -5,13 +5,13 @@
 //! `seed`, `trips` (for each agent row and column of its start and of its goal), `changes` (agents that are otherwise than the header
 //! has them, by name) and `oracle` (`steps`, `return`, and `constrained`: how many steps rules asked an action, by action).
 
+use crate::city::{Action, AgentConfig, AgentKind, AgentName, Split};
 use crate::city::{Agent, Cell};
-use crate::city::{AgentConfig, AgentKind, AgentName, Speed, Split};
 use crate::config::{Definition, PredicateConfig};
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
 use crate::files::ReadFile;
 use crate::sim::World;
-use crate::task::spf::{PathTask, constrained_by_name};
+use crate::task::spf::{SpfTask, constrained_by_name};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -67,7 +67,7 @@ pub struct OracleRun {
     pub steps: u32,
     /// The sum of its rewards.
     pub total: f64,
-    /// In how many steps the rules asked an action, by action in the order of [`Speed::ALL`](crate::city::Speed::ALL).
+    /// In how many steps the rules asked an action, by action in the order of [`Action::ALL`](crate::city::Action::ALL).
     pub constrained: [u32; 4],
 }
 
@@ -255,7 +255,7 @@ impl EpisodeSet {
     /// `missing-key` if the configuration names no file, `missing-file` if it cannot be read, `invalid-episode` for a faulty one or one of
     /// another split.
     pub fn load(
-        task: &PathTask,
+        task: &SpfTask,
         split: Split,
         sources: &mut Sources,
         read: &dyn ReadFile,
@@ -442,7 +442,7 @@ impl Line {
         let oracle = self.oracle.as_ref().map(|oracle| {
             let mut constrained = [0; 4];
             for (name, steps) in &oracle.constrained {
-                let action = Speed::ALL.into_iter().find(|action| action.name() == name);
+                let action = Action::ALL.into_iter().find(|action| action.name() == name);
                 let action = action.ok_or_else(|| invalid(format!("`{name}` is not an action")))?;
                 constrained[action as usize] = *steps;
             }

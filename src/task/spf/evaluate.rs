@@ -1,11 +1,11 @@
 //! Policies measured on recorded episodes.
 
-use crate::city::Speed;
+use crate::city::Action;
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::Stop;
 use crate::task::spf::metrics::{mean_return, summarise_runs};
-use crate::task::spf::{Egos, Env, Episode, EpisodeSet, PathTask, Policy, Rollout, Summary, rollout};
+use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, Policy, Rollout, SpfTask, Summary, rollout};
 use std::sync::Arc;
 
 /// So often the random policy drives every episode.
@@ -47,40 +47,40 @@ impl Baseline {
     }
 
     /// How well the random policy itself did. Its score is 0, with no interval: it is compared with itself.
-    pub fn summary(&self, task: &PathTask) -> Summary {
+    pub fn summary(&self, task: &SpfTask) -> Summary {
         summarise_runs(task, &self.rollouts, RANDOM_RUNS.into(), Some(&self.returns))
     }
 }
 
 /// Recorded episodes that a policy from outside drives side by side, each once.
-pub struct Exam {
+pub struct BatchEvaluator {
     envs: Vec<Env>,
     rollouts: Vec<Rollout>,
 }
 
-impl Exam {
+impl BatchEvaluator {
     /// All episodes of a set, at their beginnings.
     ///
     /// # Errors
     /// As [`Env::new`] and [`Env::reset_to`].
-    pub fn new(task: &Arc<PathTask>, set: &EpisodeSet) -> Result<Exam, Diagnostic> {
-        Exam::new_until(task, set, &(Arc::new(|| false) as Stop))
+    pub fn new(task: &Arc<SpfTask>, set: &EpisodeSet) -> Result<BatchEvaluator, Diagnostic> {
+        BatchEvaluator::new_until(task, set, &(Arc::new(|| false) as Stop))
     }
 
     /// The same. Long work, this and all that follows, is given up when `stop` says so, with `cancelled`; it is of no use then.
     ///
     /// # Errors
-    /// As [`Exam::new`].
-    pub fn new_until(task: &Arc<PathTask>, set: &EpisodeSet, stop: &Stop) -> Result<Exam, Diagnostic> {
+    /// As [`BatchEvaluator::new`].
+    pub fn new_until(task: &Arc<SpfTask>, set: &EpisodeSet, stop: &Stop) -> Result<BatchEvaluator, Diagnostic> {
         let begin = |episode| {
             if stop() {
                 return Err(Diagnostic::cancelled());
             }
-            let mut env = Env::new_until(Arc::clone(task), set.split, Egos::First, Arc::clone(stop))?;
+            let mut env = Env::new_until(Arc::clone(task), set.split, ControlMode::First, Arc::clone(stop))?;
             env.reset_to(episode)?;
             Ok(env)
         };
-        Ok(Exam {
+        Ok(BatchEvaluator {
             envs: set.episodes.iter().map(begin).collect::<Result<_, Diagnostic>>()?,
             rollouts: vec![Rollout::default(); set.episodes.len()],
         })
@@ -98,7 +98,7 @@ impl Exam {
 
     /// Which of them go on.
     pub fn running(&self) -> impl Iterator<Item = bool> {
-        self.envs.iter().map(|env| env.riders()[0].is_running())
+        self.envs.iter().map(|env| env.controlled_cars()[0].is_running())
     }
 
     /// Takes a step in every episode that goes on; the actions for the others count for nothing.
@@ -108,14 +108,14 @@ impl Exam {
     ///
     /// # Panics
     /// If there are not as many actions as episodes.
-    pub fn step(&mut self, actions: &[Speed]) -> Result<(), Diagnostic> {
+    pub fn step(&mut self, actions: &[Action]) -> Result<(), Diagnostic> {
         assert!(actions.len() == self.envs.len(), "one action for each episode");
         for ((env, done), &action) in self.envs.iter_mut().zip(&mut self.rollouts).zip(actions) {
-            if env.riders()[0].is_running() {
+            if env.controlled_cars()[0].is_running() {
                 if (env.city().stop())() {
                     return Err(Diagnostic::cancelled());
                 }
-                let asked = env.riders()[0].derived();
+                let asked = env.controlled_cars()[0].derived();
                 env.step(&[action])?;
                 done.add(env, asked.iter());
             }

@@ -1,7 +1,7 @@
 //! How well a policy did over many episodes: the measures of the paper, with 95 % confidence intervals.
 
-use crate::city::Speed;
-use crate::task::spf::{PathTask, Rollout};
+use crate::city::Action;
+use crate::task::spf::{Rollout, SpfTask};
 use serde::Serialize;
 
 /// The 97.5th percentile of the standard normal distribution.
@@ -128,13 +128,13 @@ pub struct Summary {
 ///
 /// # Panics
 /// If there are more or fewer of them.
-pub fn summarise(task: &PathTask, rollouts: &[Rollout], random: Option<&[f64]>) -> Summary {
+pub fn summarise(task: &SpfTask, rollouts: &[Rollout], random: Option<&[f64]>) -> Summary {
     summarise_runs(task, rollouts, 1, random)
 }
 
 /// Sums up so many rollouts of each episode, which stand together. `random` has a mean return for each episode.
 #[allow(clippy::cast_precision_loss)] // fewer than 2^53 runs and steps
-pub(super) fn summarise_runs(task: &PathTask, rollouts: &[Rollout], runs: usize, random: Option<&[f64]>) -> Summary {
+pub(super) fn summarise_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, random: Option<&[f64]>) -> Summary {
     assert!(rollouts.len().is_multiple_of(runs), "as many rollouts of each episode");
     let episodes = rollouts.chunks_exact(runs);
     // A run hits or not, or does not count.
@@ -145,8 +145,8 @@ pub(super) fn summarise_runs(task: &PathTask, rollouts: &[Rollout], runs: usize,
         }))
     };
     let demands = task.oracle().demands();
-    let asked = |action: Speed| demands.iter().any(|demand| demand.action == action);
-    let by_action = |action: Speed| {
+    let asked = |action: Action| demands.iter().any(|demand| demand.action == action);
+    let by_action = |action: Action| {
         let constrained = |rollout: &Rollout| rollout.constrained[action as usize] > 0;
         let obeyed = |rollout: &Rollout| rollout.broken.iter().all(|&demand| demands[demand].action != action);
         ActionRate {
@@ -164,7 +164,7 @@ pub(super) fn summarise_runs(task: &PathTask, rollouts: &[Rollout], runs: usize,
     Summary {
         tsr: rate(&|rollout| Some(rollout.success)),
         dsr: rate(&|rollout| Some(rollout.broken.is_empty() && constrained(rollout))),
-        dsr_by_action: Speed::ALL
+        dsr_by_action: Action::ALL
             .into_iter()
             .filter(|action| asked(*action))
             .map(by_action)
@@ -242,7 +242,7 @@ mod tests {
     /// Drawn episodes, one in five of which is easy and hit by half of its runs, the others by none: 0.1 lies in about 95 of 100 intervals,
     /// and in far fewer of those that take all runs for independent ones.
     #[test]
-    fn intervals_hold_what_they_promise() {
+    fn intervals_hold_what_they_constraint() {
         let mut random = Seed(3).stream(Purpose::POLICY, 0, 0);
         let (trials, mut inside, mut naive) = (500, 0, 0);
         for _ in 0..trials {

@@ -1,17 +1,17 @@
 //! Safe Path Following (SPF): an ego car drives its route by choosing a speed at every step, and must break no rule.
 //!
 //! ```text
-//! Scenario (task:) + World -> PathTask (immutable, shared) -> Env: reset, step -> Env, Env, ... in a VectorEnv
+//! Scenario (task:) + World -> SpfTask (immutable, shared) -> Env: reset, step -> Env, Env, ... in a VectorEnv
 //!                                                              ^
 //!                                               Episode, drawn or recorded (EpisodeSet)
 //! ```
 //!
-//! At every step the ego observes the true atoms about itself and a few entities in its view and takes an [action](crate::city::Speed).
+//! At every step the ego observes the true atoms about itself and a few entities in its view and takes an [action](crate::city::Action).
 //! If a clause asks another action of it, the rule is broken and the episode ends with the penalty, undivided. Otherwise the step costs
 //! what its action costs, divided by four times the cells of the route. The episode ends too when the ego is at its goal; it is cut
 //! short at the horizon, at the price of overtime.
 //!
-//! [`rollout`] lets a policy drive an episode, an [`Exam`] lets one from outside drive a whole set, [`Baseline`] is how the random one
+//! [`rollout`] lets a policy drive an episode, an [`BatchEvaluator`] lets one from outside drive a whole set, [`Baseline`] is how the random one
 //! does; [`summarise`] says how well a policy did over many episodes: the rates and the score of the paper. A [`VectorEnv`] is many
 //! environments that take a step together; [`explain`] tells why the rules want what they want, and [`record`] writes the trace of an
 //! episode that was driven.
@@ -27,38 +27,38 @@ mod rollout;
 mod vector;
 
 pub use codes::CODES;
-pub use env::{Egos, Env, Rider, Step};
+pub use env::{ControlMode, ControlledCar, Env, Transition};
 pub use episode::{Episode, EpisodeAgent, EpisodeSet, OracleRun};
-pub use evaluate::{Baseline, Exam, RANDOM_RUNS};
+pub use evaluate::{Baseline, BatchEvaluator, RANDOM_RUNS};
 pub use explain::{describe, explain};
 pub use metrics::{ActionRate, Rate, Score, Summary, summarise};
 pub use record::{Origin, RecordError, record};
 pub use rollout::{Policy, Rollout, constrained_by_name, make_episodes, rollout};
-pub use vector::{Autoreset, Begin, EpisodeSource, Info, Member, Outcome, VectorEnv, View};
+pub use vector::{Autoreset, Begin, EpisodeSource, Info, ObservationKind, Outcome, SubEnv, VectorEnv};
 
-use crate::city::{Speed, Split};
-use crate::config::{PathTaskConfig, ViolationsPer};
-use crate::datalog::explain::Teller;
+use crate::city::{Action, Split};
+use crate::config::{SpfConfig, ViolationsPer};
+use crate::datalog::explain::ExplanationPrinter;
 use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
 use crate::sim::{Observer, Oracle, World};
 use std::sync::Arc;
 
 /// Safe Path Following in one world. Immutable, shared by all environments over it.
-pub struct PathTask {
+pub struct SpfTask {
     oracle: Arc<Oracle>,
-    config: PathTaskConfig,
+    config: SpfConfig,
     /// For each demand of the oracle: its short name, and the reward for breaking it.
     demands: Vec<(String, f64)>,
     /// The greatest priority number there can be.
     priority_scale: f32,
 }
 
-impl PathTask {
+impl SpfTask {
     /// The task of the world's configuration. `sources` are those that rules and configuration were loaded from.
     ///
     /// # Errors
     /// `missing-key` if the configuration has no task, `invalid-value` if it names a clause that no rule has.
-    pub fn new(world: Arc<World>, sources: &Sources) -> Result<PathTask, Vec<Diagnostic>> {
+    pub fn new(world: Arc<World>, sources: &Sources) -> Result<SpfTask, Vec<Diagnostic>> {
         let scenario = &world.scenario;
         let Some(config) = scenario.task.clone() else {
             let message = format!("the configuration `{}` has no `task`", scenario.name);
@@ -68,7 +68,7 @@ impl PathTask {
             ]);
         };
         let oracle = Oracle::new(Arc::clone(&world), config.entities as usize).map_err(|fault| vec![fault])?;
-        let teller = Teller::new(world.program.rules(), &world.program.rules().symbols, sources);
+        let teller = ExplanationPrinter::new(world.program.rules(), &world.program.rules().symbols, sources);
         let labels: Vec<String> = oracle
             .demands()
             .iter()
@@ -102,7 +102,7 @@ impl PathTask {
         let of_egos = config.ego.iter().flat_map(|ego| ego.priority);
         #[allow(clippy::cast_precision_loss)] // a scale
         let priority_scale = of_sets.chain(of_egos).max().unwrap_or(1).max(1) as f32;
-        Ok(PathTask {
+        Ok(SpfTask {
             oracle: Arc::new(oracle),
             demands,
             priority_scale,
@@ -121,7 +121,7 @@ impl PathTask {
     }
 
     /// The configuration of the task.
-    pub fn config(&self) -> &PathTaskConfig {
+    pub fn config(&self) -> &SpfConfig {
         &self.config
     }
 
@@ -147,7 +147,7 @@ impl PathTask {
 
     /// The reward of a step: for the clauses it breaks, by their positions in [`Oracle::demands`], or else for its action on a route of
     /// so many cells.
-    pub fn reward(&self, action: Speed, broken: &[usize], cells: usize) -> f64 {
+    pub fn reward(&self, action: Action, broken: &[usize], cells: usize) -> f64 {
         if broken.is_empty() {
             #[allow(clippy::cast_precision_loss)] // a route has fewer than 2^32 cells
             return self.config.reward.actions[action as usize] / (4.0 * cells as f64);
@@ -159,7 +159,7 @@ impl PathTask {
                 let demands = self.oracle.demands();
                 let of_action = |speed| broken.iter().filter(move |&&demand| demands[demand].action == speed);
                 let worst = |speed| of_action(speed).map(of).reduce(f64::min);
-                Speed::ALL.into_iter().filter_map(worst).sum()
+                Action::ALL.into_iter().filter_map(worst).sum()
             }
         }
     }

@@ -1,9 +1,9 @@
 //! The trace of an episode that was driven.
 
-use crate::city::{Speed, Split};
+use crate::city::{Action, Split};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
 use crate::sim::{Driven, MAX_ENTITIES, Settings, Stop, TraceWriter, hash_sources};
-use crate::task::spf::{Egos, Env, Episode, PathTask};
+use crate::task::spf::{ControlMode, Env, Episode, SpfTask};
 use std::io::{self, Write};
 use std::sync::Arc;
 
@@ -50,9 +50,9 @@ impl From<io::Error> for RecordError {
 /// # Panics
 /// If `origin` names no rule file.
 pub fn record<W: Write>(
-    task: &Arc<PathTask>,
+    task: &Arc<SpfTask>,
     split: Split,
-    (episode, actions): (&Episode, &[Speed]),
+    (episode, actions): (&Episode, &[Action]),
     origin: Origin<'_>,
     stop: Stop,
     out: W,
@@ -61,7 +61,7 @@ pub fn record<W: Write>(
         count_firings: true,
         ..Settings::default()
     };
-    let mut env = Env::with(Arc::clone(task), split, Egos::First, settings, stop)?;
+    let mut env = Env::with(Arc::clone(task), split, ControlMode::First, settings, stop)?;
     env.reset_to(episode)?;
     let agents = env.city().agents().len();
     if agents > MAX_ENTITIES {
@@ -79,7 +79,7 @@ pub fn record<W: Write>(
         if (env.city().stop())() {
             return Err(Diagnostic::cancelled().into());
         }
-        if !env.riders()[0].is_running() {
+        if !env.controlled_cars()[0].is_running() {
             let message = format!(
                 "{} actions for an episode that ends after {}",
                 actions.len(),
@@ -90,15 +90,15 @@ pub fn record<W: Write>(
         let mut driven = observed(&env);
         env.step(&[action])?;
         driven.broken = broken(&env);
-        trace.tick_driven(env.city(), &[(env.riders()[0].agent(), driven)])?;
+        trace.tick_driven(env.city(), &[(env.controlled_cars()[0].agent(), driven)])?;
     }
     Ok(trace.into_inner())
 }
 
-/// What the first rider observes, and what the rules want of it.
+/// What the first controlled_car observes, and what the rules want of it.
 fn observed(env: &Env) -> Driven {
     let agents = env.city().agents();
-    let entities = env.riders()[0].observer().entities();
+    let entities = env.controlled_cars()[0].observer().entities();
     Driven {
         observes: entities.map(|agent| agents[agent].name().to_string()).collect(),
         wanted: env.oracle_action(0).name().to_owned(),
@@ -108,11 +108,11 @@ fn observed(env: &Env) -> Driven {
 
 /// The clauses that its last action broke.
 fn broken(env: &Env) -> Vec<usize> {
-    let (rider, demands) = (&env.riders()[0], env.task().oracle().demands());
+    let (controlled_car, demands) = (&env.controlled_cars()[0], env.task().oracle().demands());
     let clauses = env.city().clauses();
     let position = |&demand: &usize| {
         let found = clauses.iter().position(|clause| *clause == demands[demand].clause);
         found.expect("a clause that asks an action has a body")
     };
-    rider.last().broken.iter().map(position).collect()
+    controlled_car.last().broken.iter().map(position).collect()
 }

@@ -1,9 +1,9 @@
 //! Whole episodes under simple policies, and episode sets made from them.
 
-use crate::city::{Speed, Split};
+use crate::city::{Action, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::task::spf::{Egos, Env, Episode, EpisodeSet, OracleRun, PathTask};
+use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, OracleRun, SpfTask};
 use std::sync::Arc;
 
 impl Purpose {
@@ -28,7 +28,7 @@ pub enum Policy {
     /// Draws each action from all four alike.
     Random(Seed),
     /// Does always the same.
-    Always(Speed),
+    Always(Action),
 }
 
 /// How an episode went.
@@ -42,7 +42,7 @@ pub struct Rollout {
     pub success: bool,
     /// Whether it was cut short at the horizon.
     pub truncated: bool,
-    /// In how many steps the rules asked an action, by action in the order of [`Speed::ALL`].
+    /// In how many steps the rules asked an action, by action in the order of [`Action::ALL`].
     pub constrained: [u32; 4],
     /// The clauses that were broken, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
     pub broken: Vec<usize>,
@@ -50,14 +50,14 @@ pub struct Rollout {
 
 /// In how many steps the rules asked an action, by its name, where they asked it at all. `constrained` is as in [`Rollout`].
 pub fn constrained_by_name(constrained: [u32; 4]) -> impl Iterator<Item = (&'static str, u32)> {
-    let named = Speed::ALL.map(Speed::name).into_iter().zip(constrained);
+    let named = Action::ALL.map(Action::name).into_iter().zip(constrained);
     named.filter(|(_, steps)| *steps > 0)
 }
 
 impl Rollout {
-    /// Adds what the first rider has just done. `asked` are the actions that the rules asked before.
-    pub fn add(&mut self, env: &Env, asked: impl Iterator<Item = Speed>) {
-        let last = env.riders()[0].last();
+    /// Adds what the first controlled_car has just done. `asked` are the actions that the rules asked before.
+    pub fn add(&mut self, env: &Env, asked: impl Iterator<Item = Action>) {
+        let last = env.controlled_cars()[0].last();
         self.steps += 1;
         self.total += last.reward;
         self.success = last.success;
@@ -73,22 +73,22 @@ impl Rollout {
 /// `limit-exceeded` for rules that derive too much; `cancelled` if the environment's work is cancelled.
 pub fn rollout(env: &mut Env, policy: Policy) -> Result<Rollout, Diagnostic> {
     let mut done = Rollout::default();
-    let mut actions: Vec<Speed> = Vec::new();
-    while env.riders()[0].is_running() {
+    let mut actions: Vec<Action> = Vec::new();
+    while env.controlled_cars()[0].is_running() {
         if (env.city().stop())() {
             return Err(Diagnostic::cancelled());
         }
-        let act = |rider: usize| match policy {
-            Policy::Oracle => env.oracle_action(rider),
+        let act = |controlled_car: usize| match policy {
+            Policy::Oracle => env.oracle_action(controlled_car),
             Policy::Random(seed) => {
-                let mut stream = seed.stream(Purpose::POLICY, env.steps().into(), rider as u64);
-                Speed::ALL[stream.random_range(0..Speed::ALL.len())]
+                let mut stream = seed.stream(Purpose::POLICY, env.steps().into(), controlled_car as u64);
+                Action::ALL[stream.random_range(0..Action::ALL.len())]
             }
             Policy::Always(action) => action,
         };
         actions.clear();
-        actions.extend((0..env.riders().len()).map(act));
-        let asked = env.riders()[0].derived();
+        actions.extend((0..env.controlled_cars().len()).map(act));
+        let asked = env.controlled_cars()[0].derived();
         env.step(&actions)?;
         done.add(env, asked.iter());
     }
@@ -104,7 +104,7 @@ struct Wanted {
 }
 
 impl Wanted {
-    fn new(task: &PathTask, count: usize) -> Wanted {
+    fn new(task: &SpfTask, count: usize) -> Wanted {
         let drawn = task.config().ego.iter().flat_map(|ego| &ego.concepts);
         let mut concepts: Vec<(Arc<[String]>, usize)> = Vec::new();
         for (_, carried) in drawn.filter(|(weight, _)| *weight > 0.0) {
@@ -117,7 +117,7 @@ impl Wanted {
             *wanted = count / kinds + usize::from(kind < count % kinds);
         }
         let demands = task.oracle().demands();
-        let asked = Speed::ALL.map(|action| demands.iter().any(|demand| demand.action == action));
+        let asked = Action::ALL.map(|action| demands.iter().any(|demand| demand.action == action));
         // Half of an equal share: the rules may ask some actions of few egos only.
         let share = count.div_ceil(2 * asked.iter().filter(|asked| **asked).count().max(1));
         Wanted {
@@ -157,13 +157,13 @@ impl Wanted {
 /// # Errors
 /// As [`Env::new`] and [`Env::reset`]; `limit-exceeded` if such episodes are not found.
 pub fn make_episodes(
-    task: &Arc<PathTask>,
+    task: &Arc<SpfTask>,
     split: Split,
     count: usize,
     seed: u64,
     mut watch: impl FnMut(usize),
 ) -> Result<EpisodeSet, Diagnostic> {
-    let mut env = Env::new(Arc::clone(task), split, Egos::First)?;
+    let mut env = Env::new(Arc::clone(task), split, ControlMode::First)?;
     let mut wanted = Wanted::new(task, count);
     let mut episodes: Vec<Episode> = Vec::new();
     let draws = DRAWS.saturating_mul(count as u64);
@@ -176,7 +176,7 @@ pub fn make_episodes(
         env.reset(seed)?;
         env.set_horizon(STEPS_MAX);
         let done = rollout(&mut env, Policy::Oracle)?;
-        let ego = &env.city().agents()[env.riders()[0].agent()];
+        let ego = &env.city().agents()[env.controlled_cars()[0].agent()];
         if wanted.take(&ego.concepts, &done) {
             let mut episode = env.episode().clone();
             episode.oracle = Some(OracleRun {
@@ -213,7 +213,7 @@ impl Wanted {
             };
             format!("{wanted} with {kind}")
         });
-        let actions = (Speed::ALL.iter().zip(self.actions).filter(|(_, wanted)| *wanted > 0))
+        let actions = (Action::ALL.iter().zip(self.actions).filter(|(_, wanted)| *wanted > 0))
             .map(|(action, wanted)| format!("{wanted} in which the rules ask {}", action.name()));
         let mut lacking: Vec<String> = concepts.chain(actions).collect();
         if lacking.is_empty() {

@@ -1,10 +1,10 @@
 //! Episodes one after another, and many environments that take a step together.
 
-use crate::city::{Speed, Split};
+use crate::city::{Action, Split};
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{Stop, start_threads};
-use crate::task::spf::{Egos, Env, Episode, PathTask};
+use crate::task::spf::{ControlMode, Env, Episode, SpfTask};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -69,48 +69,48 @@ impl EpisodeSource {
     }
 }
 
-/// What a rider is shown.
+/// What a controlled_car is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum View {
+pub enum ObservationKind {
     /// The groundings of the predicates over a few entities, see [`Env::observe`].
     Groundings,
     /// The exact state, see [`Env::observe_state`].
     State,
 }
 
-impl View {
+impl ObservationKind {
     /// Both kinds.
-    pub const ALL: [View; 2] = [View::Groundings, View::State];
+    pub const ALL: [ObservationKind; 2] = [ObservationKind::Groundings, ObservationKind::State];
 
     /// Its name in Python.
     pub const fn name(self) -> &'static str {
         match self {
-            View::Groundings => "groundings",
-            View::State => "state",
+            ObservationKind::Groundings => "groundings",
+            ObservationKind::State => "state",
         }
     }
 
     /// The shape of an observation.
-    pub fn shape(self, task: &PathTask) -> Vec<usize> {
+    pub fn shape(self, task: &SpfTask) -> Vec<usize> {
         match self {
-            View::Groundings => vec![task.observation_width()],
-            View::State => task.state_shape().to_vec(),
+            ObservationKind::Groundings => vec![task.observation_width()],
+            ObservationKind::State => task.state_shape().to_vec(),
         }
     }
 
-    /// Writes what a rider is shown.
+    /// Writes what a controlled_car is shown.
     ///
     /// # Panics
     /// If there is not room for as many numbers as the shape says.
-    pub fn write(self, env: &Env, rider: usize, out: &mut [f32]) {
+    pub fn write(self, env: &Env, controlled_car: usize, out: &mut [f32]) {
         match self {
-            View::Groundings => env.observe(rider, out),
-            View::State => env.observe_state(rider, out),
+            ObservationKind::Groundings => env.observe(controlled_car, out),
+            ObservationKind::State => env.observe_state(controlled_car, out),
         }
     }
 }
 
-/// What is told of a rider beside what it observes.
+/// What is told of a controlled_car beside what it observes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Info {
     /// What the rules want now, by its number.
@@ -128,12 +128,12 @@ pub struct Info {
 }
 
 impl Info {
-    /// Takes note of a rider as it is now.
-    pub fn note(&mut self, env: &Env, rider: usize) {
-        let last = env.riders()[rider].last();
-        self.oracle_action = env.oracle_action(rider) as usize;
+    /// Takes note of a controlled_car as it is now.
+    pub fn note(&mut self, env: &Env, controlled_car: usize) {
+        let last = env.controlled_cars()[controlled_car].last();
+        self.oracle_action = env.oracle_action(controlled_car) as usize;
         self.broken.clone_from(&last.broken);
-        self.progress = env.progress(rider);
+        self.progress = env.progress(controlled_car);
         self.success = last.success;
         self.steps = env.steps();
         self.seed = env.episode().seed;
@@ -145,7 +145,7 @@ impl Info {
 pub enum Autoreset {
     /// In the next step, which takes no action of it and is worth 0.
     NextStep,
-    /// In the same step: the observation is the first of the next episode; the last one of the old episode is in [`Member::ended`].
+    /// In the same step: the observation is the first of the next episode; the last one of the old episode is in [`SubEnv::ended`].
     SameStep,
     /// When it is told to.
     Disabled,
@@ -161,7 +161,7 @@ pub enum Begin {
 }
 
 /// One environment of many.
-pub struct Member {
+pub struct SubEnv {
     env: Env,
     source: EpisodeSource,
     stage: Stage,
@@ -199,7 +199,7 @@ pub struct Ended {
     atoms: Option<Vec<(usize, Vec<usize>)>>,
 }
 
-impl Member {
+impl SubEnv {
     /// The environment.
     pub fn env(&self) -> &Env {
         &self.env
@@ -263,7 +263,7 @@ impl Member {
         Ok(())
     }
 
-    fn step(&mut self, action: Speed, autoreset: Autoreset, view: View) -> Result<(), Diagnostic> {
+    fn step(&mut self, action: Action, autoreset: Autoreset, view: ObservationKind) -> Result<(), Diagnostic> {
         if self.stage == Stage::Over {
             return self.begin(&Begin::Next);
         }
@@ -273,7 +273,7 @@ impl Member {
             self.stage = Stage::Idle;
             return stepped;
         }
-        let last = self.env.riders()[0].last();
+        let last = self.env.controlled_cars()[0].last();
         let outcome = Outcome {
             reward: last.reward,
             terminated: last.terminated,
@@ -285,7 +285,7 @@ impl Member {
             self.ended.info.note(&self.env, 0);
             if let Some(atoms) = &mut self.ended.atoms {
                 atoms.clear();
-                atoms.extend(self.env.riders()[0].observer().atoms());
+                atoms.extend(self.env.controlled_cars()[0].observer().atoms());
             }
             self.begin(&Begin::Next)?;
             self.ended.happened = true;
@@ -300,9 +300,9 @@ impl Member {
 
 /// Environments that take a step together. Each goes as it would alone, on any number of threads.
 pub struct VectorEnv {
-    members: Vec<Member>,
+    members: Vec<SubEnv>,
     autoreset: Autoreset,
-    view: View,
+    view: ObservationKind,
     /// Numbers of an observation.
     width: usize,
     threads: Option<ThreadPool>,
@@ -315,11 +315,11 @@ impl VectorEnv {
     /// # Errors
     /// As [`Env::new`]; `limit-exceeded` if so many threads cannot be started.
     pub fn new(
-        task: &Arc<PathTask>,
+        task: &Arc<SpfTask>,
         split: Split,
         sources: impl IntoIterator<Item = EpisodeSource>,
         autoreset: Autoreset,
-        view: View,
+        view: ObservationKind,
         threads: usize,
     ) -> Result<VectorEnv, Diagnostic> {
         VectorEnv::new_until(task, split, sources, autoreset, view, threads, Arc::new(|| false))
@@ -331,11 +331,11 @@ impl VectorEnv {
     /// # Errors
     /// As [`VectorEnv::new`].
     pub fn new_until(
-        task: &Arc<PathTask>,
+        task: &Arc<SpfTask>,
         split: Split,
         sources: impl IntoIterator<Item = EpisodeSource>,
         autoreset: Autoreset,
-        view: View,
+        view: ObservationKind,
         threads: usize,
         stop: Stop,
     ) -> Result<VectorEnv, Diagnostic> {
@@ -344,8 +344,8 @@ impl VectorEnv {
             if stop() {
                 return Err(Diagnostic::cancelled());
             }
-            Ok(Member {
-                env: Env::new_until(Arc::clone(task), split, Egos::First, Arc::clone(&stop))?,
+            Ok(SubEnv {
+                env: Env::new_until(Arc::clone(task), split, ControlMode::First, Arc::clone(&stop))?,
                 source,
                 stage: Stage::Idle,
                 outcome: Outcome::default(),
@@ -368,12 +368,12 @@ impl VectorEnv {
     }
 
     /// The environments.
-    pub fn members(&self) -> &[Member] {
+    pub fn members(&self) -> &[SubEnv] {
         &self.members
     }
 
     /// The same, to ask for the facts of a moment.
-    pub fn members_mut(&mut self) -> &mut [Member] {
+    pub fn members_mut(&mut self) -> &mut [SubEnv] {
         &mut self.members
     }
 
@@ -426,8 +426,8 @@ impl VectorEnv {
     /// reset, the others have gone on.
     ///
     /// # Panics
-    /// If there are not as many actions as environments, or one is not [ready](Member::is_ready).
-    pub fn step(&mut self, actions: &[Speed], observations: &mut [f32]) -> Result<(), Diagnostic> {
+    /// If there are not as many actions as environments, or one is not [ready](SubEnv::is_ready).
+    pub fn step(&mut self, actions: &[Action], observations: &mut [f32]) -> Result<(), Diagnostic> {
         let (autoreset, view) = (self.autoreset, self.view);
         self.each(actions, observations, |member, &action, row, stopped| {
             assert!(member.is_ready(autoreset), "an episode must begin first");
@@ -444,7 +444,7 @@ impl VectorEnv {
         &mut self,
         given: &[T],
         observations: &mut [f32],
-        act: impl Fn(&mut Member, &T, &mut [f32], bool) -> Result<(), Diagnostic> + Sync,
+        act: impl Fn(&mut SubEnv, &T, &mut [f32], bool) -> Result<(), Diagnostic> + Sync,
     ) -> Result<(), Diagnostic> {
         let count = self.members.len();
         assert!(given.len() == count, "{} given for {count} environments", given.len());
@@ -456,7 +456,7 @@ impl VectorEnv {
             (a, b) => a.or(b),
         };
         let (stop, stopped) = (&*self.stop, AtomicBool::new(false));
-        let act = |(position, ((member, given), row)): (usize, ((&mut Member, &T), &mut [f32]))| {
+        let act = |(position, ((member, given), row)): (usize, ((&mut SubEnv, &T), &mut [f32]))| {
             if position % SHARE == 0 && stop() {
                 stopped.store(true, Ordering::Relaxed);
             }

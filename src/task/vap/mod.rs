@@ -8,12 +8,12 @@ pub mod table;
 
 pub use codes::CODES;
 
-use crate::city::{AgentGroup, AgentKind, AgentName, AgentSet, Speed, Split};
+use crate::city::{Action, AgentGroup, AgentKind, AgentName, AgentSet, Split};
 use crate::city::{Cell, Heading};
 use crate::config::Scenario;
 use crate::datalog::Program;
 use crate::diag::{Code, Diagnostic};
-use crate::render::{Class, Facing, Icons, Picture, PixelBox, Placement, Renderer, Scale, Sprite, View};
+use crate::render::{Class, Facing, Icons, Picture, PixelBox, Placement, Renderer, Scale, Sprite, Viewport};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use crate::sim::{Facts, Settings, Simulation, Vocabulary, World};
 use std::collections::{BTreeMap, HashSet};
@@ -117,7 +117,7 @@ pub struct FrameAgent {
     /// Which instance of its class the picture shows, from 0; less than [`Icons::instances`].
     pub instance: u32,
     /// What the rules want.
-    pub action: Speed,
+    pub action: Action,
 }
 
 impl FrameAgent {
@@ -158,7 +158,7 @@ impl Worlds {
         let world = Arc::new(World::new(scenario, program)?);
         // Tells a split that is not there, and agents that find no place.
         Simulation::new(Arc::clone(&world), split, Seed(seed), Settings::default()).map_err(|fault| vec![fault])?;
-        let view = View::published(Cell::new(0, 0)).expect("the first cell is a corner");
+        let view = Viewport::published(Cell::new(0, 0)).expect("the first cell is a corner");
         Ok(Worlds {
             placement: Placement::new(world.map(), icons, view),
             world,
@@ -182,7 +182,7 @@ impl Worlds {
     /// the other. A change of how any of it is drawn nearly always shows in it.
     pub fn specimen(&self) -> Picture {
         let scale = Scale::pixels(8).expect("within bounds");
-        let view = View::new(Cell::new(0, 0), 20, 40, scale).and_then(|view| view.with_agents(48, 32));
+        let view = Viewport::new(Cell::new(0, 0), 20, 40, scale).and_then(|view| view.with_agents(48, 32));
         let placement = Placement::new(
             self.world.map(),
             Arc::clone(self.placement.icons()),
@@ -245,7 +245,7 @@ impl Worlds {
                     heading: agent.heading,
                     facing: sprite.facing,
                     instance: drawn % self.placement.icons().instances(&sprite.class()),
-                    action: Speed::Stop,
+                    action: Action::Stop,
                 }
             });
             let mut agents: Vec<FrameAgent> = agents.collect();
@@ -329,7 +329,7 @@ fn draw_agents(like: &AgentSet, split: Split, stream: &mut impl Rng) -> AgentSet
     }
 }
 
-/// How many cars are to do what, in the order of [`Speed::ALL`].
+/// How many cars are to do what, in the order of [`Action::ALL`].
 pub fn count_actions(frames: &[Frame]) -> [u64; 4] {
     let mut counts = [0; 4];
     let agents = frames.iter().flat_map(|frame| &frame.agents);

@@ -1,7 +1,7 @@
 //! Frames as columns, written as Parquet: a table of entities, with what is true of each, and a table of ordered pairs of them.
 
 use crate::city::Heading;
-use crate::city::{AgentKind, Speed};
+use crate::city::{Action, AgentKind};
 use crate::diag::Diagnostic;
 use crate::render::PixelBox;
 use crate::sim::{Facts, Vocabulary};
@@ -412,7 +412,7 @@ pub struct Sample {
     /// Names of the agents.
     pub names: Vec<String>,
     /// What the rules want of each, if it is a car.
-    pub labels: Vec<Option<Speed>>,
+    pub labels: Vec<Option<Action>>,
     /// What is true.
     pub facts: Facts,
 }
@@ -489,7 +489,7 @@ pub fn samples(
         Some(label) => {
             let action = usize::try_from(*label)
                 .ok()
-                .and_then(|label| Speed::ALL.get(label).copied());
+                .and_then(|label| Action::ALL.get(label).copied());
             action
                 .map(Some)
                 .ok_or_else(|| faulty(format!("{label} is not a label")))

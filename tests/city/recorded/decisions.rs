@@ -2,7 +2,7 @@
 
 use super::{Recording, recordings, solved};
 use crate::shipped_world::world;
-use logicity::city::Speed;
+use logicity::city::Action;
 use logicity::config::{Definition, Scenario};
 use logicity::diag::{Sources, render};
 use logicity::files::read_text;
@@ -22,7 +22,7 @@ struct Recorded {
     sees: Vec<String>,
     atoms: Atoms,
     /// `None` where the solver found no model.
-    actions: Option<BTreeSet<Speed>>,
+    actions: Option<BTreeSet<Action>>,
 }
 
 /// A configuration with the predicates of a recording. Where its rules are not known, all predicates of the paper.
@@ -95,10 +95,10 @@ fn slow_egos_see_and_decide_as_recorded() {
 }
 
 /// Whether the rules derive what the solver found. Normal is what is done where nothing else is derived; the solver may say so or not.
-fn decides(ego: &EgoAnswer, solved: &BTreeSet<Speed>) -> bool {
-    let but_normal = |action: &Speed| *action != Speed::Normal;
-    let derived: BTreeSet<Speed> = ego.derived.iter().filter(but_normal).collect();
-    let wanted: BTreeSet<Speed> = solved.iter().copied().filter(but_normal).collect();
+fn decides(ego: &EgoAnswer, solved: &BTreeSet<Action>) -> bool {
+    let but_normal = |action: &Action| *action != Action::Normal;
+    let derived: BTreeSet<Action> = ego.derived.iter().filter(but_normal).collect();
+    let wanted: BTreeSet<Action> = solved.iter().copied().filter(but_normal).collect();
     derived == wanted && solved.contains(&ego.action)
 }
 

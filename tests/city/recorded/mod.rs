@@ -8,7 +8,7 @@ mod steps;
 use crate::shipped_world::MODES;
 use flate2::read::GzDecoder;
 use logicity::builtin::BuiltinFiles;
-use logicity::city::{AgentConfig, AgentKind, AgentName, Speed};
+use logicity::city::{Action, AgentConfig, AgentKind, AgentName};
 use logicity::city::{Cell, CityMap, Heading};
 use logicity::config::load_map;
 use logicity::diag::Sources;
@@ -120,12 +120,12 @@ fn heading(value: &Value) -> Option<Heading> {
 }
 
 /// The actions that the solver found; Normal if there is none.
-fn solved(ego: &Value) -> BTreeSet<Speed> {
-    let named = |name: &Value| Speed::ALL.into_iter().find(|action| name == action.name());
+fn solved(ego: &Value) -> BTreeSet<Action> {
+    let named = |name: &Value| Action::ALL.into_iter().find(|action| name == action.name());
     let solved = ego["z3"].as_array().unwrap().iter();
-    let mut actions: BTreeSet<Speed> = solved.map(|name| named(name).unwrap()).collect();
+    let mut actions: BTreeSet<Action> = solved.map(|name| named(name).unwrap()).collect();
     if actions.is_empty() {
-        actions.insert(Speed::Normal);
+        actions.insert(Action::Normal);
     }
     actions
 }

@@ -1,11 +1,11 @@
 //! Fields of view, routes and moves are as recorded.
 
 use super::{Recording, cell, cells, heading, index, kind, plain_agent, recordings, square_5x5};
+use logicity::city::{Action, AgentKind, Routing};
 use logicity::city::{
-    Agent, Cell, CityMap, Heading, Moved, Places, Reason, Rest, Route, Router, Surroundings, advance, field_of_view,
-    possible_cells, speed_cells,
+    Agent, Cell, CityMap, Heading, MoveReason, Moved, Places, Rest, Route, Router, Surroundings, advance,
+    field_of_view, possible_cells, speed_cells,
 };
-use logicity::city::{AgentKind, Routing, Speed};
 use logicity::rng::Seed;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -85,14 +85,14 @@ struct Step<'a> {
 
 impl Step<'_> {
     /// The actions that the rules allow, as the published program wrote them down: moves by one, two or three cells, and none.
-    fn decided(&self) -> BTreeSet<Speed> {
+    fn decided(&self) -> BTreeSet<Action> {
         let local = self.ego["local"].as_array().unwrap().iter().map(index);
         local
             .map(|action| match (self.kind, action) {
-                (AgentKind::Pedestrian, 0..4) | (AgentKind::Car, 4..8) => Speed::Normal,
-                (AgentKind::Car, 0..4) => Speed::Slow,
-                (AgentKind::Car, 8..12) => Speed::Fast,
-                (AgentKind::Pedestrian, 4) | (AgentKind::Car, 12) => Speed::Stop,
+                (AgentKind::Pedestrian, 0..4) | (AgentKind::Car, 4..8) => Action::Normal,
+                (AgentKind::Car, 0..4) => Action::Slow,
+                (AgentKind::Car, 8..12) => Action::Fast,
+                (AgentKind::Pedestrian, 4) | (AgentKind::Car, 12) => Action::Stop,
                 (kind, action) => panic!("no action of a {kind:?}: {action}"),
             })
             .collect()
@@ -122,7 +122,7 @@ fn possible(agent: &Agent) -> BTreeSet<(Heading, usize)> {
 }
 
 /// How many cells an agent may move: as one of the decided actions says if the route allows it, else as the route allows.
-fn choices(agent: &Agent, decided: &BTreeSet<Speed>) -> BTreeSet<usize> {
+fn choices(agent: &Agent, decided: &BTreeSet<Action>) -> BTreeSet<usize> {
     let most = possible_cells(agent);
     let wanted = decided.iter().filter_map(|&action| speed_cells(agent.kind, action));
     let mut choices: BTreeSet<usize> = wanted.filter(|&cells| cells <= most).collect();
@@ -133,9 +133,9 @@ fn choices(agent: &Agent, decided: &BTreeSet<Speed>) -> BTreeSet<usize> {
 }
 
 /// The action that moves an agent by as many cells as its route allows.
-fn action_of(kind: AgentKind, cells: usize) -> Speed {
-    let moves = |action: &Speed| speed_cells(kind, *action) == Some(cells);
-    Speed::ALL.into_iter().find(moves).expect("the reach of an agent")
+fn action_of(kind: AgentKind, cells: usize) -> Action {
+    let moves = |action: &Action| speed_cells(kind, *action) == Some(cells);
+    Action::ALL.into_iter().find(moves).expect("the reach of an agent")
 }
 
 /// The routes of a run: those that were recorded, else what is planned for recorded starts and goals.
@@ -242,7 +242,7 @@ fn agents_move_as_recorded() {
                     (agent, moved)
                 };
                 // Only for what does not depend on the decision, if there are several.
-                let action = decided.first().copied().unwrap_or(Speed::Normal);
+                let action = decided.first().copied().unwrap_or(Action::Normal);
                 let (mut moved_agent, mut moved) = by(agent, action);
                 if moved.replanned {
                     // Where it goes is drawn; the recorded route takes the place of ours, and the decision is followed on it.
@@ -268,7 +268,7 @@ fn agents_move_as_recorded() {
                 if let Some(allowed) = allowed {
                     assert_eq!(possible(agent), allowed, "{place}");
                 }
-                if moved.reason != Reason::Resting {
+                if moved.reason != MoveReason::Resting {
                     let to = cell(&step.ego["next"]);
                     let mut ahead = agent.route().cells().skip(agent.position());
                     let cells = ahead.position(|cell| cell == to);
@@ -279,10 +279,11 @@ fn agents_move_as_recorded() {
                     for &action in &decided {
                         let (alone, moved) = by(agent, action);
                         let cells = alone.position() - agent.position();
-                        let right = choices.contains(&cells) || (decided.len() > 1 && moved.reason != Reason::Decided);
+                        let right =
+                            choices.contains(&cells) || (decided.len() > 1 && moved.reason != MoveReason::Decided);
                         assert!(right, "{place}: {action:?} moves by {cells} of {choices:?}");
                         if decided.len() == 1 {
-                            assert_eq!(moved.reason == Reason::Drawn, choices.len() > 1, "{place}");
+                            assert_eq!(moved.reason == MoveReason::Drawn, choices.len() > 1, "{place}");
                         }
                     }
                     drawn += usize::from(choices.len() > 1);

@@ -2,11 +2,11 @@
 
 use super::{cell, cells, heading, index, plain_agent, recordings, square_5x5};
 use crate::shipped_world::{PATH_MODES, task};
+use logicity::city::{Action, AgentConfig, AgentKind, Routing, Split};
 use logicity::city::{Agent, Cell, Heading, Router, possible_cells, speed_cells};
-use logicity::city::{AgentConfig, AgentKind, Routing, Speed, Split};
 use logicity::rng::Seed;
 use logicity::sim::{Chance, Observer, Settings, Simulation, World};
-use logicity::task::spf::PathTask;
+use logicity::task::spf::SpfTask;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -68,9 +68,9 @@ fn recorded_steps() {
             assert_eq!(written, ones, "{place}");
             let derived = observer.derived(&city).unwrap();
             let wanted = world.vocabulary.decide(derived);
-            assert_eq!(wanted, Speed::ALL[index(&step["expert"])], "{place}");
-            let action = Speed::ALL[index(&step["action"])];
-            let broken = observer.broken(&city, action).unwrap().to_vec();
+            assert_eq!(wanted, Action::ALL[index(&step["expert"])], "{place}");
+            let action = Action::ALL[index(&step["action"])];
+            let broken = observer.violations(&city, action).unwrap().to_vec();
             assert_eq!(!broken.is_empty(), step["fail"].as_bool().unwrap(), "{place}");
             let mut reward = task.reward(action, &broken, index(&step["path_length4"]) / 4);
             if step["overtime"] == true {
@@ -106,7 +106,7 @@ fn placed(recorded: &Value, like: &Agent, world: &World) -> Agent {
 
 /// The draws of the published program, read off the recorded observation.
 struct Draws<'a> {
-    task: &'a PathTask,
+    task: &'a SpfTask,
     entities: &'a [usize],
     ones: &'a BTreeSet<usize>,
 }
@@ -132,7 +132,7 @@ struct Ego {
     at: usize,
     heading: Option<Heading>,
     /// The action before the present state; Stop at first.
-    action: Speed,
+    action: Action,
 }
 
 #[test]
@@ -155,7 +155,7 @@ fn the_controlled_car_moves_as_recorded() {
                     route,
                     at: 0,
                     heading: None,
-                    action: Speed::Stop,
+                    action: Action::Stop,
                 });
                 routes += 1;
                 continue;
@@ -176,7 +176,7 @@ fn the_controlled_car_moves_as_recorded() {
             let (at, cells, most) = moved.expect("a possible move");
             lost += usize::from(at != ego.at);
             match (ego.action, speed_cells(AgentKind::Car, ego.action)) {
-                (Speed::Stop, _) => assert_eq!(cells, 0),
+                (Action::Stop, _) => assert_eq!(cells, 0),
                 (_, Some(wanted)) if wanted <= most => assert_eq!(cells, wanted),
                 _ if most == 1 => assert_eq!(cells, 1),
                 _ => {
@@ -187,7 +187,7 @@ fn the_controlled_car_moves_as_recorded() {
             ego.at = at + cells;
             ego.heading = Heading::between(from, to).or(ego.heading);
             assert_eq!(ego.heading, heading(&state["dir"]));
-            ego.action = Speed::ALL[index(&line["action"])];
+            ego.action = Action::ALL[index(&line["action"])];
             moves += 1;
         }
         assert!(routes > 0 && moves > 0, "{} is empty", recording.path.display());

@@ -2,7 +2,7 @@
 
 use super::Batch;
 use logicity::datalog::{ClauseId, Literal, RelId, Rules, Value};
-use logicity::datalog::{Options, Program, Session, Strategy, StratumWork, naive};
+use logicity::datalog::{Options, Program, Session, Strategy, StratumStats, naive};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
@@ -152,12 +152,12 @@ fn check_work(
     for (stratum, work) in rules.strata.iter().zip(&session.work().strata) {
         let changed = |clause: ClauseId| input_changed(rules, clause, &stratum.relations, before, after);
         let any = stratum.clauses.iter().any(|clause| changed(*clause));
-        let (evaluated, due) = (*work != StratumWork::Skipped, first || any);
+        let (evaluated, due) = (*work != StratumStats::Skipped, first || any);
         // The optimiser may find that a clause does not depend on what changed.
         prop_assert!(evaluated == due || (optimize && due));
         match work {
-            StratumWork::Skipped => {}
-            StratumWork::Maintained(work) => {
+            StratumStats::Skipped => {}
+            StratumStats::Maintained(work) => {
                 prop_assert!(!first && strategy != Strategy::Recompute && work.given_up == 0);
                 for rule in &work.rules {
                     prop_assert!(stratum.clauses.contains(&rule.clause) && rule.given > 0);
@@ -167,7 +167,7 @@ fn check_work(
                     prop_assert!(work.rules.iter().any(|rule| changed(rule.clause) && rule.derived > 0));
                 }
             }
-            StratumWork::Recomputed(_) => {
+            StratumStats::Recomputed(_) => {
                 let aggregates = stratum.clauses.iter().any(|clause| {
                     let mut body = rules.clauses[clause.index()].body.iter();
                     body.any(|literal| matches!(literal, Literal::Aggregate { .. }))

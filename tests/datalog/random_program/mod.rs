@@ -210,7 +210,7 @@ impl Genome {
             relations: Vec::new(),
             clauses: Vec::new(),
             strata: Vec::new(),
-            promises: Vec::new(),
+            constraints: Vec::new(),
             symbols,
         };
         for columns in &self.base {
@@ -292,7 +292,7 @@ fn declare(rules: &mut Rules, columns: &[bool], span: Span) {
         doc: String::new(),
         span,
         input: false,
-        given: None,
+        edb: None,
         output: true,
         printsize: false,
         derived: false,

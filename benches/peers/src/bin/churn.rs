@@ -18,7 +18,7 @@ mod engine;
 use case::{Case, Changes, Facts, Pair};
 use clap::Parser;
 use cpu_time::ThreadTime;
-use logicity::datalog::{Strategy, StratumWork};
+use logicity::datalog::{Strategy, StratumStats};
 use logicity::datalog::Value;
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -159,10 +159,10 @@ fn measure(agents: u32, percent: f64, ticks: usize, strategy: Strategy, peers: b
             drop(delta);
             strata = (session.work().strata.iter())
                 .map(|work| match work {
-                    StratumWork::Skipped => '-',
-                    StratumWork::Maintained(_) => 'm',
-                    StratumWork::Recomputed(work) if work.given_up > 0 => 'R',
-                    StratumWork::Recomputed(_) => 'r',
+                    StratumStats::Skipped => '-',
+                    StratumStats::Maintained(_) => 'm',
+                    StratumStats::Recomputed(work) if work.given_up > 0 => 'R',
+                    StratumStats::Recomputed(_) => 'r',
                 })
                 .collect();
             if let Some(dataflow) = &mut dataflow {

@@ -2,7 +2,7 @@
 //!
 //! Let a fact about the entities in question (the *roots*) hold on one side only. Keep the roots, and for every derived fact about the
 //! roots that is true a way in which it is derived: the entities of that way are its *witnesses*. All that is said of those that are
-//! left is still so, since what is not derived says "for all", which fewer entities cannot break; and promises say "for all" too.
+//! left is still so, since what is not derived says "for all", which fewer entities cannot break; and constraints say "for all" too.
 //! So if there is a difference, there is one with the roots and the witnesses alone.
 //!
 //! That fails where "for all" depends on "there is" (a derived predicate about others than the roots that must not hold), where the

@@ -15,7 +15,7 @@ pub(super) struct TooLarge;
 
 /// The rows of a scope: given like those of any predicate, or everybody sees everybody.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum View {
+pub(super) enum ScopeRows {
     Full,
     Free,
 }
@@ -26,7 +26,7 @@ pub(super) type BaseFact = (usize, Vec<usize>);
 pub(super) struct Circuit<'a> {
     sides: [&'a Side<'a>; 2],
     individuals: &'a [Individual],
-    view: View,
+    view: ScopeRows,
     pub(super) solver: Solver,
     yes: Lit,
     /// Conjunctions by their sorted inputs; only asked, never walked.
@@ -50,7 +50,7 @@ pub(super) struct Circuit<'a> {
 const DEPTH_MAX: usize = 64;
 
 impl<'a> Circuit<'a> {
-    pub(super) fn new(sides: [&'a Side<'a>; 2], individuals: &'a [Individual], view: View, room: usize) -> Self {
+    pub(super) fn new(sides: [&'a Side<'a>; 2], individuals: &'a [Individual], view: ScopeRows, room: usize) -> Self {
         let mut solver = Solver::new();
         let yes = solver.fresh();
         solver.add(&[yes]);
@@ -219,7 +219,7 @@ impl<'a> Circuit<'a> {
         let Some(base) = program.base[relation.index()] else {
             return Ok(!self.yes);
         };
-        if self.view == View::Full && program.scopes.contains(&relation) {
+        if self.view == ScopeRows::Full && program.scopes.contains(&relation) {
             return Ok(self.yes);
         }
         let key = (base, row.to_vec());
@@ -415,19 +415,19 @@ impl<'a> Circuit<'a> {
         BaseType::Symbol
     }
 
-    // --- promises
+    // --- constraints
 
-    /// Keeps to what both sides promise, as far as the facts in question go.
-    pub(super) fn promises(&mut self) -> Result<(), TooLarge> {
+    /// Keeps to what both sides constraint, as far as the facts in question go.
+    pub(super) fn constraints(&mut self) -> Result<(), TooLarge> {
         let mut done = 0;
         let mut queue: Vec<BaseFact> = self.atoms.keys().cloned().collect();
         while let Some((base, row)) = queue.get(done).cloned() {
             done += 1;
             for side in 0..2 {
-                for promise in &self.sides[side].rules.promises {
+                for constraint in &self.sides[side].rules.constraints {
                     let relation = |relation: RelId| self.sides[side].base[relation.index()] == Some(base);
                     let reversed: Vec<usize> = row.iter().rev().copied().collect();
-                    let clause = match promise.constraint {
+                    let clause = match constraint.constraint {
                         Constraint::Irreflexive(a) if relation(a) && row[0] == row[1] => {
                             vec![!self.base(side, a, &row)?]
                         }

@@ -23,7 +23,7 @@ use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::Value;
 use crate::diag::{Code, Diagnostic};
 use crate::symbol::{Symbol, Symbols};
-use ground::{BaseFact, Circuit, TooLarge, View};
+use ground::{BaseFact, Circuit, ScopeRows, TooLarge};
 use sat::{Lit, Outcome};
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -50,7 +50,7 @@ impl Default for Options {
 
 /// The answer.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum Equivalence {
     /// They derive the same in every scene, of whatever size. A difference would show with at most `entities` entities, and does not.
     Equivalent {
         /// The size that was enough to look at.
@@ -172,7 +172,7 @@ const ROOM_IN_ALL: usize = 12_000_000;
 /// # Errors
 /// If a rule set is too large to be planned; if a predicate does not fit: it has other columns on the other side, is given on one side and
 /// derived on the other, or is to be compared and is not declared on both.
-pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, Vec<Diagnostic>> {
+pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalence, Vec<Diagnostic>> {
     let base = shared_base(left, right)?;
     let outputs = outputs(left, right, options)?;
     if !(speaks(left) && speaks(right)) {
@@ -201,10 +201,10 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, V
         room: ROOM_IN_ALL,
     };
     let scoped = sides.iter().any(|side| !side.scopes.is_empty());
-    let views: &[View] = if scoped {
-        &[View::Full, View::Free]
+    let views: &[ScopeRows] = if scoped {
+        &[ScopeRows::Full, ScopeRows::Free]
     } else {
-        &[View::Free]
+        &[ScopeRows::Free]
     };
     let mut seen_all = Some(last);
     let mut cut = BTreeSet::new();
@@ -214,7 +214,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, V
     for &view in views {
         for entities in 0..=last {
             match search(sides, &base, &outputs, entities, view, &mut left) {
-                Ok(Some(difference)) => return Ok(Verdict::Different(difference)),
+                Ok(Some(difference)) => return Ok(Equivalence::Different(difference)),
                 Ok(None) => {}
                 Err(why) => {
                     cut.insert(why);
@@ -225,8 +225,8 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Verdict, V
         }
     }
     Ok(match (proof, seen_all) {
-        (Some(entities), Some(seen_all)) if entities <= seen_all => Verdict::Equivalent { entities },
-        _ => Verdict::NoneFound {
+        (Some(entities), Some(seen_all)) if entities <= seen_all => Equivalence::Equivalent { entities },
+        _ => Equivalence::NoneFound {
             entities: seen_all,
             proof,
             cut: cut.into_iter().collect(),
@@ -393,7 +393,7 @@ fn search(
     base: &[Base],
     outputs: &[Output],
     entities: usize,
-    view: View,
+    view: ScopeRows,
     effort: &mut Left,
 ) -> Result<Option<Difference>, Cut> {
     let individuals = individuals(sides, entities);
@@ -408,7 +408,7 @@ fn search(
     let mut circuit = Circuit::new([&left, &right], &individuals, view, ROOM.min(effort.room));
     let before = circuit.room;
     let asked = questions(&mut circuit, outputs, entities, &individuals);
-    let kept = circuit.promises();
+    let kept = circuit.constraints();
     effort.room -= before - circuit.room;
     let (Ok(questions), Ok(())) = (asked, kept) else {
         return Err(Cut::Size);
@@ -615,13 +615,13 @@ fn tell(
     base: &[Base],
     outputs: &[Output],
     individuals: &[Individual],
-    view: View,
+    view: ScopeRows,
     asked: &[usize],
     facts: &[BaseFact],
     smallest: bool,
 ) -> Difference {
     let mut everybody_sees: Vec<String> = Vec::new();
-    if view == View::Full {
+    if view == ScopeRows::Full {
         for side in sides {
             for scope in &side.scopes {
                 let name = &side.rules.relations[scope.index()].name;

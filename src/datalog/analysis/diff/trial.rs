@@ -6,7 +6,7 @@
 //! of them shows is made smaller. Everything is counted, so the answer is the same in every run.
 
 use crate::datalog::analysis::constraints;
-use crate::datalog::analysis::diff::{Base, Difference, Options, Output, Verdict};
+use crate::datalog::analysis::diff::{Base, Difference, Equivalence, Options, Output};
 use crate::datalog::check::{Literal, RelId, Rules, Term};
 use crate::datalog::eval::limits::Limits;
 use crate::datalog::program::Program;
@@ -80,7 +80,7 @@ pub(super) fn search(
     base: &[Base],
     outputs: &[Output],
     options: &Options,
-) -> Result<Verdict, Vec<Diagnostic>> {
+) -> Result<Equivalence, Vec<Diagnostic>> {
     let mut trial = Trial::new(rules, base, outputs)?;
     let scenes = options.conflicts_max / SCENE_COST;
     let every = scenes - scenes / RANDOM_SHARE;
@@ -90,7 +90,7 @@ pub(super) fn search(
         let entities_max = options.entities_max.min(trial.entities(size));
         for entities in 0..=entities_max {
             match trial.level(size, entities, every) {
-                Level::Found(facts) => return Ok(Verdict::Different(trial.tell(rules, entities, &facts))),
+                Level::Found(facts) => return Ok(Equivalence::Different(trial.tell(rules, entities, &facts))),
                 Level::Nothing => {}
                 Level::TooMany => break 'sizes,
             }
@@ -104,10 +104,10 @@ pub(super) fn search(
         let facts = trial.draw(entities, &mut random);
         if trial.differs(&facts, entities) {
             let facts = trial.shrink(facts, entities);
-            return Ok(Verdict::Different(trial.tell(rules, entities, &facts)));
+            return Ok(Equivalence::Different(trial.tell(rules, entities, &facts)));
         }
     }
-    Ok(Verdict::NoneTried {
+    Ok(Equivalence::NoneTried {
         facts: size.checked_sub(1),
         entities: seen_entities,
         scenes: trial.tried,
@@ -310,7 +310,7 @@ impl<'a> Trial<'a> {
         all
     }
 
-    /// Whether the scene keeps the promises of both sides and they derive different outputs. A side that derives too much shows
+    /// Whether the scene keeps the constraints of both sides and they derive different outputs. A side that derives too much shows
     /// nothing.
     fn differs(&mut self, facts: &[Fact], entities: usize) -> bool {
         self.tried += 1;
@@ -332,7 +332,7 @@ impl<'a> Trial<'a> {
                 };
                 debug_assert!(noted.is_ok(), "a row of a base predicate");
             }
-            let kept = session.commit().is_ok() && constraints::broken(session).is_empty();
+            let kept = session.commit().is_ok() && constraints::violations(session).is_empty();
             answers.push(kept.then(|| answer(session, self.outputs)));
         }
         matches!(answers.as_slice(), [Some(left), Some(right)] if left != right)

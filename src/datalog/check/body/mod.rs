@@ -13,7 +13,7 @@ use std::collections::{HashMap, HashSet};
 use crate::diag::{Code, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
-use crate::datalog::check::Inputs;
+use crate::datalog::check::Edb;
 use crate::datalog::check::aggregate::Finish;
 use crate::datalog::check::clause::{Clauses, Edge, EdgeKind, names_in, names_of};
 use crate::datalog::check::names::Names;
@@ -761,11 +761,11 @@ impl<'c> Check<'_, 'c> {
         if let Some(input) = self.names.signatures[relation.index()].input {
             let name = &head.predicate.text;
             let (code, help) = match self.names.inputs {
-                Inputs::Given => (
+                Edb::Fixed => (
                     Code::DERIVED_INPUT,
                     "derive another predicate, with one clause that takes over what is given",
                 ),
-                Inputs::Extended => (
+                Edb::Extensible => (
                     Code::EXTENDED_INPUT,
                     "to tell them apart, derive another predicate, with one clause that takes over what is given",
                 ),

@@ -5,7 +5,7 @@
 //! its id, and [`crate::datalog::session::Session::fired`] still tells what it derives. [`lints`] tells the author what was found.
 //!
 //! `theory` knows what follows from a literal; `saturate` searches the forms of a body. What a body means is never looked at through
-//! derived predicates, so what holds here holds whatever the other clauses are. Promises are used only if the caller says so. Bounded and
+//! derived predicates, so what holds here holds whatever the other clauses are. Constraints are used only if the caller says so. Bounded and
 //! deterministic: no clock, no hash order.
 
 mod repeated;
@@ -47,11 +47,16 @@ enum Finding {
     Subsumed { clause: ClauseId, by: ClauseId },
 }
 
-/// Returns rules with the same predicates, clauses (by id) and answers. With `promises`, answers are the same for facts that keep them.
-pub(crate) fn optimize(rules: &Rules, promises: bool) -> Rules {
+/// Returns rules with the same predicates, clauses (by id) and answers. With `assume`, answers are the same for facts that satisfy the
+/// declared constraints.
+pub(crate) fn optimize(rules: &Rules, assume: bool) -> Rules {
     let mut better = rules.clone();
-    let constraints: Vec<Constraint> = rules.promises.iter().map(|promise| promise.constraint).collect();
-    let theory = Constraints::new(if promises { constraints } else { Vec::new() });
+    let constraints: Vec<Constraint> = rules
+        .constraints
+        .iter()
+        .map(|constraint| constraint.constraint)
+        .collect();
+    let theory = Constraints::new(if assume { constraints } else { Vec::new() });
     let mut gone = vec![false; rules.clauses.len()];
     let mut needless: BTreeMap<ClauseId, BTreeSet<usize>> = BTreeMap::new();
     for finding in find(rules, &theory, true).findings {
@@ -90,19 +95,19 @@ pub(crate) fn optimize(rules: &Rules, promises: bool) -> Rules {
 pub struct Lints {
     /// What could be simpler, in the order of the text.
     pub diagnostics: Vec<Diagnostic>,
-    /// How many steps it took to look for clauses that others cover under the promises.
+    /// How many steps it took to look for clauses that others cover under the constraints.
     pub steps: usize,
     /// What was not looked at since it would have taken too long, if anything.
     pub unfinished: Vec<&'static str>,
 }
 
 /// What could be simpler, for the author: literals that others imply, bodies that contradict themselves, clauses that others cover
-/// under the promises, and what is said again and again.
+/// under the constraints, and what is said again and again.
 pub fn lints(rules: &Rules) -> Lints {
-    let theory = Constraints::new(rules.promises.iter().map(|promise| promise.constraint));
+    let theory = Constraints::new(rules.constraints.iter().map(|constraint| constraint.constraint));
     let mut lints = Vec::new();
-    // Loading has told what is covered without promises.
-    let found = find(rules, &theory, !rules.promises.is_empty());
+    // Loading has told what is covered without constraints.
+    let found = find(rules, &theory, !rules.constraints.is_empty());
     for finding in &found.findings {
         let named = |id: ClauseId| &rules.clauses[id.index()];
         lints.extend(match *finding {
@@ -114,7 +119,7 @@ pub fn lints(rules: &Rules) -> Lints {
                 )
                 .at(named(clause).span, "")
                 .also(named(by).span, "whenever it fires, this one derives the same")
-                .note("under the promises about facts")
+                .note("under the constraints about facts")
                 .help("remove it"),
             ),
             Finding::Contradictory { clause, one, other } => {
@@ -144,7 +149,7 @@ pub fn lints(rules: &Rules) -> Lints {
     lints.extend(parts.iter().map(|uses| worth_a_name(rules, uses)));
     lints.sort_by_key(|lint| lint.primary.as_ref().map(|label| (label.span.source, label.span.start)));
     let unfinished = [
-        (found.effort.complete, "clauses that others cover under the promises"),
+        (found.effort.complete, "clauses that others cover under the constraints"),
         (all_parts, "parts that several bodies share"),
     ];
     Lints {
@@ -404,7 +409,7 @@ mod tests {
     proptest! {
         #[test]
         fn traits_suffice_under_constraints(rules in random_clauses::rules()) {
-            let theory = Constraints::new(rules.promises.iter().map(|promise| promise.constraint));
+            let theory = Constraints::new(rules.constraints.iter().map(|constraint| constraint.constraint));
             let known = rules.clauses.iter().filter(|clause| is_known(clause));
             prop_assert!(subsumption::traits_suffice(known, &theory));
         }

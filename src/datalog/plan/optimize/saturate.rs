@@ -52,13 +52,13 @@ pub(super) fn simplest(count: usize, knowledge: &dyn Knowledge) -> Option<Vec<us
     }
     let root = egraph.add(Body::All(leaves.into()));
     egraph.rebuild();
-    let mut looked_at = 0;
+    let mut rows_scanned = 0;
     loop {
         let forms: Vec<Body> = egraph[egraph.find(root)].nodes.clone();
-        if forms.len() <= looked_at || egraph.total_number_of_nodes() > NODES_MAX {
+        if forms.len() <= rows_scanned || egraph.total_number_of_nodes() > NODES_MAX {
             break;
         }
-        looked_at = forms.len();
+        rows_scanned = forms.len();
         for form in forms {
             let Body::All(parts) = form else { continue };
             for better in simpler(&egraph, &parts, knowledge) {

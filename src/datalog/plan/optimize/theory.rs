@@ -1,10 +1,10 @@
-//! What follows from one literal, alone and under the promises.
+//! What follows from one literal, alone and under the constraints.
 
 use crate::datalog::check::subsumption::{Arg, EQUAL, Fact, GREATER, LESS, Theory};
 use crate::datalog::check::{Constraint, RelId};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The promises, by predicate.
+/// The constraints, by predicate.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Constraints {
     implied: BTreeMap<RelId, Vec<RelId>>,

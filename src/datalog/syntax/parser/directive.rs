@@ -1,9 +1,9 @@
-//! Directives: declarations, types, marks of predicates, promises, and what else begins with a full stop.
+//! Directives: declarations, types, marks of predicates, constraints, and what else begins with a full stop.
 
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::syntax::ast::{
-    ColumnDecl, Decl, DirectiveOption, Include, Item, Mark, MarkKind, Name, Place, Plan, Pragma, Promise, PromiseKind,
-    Scope, TypeDecl, TypeDefinition,
+    ColumnDecl, ConstraintDecl, ConstraintKind, Decl, DirectiveOption, Include, Item, Mark, MarkKind, Name, Place,
+    Plan, Pragma, Scope, TypeDecl, TypeDefinition,
 };
 use crate::datalog::syntax::lexer::{Kind, Token};
 use crate::diag::{Code, Diagnostic, did_you_mean};
@@ -45,10 +45,10 @@ impl Parser<'_> {
             "input" => self.mark(MarkKind::Input).map(|mark| Some(Item::Mark(mark))),
             "output" => self.mark(MarkKind::Output).map(|mark| Some(Item::Mark(mark))),
             "printsize" => self.mark(MarkKind::PrintSize).map(|mark| Some(Item::Mark(mark))),
-            "disjoint" => self.promise(PromiseKind::Disjoint, dot),
-            "implies" => self.promise(PromiseKind::Implies, dot),
-            "irreflexive" => self.promise(PromiseKind::Irreflexive, dot),
-            "symmetric" => self.promise(PromiseKind::Symmetric, dot),
+            "disjoint" => self.constraint(ConstraintKind::Disjoint, dot),
+            "implies" => self.constraint(ConstraintKind::Implies, dot),
+            "irreflexive" => self.constraint(ConstraintKind::Irreflexive, dot),
+            "symmetric" => self.constraint(ConstraintKind::Symmetric, dot),
             "include" => {
                 if !matches!(self.kind(), Kind::Text | Kind::OpenText) {
                     return Err(self.expected("the file's name in quotes"));
@@ -205,16 +205,16 @@ impl Parser<'_> {
     }
 
     /// Names with or without commas between them; a name before a parenthesis begins a clause.
-    fn promise(&mut self, kind: PromiseKind, dot: Token) -> Parse<Option<Item>> {
+    fn constraint(&mut self, kind: ConstraintKind, dot: Token) -> Parse<Option<Item>> {
         let mut names = vec![self.name("a predicate")?];
         while self.eat(Kind::Comma) || (self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen) {
             names.push(self.name("a predicate")?);
         }
         let place = self.place_from(dot);
         let (good, wanted) = match kind {
-            PromiseKind::Disjoint => (names.len() >= 2, "two predicates or more"),
-            PromiseKind::Implies => (names.len() == 2, "two predicates: what holds, and what then holds too"),
-            PromiseKind::Irreflexive | PromiseKind::Symmetric => (true, ""),
+            ConstraintKind::Disjoint => (names.len() >= 2, "two predicates or more"),
+            ConstraintKind::Implies => (names.len() == 2, "two predicates: what holds, and what then holds too"),
+            ConstraintKind::Irreflexive | ConstraintKind::Symmetric => (true, ""),
         };
         if !good {
             let message = format!("`.{}` names {wanted}", kind.name());
@@ -222,7 +222,7 @@ impl Parser<'_> {
                 .push(Diagnostic::new(Code::SYNTAX, message).at(place.0, format!("{} here", names.len())));
             return Ok(None);
         }
-        Ok(Some(Item::Promise(Promise { kind, names, place })))
+        Ok(Some(Item::Constraint(ConstraintDecl { kind, names, place })))
     }
 
     fn decl(&mut self, doc: String) -> Parse<Decl> {

@@ -2,7 +2,7 @@
 
 use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
 use crate::datalog::explain::{
-    Absence, Explanation, Fact, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise, Reason,
+    Absence, AbsenceReason, Explanation, Fact, FailureKind, Miss, Node, NodeId, Obstacle, Origin, Premise,
 };
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
@@ -18,7 +18,7 @@ use std::collections::HashSet;
 /// The guard of a scope is told as what is in view; a hidden predicate, which stands for a negated atom with `_` in view, as that
 /// atom.
 #[derive(Clone, Copy)]
-pub struct Teller<'a> {
+pub struct ExplanationPrinter<'a> {
     rules: &'a Rules,
     symbols: &'a Symbols,
     sources: &'a Sources,
@@ -55,13 +55,13 @@ impl Item {
     }
 }
 
-impl<'a> Teller<'a> {
-    /// A proof is drawn down to this depth; [`Teller::json`] has all of it.
+impl<'a> ExplanationPrinter<'a> {
+    /// A proof is drawn down to this depth; [`ExplanationPrinter::json`] has all of it.
     pub const DEPTH_MAX: usize = 40;
 
     /// Tells what `rules` derive. `symbols` are the session's, `sources` those of the rules.
     pub fn new(rules: &'a Rules, symbols: &'a Symbols, sources: &'a Sources) -> Self {
-        Teller {
+        ExplanationPrinter {
             rules,
             symbols,
             sources,
@@ -71,7 +71,7 @@ impl<'a> Teller<'a> {
 
     /// Tells values as they are written in rules, so that what is told can be read again: all texts in quotes.
     pub fn quoting(self) -> Self {
-        Teller { quotes: true, ..self }
+        ExplanationPrinter { quotes: true, ..self }
     }
 
     /// The explanation as a tree of lines. What occurs several times is told once.
@@ -102,7 +102,7 @@ impl<'a> Teller<'a> {
         json!({ "nodes": nodes.collect::<Vec<serde_json::Value>>() })
     }
 
-    /// One node of [`Teller::json`].
+    /// One node of [`ExplanationPrinter::json`].
     pub fn node_json(&self, node: &Node) -> serde_json::Value {
         match node {
             Node::Fact(fact) => self.fact_json(fact),
@@ -150,9 +150,9 @@ impl<'a> Teller<'a> {
             return json!({ "absent": absent, "because": "range" });
         }
         match &absence.reason {
-            Reason::NotAFact => json!({ "absent": absent, "because": "not-a-fact" }),
-            Reason::NotLookedInto => json!({ "absent": absent, "because": "not-looked-into" }),
-            Reason::NoClause(misses) => {
+            AbsenceReason::NotAFact => json!({ "absent": absent, "because": "not-a-fact" }),
+            AbsenceReason::NotLookedInto => json!({ "absent": absent, "because": "not-looked-into" }),
+            AbsenceReason::NoClause(misses) => {
                 let clauses: Vec<serde_json::Value> = (misses.iter())
                     .map(|miss| {
                         let clause = &self.rules.clauses[miss.clause.index()];
@@ -330,7 +330,7 @@ impl<'a> Teller<'a> {
         format!("{file}:{}", self.sources.position(clause.span).line)
     }
 
-    /// A value as it is written: numbers in decimal, symbols bare where they read as names unless [`Teller::quoting`].
+    /// A value as it is written: numbers in decimal, symbols bare where they read as names unless [`ExplanationPrinter::quoting`].
     pub fn value(&self, value: Value, base: BaseType) -> String {
         match base {
             BaseType::Number => value.as_number().to_string(),
@@ -368,7 +368,7 @@ impl<'a> Teller<'a> {
     /// An atom of a predicate that is not unfolded.
     fn named_atom(&self, rel: RelId, arguments: &[String]) -> String {
         let arguments = arguments.join(", ");
-        match self.rules.relations.iter().find(|relation| relation.given == Some(rel)) {
+        match self.rules.relations.iter().find(|relation| relation.edb == Some(rel)) {
             Some(owner) => format!("given {}({arguments})", owner.name),
             None => format!("{}({arguments})", self.rules.relations[rel.index()].name),
         }
@@ -562,7 +562,7 @@ fn applied(functor: Functor, arguments: &[String]) -> String {
 
 /// A tree being drawn.
 struct Drawing<'a> {
-    teller: Teller<'a>,
+    teller: ExplanationPrinter<'a>,
     explanation: &'a Explanation,
     told: HashSet<NodeId>,
     /// The nodes that the present line stands below.
@@ -598,7 +598,7 @@ impl Drawing<'_> {
         let node = self.explanation.node(id);
         let relation = match node {
             Node::Absence(Absence {
-                reason: Reason::NotAFact,
+                reason: AbsenceReason::NotAFact,
                 ..
             }) => return,
             Node::Fact(fact) => fact.relation,
@@ -611,7 +611,7 @@ impl Drawing<'_> {
             item.text.push_str("  (that would rest on itself)");
         } else if !self.told.insert(id) {
             item.text.push_str("  (see above)");
-        } else if depth == Teller::DEPTH_MAX {
+        } else if depth == ExplanationPrinter::DEPTH_MAX {
             self.told.remove(&id);
             item.text.push_str("  ...");
         } else {
@@ -653,14 +653,14 @@ impl Drawing<'_> {
     fn misses(&mut self, absence: &Absence, depth: usize, item: &mut Item) {
         let relation = &self.teller.rules.relations[absence.relation.index()];
         match &absence.reason {
-            Reason::NotAFact => {}
-            Reason::NotLookedInto => item.text.push_str("  (not looked into)"),
-            Reason::NoClause(misses) if relation.hidden => {
+            AbsenceReason::NotAFact => {}
+            AbsenceReason::NotLookedInto => item.text.push_str("  (not looked into)"),
+            AbsenceReason::NoClause(misses) if relation.hidden => {
                 for miss in misses {
                     item.children.extend(self.failures(miss, depth));
                 }
             }
-            Reason::NoClause(misses) => {
+            AbsenceReason::NoClause(misses) => {
                 item.text = format!("{}: no clause of {} holds", item.text, relation.name);
                 for miss in misses {
                     let mut child = Item::leaf(self.teller.title(miss.clause));
@@ -722,8 +722,8 @@ impl Drawing<'_> {
                     match self.explanation.node(id) {
                         // The text says it already.
                         Node::Absence(Absence { reason, .. }) => match reason {
-                            Reason::NoClause(_) => self.below_absence(id, depth, &mut item),
-                            Reason::NotAFact | Reason::NotLookedInto => {}
+                            AbsenceReason::NoClause(_) => self.below_absence(id, depth, &mut item),
+                            AbsenceReason::NotAFact | AbsenceReason::NotLookedInto => {}
                         },
                         Node::Fact(Fact {
                             origin: Origin::Input, ..

@@ -8,14 +8,14 @@ use crate::datalog::value::Value;
 
 /// A set of rows whose words are below fixed bounds.
 #[derive(Debug)]
-pub(crate) struct Seen<const W: usize> {
+pub(crate) struct SeenBitmap<const W: usize> {
     /// By column: words are below it.
     bounds: [u32; W],
     /// By column: how far apart the bits of neighbours are.
     strides: [u64; W],
     /// Rows that were ever added.
     known: Vec<u64>,
-    /// Rows added since the last [`Seen::drain`]; empty until there are enough to make it worth while.
+    /// Rows added since the last [`SeenBitmap::drain`]; empty until there are enough to make it worth while.
     fresh: Vec<u64>,
 }
 
@@ -30,7 +30,7 @@ pub(crate) enum Added {
     Beyond,
 }
 
-impl<const W: usize> Seen<W> {
+impl<const W: usize> SeenBitmap<W> {
     /// Bytes that may be spent whatever the number of rows.
     const BYTES_FREE: u64 = 1 << 13;
 
@@ -52,7 +52,7 @@ impl<const W: usize> Seen<W> {
         if bits / 8 > count.saturating_mul(size_of::<Row<W>>() as u64).max(Self::BYTES_FREE) {
             return None;
         }
-        let mut seen = Seen {
+        let mut seen = SeenBitmap {
             bounds,
             strides,
             known: vec![0; usize::try_from(bits.div_ceil(64)).ok()?],
@@ -64,7 +64,7 @@ impl<const W: usize> Seen<W> {
 
     /// A set with the same bounds and the same known rows. New rows are kept as bits, which is also faster where most are known.
     pub(crate) fn fork(&self) -> Self {
-        Seen {
+        SeenBitmap {
             known: self.known.clone(),
             fresh: vec![0; self.known.len()],
             ..*self
@@ -243,7 +243,7 @@ mod tests {
             }))
         };
         let first: Vec<Row<W>> = (0..20).map(|_| row()).collect();
-        let mut seen = Seen::over(&first, [0; W], 1_000_000).expect("it fits");
+        let mut seen = SeenBitmap::over(&first, [0; W], 1_000_000).expect("it fits");
         let mut expected: BTreeSet<[u32; W]> = first.iter().map(|row| row.0.map(|word| word.0)).collect();
         for _ in 0..3 {
             let mut fresh = BTreeSet::new();
@@ -293,7 +293,7 @@ mod tests {
 
     #[test]
     fn sparse_rows_have_no_bits() {
-        let over = |words: [u32; 2], largest, count| Seen::over(&[Row(words.map(Value))], largest, count);
+        let over = |words: [u32; 2], largest, count| SeenBitmap::over(&[Row(words.map(Value))], largest, count);
         assert!(over([0, u32::MAX], [0, 0], 1000).is_none());
         assert!(over([100_000, 100_000], [0, 0], 1000).is_none());
         assert!(over([100, 100], [100_000, 100_000], 1000).is_none());

@@ -1,22 +1,22 @@
-//! `.disjoint`, `.implies`, `.irreflexive`, `.symmetric`: what the author promises of the facts of base predicates.
+//! `.disjoint`, `.implies`, `.irreflexive`, `.symmetric`: what the author constraints of the facts of base predicates.
 
 use crate::diag::{Code, Diagnostic, Faults, Span};
 
 use crate::datalog::check::names::Names;
-use crate::datalog::check::rules::{Constraint, Promise, RelId};
+use crate::datalog::check::rules::{Constraint, DeclaredConstraint, RelId};
 use crate::datalog::syntax::ast;
-use crate::datalog::syntax::ast::{Item, Name, PromiseKind};
+use crate::datalog::syntax::ast::{ConstraintKind, Item, Name};
 
-/// More promises are refused: `.disjoint` makes one of every pair.
+/// More constraints are refused: `.disjoint` makes one of every pair.
 const MAX_PROMISES: usize = 10_000;
 
-/// Looks names up and refuses promises that cannot be kept. The clauses must have been checked before, so that it is known what
+/// Looks names up and refuses constraints that cannot be kept. The clauses must have been checked before, so that it is known what
 /// is derived.
-pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> Vec<Promise> {
-    let mut promises = Vec::new();
+pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> Vec<DeclaredConstraint> {
+    let mut constraints = Vec::new();
     for item in items {
-        let Item::Promise(promise) = item else { continue };
-        let found: Vec<Option<RelId>> = (promise.names.iter())
+        let Item::Constraint(constraint) = item else { continue };
+        let found: Vec<Option<RelId>> = (constraint.names.iter())
             .map(|name| {
                 names
                     .predicate(name)
@@ -24,22 +24,22 @@ pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> V
             })
             .collect();
         let pairs: usize = found.len() * found.len().saturating_sub(1) / 2;
-        if promises.len() + pairs.max(found.len()) > MAX_PROMISES {
-            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too many promises")
-                .at(promise.place.0, "")
+        if constraints.len() + pairs.max(found.len()) > MAX_PROMISES {
+            let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too many constraints")
+                .at(constraint.place.0, "")
                 .note(format!(
                     "at most {MAX_PROMISES} are possible; `.disjoint` makes one of every pair"
                 ));
             faults.push(fault);
             break;
         }
-        let span = promise.place.0;
-        match promise.kind {
-            PromiseKind::Disjoint => {
-                for (later, name) in promise.names.iter().enumerate() {
+        let span = constraint.place.0;
+        match constraint.kind {
+            ConstraintKind::Disjoint => {
+                for (later, name) in constraint.names.iter().enumerate() {
                     for earlier in 0..later {
-                        if let Some((a, b)) = pair(found[earlier], found[later], promise, name, names, faults) {
-                            promises.push(Promise {
+                        if let Some((a, b)) = pair(found[earlier], found[later], constraint, name, names, faults) {
+                            constraints.push(DeclaredConstraint {
                                 constraint: Constraint::Disjoint(a, b),
                                 span,
                             });
@@ -47,40 +47,41 @@ pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> V
                     }
                 }
             }
-            PromiseKind::Implies => {
-                if let Some((a, b)) = pair(found[0], found[1], promise, &promise.names[1], names, faults) {
-                    promises.push(Promise {
+            ConstraintKind::Implies => {
+                if let Some((a, b)) = pair(found[0], found[1], constraint, &constraint.names[1], names, faults) {
+                    constraints.push(DeclaredConstraint {
                         constraint: Constraint::Implies(a, b),
                         span,
                     });
                 }
             }
-            PromiseKind::Irreflexive | PromiseKind::Symmetric => {
-                for (relation, name) in found.into_iter().zip(&promise.names) {
-                    let Some(relation) = relation.filter(|&relation| relates(relation, name, promise, names, faults))
+            ConstraintKind::Irreflexive | ConstraintKind::Symmetric => {
+                for (relation, name) in found.into_iter().zip(&constraint.names) {
+                    let Some(relation) =
+                        relation.filter(|&relation| relates(relation, name, constraint, names, faults))
                     else {
                         continue;
                     };
-                    let constraint = match promise.kind {
-                        PromiseKind::Symmetric => Constraint::Symmetric(relation),
+                    let constraint = match constraint.kind {
+                        ConstraintKind::Symmetric => Constraint::Symmetric(relation),
                         _ => Constraint::Irreflexive(relation),
                     };
-                    promises.push(Promise { constraint, span });
+                    constraints.push(DeclaredConstraint { constraint, span });
                 }
             }
         }
     }
-    promises
+    constraints
 }
 
 fn refuse(message: String, at: Span, relation: RelId, names: &Names) -> Diagnostic {
-    let fault = Diagnostic::new(Code::INVALID_PROMISE, message)
+    let fault = Diagnostic::new(Code::INVALID_CONSTRAINT, message)
         .at(at, "")
         .also(names.relation(relation).span, "declared here");
     fault.note(format!("the declaration is `{}`", names.signature_text(relation)))
 }
 
-/// Rules say what is true of a derived predicate; nobody need promise it.
+/// Rules say what is true of a derived predicate; nobody need constraint it.
 fn usable(relation: RelId, name: &Name, names: &Names, faults: &mut Faults) -> bool {
     let signature = &names.signatures[relation.index()];
     if names.relation(relation).derived && signature.input.is_some() {
@@ -89,7 +90,7 @@ fn usable(relation: RelId, name: &Name, names: &Names, faults: &mut Faults) -> b
     if names.relation(relation).derived {
         let message = format!("`{}` is derived, so what is true of it follows from rules", name.text);
         let fault = refuse(message, name.place.0, relation, names);
-        faults.push(fault.help("promises are about predicates that have facts only"));
+        faults.push(fault.help("constraints are about predicates that have facts only"));
         return false;
     }
     signature.columns.is_some()
@@ -99,13 +100,13 @@ fn usable(relation: RelId, name: &Name, names: &Names, faults: &mut Faults) -> b
 fn pair(
     first: Option<RelId>,
     second: Option<RelId>,
-    promise: &ast::Promise,
+    constraint: &ast::ConstraintDecl,
     name: &Name,
     names: &Names,
     faults: &mut Faults,
 ) -> Option<(RelId, RelId)> {
     let (first, second) = (first?, second?);
-    let kind = promise.kind.name();
+    let kind = constraint.kind.name();
     if first == second {
         let message = format!("`.{kind}` names `{}` twice", name.text);
         faults.push(refuse(message, name.place.0, second, names));
@@ -123,7 +124,7 @@ fn pair(
 }
 
 /// Whether the predicate relates things of one kind.
-fn relates(relation: RelId, name: &Name, promise: &ast::Promise, names: &Names, faults: &mut Faults) -> bool {
+fn relates(relation: RelId, name: &Name, constraint: &ast::ConstraintDecl, names: &Names, faults: &mut Faults) -> bool {
     let columns = &names.relation(relation).columns;
     let fits = match columns.as_slice() {
         [a, b] => names.meet(a.ty, b.ty).is_some(),
@@ -133,7 +134,7 @@ fn relates(relation: RelId, name: &Name, promise: &ast::Promise, names: &Names, 
         let message = format!(
             "`{}` cannot be {}: it has not two columns of one type",
             name.text,
-            promise.kind.name()
+            constraint.kind.name()
         );
         faults.push(refuse(message, name.place.0, relation, names));
     }

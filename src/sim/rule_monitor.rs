@@ -4,11 +4,13 @@
 //! depend on what it does ([`Conditions`]). Other rules are evaluated as they stand for what is wanted, and once more for each action that
 //! is judged, with the actions in all bodies replaced by inputs.
 
+use crate::city::Action;
 use crate::city::Agent;
-use crate::city::Speed;
 use crate::datalog;
 use crate::datalog::Program;
-use crate::datalog::dense::{Axis, Counting, Dense, Frame, Input, List, Pairs, Set, first, has, members};
+use crate::datalog::dense::{
+    Argument, BinaryFacts, BitState, Dense, Input, List, Set, TrackFirings, first, has, members,
+};
 use crate::datalog::{ClauseId, Literal, RelId, Rules};
 use crate::diag::Diagnostic;
 use crate::sim::executor::compile;
@@ -19,17 +21,17 @@ use crate::sim::window::Body;
 
 /// A clause that asks an action of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Demand {
+pub struct ActionConstraint {
     /// The clause.
     pub clause: ClauseId,
     /// The action of its head.
-    pub action: Speed,
+    pub action: Action,
 }
 
-/// The rules as far as they decide about one agent. Immutable; what changes is in a [`Verdict`].
+/// The rules as far as they decide about one agent. Immutable; what changes is in a [`Violations`].
 #[derive(Debug)]
-pub(super) struct Judge {
-    demands: Vec<Demand>,
+pub(super) struct RuleMonitor {
+    demands: Vec<ActionConstraint>,
     how: How,
 }
 
@@ -56,7 +58,7 @@ struct Conditions {
 #[derive(Debug)]
 struct Condition {
     clause: ClauseId,
-    action: Speed,
+    action: Action,
     /// The actions that must hold of the ego, and those that must not.
     given: Actions,
     refused: Actions,
@@ -88,25 +90,25 @@ struct DenseRules {
     dense: Dense,
     /// Of the predicate that is an input of the program: its place among those of the vocabulary and then the actions that are given.
     inputs: Vec<Option<(usize, bool)>>,
-    lists: Vec<(Option<usize>, Axis)>,
+    lists: Vec<(Option<usize>, Argument)>,
 }
 
 /// The action that a predicate is.
-fn action_of(vocabulary: &Vocabulary, relation: RelId) -> Option<Speed> {
-    (Speed::ALL.into_iter()).find(|&speed| vocabulary.action(speed) == Some(relation))
+fn action_of(vocabulary: &Vocabulary, relation: RelId) -> Option<Action> {
+    (Action::ALL.into_iter()).find(|&speed| vocabulary.action(speed) == Some(relation))
 }
 
 /// The rules with the actions in all bodies replaced by predicates that are given, which come last.
 fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option<RelId>; 4]) {
     let mut rules = rules.clone();
-    let given = Speed::ALL.map(|speed| {
+    let given = Action::ALL.map(|speed| {
         let action = vocabulary.action(speed)?;
         let place = RelId(u32::try_from(rules.relations.len()).expect("fewer than 2^32 predicates"));
         let relation = datalog::Relation {
             name: format!("+given {}", speed.name()),
             doc: format!("the action `{}` that is given", speed.name()),
             input: true,
-            given: None,
+            edb: None,
             output: false,
             printsize: false,
             derived: false,
@@ -133,7 +135,7 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
 }
 
 /// The clauses that ask an action. The default is none: a clause for it that looks only at the other actions and the ego itself.
-fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<Demand> {
+fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> {
     let sees = vocabulary.predicates[vocabulary.sees].relation;
     let is_default = |clause: &datalog::Clause| {
         clause.body.iter().all(|literal| match literal {
@@ -149,7 +151,7 @@ fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<Demand> {
     let demand = |(position, clause): (u32, &datalog::Clause)| {
         let action = action_of(vocabulary, clause.head.relation)?;
         let default = action == vocabulary.default_action() && is_default(clause);
-        (!clause.body.is_empty() && !default).then_some(Demand {
+        (!clause.body.is_empty() && !default).then_some(ActionConstraint {
             clause: ClauseId(position),
             action,
         })
@@ -159,9 +161,9 @@ fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<Demand> {
 
 impl Conditions {
     /// `None` if some body asks for an action otherwise than of the head's own agent, or the dense executor cannot evaluate the rules.
-    fn new(rules: &Rules, vocabulary: &Vocabulary, demands: &[Demand]) -> Option<Conditions> {
+    fn new(rules: &Rules, vocabulary: &Vocabulary, demands: &[ActionConstraint]) -> Option<Conditions> {
         // Not all rules that can be evaluated without the actions in their bodies can be with them.
-        compile(rules, vocabulary, Counting::Off).ok()?;
+        compile(rules, vocabulary, TrackFirings::Off).ok()?;
         let mut others = rules.clone();
         let mut clauses = Vec::new();
         for id in rules.strata.iter().flat_map(|stratum| &stratum.clauses) {
@@ -205,7 +207,7 @@ impl Conditions {
                 None => return None,
             }
         }
-        let rules = DenseRules::new(&others, vocabulary, [None; 4], Counting::Each)?;
+        let rules = DenseRules::new(&others, vocabulary, [None; 4], TrackFirings::Each)?;
         Some(Conditions {
             rules: Box::new(rules),
             clauses,
@@ -213,7 +215,7 @@ impl Conditions {
     }
 
     /// Finds out which conditions hold, unless that is known.
-    fn evaluate(&self, frame: &mut Frame<1>, held: &mut Vec<usize>, known: &mut bool, observed: Observed<'_>) {
+    fn evaluate(&self, frame: &mut BitState<1>, held: &mut Vec<usize>, known: &mut bool, observed: Observed<'_>) {
         if *known {
             return;
         }
@@ -241,7 +243,7 @@ impl Conditions {
     }
 
     /// Collects the demands that an action breaks, in ascending order.
-    fn broken(&self, held: &[usize], action: Speed, broken: &mut Vec<usize>) {
+    fn violations(&self, held: &[usize], action: Action, broken: &mut Vec<usize>) {
         let given = [action].into_iter().collect();
         let conditions = held.iter().map(|&position| &self.clauses[position]);
         let refusing = conditions.filter(|condition| condition.action != action && condition.allows(given));
@@ -256,7 +258,7 @@ impl DenseRules {
         rules: &Rules,
         vocabulary: &Vocabulary,
         given: [Option<RelId>; 4],
-        counting: Counting,
+        counting: TrackFirings,
     ) -> Option<DenseRules> {
         let dense = compile(rules, vocabulary, counting).ok()?;
         let bound = vocabulary.predicates.iter().map(|predicate| predicate.relation);
@@ -276,7 +278,7 @@ impl DenseRules {
     }
 
     /// Evaluates them for the first entity.
-    fn run(&self, frame: &mut Frame<1>, observed: Observed<'_>) {
+    fn run(&self, frame: &mut BitState<1>, observed: Observed<'_>) {
         let (atoms, count) = (observed.atoms, observed.bodies.len());
         if frame.count() != count {
             frame.reset(&self.dense, count);
@@ -298,7 +300,7 @@ impl DenseRules {
 }
 
 impl Evaluator {
-    fn new(program: Program, vocabulary: &Vocabulary, given: [Option<RelId>; 4], counting: Counting) -> Evaluator {
+    fn new(program: Program, vocabulary: &Vocabulary, given: [Option<RelId>; 4], counting: TrackFirings) -> Evaluator {
         if let Some(rules) = DenseRules::new(program.rules(), vocabulary, given, counting) {
             return Evaluator::Dense(Box::new(rules));
         }
@@ -312,10 +314,10 @@ impl Evaluator {
     }
 }
 
-impl Judge {
+impl RuleMonitor {
     /// # Errors
     /// Rules that cannot be planned.
-    pub fn new(program: &Program, vocabulary: &Vocabulary) -> Result<Judge, Diagnostic> {
+    pub fn new(program: &Program, vocabulary: &Vocabulary) -> Result<RuleMonitor, Diagnostic> {
         let rules = program.rules();
         let demands = demands(rules, vocabulary);
         let how = match Conditions::new(rules, vocabulary, &demands) {
@@ -323,16 +325,16 @@ impl Judge {
             None => {
                 let (judged, given) = with_actions_given(rules, vocabulary);
                 How::Twice {
-                    wanted: Evaluator::new(program.clone(), vocabulary, [None; 4], Counting::Off),
-                    judged: Evaluator::new(Program::new(judged)?, vocabulary, given, Counting::Each),
+                    wanted: Evaluator::new(program.clone(), vocabulary, [None; 4], TrackFirings::Off),
+                    judged: Evaluator::new(Program::new(judged)?, vocabulary, given, TrackFirings::Each),
                 }
             }
         };
-        Ok(Judge { demands, how })
+        Ok(RuleMonitor { demands, how })
     }
 
     /// The clauses that ask an action, in the order of the text. The default is not among them.
-    pub fn demands(&self) -> &[Demand] {
+    pub fn demands(&self) -> &[ActionConstraint] {
         &self.demands
     }
 }
@@ -357,16 +359,16 @@ impl Atoms {
 /// Answers what a dense program asks about pairs.
 struct Related<'a> {
     atoms: &'a Atoms,
-    lists: &'a [(Option<usize>, Axis)],
+    lists: &'a [(Option<usize>, Argument)],
 }
 
-impl Pairs<1> for Related<'_> {
+impl BinaryFacts<1> for Related<'_> {
     #[inline]
     fn narrow(&self, list: usize, at: usize, among: Set<1>) -> Set<1> {
         match self.lists[list] {
             (None, _) => [0],
-            (Some(predicate), Axis::Second) => [among[0] & self.atoms.row(predicate, at)],
-            (Some(predicate), Axis::First) => {
+            (Some(predicate), Argument::Second) => [among[0] & self.atoms.row(predicate, at)],
+            (Some(predicate), Argument::First) => {
                 let related = |first: &usize| self.atoms.row(predicate, *first) >> at & 1 != 0;
                 [members(&among).filter(related).fold(0, |set, first| set | 1 << first)]
             }
@@ -382,7 +384,7 @@ pub(super) struct Observed<'a> {
     pub bodies: &'a [Body],
     pub agents: &'a [Agent],
     /// What the ego does, where that is an input.
-    pub given: Option<Speed>,
+    pub given: Option<Action>,
     /// Whether to give up.
     pub stop: &'a dyn Fn() -> bool,
 }
@@ -412,10 +414,10 @@ impl Observed<'_> {
     }
 }
 
-/// What a [`Judge`] says at a moment.
-pub(super) enum Verdict {
+/// What a [`RuleMonitor`] says at a moment.
+pub(super) enum Violations {
     Once {
-        frame: Box<Frame<1>>,
+        frame: Box<BitState<1>>,
         /// The conditions that hold, by position.
         held: Vec<usize>,
         /// Whether they are those of the present moment.
@@ -428,14 +430,14 @@ pub(super) enum Verdict {
 }
 
 pub(super) enum State {
-    Dense(Box<Frame<1>>),
+    Dense(Box<BitState<1>>),
     Relational(Option<Box<GroundState>>),
 }
 
 impl State {
     fn new(evaluator: &Evaluator) -> State {
         match evaluator {
-            Evaluator::Dense(rules) => State::Dense(Box::new(Frame::new(&rules.dense, 0))),
+            Evaluator::Dense(rules) => State::Dense(Box::new(BitState::new(&rules.dense, 0))),
             Evaluator::Relational { .. } => State::Relational(None),
         }
     }
@@ -465,11 +467,11 @@ impl State {
     fn derived(&self, evaluator: &Evaluator, vocabulary: &Vocabulary, ego: usize) -> Actions {
         match (self, evaluator) {
             (State::Dense(frame), Evaluator::Dense(rules)) => {
-                let holds = |speed: &Speed| {
+                let holds = |speed: &Action| {
                     let relation = vocabulary.action(*speed);
                     relation.is_some_and(|action| frame.set(&rules.dense, action).is_some_and(|set| has(set, 0)))
                 };
-                Speed::ALL.into_iter().filter(holds).collect()
+                Action::ALL.into_iter().filter(holds).collect()
             }
             (State::Relational(Some(state)), _) => state.derived(vocabulary, ego),
             _ => unreachable!("it has been evaluated"),
@@ -491,15 +493,15 @@ impl State {
     }
 }
 
-impl Verdict {
-    pub fn new(judge: &Judge) -> Verdict {
+impl Violations {
+    pub fn new(judge: &RuleMonitor) -> Violations {
         match &judge.how {
-            How::Once(conditions) => Verdict::Once {
-                frame: Box::new(Frame::new(&conditions.rules.dense, 0)),
+            How::Once(conditions) => Violations::Once {
+                frame: Box::new(BitState::new(&conditions.rules.dense, 0)),
                 held: Vec::with_capacity(conditions.clauses.len()),
                 known: false,
             },
-            How::Twice { wanted, judged } => Verdict::Twice {
+            How::Twice { wanted, judged } => Violations::Twice {
                 wanted: State::new(wanted),
                 judged: State::new(judged),
             },
@@ -508,7 +510,7 @@ impl Verdict {
 
     /// Takes note that the facts are others.
     pub fn forget(&mut self) {
-        if let Verdict::Once { known, .. } = self {
+        if let Violations::Once { known, .. } = self {
             *known = false;
         }
     }
@@ -519,17 +521,17 @@ impl Verdict {
     /// `limit-exceeded` for rules that derive too much.
     pub fn derived(
         &mut self,
-        judge: &Judge,
+        judge: &RuleMonitor,
         vocabulary: &Vocabulary,
         observed: Observed<'_>,
     ) -> Result<Actions, Diagnostic> {
         let ego = observed.bodies[0].agent as usize;
         match (self, &judge.how) {
-            (Verdict::Once { frame, held, known }, How::Once(conditions)) => {
+            (Violations::Once { frame, held, known }, How::Once(conditions)) => {
                 conditions.evaluate(frame, held, known, observed);
                 Ok(conditions.derived(held))
             }
-            (Verdict::Twice { wanted: state, .. }, How::Twice { wanted, .. }) => {
+            (Violations::Twice { wanted: state, .. }, How::Twice { wanted, .. }) => {
                 state.run(wanted, observed)?;
                 Ok(state.derived(wanted, vocabulary, ego))
             }
@@ -541,25 +543,26 @@ impl Verdict {
     ///
     /// # Errors
     /// `limit-exceeded` for rules that derive too much.
-    pub fn broken(
+    pub fn violations(
         &mut self,
-        judge: &Judge,
+        judge: &RuleMonitor,
         observed: Observed<'_>,
-        action: Speed,
+        action: Action,
         broken: &mut Vec<usize>,
     ) -> Result<(), Diagnostic> {
         let ego = observed.bodies[0].agent as usize;
         broken.clear();
         match (self, &judge.how) {
-            (Verdict::Once { frame, held, known }, How::Once(conditions)) => {
+            (Violations::Once { frame, held, known }, How::Once(conditions)) => {
                 conditions.evaluate(frame, held, known, observed);
-                conditions.broken(held, action, broken);
+                conditions.violations(held, action, broken);
             }
-            (Verdict::Twice { judged: state, .. }, How::Twice { judged, .. }) => {
+            (Violations::Twice { judged: state, .. }, How::Twice { judged, .. }) => {
                 let given = Some(action);
                 state.run(judged, Observed { given, ..observed })?;
                 let demands = judge.demands.iter().enumerate();
-                let holds = |demand: &Demand| demand.action != action && state.fired(judged, demand.clause, ego);
+                let holds =
+                    |demand: &ActionConstraint| demand.action != action && state.fired(judged, demand.clause, ego);
                 broken.extend(
                     demands
                         .filter(|(_, demand)| holds(demand))

@@ -1,6 +1,6 @@
 //! Changes of a relation that the next commit makes.
 
-use crate::datalog::eval::table::{Net, Table};
+use crate::datalog::eval::table::{Table, TableDelta};
 use crate::datalog::row::{Row, normalise};
 use crate::datalog::value::Value;
 use std::sync::Arc;
@@ -10,16 +10,16 @@ use std::sync::Arc;
 /// Facts mostly come by themselves and into a relation that has none. So as long as no row is to go, the rows that come are a
 /// plain list, which becomes the relation's own.
 #[derive(Debug, Default)]
-pub(crate) struct Noted<const W: usize> {
+pub(crate) struct PendingChanges<const W: usize> {
     coming: Vec<Row<W>>,
     /// All changes, if a row is to go; then `coming` is empty.
     changes: Vec<(Row<W>, bool)>,
 }
 
-impl<const W: usize> Noted<W> {
+impl<const W: usize> PendingChanges<W> {
     /// These rows are to come.
     pub(crate) fn of(rows: Vec<Row<W>>) -> Self {
-        Noted {
+        PendingChanges {
             coming: rows,
             changes: Vec::new(),
         }
@@ -76,8 +76,8 @@ impl<const W: usize> Noted<W> {
     }
 
     /// What the changes add to a table and remove from it, and its rows afterwards, if it is anything. If the table is empty, the
-    /// rows are taken out of here and are to be [put back](Noted::put_back) when the commit fails.
-    pub(crate) fn apply(&mut self, table: &Table<W>) -> Option<(Net<W>, Arc<Vec<Row<W>>>)> {
+    /// rows are taken out of here and are to be [put back](PendingChanges::put_back) when the commit fails.
+    pub(crate) fn apply(&mut self, table: &Table<W>) -> Option<(TableDelta<W>, Arc<Vec<Row<W>>>)> {
         normalise(&mut self.coming);
         settle(&mut self.changes);
         if !self.changes.is_empty() {
@@ -89,7 +89,7 @@ impl<const W: usize> Noted<W> {
         let mut rows = std::mem::take(&mut self.coming);
         rows.shrink_to_fit();
         let rows = Arc::new(rows);
-        (!rows.is_empty()).then(|| (Net::between(&[], &rows), rows))
+        (!rows.is_empty()).then(|| (TableDelta::between(&[], &rows), rows))
     }
 
     /// These are the rows that were taken.
