@@ -228,7 +228,7 @@ fn a_batch_of_crowds_goes_as_single_ones_do() {
 
 /// Windows of 64 words, and more agents around one place than are looked at together.
 #[test]
-fn crowds_have_a_limit() {
+fn slow_crowds_have_a_limit() {
     let fits = world("vap-hard", None, |scenario| multiply(scenario, 100));
     let mut fits = simulation(&fits, Executor::Dense, 1);
     let everything = world("vap-hard", None, |scenario| {
@@ -278,7 +278,7 @@ fn crowds_have_a_limit() {
 
 /// Everybody sees everybody: windows of several words, up to what is asked of about 300 entities in view.
 #[test]
-fn executors_agree_about_many_entities_in_view() {
+fn slow_executors_agree_about_many_entities_in_view() {
     for times in [4, 9, 17] {
         let world = world("expert", None, |scenario| {
             multiply(scenario, times);

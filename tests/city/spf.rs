@@ -303,7 +303,7 @@ fn random_clauses(random: &mut impl RngExt) -> String {
 
 /// What random clauses want and what breaks them is the same in one evaluation, in two, by the relational executor and by the definitions.
 #[test]
-fn random_clauses_are_judged_as_defined() {
+fn slow_random_clauses_are_judged_as_defined() {
     const CASES: u64 = 48;
     let shipped = task("expert", None);
     let cities: Vec<Simulation> = (0..4)
