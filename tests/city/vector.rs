@@ -93,11 +93,46 @@ fn compare(config: &str, split: Split, view: ObservationKind, autoreset: Autores
 /// 10^4 steps for each way to go on after an end.
 #[test]
 fn slow_a_batch_goes_as_its_members_would_alone() {
-    compare("expert", Split::Train, ObservationKind::Atoms, Autoreset::NextStep, 1, 10_000);
-    compare("expert", Split::Train, ObservationKind::Points, Autoreset::SameStep, 3, 10_000);
-    compare("expert", Split::Train, ObservationKind::Atoms, Autoreset::Disabled, 2, 10_000);
-    compare("medium", Split::Test, ObservationKind::Atoms, Autoreset::SameStep, 1, 10_000);
-    compare("medium", Split::Test, ObservationKind::Points, Autoreset::NextStep, 2, 10_000);
+    compare(
+        "expert",
+        Split::Train,
+        ObservationKind::Groundings,
+        Autoreset::NextStep,
+        1,
+        10_000,
+    );
+    compare(
+        "expert",
+        Split::Train,
+        ObservationKind::State,
+        Autoreset::SameStep,
+        3,
+        10_000,
+    );
+    compare(
+        "expert",
+        Split::Train,
+        ObservationKind::Groundings,
+        Autoreset::Disabled,
+        2,
+        10_000,
+    );
+    compare(
+        "medium",
+        Split::Test,
+        ObservationKind::Groundings,
+        Autoreset::SameStep,
+        1,
+        10_000,
+    );
+    compare(
+        "medium",
+        Split::Test,
+        ObservationKind::State,
+        Autoreset::NextStep,
+        2,
+        10_000,
+    );
 }
 
 #[test]
