@@ -2,11 +2,12 @@
 
 use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, load_texts, report};
+use crate::datalog::diff::{Cut, Violations};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{ClauseId, Edb, RelId, Rules};
 use crate::datalog::{Program, dense, optimize};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
-use crate::sim::{Coverage, ENTITIES_MAX, Finding, Overlap, conflicts};
+use crate::sim::{CONFLICT_EFFORT, Coverage, Finding, Overlap, conflicts, scene_json};
 use serde_json::json;
 use std::collections::HashSet;
 use std::io::{self, Write};
@@ -117,7 +118,7 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
     if arguments.lints {
         report.unfinished.extend(lints.unfinished);
     }
-    report.overlaps = conflicts(&program);
+    report.overlaps = conflicts(&program)?;
     if let Some(trace) = &arguments.coverage {
         report.covered = Some(measure(arguments, trace, path, sources)?);
     }
@@ -229,15 +230,15 @@ fn tell_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sour
                     out,
                     "  conflicts: {first} and {second} can be derived together, as in this scene:"
                 )?;
-                writeln!(out, "    {}", scene.to_json())?;
+                writeln!(out, "    {}", scene_json(scene))?;
                 writeln!(out, "    {first} by {a}\n    {second} by {b}")?;
                 told = true;
             }
-            Finding::NotFound { scenes, cut } => {
-                let bound = format!("{scenes} scenes of up to {ENTITIES_MAX} agents");
-                writeln!(out, "  conflicts: none found for {first} and {second} in {bound}")?;
-                for cut in cut {
-                    writeln!(out, "    these are not all, since {}", cut.reason())?;
+            Finding::NotFound(verdict) => {
+                let searched = searched(verdict);
+                writeln!(out, "  conflicts: none found for {first} and {second} in {searched}")?;
+                for reason in unproved(verdict) {
+                    writeln!(out, "    this is no proof: {reason}")?;
                 }
                 told = true;
             }
@@ -247,6 +248,49 @@ fn tell_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sour
         writeln!(out, "  conflicts: none")?;
     }
     Ok(())
+}
+
+fn agents(count: usize) -> String {
+    format!("{count} {}", if count == 1 { "agent" } else { "agents" })
+}
+
+/// The scenes in which a search found nothing.
+fn searched(verdict: &Violations) -> String {
+    match verdict {
+        Violations::NoneFound { entities: None, .. } => "no scene, not even the smallest".to_owned(),
+        Violations::NoneFound {
+            entities: Some(most), ..
+        }
+        | Violations::Equivalent { entities: most } => {
+            format!("all scenes of up to {}", agents(*most))
+        }
+        Violations::NoneTried { scenes, .. } => format!("{scenes} scenes"),
+        Violations::Different(_) => String::new(),
+    }
+}
+
+/// Why a search that found nothing is no proof.
+fn unproved(verdict: &Violations) -> Vec<String> {
+    match verdict {
+        Violations::NoneFound { proof, cut, .. } => {
+            let needed = match proof {
+                Some(needed) => format!("larger scenes, up to {}, may show a conflict", agents(*needed)),
+                None => "no number of agents is known to suffice for one".to_owned(),
+            };
+            let cuts = cut.iter().map(|cut| match cut {
+                Cut::Effort => format!("the search reached its limit of {CONFLICT_EFFORT} dead ends"),
+                Cut::Size => {
+                    "larger scenes have too many possible facts, or facts too many ways to be derived".to_owned()
+                }
+                Cut::Proof => "the rules are too many to compute how many agents suffice for one".to_owned(),
+            });
+            [needed].into_iter().chain(cuts).collect()
+        }
+        Violations::NoneTried { .. } => {
+            vec!["rules with expressions, aggregates, floats or unsigned numbers are tried scene by scene".to_owned()]
+        }
+        Violations::Equivalent { .. } | Violations::Different(_) => Vec::new(),
+    }
 }
 
 fn overlaps_json(overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> serde_json::Value {
@@ -259,14 +303,13 @@ fn overlaps_json(overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> serd
                 "actions": actions,
                 "finding": "together",
                 "clauses": clauses.map(|clause| teller.clause_json(clause)),
-                "scene": scene.to_json(),
+                "scene": scene_json(scene),
             }),
-            Finding::NotFound { scenes, cut } => json!({
+            Finding::NotFound(verdict) => json!({
                 "actions": actions,
                 "finding": "not-found",
-                "scenes": scenes,
-                "all": cut.is_empty(),
-                "because": cut.iter().map(|cut| cut.reason()).collect::<Vec<_>>(),
+                "searched": searched(verdict),
+                "because": unproved(verdict),
             }),
         }
     });

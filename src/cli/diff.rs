@@ -3,7 +3,8 @@
 use crate::cli::{Failure, load_program, report};
 use crate::datalog::diff::{Cut, Difference, Equivalence, Options, diff};
 use crate::diag::Sources;
-use serde_json::{Map, Value, json};
+use crate::sim::scene_json;
+use serde_json::{Value, json};
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -40,6 +41,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         predicates: arguments.predicates.clone(),
         entities_max: arguments.entities,
         conflicts_max: arguments.effort,
+        ..Options::default()
     };
     let verdict = diff(left.rules(), right.rules(), &options)?;
 
@@ -52,7 +54,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
             out,
             "{}",
             if arguments.scene {
-                scene(difference).to_string()
+                scene_json(difference).to_string()
             } else {
                 told(difference, &names)
             }
@@ -124,7 +126,7 @@ fn told(difference: &Difference, names: &[String; 2]) -> String {
     };
     let mut text = format!(
         "different; {size} that shows it, ready for `logicity infer`:\n{}\n",
-        scene(difference)
+        scene_json(difference)
     );
     for scope in &difference.everybody_sees {
         text += &format!("everybody is in `{scope}` with everybody\n");
@@ -141,20 +143,6 @@ fn told(difference: &Difference, names: &[String; 2]) -> String {
     }
     text.truncate(text.trim_end().len());
     text
-}
-
-/// The scene in the format of `logicity infer`.
-fn scene(difference: &Difference) -> Value {
-    let facts: Map<String, Value> = (difference.facts.iter())
-        .map(|(name, rows)| {
-            let rows = rows.iter().map(|row| match row.as_slice() {
-                [only] => json!(only),
-                row => json!(row),
-            });
-            (name.clone(), rows.collect())
-        })
-        .collect();
-    json!({ "entities": difference.entities, "ego": difference.entities.first(), "facts": facts })
 }
 
 fn to_json(verdict: &Equivalence) -> Value {
@@ -180,7 +168,7 @@ fn to_json(verdict: &Equivalence) -> Value {
             json!({
                 "verdict": "different",
                 "smallest": difference.smallest,
-                "scene": scene(difference),
+                "scene": scene_json(difference),
                 "everybody_sees": difference.everybody_sees,
                 "left": derived(&difference.derived[0]),
                 "right": derived(&difference.derived[1]),

@@ -25,7 +25,7 @@ mod window;
 mod world;
 
 pub use codes::CODES;
-pub use conflict::{Cut, ENTITIES_MAX, Example, Finding, Overlap, SCENES_MAX, conflicts};
+pub use conflict::{CONFLICT_EFFORT, Finding, Overlap, conflicts, scene_json};
 pub use coverage::{ClauseCoverage, Coverage};
 pub use deadlock::{DeadlockReport, LOOK_TICKS, STUCK_TICKS, WaitsFor, standstill, waits};
 pub use executor::{CROWD_MAX, Executor, WHOLE_MAX};

@@ -13,10 +13,14 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 /// The circuit would be larger than allowed.
 pub(super) struct TooLarge;
 
-/// The rows of a scope: given like those of any predicate, or everybody sees everybody.
+/// The rows of a scope.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ScopeRows {
+    /// Every entity sees every other and itself.
     Full,
+    /// Every entity sees itself; other rows may be any.
+    Selves,
+    /// Any rows, like those of another predicate.
     Free,
 }
 
@@ -219,7 +223,12 @@ impl<'a> Circuit<'a> {
         let Some(base) = program.base[relation.index()] else {
             return Ok(!self.yes);
         };
-        if self.view == ScopeRows::Full && program.scopes.contains(&relation) {
+        let sees = match self.view {
+            ScopeRows::Full => true,
+            ScopeRows::Selves => row.iter().all(|&entity| entity == row[0]),
+            ScopeRows::Free => false,
+        };
+        if sees && program.scopes.contains(&relation) {
             return Ok(self.yes);
         }
         let key = (base, row.to_vec());

@@ -17,7 +17,7 @@ mod sat;
 mod trial;
 
 use crate::datalog::check::subsumption::within_theory;
-use crate::datalog::check::{Clause, Literal, RelId, Rules, Term};
+use crate::datalog::check::{Clause, Constraint, Literal, RelId, Rules, Term};
 use crate::datalog::naive;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::Value;
@@ -36,6 +36,10 @@ pub struct Options {
     pub entities_max: usize,
     /// How many dead ends the search may meet; it bounds the time without a clock.
     pub conflicts_max: u64,
+    /// How many literals of scenes of all sizes together may be looked at; it bounds time and memory.
+    pub literals_max: usize,
+    /// Whether every entity of a scene sees itself in every scope.
+    pub self_sight: bool,
 }
 
 impl Default for Options {
@@ -44,6 +48,8 @@ impl Default for Options {
             predicates: Vec::new(),
             entities_max: 12,
             conflicts_max: 500_000,
+            literals_max: 12_000_000,
+            self_sight: false,
         }
     }
 }
@@ -164,8 +170,8 @@ struct Output {
 /// More literals than this are not looked at for scenes of one size.
 const ROOM: usize = 3_000_000;
 
-/// Nor more than this for scenes of all sizes together.
-const ROOM_IN_ALL: usize = 12_000_000;
+/// Scenes from a circuit of rules that have clauses without one.
+const MODELS_MAX: usize = 4;
 
 /// Compares two sets of rules.
 ///
@@ -175,11 +181,23 @@ const ROOM_IN_ALL: usize = 12_000_000;
 pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalence, Vec<Diagnostic>> {
     let base = shared_base(left, right)?;
     let outputs = outputs(left, right, options)?;
-    if !(speaks(left) && speaks(right)) {
-        return trial::search([left, right], &base, &outputs, options);
-    }
-    let sides = [left, right].map(|rules| side(rules, &base));
+    let rules = [left, right];
+    let sides = rules.map(|rules| side(rules, &base));
     let sides = [&sides[0], &sides[1]];
+    let mut left = Left {
+        conflicts: options.conflicts_max,
+        room: options.literals_max,
+    };
+    let scoped = sides.iter().any(|side| !side.scopes.is_empty());
+    let open = match options.self_sight {
+        true => ScopeRows::Selves,
+        false => ScopeRows::Free,
+    };
+    let views: &[ScopeRows] = if scoped { &[ScopeRows::Full, open] } else { &[open] };
+    if !rules.into_iter().all(speaks) {
+        let models = models(sides, &outputs, options.entities_max, views[0], &mut left);
+        return trial::search(rules, &base, &outputs, options, &models);
+    }
 
     // In the order of evaluation, so that an output's bound can use that earlier ones are equal.
     let mut order: Vec<&Output> = outputs.iter().collect();
@@ -196,25 +214,21 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     }
 
     let last = proof.map_or(options.entities_max, |proof| proof.min(options.entities_max));
-    let mut left = Left {
-        conflicts: options.conflicts_max,
-        room: ROOM_IN_ALL,
-    };
-    let scoped = sides.iter().any(|side| !side.scopes.is_empty());
-    let views: &[ScopeRows] = if scoped {
-        &[ScopeRows::Full, ScopeRows::Free]
-    } else {
-        &[ScopeRows::Free]
-    };
     let mut seen_all = Some(last);
     let mut cut = BTreeSet::new();
     if proof.is_none() && room == 0 {
         cut.insert(Cut::Proof);
     }
-    for &view in views {
+    for (&view, views) in views.iter().zip((1..=views.len()).rev()) {
+        // A view that needs too much leaves the others their share.
+        let mut share = Left {
+            conflicts: left.conflicts / views as u64,
+            room: left.room / views,
+        };
+        (left.conflicts, left.room) = (left.conflicts - share.conflicts, left.room - share.room);
         for entities in 0..=last {
-            match search(sides, &base, &outputs, entities, view, &mut left) {
-                Ok(Some(difference)) => return Ok(Equivalence::Different(difference)),
+            match search(sides, &outputs, entities, view, &mut share) {
+                Ok(Some(model)) => return Ok(Equivalence::Different(tell(sides, &base, &outputs, view, &model))),
                 Ok(None) => {}
                 Err(why) => {
                     cut.insert(why);
@@ -223,6 +237,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
                 }
             }
         }
+        (left.conflicts, left.room) = (left.conflicts + share.conflicts, left.room + share.room);
     }
     Ok(match (proof, seen_all) {
         (Some(entities), Some(seen_all)) if entities <= seen_all => Equivalence::Equivalent { entities },
@@ -232,6 +247,20 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
             cut: cut.into_iter().collect(),
         },
     })
+}
+
+/// Scenes of various sizes that would show a difference if no clause with an expression, an aggregate or a test of texts ever fired. Another
+/// search may begin with them.
+fn models(
+    sides: [&Side<'_>; 2],
+    outputs: &[Output],
+    entities_max: usize,
+    view: ScopeRows,
+    effort: &mut Left,
+) -> Vec<Model> {
+    let found = (0..=entities_max).map(|entities| search(sides, outputs, entities, view, effort));
+    let found = found.map_while(Result::ok).flatten();
+    found.take(MODELS_MAX).collect()
 }
 
 /// Whether the rules have neither expressions nor aggregates, and no columns of floats or unsigned numbers.
@@ -288,6 +317,33 @@ fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>
         }
     }
     if faults.is_empty() { Ok(base) } else { Err(faults) }
+}
+
+/// The base predicates that decide about the outputs: those that their clauses read, and those that constraints then ask for.
+fn relevant(rules: [&Rules; 2], base: &[Base], outputs: &[Output]) -> BTreeSet<usize> {
+    let mut relevant = BTreeSet::new();
+    for (side, rules) in rules.into_iter().enumerate() {
+        let mut reads = vec![Vec::new(); rules.relations.len()];
+        for clause in &rules.clauses {
+            let atoms = clause.body.iter().filter_map(Literal::atom);
+            reads[clause.head.relation.index()].extend(atoms.map(|atom| atom.relation));
+        }
+        for constraint in &rules.constraints {
+            if let Constraint::Implies(one, other) = constraint.constraint {
+                reads[one.index()].push(other);
+            }
+        }
+        let mut open: Vec<RelId> = outputs.iter().map(|output| output.ids[side]).collect();
+        let mut seen = BTreeSet::new();
+        while let Some(relation) = open.pop() {
+            if seen.insert(relation) {
+                open.extend(&reads[relation.index()]);
+                let name = &rules.relations[relation.index()].name;
+                relevant.extend(base.iter().position(|base| base.name == *name));
+            }
+        }
+    }
+    relevant
 }
 
 fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>, Vec<Diagnostic>> {
@@ -384,18 +440,29 @@ struct Left {
     room: usize,
 }
 
+/// A scene in numbers.
+struct Model {
+    individuals: Vec<Individual>,
+    /// How many of the individuals are entities.
+    entities: usize,
+    /// The output row that differs.
+    row: Vec<usize>,
+    facts: Vec<BaseFact>,
+    /// See [`Difference::smallest`].
+    smallest: bool,
+}
+
 /// A scene of that size that shows a difference, if there is one.
 ///
 /// # Errors
 /// Why that could not be settled.
 fn search(
     sides: [&Side<'_>; 2],
-    base: &[Base],
     outputs: &[Output],
     entities: usize,
     view: ScopeRows,
     effort: &mut Left,
-) -> Result<Option<Difference>, Cut> {
+) -> Result<Option<Model>, Cut> {
     let individuals = individuals(sides, entities);
     let [left, right] = sides.map(|side| Side {
         rules: side.rules,
@@ -424,24 +491,20 @@ fn search(
         Outcome::Satisfiable => {}
     }
     let smallest = shrink(&mut circuit, &mut effort.conflicts);
-    let asked = questions
-        .iter()
+    let asked = (questions.into_iter())
         .find(|question| circuit.solver.is_true(question.differs))
         .ok_or(Cut::Effort)?;
     let facts: Vec<BaseFact> = (circuit.atoms.iter())
         .filter(|(_, lit)| circuit.solver.is_true(**lit))
         .map(|(fact, _)| fact.clone())
         .collect();
-    Ok(Some(tell(
-        sides,
-        base,
-        outputs,
-        &individuals,
-        view,
-        &asked.row,
-        &facts,
+    Ok(Some(Model {
+        row: asked.row,
+        facts,
         smallest,
-    )))
+        entities,
+        individuals,
+    }))
 }
 
 /// The entities, which nothing tells apart, then the constants of both sides; numbers only where there are any.
@@ -609,17 +672,25 @@ fn shrink(circuit: &mut Circuit<'_>, conflicts: &mut u64) -> bool {
 }
 
 /// The scene in words, and what each side derives in it by the specification.
-#[allow(clippy::too_many_arguments)]
-fn tell(
-    sides: [&Side<'_>; 2],
-    base: &[Base],
-    outputs: &[Output],
-    individuals: &[Individual],
-    view: ScopeRows,
-    asked: &[usize],
-    facts: &[BaseFact],
-    smallest: bool,
-) -> Difference {
+fn tell(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: ScopeRows, model: &Model) -> Difference {
+    let individuals = &model.individuals;
+    let mut facts = model.facts.clone();
+    // A scope that is not complete has exactly the rows that are given, even if there are none.
+    let scopes = sides
+        .iter()
+        .flat_map(|side| side.scopes.iter().filter_map(|scope| side.base[scope.index()]));
+    let open: BTreeSet<usize> = scopes.filter(|_| view != ScopeRows::Full).collect();
+    if view == ScopeRows::Selves {
+        let symbols = |&index: &usize| individuals[index].base() == BaseType::Symbol;
+        for &scope in &open {
+            facts.extend(
+                (0..individuals.len())
+                    .filter(symbols)
+                    .map(|index| (scope, vec![index, index])),
+            );
+        }
+        facts.sort();
+    }
     let mut everybody_sees: Vec<String> = Vec::new();
     if view == ScopeRows::Full {
         for side in sides {
@@ -632,7 +703,7 @@ fn tell(
         }
     }
     // Entities are all named, since the view may range over them; constants where they occur.
-    let mut order: Vec<usize> = asked.to_vec();
+    let mut order: Vec<usize> = model.row.clone();
     order.extend((0..individuals.len()).filter(|&index| {
         let occurs = facts.iter().any(|(_, row)| row.contains(&index));
         occurs || !everybody_sees.is_empty()
@@ -644,7 +715,7 @@ fn tell(
         }
     }
     let mut by_predicate: Vec<(String, Vec<Vec<String>>)> = Vec::new();
-    for (predicate, row) in facts {
+    for (predicate, row) in &facts {
         let name = &base[*predicate].name;
         let row = row.iter().map(|&index| individuals[index].shown()).collect();
         match by_predicate.last_mut() {
@@ -652,6 +723,10 @@ fn tell(
             _ => by_predicate.push((name.clone(), vec![row])),
         }
     }
+    let empty = open
+        .iter()
+        .filter(|scope| !facts.iter().any(|(predicate, _)| predicate == *scope));
+    by_predicate.extend(empty.map(|&scope| (base[scope].name.clone(), Vec::new())));
     let derived = [0, 1].map(|number| {
         let side = sides[number];
         let symbols: Symbols = side.rules.symbols.clone();
@@ -660,7 +735,7 @@ fn tell(
             Individual::Number(number) => Value::number(*number),
         };
         let mut rows: Vec<(RelId, Vec<Value>)> = Vec::new();
-        for (predicate, row) in facts {
+        for (predicate, row) in &facts {
             if let Some(relation) = side.rules.relation(&base[*predicate].name) {
                 rows.push((relation, row.iter().map(|&index| word(index)).collect()));
             }
@@ -693,6 +768,6 @@ fn tell(
         facts: by_predicate,
         everybody_sees,
         derived,
-        smallest,
+        smallest: model.smallest,
     }
 }

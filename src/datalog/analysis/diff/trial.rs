@@ -6,7 +6,7 @@
 //! of them shows is made smaller. Everything is counted, so the answer is the same in every run.
 
 use crate::datalog::analysis::constraints;
-use crate::datalog::analysis::diff::{Base, Difference, Equivalence, Options, Output};
+use crate::datalog::analysis::diff::{Base, Difference, Equivalence, Model, Options, Output, relevant};
 use crate::datalog::check::{Literal, RelId, Rules, Term};
 use crate::datalog::eval::limits::Limits;
 use crate::datalog::program::Program;
@@ -57,6 +57,8 @@ struct Trial<'a> {
     outputs: &'a [Output],
     /// By base predicate: its columns.
     columns: Vec<Vec<BaseType>>,
+    /// Base predicates whose facts scenes are made of.
+    relevant: BTreeSet<usize>,
     /// Base predicates in which everybody stands with everybody.
     scopes: Vec<usize>,
     constants: BTreeSet<(BaseType, String)>,
@@ -74,14 +76,33 @@ enum Level {
     TooMany,
 }
 
-/// Looks for a difference within the effort that the options allow.
+/// Looks for a difference within the effort that the options allow, first in the scenes of the models.
 pub(super) fn search(
     rules: [&Rules; 2],
     base: &[Base],
     outputs: &[Output],
     options: &Options,
+    models: &[Model],
 ) -> Result<Equivalence, Vec<Diagnostic>> {
     let mut trial = Trial::new(rules, base, outputs)?;
+    for model in models {
+        let names = trial.names(model.entities);
+        let text = |&index: &usize| {
+            names
+                .get(index)
+                .cloned()
+                .unwrap_or_else(|| model.individuals[index].shown())
+        };
+        let facts = model
+            .facts
+            .iter()
+            .map(|(predicate, row)| (*predicate, row.iter().map(text).collect()));
+        let facts: Vec<Fact> = facts.collect();
+        if trial.differs(&facts, model.entities) {
+            let facts = trial.shrink(facts, model.entities);
+            return Ok(Equivalence::Different(trial.tell(rules, model.entities, &facts)));
+        }
+    }
     let scenes = options.conflicts_max / SCENE_COST;
     let every = scenes - scenes / RANDOM_SHARE;
     // Of scenes with fewer facts than this, all were tried.
@@ -147,6 +168,7 @@ impl<'a> Trial<'a> {
             base,
             outputs,
             columns: columns.collect(),
+            relevant: relevant(rules, base, outputs),
             scopes: (0..base.len()).filter(|&one| guards(&base[one])).collect(),
             constants,
             nameless: rules.iter().all(|rules| is_nameless(rules)),
@@ -159,7 +181,12 @@ impl<'a> Trial<'a> {
     /// No more entities than this occur in so many facts; where there is a scope, one that occurs in no fact may matter too.
     fn entities(&self, facts: usize) -> usize {
         let symbols = |columns: &Vec<BaseType>| columns.iter().filter(|&&base| base == BaseType::Symbol).count();
-        let most = self.columns.iter().map(symbols).max().unwrap_or(0);
+        let most = self
+            .relevant
+            .iter()
+            .map(|&one| symbols(&self.columns[one]))
+            .max()
+            .unwrap_or(0);
         facts * most + usize::from(!self.scopes.is_empty())
     }
 
@@ -182,10 +209,15 @@ impl<'a> Trial<'a> {
         }
     }
 
+    /// The predicates whose facts are chosen.
+    fn open(&self) -> impl Iterator<Item = usize> {
+        (self.relevant.iter().copied()).filter(|predicate| !self.scopes.contains(predicate))
+    }
+
     /// All possible facts about these entities; `None` if there are too many.
     fn possible(&self, names: &[String]) -> Option<Vec<Fact>> {
         let mut possible = Vec::new();
-        for predicate in (0..self.base.len()).filter(|predicate| !self.scopes.contains(predicate)) {
+        for predicate in self.open() {
             let mut rows: Vec<Vec<String>> = vec![Vec::new()];
             for &base in &self.columns[predicate] {
                 let values = self.values(base, names);
@@ -256,9 +288,7 @@ impl<'a> Trial<'a> {
     /// A scene drawn at random: mostly of values that the rules name, some others of moderate size.
     fn draw(&self, entities: usize, random: &mut impl Rng) -> Vec<Fact> {
         let names = self.names(entities);
-        let open: Vec<usize> = (0..self.base.len())
-            .filter(|predicate| !self.scopes.contains(predicate))
-            .collect();
+        let open: Vec<usize> = self.open().collect();
         let mut facts = BTreeSet::new();
         for _ in 0..random.random_range(0..=RANDOM_MAX.1) {
             let Some(&predicate) = open.get(random.random_range(0..open.len().max(1))) else {
@@ -374,7 +404,18 @@ impl<'a> Trial<'a> {
         let mut by_predicate: Vec<(String, Vec<Vec<String>>)> = Vec::new();
         let mut told = facts.to_vec();
         told.sort();
-        let mut names = self.names(entities);
+        // The row in question first.
+        let differs = |row: &&(String, Vec<String>)| derived.iter().any(|rows: &Vec<_>| !rows.contains(*row));
+        let mut names = Vec::new();
+        if let Some((name, row)) = derived.iter().flatten().find(differs) {
+            let columns = self.outputs.iter().find(|output| output.name == *name);
+            let columns = columns.map_or(&[][..], |output| &output.columns);
+            let symbols = row.iter().zip(columns).filter(|(_, base)| **base == BaseType::Symbol);
+            names.extend(symbols.map(|(text, _)| text.clone()));
+        }
+        names.extend(self.names(entities));
+        let mut seen = BTreeSet::new();
+        names.retain(|name| seen.insert(name.clone()));
         for (predicate, row) in told {
             let symbols = self.columns[predicate].iter().zip(&row);
             for (_, text) in symbols.filter(|(base, _)| **base == BaseType::Symbol) {
