@@ -11,6 +11,7 @@ const PURE: &[&str] = &["lang", "config", "engine", "city", "sim", "render", "pa
 const ONLY_IN: &[(&str, &str)] = &[
     ("datafrog", "src/engine/recursion.rs"),
     ("egg", "src/engine/optimize/saturate.rs"),
+    ("batsat", "src/engine/diff/sat.rs"),
     ("serde_yaml", "src/config/yaml.rs"),
     ("parquet", "src/task/vap/table.rs"),
     ("rand_chacha", "src/rng.rs"),

@@ -6,10 +6,10 @@
 //! equal. A scene that is found is evaluated by [`crate::datalog::naive`] on both sides before anybody is told.
 //!
 //! Rules with expressions, aggregates, floats or unsigned numbers have no such circuit. For them `trial` evaluates scene after scene within
-//! a bound; it finds differences and proves nothing.
+//! a bound, first those that a circuit of the other clauses suggests; it finds differences and proves nothing.
 //!
 //! A *scope* (a predicate that guards, see `.scope`) is first taken as complete: everybody sees everybody. Only if that shows no
-//! difference may its rows be chosen like those of any predicate.
+//! difference may its rows be chosen like those of any predicate. Each of the two searches may use half of the effort.
 
 mod bound;
 mod ground;
@@ -184,7 +184,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     let rules = [left, right];
     let sides = rules.map(|rules| side(rules, &base));
     let sides = [&sides[0], &sides[1]];
-    let mut left = Left {
+    let mut effort = Left {
         conflicts: options.conflicts_max,
         room: options.literals_max,
     };
@@ -195,7 +195,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     };
     let views: &[ScopeRows] = if scoped { &[ScopeRows::Full, open] } else { &[open] };
     if !rules.into_iter().all(speaks) {
-        let models = models(sides, &outputs, options.entities_max, views[0], &mut left);
+        let models = models(sides, &outputs, options.entities_max, views[0], &mut effort);
         return trial::search(rules, &base, &outputs, options, &models);
     }
 
@@ -222,10 +222,11 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     for (&view, views) in views.iter().zip((1..=views.len()).rev()) {
         // A view that needs too much leaves the others their share.
         let mut share = Left {
-            conflicts: left.conflicts / views as u64,
-            room: left.room / views,
+            conflicts: effort.conflicts / views as u64,
+            room: effort.room / views,
         };
-        (left.conflicts, left.room) = (left.conflicts - share.conflicts, left.room - share.room);
+        effort.conflicts -= share.conflicts;
+        effort.room -= share.room;
         for entities in 0..=last {
             match search(sides, &outputs, entities, view, &mut share) {
                 Ok(Some(model)) => return Ok(Equivalence::Different(tell(sides, &base, &outputs, view, &model))),
@@ -237,7 +238,8 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
                 }
             }
         }
-        (left.conflicts, left.room) = (left.conflicts + share.conflicts, left.room + share.room);
+        effort.conflicts += share.conflicts;
+        effort.room += share.room;
     }
     Ok(match (proof, seen_all) {
         (Some(entities), Some(seen_all)) if entities <= seen_all => Equivalence::Equivalent { entities },
