@@ -30,7 +30,7 @@ fn holds(program: &Program, scene: &Difference, actions: [Action; 2]) -> bool {
         .entities
         .iter()
         .flat_map(|x| scene.entities.iter().map(|y| vec![x.clone(), y.clone()]));
-    let sees = vec![("Sees".to_owned(), pairs.collect::<Vec<_>>())];
+    let sees = [("Sees".to_owned(), pairs.collect::<Vec<_>>())];
     for (name, rows) in scene.facts.iter().chain(sees.iter().filter(|_| !given("Sees"))) {
         let rel = program.relation(name).unwrap();
         let columns = program.rules().relations[rel.index()].columns.clone();
