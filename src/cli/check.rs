@@ -2,7 +2,7 @@
 
 use crate::cli::trace::TraceReader;
 use crate::cli::{Failure, load_texts, report};
-use crate::datalog::diff::{Cut, Violations};
+use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{ClauseId, Edb, RelId, Rules};
 use crate::datalog::{Program, dense, optimize};
@@ -255,24 +255,24 @@ fn agents(count: usize) -> String {
 }
 
 /// The scenes in which a search found nothing.
-fn searched(verdict: &Violations) -> String {
+fn searched(verdict: &Equivalence) -> String {
     match verdict {
-        Violations::NoneFound { entities: None, .. } => "no scene, not even the smallest".to_owned(),
-        Violations::NoneFound {
+        Equivalence::NoneFound { entities: None, .. } => "no scene, not even the smallest".to_owned(),
+        Equivalence::NoneFound {
             entities: Some(most), ..
         }
-        | Violations::Equivalent { entities: most } => {
+        | Equivalence::Equivalent { entities: most } => {
             format!("all scenes of up to {}", agents(*most))
         }
-        Violations::NoneTried { scenes, .. } => format!("{scenes} scenes"),
-        Violations::Different(_) => String::new(),
+        Equivalence::NoneTried { scenes, .. } => format!("{scenes} scenes"),
+        Equivalence::Different(_) => String::new(),
     }
 }
 
 /// Why a search that found nothing is no proof.
-fn unproved(verdict: &Violations) -> Vec<String> {
+fn unproved(verdict: &Equivalence) -> Vec<String> {
     match verdict {
-        Violations::NoneFound { proof, cut, .. } => {
+        Equivalence::NoneFound { proof, cut, .. } => {
             let needed = match proof {
                 Some(needed) => format!("larger scenes, up to {}, may show a conflict", agents(*needed)),
                 None => "no number of agents is known to suffice for one".to_owned(),
@@ -286,10 +286,10 @@ fn unproved(verdict: &Violations) -> Vec<String> {
             });
             [needed].into_iter().chain(cuts).collect()
         }
-        Violations::NoneTried { .. } => {
+        Equivalence::NoneTried { .. } => {
             vec!["rules with expressions, aggregates, floats or unsigned numbers are tried scene by scene".to_owned()]
         }
-        Violations::Equivalent { .. } | Violations::Different(_) => Vec::new(),
+        Equivalence::Equivalent { .. } | Equivalence::Different(_) => Vec::new(),
     }
 }
 

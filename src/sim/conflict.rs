@@ -5,7 +5,7 @@
 //! action negates the other, the pair is excluded without a search, also for rules of which `diff` proves nothing.
 
 use crate::city::Action;
-use crate::datalog::diff::{Difference, Options, Violations, diff};
+use crate::datalog::diff::{Difference, Equivalence, Options, diff};
 use crate::datalog::{
     Atom, BaseType, Clause, ClauseId, Literal, RelId, Relation, Rules, Stratum, Term, Value, VarId, parse_value,
 };
@@ -43,8 +43,8 @@ pub enum Finding {
         /// A scene in which both are derived for the first entity.
         scene: Difference,
     },
-    /// The search found no scene and is no proof: [`Violations::NoneFound`] or [`Violations::NoneTried`].
-    NotFound(Violations),
+    /// The search found no scene and is no proof: [`Equivalence::NoneFound`] or [`Equivalence::NoneTried`].
+    NotFound(Equivalence),
 }
 
 /// Returns what is known of every pair of actions that both have clauses, in the order of [`Action::ALL`].
@@ -92,8 +92,8 @@ fn find(rules: &Rules, actions: [RelId; 2]) -> Result<Finding, Vec<Diagnostic>> 
     };
     Ok(
         match diff(&with_conflict(rules, actions), &without_conflict(rules, one), &options)? {
-            Violations::Equivalent { .. } => Finding::Excluded,
-            Violations::Different(scene) => Finding::Together {
+            Equivalence::Equivalent { .. } => Finding::Excluded,
+            Equivalence::Different(scene) => Finding::Together {
                 clauses: firing(rules, actions, &scene),
                 scene,
             },
