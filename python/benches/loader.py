@@ -1,6 +1,6 @@
-"""How fast a `DataLoader` reads a data set with pictures, shuffled: `python python/benches/loader.py FOLDER`.
+"""Throughput of a `DataLoader` on a shuffled data set with pictures: `python python/benches/loader.py FOLDER`.
 
-Below that, where the time goes. Needs the extra `vap`.
+The rest of the output splits the time by its causes. Needs the extra `vap`.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ BATCH = 8
 
 
 def cpu_seconds() -> float:
-    """Of this process, all its threads, and the processes that it has waited for."""
+    """Return the CPU seconds of this process, its threads, and the child processes that have ended."""
     own, workers = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     return own.ru_utime + own.ru_stime + workers.ru_utime + workers.ru_stime
 
 
 def rates(epoch: Callable[[], int]) -> tuple[float, float]:
-    """Samples a second and a CPU second; an epoch tells how many it has read."""
+    """Return samples per second and per CPU second; `epoch` returns the number of samples it has read."""
     epoch()
     begin, spent, done = time.perf_counter(), cpu_seconds(), 0
     while (passed := time.perf_counter() - begin) < SECONDS:

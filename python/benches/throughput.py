@@ -1,6 +1,6 @@
 """Environment steps per CPU second with random actions, as a table: `python python/benches/throughput.py [MODE]`.
 
-With Stable-Baselines3 there, it tells as well what share of a training the environment takes.
+With Stable-Baselines3 installed, it also prints the environment's share of the CPU time of training.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import logicity
 #: CPU seconds that each figure is measured for, at least.
 SECONDS = 3.0
 
-#: So many steps of a training are looked at.
+#: Steps of the measured training.
 TRAINING_STEPS = 8000
 
 
 def rate(steps: int, step: Callable[[int], None]) -> float:
-    """Steps per CPU second, of all threads; a call of `step` takes so many."""
+    """Return steps per CPU second of all threads; a call of `step` takes a given number of steps."""
     for call in range(20):
         step(call)
     begin, call = time.process_time(), 0
@@ -35,7 +35,7 @@ def rate(steps: int, step: Callable[[int], None]) -> float:
 
 
 def single(mode: str) -> float:
-    """One environment as `gymnasium.make` gives it, without the wrapper that checks every call."""
+    """Step one environment of `gymnasium.make`, without the wrapper that checks every call."""
     env = gymnasium.make(f"logicity/SPF-{mode}-v0", disable_env_checker=True).unwrapped
     actions = np.random.default_rng(0).integers(4, size=4096)
     env.reset(seed=0)
@@ -49,7 +49,7 @@ def single(mode: str) -> float:
 
 
 def vector(mode: str, count: int, threads: int, autoreset: str = "NextStep", copy: bool = True) -> float:
-    """Many environments in one call."""
+    """Step a vectorized environment."""
     envs = gymnasium.make_vec(
         f"logicity/SPF-{mode}-v0", num_envs=count, num_threads=threads, autoreset_mode=autoreset, copy=copy
     )
@@ -63,7 +63,7 @@ def vector(mode: str, count: int, threads: int, autoreset: str = "NextStep", cop
 
 
 def stable_baselines(mode: str, count: int) -> float:
-    """The adapter for Stable-Baselines3."""
+    """Step the adapter for Stable-Baselines3."""
     from logicity.sb3 import make_vec_env
 
     envs = make_vec_env(logicity.MODES[mode], count, seed=0, monitor=False)
@@ -77,7 +77,7 @@ def stable_baselines(mode: str, count: int) -> float:
 
 
 def training_share(mode: str) -> float:
-    """The share of the CPU time of DQN's training in which the environments and their adapter are at work."""
+    """Return the share of the environments and their adapter in the CPU time of training DQN."""
     from logicity.sb3 import make_vec_env
     from logicity.train import TrainConfig, new_model
 
@@ -120,7 +120,7 @@ def main() -> None:
         print(f"| {name} | {measure():,.0f} |", flush=True)
     if not importlib.util.find_spec("stable_baselines3"):
         print(
-            "\nStable-Baselines3 is not installed: `pip install './python[train]'` does, then its share is told, too."
+            "\nWith Stable-Baselines3 (`pip install './python[train]'`) this also prints its share of training."
         )
     elif mode in ("Easy", "Medium", "Hard", "Expert"):
         print(f"\nThe environment's share of the CPU time of training DQN: {training_share(mode):.1%}")

@@ -23,7 +23,9 @@ class Environment:
     def run(self, *command: str, code: int = 0) -> str:
         program, *arguments = command
         env = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-        done = subprocess.run([self.scripts / program, *arguments], cwd=self.work, env=env, capture_output=True, text=True)
+        done = subprocess.run(
+            [self.scripts / program, *arguments], cwd=self.work, env=env, capture_output=True, text=True
+        )
         assert done.returncode == code, (command, done.stdout, done.stderr)
         return done.stdout if code == 0 else done.stderr
 
