@@ -57,19 +57,19 @@ pub struct Loaded {
 }
 
 /// The reason why loading failed.
-enum Unloaded {
+enum LoadError {
     /// The configuration does not exist; the message.
     Missing(String),
     Unread(PathBuf, ReadError),
     Faulty(Vec<Diagnostic>, Sources),
 }
 
-impl Unloaded {
+impl LoadError {
     fn raise(self, py: Python<'_>) -> PyErr {
         match self {
-            Unloaded::Missing(message) => PyFileNotFoundError::new_err(message),
-            Unloaded::Unread(path, error) => read_error(py, &path, &error),
-            Unloaded::Faulty(faults, sources) => input_error(py, &faults, &sources),
+            LoadError::Missing(message) => PyFileNotFoundError::new_err(message),
+            LoadError::Unread(path, error) => read_error(py, &path, &error),
+            LoadError::Faulty(faults, sources) => input_error(py, &faults, &sources),
         }
     }
 }
@@ -94,7 +94,7 @@ impl Loaded {
         rules: Option<PathBuf>,
         files: Option<Files>,
         overrides: Option<&str>,
-    ) -> Result<Loaded, Unloaded> {
+    ) -> Result<Loaded, LoadError> {
         let read = RefCell::new(Files::new());
         let record = |path: &Path, text: Result<String, ReadError>| {
             text.inspect(|text| drop(read.borrow_mut().insert(path.to_owned(), text.clone())))
@@ -119,18 +119,18 @@ impl Loaded {
                     // The file that the caller named has no place in any text.
                     [fault] if fault.code == Code::MISSING_FILE && fault.primary.is_none() => {
                         let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
-                        Unloaded::Missing(fault.message.clone() + &help)
+                        LoadError::Missing(fault.message.clone() + &help)
                     }
-                    _ => Unloaded::Faulty(faults, sources),
+                    _ => LoadError::Faulty(faults, sources),
                 });
             }
         };
         let path = rules.clone().unwrap_or_else(|| scenario.rules.value.clone());
-        let text = read_rules(&path).map_err(|error| Unloaded::Unread(path.clone(), error))?;
+        let text = read_rules(&path).map_err(|error| LoadError::Unread(path.clone(), error))?;
         let rule_file = sources.add(path.display().to_string(), text);
         let (program, faults) = Program::load(&mut sources, rule_file, &read_rules);
         let Some(program) = program else {
-            return Err(Unloaded::Faulty(faults, sources));
+            return Err(LoadError::Faulty(faults, sources));
         };
         if rules.is_some() {
             // Mismatches are reported in the given file, not in the configuration.

@@ -1,7 +1,7 @@
 //! Environments with one controlled car each, stepped in one call.
 
 use crate::city::one_of;
-use crate::episode::{PyBegin, PyEpisode, read_episode};
+use crate::episode::{PyEpisode, PyEpisodeOption, read_episode};
 use crate::task::{PyTask, gymnasium_error, speed, split_named, view_named};
 use crate::{Signals, borrowed, borrowed_mut, slice_of};
 use logicity::city::{Action, Split};
@@ -42,7 +42,7 @@ type Outcomes<'py> = (
 );
 
 /// The end of an episode: the position of the environment, the last observation, the names of the broken clauses.
-type Last<'py> = (usize, Bound<'py, PyArray1<f32>>, Bound<'py, PyTuple>);
+type EpisodeEnd<'py> = (usize, Bound<'py, PyArray1<f32>>, Bound<'py, PyTuple>);
 
 /// Writes infos to columns with one number for each environment.
 fn write_infos<'a>(
@@ -131,20 +131,20 @@ impl PyVectorEnv {
         Ok(this.member(at)?.source().place())
     }
 
-    /// Begins episodes, see `PyBegin`. Observations of other environments are unchanged.
+    /// Begins episodes, see `PyEpisodeOption`. Observations of other environments are unchanged.
     fn reset(
         slf: &Bound<'_, Self>,
         py: Python<'_>,
-        begin: Vec<PyBegin<'_>>,
+        begin: Vec<PyEpisodeOption<'_>>,
         observations: &Bound<'_, PyArrayDyn<f32>>,
     ) -> PyResult<()> {
         let this = &mut *borrowed_mut(slf)?;
         let mut observations = observations.try_readwrite()?;
         let task = this.task.get();
         this.check(begin.len())?;
-        let read = |(begin, member): (PyBegin<'_>, &SubEnv)| match begin {
-            PyBegin::Next(next) => Ok(next.then_some(Begin::Next)),
-            PyBegin::Recorded(number) => {
+        let read = |(begin, member): (PyEpisodeOption<'_>, &SubEnv)| match begin {
+            PyEpisodeOption::Next(next) => Ok(next.then_some(Begin::Next)),
+            PyEpisodeOption::Recorded(number) => {
                 let recorded = task.recorded_episodes(py, this.split)?;
                 let place: Option<usize> = number.extract().ok();
                 let episode = place.and_then(|place| recorded.get(place)).ok_or_else(|| {
@@ -153,7 +153,7 @@ impl PyVectorEnv {
                 })?;
                 Ok(Some(Begin::Given(Arc::new(episode.clone()))))
             }
-            PyBegin::Given(episode) => match read_episode(&episode, member.env()) {
+            PyEpisodeOption::Given(episode) => match read_episode(&episode, member.env()) {
                 Ok(episode) => Ok(Some(Begin::Given(Arc::new(episode)))),
                 Err(fault) => Err(task.error(py, fault)),
             },
@@ -244,7 +244,11 @@ impl PyVectorEnv {
 
     /// The episodes that ended in the last step, where the next one has begun: position, last observation, names of the broken clauses. Writes
     /// the rest of their infos to the columns.
-    fn ended<'py>(slf: &Bound<'py, Self>, py: Python<'py>, mut columns: Columns<'py>) -> PyResult<Vec<Last<'py>>> {
+    fn ended<'py>(
+        slf: &Bound<'py, Self>,
+        py: Python<'py>,
+        mut columns: Columns<'py>,
+    ) -> PyResult<Vec<EpisodeEnd<'py>>> {
         let this = borrowed(slf)?;
         let members = this.vector.members();
         let ended = || {

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 /// The option `episode` of a reset.
 #[derive(FromPyObject)]
-pub enum PyBegin<'py> {
+pub enum PyEpisodeOption<'py> {
     /// `True`: the next episode of the source; `False`: no reset.
     Next(bool),
     /// A recorded episode, by its number.

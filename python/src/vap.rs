@@ -24,26 +24,26 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 }
 
 /// The reason why a file of a data set cannot be read.
-enum Unread {
+enum DataSetError {
     File(PathBuf, io::Error),
     Faulty(Diagnostic),
 }
 
-impl From<Diagnostic> for Unread {
+impl From<Diagnostic> for DataSetError {
     fn from(fault: Diagnostic) -> Self {
-        Unread::Faulty(fault)
+        DataSetError::Faulty(fault)
     }
 }
 
-impl Unread {
+impl DataSetError {
     fn raise(self, py: Python<'_>, path: &Path) -> PyErr {
         match self {
             // The number selects the class, as in Python's own errors.
-            Unread::File(path, error) => match error.raw_os_error() {
+            DataSetError::File(path, error) => match error.raw_os_error() {
                 Some(code) => PyOSError::new_err((code, error.kind().to_string(), path)),
                 None => PyOSError::new_err(format!("cannot read `{}`: {error}", path.display())),
             },
-            Unread::Faulty(fault) => {
+            DataSetError::Faulty(fault) => {
                 let placed = fault.note(format!("in `{}`", path.display()));
                 input_error(py, &[placed], &Sources::new())
             }
@@ -51,12 +51,12 @@ impl Unread {
     }
 }
 
-fn faulty(message: impl Into<String>) -> Unread {
-    Unread::Faulty(Diagnostic::new(Code::INVALID_DATA_SET, message))
+fn faulty(message: impl Into<String>) -> DataSetError {
+    DataSetError::Faulty(Diagnostic::new(Code::INVALID_DATA_SET, message))
 }
 
 /// The two tables of a world, row by row.
-struct World {
+struct WorldTables {
     ticks: Vec<i32>,
     /// The first row of the entities of each sample, and the end of the last one.
     starts: Vec<i64>,
@@ -70,12 +70,12 @@ struct World {
     sees: Vec<bool>,
 }
 
-fn read_bytes(path: PathBuf) -> Result<Vec<u8>, Unread> {
-    fs::read(&path).map_err(|error| Unread::File(path, error))
+fn read_bytes(path: PathBuf) -> Result<Vec<u8>, DataSetError> {
+    fs::read(&path).map_err(|error| DataSetError::File(path, error))
 }
 
 /// The codes of a column, -1 for absent values.
-fn codes(table: &Table, name: &str, count: usize) -> Result<Vec<i64>, Unread> {
+fn codes(table: &Table, name: &str, count: usize) -> Result<Vec<i64>, DataSetError> {
     let code = |value: &Option<i32>| match value {
         None => Ok(-1),
         Some(code) if usize::try_from(*code).is_ok_and(|code| code < count) => Ok(i64::from(*code)),
@@ -85,7 +85,7 @@ fn codes(table: &Table, name: &str, count: usize) -> Result<Vec<i64>, Unread> {
 }
 
 /// Columns of truth values side by side.
-fn truths(table: &Table, names: &[String]) -> Result<Array2<bool>, Unread> {
+fn truths(table: &Table, names: &[String]) -> Result<Array2<bool>, DataSetError> {
     let mut all = Array2::from_elem((table.rows(), names.len()), false);
     for (name, mut column) in names.iter().zip(all.columns_mut()) {
         column.assign(&ArrayView1::from(table.bools(name)?));
@@ -93,8 +93,8 @@ fn truths(table: &Table, names: &[String]) -> Result<Array2<bool>, Unread> {
     Ok(all)
 }
 
-impl World {
-    fn read(folder: &Path, number: u32, unary: &[String], binary: &[String]) -> Result<World, Unread> {
+impl WorldTables {
+    fn read(folder: &Path, number: u32, unary: &[String], binary: &[String]) -> Result<WorldTables, DataSetError> {
         let entities = Table::read(read_bytes(folder.join("entities.parquet"))?)?;
         let pairs = Table::read(read_bytes(folder.join("pairs.parquet"))?)?;
         let samples = sample_rows(number, &entities, &pairs)?;
@@ -111,7 +111,7 @@ impl World {
             }
         }
         let row = |row: usize| i64::try_from(row).expect("fewer than 2^63");
-        Ok(World {
+        Ok(WorldTables {
             ticks: samples.iter().map(|sample| sample.tick).collect(),
             starts: (samples.iter().map(|sample| row(sample.entities.start)))
                 .chain([row(entities.rows())])
@@ -160,7 +160,7 @@ fn read_world(
     unary: Vec<String>,
     binary: Vec<String>,
 ) -> PyResult<WorldArrays<'_>> {
-    let read = py.detach(|| World::read(&folder, number, &unary, &binary));
+    let read = py.detach(|| WorldTables::read(&folder, number, &unary, &binary));
     let world = read.map_err(|unread| unread.raise(py, &folder))?;
     Ok((
         world.ticks.into_pyarray(py),
@@ -176,7 +176,7 @@ fn read_world(
 }
 
 /// Decodes a PNG of the given rows and columns.
-fn decode(path: &Path, (rows, columns): (u32, u32), pixels: &mut [u8]) -> Result<(), Unread> {
+fn decode(path: &Path, (rows, columns): (u32, u32), pixels: &mut [u8]) -> Result<(), DataSetError> {
     let bytes = read_bytes(path.to_owned())?;
     read_png_into(&bytes, (columns, rows), pixels).map_err(faulty)
 }
