@@ -119,9 +119,7 @@ def main() -> None:
     for name, measure in rows:
         print(f"| {name} | {measure():,.0f} |", flush=True)
     if not importlib.util.find_spec("stable_baselines3"):
-        print(
-            "\nWith Stable-Baselines3 (`pip install './python[train]'`) this also prints its share of training."
-        )
+        print("\nWith Stable-Baselines3 (`pip install './python[train]'`) this also prints its share of training.")
     elif mode in ("Easy", "Medium", "Hard", "Expert"):
         print(f"\nThe environment's share of the CPU time of training DQN: {training_share(mode):.1%}")
 

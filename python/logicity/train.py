@@ -201,9 +201,12 @@ def _fault(
 ) -> tuple[str, list[str], str, str]:
     first, name = errors[0], path[-1]
     if first["type"] == "extra_forbidden":
-        algorithm = values["algorithm"]
-        known = list(TrainConfig.model_fields if len(path) == 1 else _settings_model(algorithm).model_fields)
-        message = f"unknown key `{name}`" if len(path) == 1 else f"{algorithm.upper()} has no setting `{name}`"
+        if len(path) == 1:
+            known, message = TrainConfig.model_fields, f"unknown key `{name}`"
+        else:
+            # The settings have been checked, so the algorithm is a known one.
+            algorithm = values["algorithm"]
+            known, message = _settings_model(algorithm).model_fields, f"{algorithm.upper()} has no setting `{name}`"
         return "unknown-key", list(path), message, did_you_mean(name, known).removeprefix("; ")
     if first["type"] == "missing":
         return "missing-key", list(path), f"the key `{name}` is missing", ""

@@ -28,6 +28,7 @@ from logicity import (
     Scene,
     Simulation,
     SymbolicScene,
+    UnsupportedError,
     infer,
 )
 
@@ -77,6 +78,20 @@ def test_a_faulty_scene_says_what_is_wrong() -> None:
         Inference().answer({"entities": {1}})  # type: ignore[arg-type]
     with pytest.raises(LimitError):
         infer({"entities": [f"e{n}" for n in range(5000)], "ego": "e0"})
+
+
+@pytest.mark.parametrize("kind", [Inference, Simulation])
+def test_rules_that_the_dense_executor_cannot_evaluate_have_an_exception(kind: Any, tmp_path: Path) -> None:
+    rules = tmp_path / "reach.dl"
+    rules.write_text(
+        '.include "vocabulary.dl"\n.decl Reach(x: agent, y: agent)\nReach(X, Y) :- NextTo(X, Y).\n'
+        "Reach(X, Z) :- Reach(X, Y), NextTo(Y, Z).\nStop(X) :- Reach(X, Y), IsBus(Y).\n"
+    )
+    with pytest.raises(UnsupportedError, match="a predicate depends on itself") as caught:
+        kind(rules=rules, executor="dense")
+    assert not isinstance(caught.value, LimitError) and isinstance(caught.value, InputError)
+    assert [fault["code"] for fault in caught.value.diagnostics] == ["dense-unsupported"]
+    kind(rules=rules)
 
 
 @pytest.mark.parametrize("kind", [Inference, Simulation])

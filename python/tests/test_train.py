@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from logicity import ENVIRONMENTS, evaluate
+from logicity import ENVIRONMENTS, InputError, evaluate
 from logicity.__main__ import main
 
 pytest.importorskip("stable_baselines3", reason="needs the extra `train`: `make python-all` installs it")
@@ -15,6 +15,8 @@ from logicity import train as training  # noqa: E402
 from logicity.sb3 import SPFVecEnv, make_vec_env  # noqa: E402
 from logicity.train import ALGORITHMS, TrainConfig, load_model, train  # noqa: E402
 
+#: A configuration up to its settings.
+GIVEN = "algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: "
 BASELINES = Path(__file__).parents[2] / "configs" / "baselines"
 SETTINGS = {
     "dqn": {"learning_starts": 100, "buffer_size": 1000, "batch_size": 16},
@@ -169,32 +171,12 @@ def test_the_network_has_the_layers_of_the_configuration(tmp_path: Path) -> None
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nseed: -1", "`seed`"),
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: 3", "`settings`"),
         ("algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {}\nepochs: 3", "unknown key `epochs`"),
-        (
-            "{gama: 0.9}",
-            "DQN has no setting `gama`[^?]*did you mean `gamma`",
-        ),
-        (
-            "{gamma: x}",
-            "`settings.gamma` must be a valid number, not `x`",
-        ),
-        (
-            "{gamma: .nan}",
-            "`settings.gamma` must be a valid number, not `.nan`",
-        ),
-        (
-            "{batch_size: 1.5}",
-            "`settings.batch_size` must be a valid integer.*, not `1.5`",
-        ),
-        (
-            "{learning_rate: true}",
-            "`settings.learning_rate` must be a valid number, not `true`",
-        ),
-        *[
-            (f"algorithm: dqn\nmode: easy\nnetwork: [8]\nsettings: {settings}", message)
-            for settings, message in [
-                ("{seed: 3}", "DQN has no setting `seed`"),
-            ]
-        ],
+        (GIVEN + "{gama: 0.9}", "DQN has no setting `gama`[^?]*did you mean `gamma`"),
+        (GIVEN + "{gamma: x}", "`settings.gamma` must be a valid number, not `x`"),
+        (GIVEN + "{gamma: .nan}", "`settings.gamma` must be a valid number, not `.nan`"),
+        (GIVEN + "{batch_size: 1.5}", "`settings.batch_size` must be a valid integer.*, not `1.5`"),
+        (GIVEN + "{learning_rate: true}", "`settings.learning_rate` must be a valid number, not `true`"),
+        (GIVEN + "{seed: 3}", "DQN has no setting `seed`"),
         ("algorithm: dqn", "the key `mode` is missing"),
         ("- dqn", "must be a mapping"),
         ("algorithm: [", "yaml-syntax"),
@@ -209,6 +191,35 @@ def test_faulty_configurations_are_told(
         TrainConfig.load(tmp_path / "config.yaml")
     assert main(["train", str(tmp_path / "config.yaml"), "--run", str(tmp_path / "run")]) == 1
     assert "config.yaml" in capsys.readouterr().err and not (tmp_path / "run").exists()
+
+
+def test_every_fault_is_reported_with_its_place(tmp_path: Path) -> None:
+    (tmp_path / "base.yaml").write_text("algorithm: dqn\nmode: easy\nnetwork: [8, 0]\nsettings: {gamma: x, tau: 0.5}\n")
+    (tmp_path / "config.yaml").write_text(
+        "base: base.yaml\nmode: hart\nsteps: 0\nepoch: 3\nsettings:\n  train_freq: [4, 5]\n"
+    )
+    with pytest.raises(InputError) as caught:
+        TrainConfig.load(tmp_path / "config.yaml", seed=-1)
+    found = {
+        (fault["code"], Path(label["file"]).name, label["line"], label["column"])
+        for fault in caught.value.diagnostics
+        for label in fault["labels"]
+    }
+    assert found == {
+        ("invalid-value", "config.yaml", 2, 7),
+        ("invalid-value", "config.yaml", 3, 8),
+        ("unknown-key", "config.yaml", 4, 1),
+        ("invalid-value", "config.yaml", 6, 15),
+        ("invalid-value", "base.yaml", 3, 14),
+        ("invalid-value", "base.yaml", 4, 19),
+        # The seed of the command line has no place in a file.
+        ("invalid-value", "config.yaml", 1, 1),
+    }
+    assert "unknown mode `hart`; did you mean `hard`?" in str(caught.value)
+    assert "`network.1` must be greater than or equal to 1, not `0`" in str(caught.value)
+    (tmp_path / "config.yaml").write_text("algorithm: dqn\nalgorithm: ppo\n")
+    with pytest.raises(InputError, match="duplicate-key"):
+        TrainConfig.load(tmp_path / "config.yaml")
 
 
 def test_a_base_is_merged_mapping_by_mapping(tmp_path: Path) -> None:
