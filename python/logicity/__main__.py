@@ -24,9 +24,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         130 after Ctrl-C.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    # Rust writes to the same streams, with buffers of its own.
-    sys.stdout.flush()
-    sys.stderr.flush()
+    # Rust writes to the same streams, with buffers of its own. Unlike a method of a stream, `print` accepts closed ones.
+    for stream in (sys.stdout, sys.stderr):
+        print(end="", file=stream, flush=True)
     with _default_sigint():
         code, words, rest = _logicity.run_command_line(given)
     if not words:

@@ -45,7 +45,7 @@ def run(words: tuple[str, ...], arguments: Sequence[str]) -> int:
     given = parser.parse_args(arguments)
     try:
         code = command(given)
-        sys.stdout.flush()
+        print(end="", flush=True)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130

@@ -367,7 +367,7 @@ def test_a_simulation_is_for_one_thread_at_a_time_and_lets_others_run() -> None:
         try:
             city.tick()
         except RuntimeError as error:
-            assert "at work in another thread" in str(error)
+            assert "in use in another thread" in str(error)
             refused += 1
         time.sleep(0)
     worker.join()

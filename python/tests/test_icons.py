@@ -20,7 +20,7 @@ def test_prompts_are_a_function_of_class_and_seed() -> None:
     assert icons.prompts("house", 1, write=lambda text: text[:3]) == [icons.prompts("house", 1)[0][:3]]
     with pytest.raises(ValueError, match="unknown class `plane`"):
         icons.prompts("plane", 1)
-    with pytest.raises(ValueError, match="no name of a class"):
+    with pytest.raises(ValueError, match="is no class"):
         icons.prompts("car+../away", 1)
     with pytest.raises(ValueError, match="-1"):
         icons.prompts("car", -1)

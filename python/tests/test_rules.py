@@ -395,7 +395,7 @@ def test_a_session_is_for_one_thread_at_a_time_and_lets_others_run() -> None:
         try:
             held.count("n")
         except RuntimeError as error:
-            assert "at work in another thread" in str(error)
+            assert "in use in another thread" in str(error)
             refused += 1
         time.sleep(0.001)
     worker.join()

@@ -74,7 +74,7 @@ fn a_tick_that_is_given_up_leaves_no_trace() {
     let stop: Stop = Arc::new(move || asked.fetch_sub(1, Ordering::Relaxed) <= 0);
     let city = |stop| Simulation::new_until(Arc::clone(&world), Split::Test, Seed(5), settings, stop);
     left.store(3, Ordering::Relaxed);
-    assert_eq!(city(Arc::clone(&stop)).err().unwrap().code, Code::LIMIT_EXCEEDED);
+    assert_eq!(city(Arc::clone(&stop)).err().unwrap().code, Code::CANCELLED);
     left.store(i64::MAX, Ordering::Relaxed);
     let (mut city, mut twin) = (city(stop).unwrap(), simulation(&world, Executor::Dense, 1));
     for tick in 0..20 {
@@ -83,7 +83,7 @@ fn a_tick_that_is_given_up_leaves_no_trace() {
             left.store(given_up, Ordering::Relaxed);
             city.tick(&[])
         } {
-            assert_eq!((fault.code, city.now()), (Code::LIMIT_EXCEEDED, tick));
+            assert_eq!((fault.code, city.now()), (Code::CANCELLED, tick));
             given_up += 1;
         }
         assert!(given_up > 100, "{given_up}");

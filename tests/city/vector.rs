@@ -204,7 +204,7 @@ fn a_batch_is_given_up_when_it_is_told_to() {
         batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();
         left.store(3, Ordering::Relaxed);
         let fault = batch.step(&[Action::Stop; COUNT], &mut shown).unwrap_err();
-        assert_eq!(fault.code, Code::LIMIT_EXCEEDED);
+        assert_eq!(fault.code, Code::CANCELLED);
         left.store(i64::MAX, Ordering::Relaxed);
         let gone: Vec<bool> = batch.members().iter().map(|member| member.env().steps() == 1).collect();
         let reached = gone.iter().filter(|gone| **gone).count();
