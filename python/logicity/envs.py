@@ -52,7 +52,7 @@ class EpisodeAgent(TypedDict):
     goal: tuple[int, int]
 
 
-#: An episode under the oracle: its steps, the sum of its rewards, and by action in how many steps rules ask it.
+#: The oracle's run of an episode: steps, sum of rewards, and the number of steps in which rules require each action.
 OracleRun = TypedDict("OracleRun", {"steps": int, "return": float, "constrained": dict[str, int]})
 
 

@@ -408,7 +408,7 @@ def _checked(actions: Any, count: int) -> Actions:
     wrong = np.flatnonzero((numbers < 0) | (numbers >= len(ACTIONS)))
     if len(wrong):
         known = ", ".join(f"{number} {name}" for number, name in enumerate(ACTIONS))
-        raise ValueError(f"{numbers[wrong[0]]} (of episode {wrong[0]}) is no action; known: {known}")
+        raise ValueError(f"{numbers[wrong[0]]} is no action; known: {known}")
     return numbers
 
 
