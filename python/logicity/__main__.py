@@ -24,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         130 after Ctrl-C.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    # Rust writes to the same streams, with buffers of its own. Unlike a method of a stream, `print` accepts closed ones.
+    # Rust writes to the same streams, with buffers of its own. Unlike `flush`, `print` accepts closed ones.
     for stream in (sys.stdout, sys.stderr):
         print(end="", file=stream, flush=True)
     with _default_sigint():

@@ -38,7 +38,7 @@ def test_a_background_is_cut_out() -> None:
     assert (icon[4:6, 4:6, :3] == 250).all()
     pixels[5:9, 8:12] = 245
     assert (np.asarray(icons.cut_out(image.fromarray(pixels)))[:4, :4, 3] == 0).all()
-    with pytest.raises(ValueError, match="one colour"):
+    with pytest.raises(ValueError, match="one color"):
         icons.cut_out(image.fromarray(np.zeros((4, 4, 3), np.uint8)))
 
 

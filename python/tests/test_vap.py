@@ -584,7 +584,7 @@ def test_batches_are_padded(drawn: VapDataset) -> None:
     assert batch["names"] == [sample["names"] for sample in chosen] and batch["tick"].tolist() == [11, 22, 33]
     assert "image" not in batch
     assert sum(value.nbytes for value in batch.values() if torch.is_tensor(value)) == 3 * (7 * most**2 + 73 * most + 16)
-    with pytest.raises(ValueError, match="no samples"):
+    with pytest.raises(ValueError, match="at least one sample"):
         collate([])
 
 
