@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from conftest import COUNTING
 
 from logicity.commands import _COMMANDS, SUMMARIES
 
@@ -102,13 +103,15 @@ def test_a_closed_pipe_is_no_error(arguments: list[str]) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes and signals of POSIX")
 def test_ctrl_c_ends_every_command(tmp_path: Path) -> None:
     (tmp_path / "count.dl").write_text(".decl n(x: number)\n.output n\nn(0).\nn(x + 1) :- n(x), x < 90000000.\n")
+    (tmp_path / "slow.dl").write_text(COUNTING)
+    (tmp_path / "slow.yaml").write_text("base: configs/easy.yaml\nrules: slow.dl\n")
     out = str(tmp_path / "out")
     for arguments, code in [
         # By the default action of the signal, as for any program that does not handle it.
         (["query", str(tmp_path / "count.dl"), "-D", "-"], -signal.SIGINT),
         # `run` handles the signal, and writes what was run.
         (["run", "expert", "--ticks", "100000000", "--no-trace", "--out", out], 130),
-        (["evaluate", "--policy", "random", "--modes", "all"], 130),
+        (["evaluate", "--policy", "random", "--modes", str(tmp_path / "slow.yaml")], 130),
     ]:
         with subprocess.Popen([COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
             time.sleep(2)

@@ -276,7 +276,7 @@ def test_two_threads_on_one_environment_are_told_what_to_do() -> None:
         thread.join(20)
         stop.set()
     assert said and all(
-        "in use in another thread; give each thread one of its own, or guard it by a lock" in text for text in said
+        "in use in another thread; make one for each thread, or guard it by a lock" in text for text in said
     )
     # Whoever was told so has broken nothing.
     envs.reset(seed=1)
