@@ -7,7 +7,6 @@ use logicity::datalog::diff::{Cut, Difference, Equivalence};
 use logicity::datalog::{BaseType, Column, RelId, Value};
 use logicity::datalog::{Program, constraints};
 use logicity::sim::{Finding, conflicts, scene_json};
-use std::path::Path;
 
 /// The finding for a pair of actions.
 fn finding(text: &str, pair: [Action; 2]) -> Finding {
@@ -46,7 +45,7 @@ fn holds(program: &Program, scene: &Difference, actions: [Action; 2]) -> bool {
     session.commit().unwrap();
     let ego = session.intern(&scene.entities[0]);
     let action = |action: Action| program.relation(action.name()).unwrap();
-    constraint::broken(&session).is_empty() && actions.iter().all(|speed| session.contains(action(*speed), &[ego]))
+    constraints::violations(&session).is_empty() && actions.iter().all(|speed| session.contains(action(*speed), &[ego]))
 }
 
 fn rules(body: &str) -> String {
@@ -261,7 +260,7 @@ fn a_brute_force_agrees() {
                     }
                 }
                 session.commit().unwrap();
-                constraint::broken(&session).is_empty()
+                constraints::violations(&session).is_empty()
                     && ["Stop", "Slow"]
                         .iter()
                         .all(|action| session.contains(relation(action), &names[..1]))

@@ -564,14 +564,13 @@ impl Search<'_> {
     }
 }
 
-/// Whether every clause that another one subsumes has the traits that are looked for, so that comparing only such clauses misses none.
-
 /// Returns whether every literal of the clause is an atom, or a comparison of symbols or whole numbers.
 pub(crate) fn within_theory(clause: &Clause) -> bool {
     let facts = facts(clause, false);
     facts.len() == clause.body.len() && !facts.iter().any(|fact| matches!(fact, Fact::Opaque { .. }))
 }
 
+/// Returns whether every clause that another one subsumes has the traits that are looked for, so that comparing only such clauses misses none.
 #[cfg(test)]
 pub(crate) fn traits_suffice<'a>(clauses: impl Iterator<Item = &'a Clause>, theory: &dyn Theory) -> bool {
     let all: Vec<Pattern> = clauses.map(|clause| Pattern::new(clause, theory)).collect();
