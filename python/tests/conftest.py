@@ -57,7 +57,7 @@ def ctrl_c() -> Interrupt:
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, previous)
-        # A second is declared; other processes may take some, too.
+        # A second is the goal; other processes may take some, too.
         assert time.monotonic() - begun < 3
 
     return interrupt

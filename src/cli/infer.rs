@@ -32,7 +32,7 @@ pub struct Arguments {
     /// What evaluates the rules; answers are the same with each
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
-    /// Refuse scenes whose facts are not as the rules constraint (`.disjoint`, `.implies`, ..). The relational executor then decides
+    /// Refuse scenes whose facts violate a constraint of the rules (`.disjoint`, `.implies`, ..). The relational executor then decides
     #[arg(long)]
     check_constraints: bool,
     /// Where to write the answers; standard output unless given

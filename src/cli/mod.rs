@@ -72,7 +72,7 @@ enum Command {
     /// Tell why an agent did what it did in a run, or why it did not do something else
     Explain(explain::Arguments),
     /// Make a page of a run that a browser opens: the city moves, and every decision says why
-    Viewport(view::Arguments),
+    View(view::Arguments),
     /// Make, check or show recorded episodes of Safe Path Following
     Episodes(episodes::Arguments),
     /// Make multiple-choice questions in words about what cars do, with solved examples
@@ -272,7 +272,7 @@ fn run(mut command: clap::Command, arguments: &[OsString]) -> u8 {
         Command::Repl(arguments) => repl::run(&arguments, &mut sources),
         Command::Infer(arguments) => infer::run(&arguments, &mut sources),
         Command::Explain(arguments) => explain::run(&arguments, &mut sources),
-        Command::Viewport(arguments) => view::run(&arguments, &mut sources),
+        Command::View(arguments) => view::run(&arguments, &mut sources),
         Command::Episodes(arguments) => episodes::run(&arguments, &mut sources),
         Command::Questions(arguments) => questions::run(&arguments, &mut sources),
         Command::Vap(arguments) => vap::run(&arguments, &mut sources),

@@ -49,7 +49,7 @@ pub struct Arguments {
     /// Rule file instead of the configuration's
     #[arg(long)]
     rules: Option<PathBuf>,
-    /// Look at every tick, which then takes as long as with the relational executor, whether the facts are as the rules constraint
+    /// Look at every tick, which then takes as long as with the relational executor, whether the facts satisfy the constraints of the rules
     /// (`.disjoint`, `.implies`, ..); exit code 1 if they are not
     #[arg(long)]
     check_constraints: bool,

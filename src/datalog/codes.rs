@@ -53,7 +53,7 @@ crate::diagnostic_codes! {
     REPEATED_BODY = "repeated-body", Warning;
     /// A row of a facts file that does not fit its predicate's declaration.
     INVALID_FACT = "invalid-fact", Error;
-    /// Facts that are not as the rules constraint.
+    /// Facts that violate a constraint.
     CONSTRAINT_VIOLATION = "constraint-violation", Error;
     /// Two rule sets, or rules and a configuration, do not fit: an input predicate or an action that the other side does not have.
     RULE_MISMATCH = "rule-mismatch", Error;

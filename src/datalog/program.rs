@@ -6,7 +6,6 @@ use crate::datalog::check::{Edb, RelId, Relation, Rules};
 #[cfg(feature = "optimizer")]
 use crate::datalog::plan::optimize;
 use crate::datalog::plan::{Compiled, Plans};
-use crate::datalog::session::RowError;
 use crate::datalog::workspace;
 use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::ReadFile;
@@ -88,17 +87,5 @@ impl Program {
     /// The predicate of that name.
     pub fn relation(&self, name: &str) -> Option<RelId> {
         self.0.rules.relation(name)
-    }
-
-    /// The relation, if rows of it can be set.
-    pub(super) fn base(&self, rel: RelId) -> Result<&Relation, RowError> {
-        let relation = self.rules().relations.get(rel.index());
-        let relation = relation.ok_or(RowError::UnknownRelation)?;
-        if relation.derived && relation.edb.is_none() {
-            return Err(RowError::Derived {
-                relation: relation.name.clone(),
-            });
-        }
-        Ok(relation)
     }
 }

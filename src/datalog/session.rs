@@ -29,6 +29,18 @@ pub struct Session {
 }
 
 impl Program {
+    /// The relation, if rows of it can be set.
+    fn base(&self, rel: RelId) -> Result<&Relation, RowError> {
+        let relation = self.rules().relations.get(rel.index());
+        let relation = relation.ok_or(RowError::UnknownRelation)?;
+        if relation.derived && relation.edb.is_none() {
+            return Err(RowError::Derived {
+                relation: relation.name.clone(),
+            });
+        }
+        Ok(relation)
+    }
+
     /// A session without inserted facts and without a commit: every relation is empty, also those with facts in the text.
     pub fn session(&self) -> Session {
         Session {

@@ -151,7 +151,7 @@ impl Inference {
             .map_err(|fault| fault.at(self.scenario.rules.span, "these rules"))
     }
 
-    /// From here on scenes are refused in which the facts are not as the rules constraint. Answers rely on no constraint either way. The
+    /// Refuses scenes from now on whose facts violate a constraint. Answers rely on no constraint either way. The
     /// facts have to be those of a session for that, so the relational executor decides.
     pub fn check_constraints(&mut self) {
         self.check_constraints = true;

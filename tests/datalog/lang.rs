@@ -312,6 +312,8 @@ fn rule_codes() -> impl Iterator<Item = Code> {
         Code::CONTRADICTORY_BODY,
         Code::REDUNDANT_LITERAL,
         Code::REPEATED_BODY,
+        Code::RULE_MISMATCH,
+        Code::CANCELLED,
     ];
     (diag::CODES.iter().chain(datalog::CODES).copied()).filter(move |code| !others.contains(code))
 }

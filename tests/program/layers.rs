@@ -4,27 +4,42 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Rooms that do no input or output of their own and read no clock.
-const PURE: &[&str] = &["lang", "config", "engine", "city", "sim", "render", "page", "task"];
+/// Rooms that do no input or output of their own and read no clock, with all rooms inside them.
+const PURE: &[&str] = &["datalog", "config", "city", "sim", "render", "page", "task"];
 
 /// Crates that only one room may use.
 const ONLY_IN: &[(&str, &str)] = &[
-    ("datafrog", "src/engine/recursion.rs"),
-    ("egg", "src/engine/optimize/saturate.rs"),
-    ("batsat", "src/engine/diff/sat.rs"),
-    ("serde_yaml", "src/config/yaml.rs"),
+    ("annotate_snippets", "src/diag/render.rs"),
+    ("batsat", "src/datalog/analysis/diff/sat.rs"),
+    ("datafrog", "src/datalog/eval/recursion.rs"),
+    ("egg", "src/datalog/plan/optimize/saturate.rs"),
+    ("include_dir", "src/builtin.rs"),
     ("parquet", "src/task/vap/table.rs"),
     ("rand_chacha", "src/rng.rs"),
-    ("regex", "src/lang/functor.rs"),
-    ("annotate_snippets", "src/diag/render.rs"),
+    ("regex", "src/datalog/value.rs"),
+    ("serde_yaml", "src/config/yaml.rs"),
 ];
+
+/// Files that name files of the product.
+const PRODUCT_PATHS_IN: &[&str] = &["builtin", "cli"];
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Every source file with its room and its code: comments and the tests at its end left out.
-fn files() -> Vec<(PathBuf, String, String)> {
+/// A source file.
+struct Source {
+    path: PathBuf,
+    /// Its module, for example `["datalog", "check", "body"]`.
+    module: Vec<String>,
+    room: String,
+    /// Without comments and without the tests at its end.
+    code: String,
+}
+
+/// All source files but `lib.rs` and `main.rs`.
+fn sources() -> Vec<Source> {
+    let levels = levels();
     let mut found = Vec::new();
     let mut folders = vec![root().join("src")];
     while let Some(folder) = folders.pop() {
@@ -33,36 +48,93 @@ fn files() -> Vec<(PathBuf, String, String)> {
             if path.is_dir() {
                 folders.push(path);
             } else if path.extension().is_some_and(|extension| extension == "rs") {
-                let inside = path.strip_prefix(root()).unwrap().to_owned();
-                let room = inside.iter().nth(1).unwrap().to_str().unwrap().trim_end_matches(".rs");
-                let text = fs::read_to_string(&path).unwrap();
-                let text = text.split("#[cfg(test)]").next().unwrap();
-                let code: Vec<&str> = text
-                    .lines()
+                let path = path.strip_prefix(root()).unwrap().to_owned();
+                let parts = path.with_extension("");
+                let mut module: Vec<String> = (parts.iter().skip(1))
+                    .map(|part| part.to_str().unwrap().to_owned())
+                    .collect();
+                module.pop_if(|last| last == "mod");
+                if ["lib", "main"].contains(&module[0].as_str()) {
+                    continue;
+                }
+                let text = fs::read_to_string(root().join(&path)).unwrap();
+                let text = text.split("\n#[cfg(test)]\nmod ").next().unwrap();
+                let code: Vec<&str> = (text.lines())
                     .filter(|line| !line.trim_start().starts_with("//"))
                     .collect();
-                found.push((inside.clone(), room.to_owned(), code.join("\n")));
+                let room = room(&levels, &module).unwrap_or_else(|| panic!("{} is in no room", path.display()));
+                found.push(Source {
+                    room,
+                    code: code.join("\n"),
+                    module,
+                    path,
+                });
             }
         }
     }
-    found.sort();
+    found.sort_by(|a, b| a.path.cmp(&b.path));
     found
 }
 
-/// The rooms that code names after `crate::`, alone or in braces.
-fn imports(code: &str) -> BTreeSet<String> {
-    let word = |text: &str| -> String { text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect() };
-    let mut rooms = BTreeSet::new();
-    for (at, _) in code.match_indices("crate::") {
-        let rest = &code[at + "crate::".len()..];
-        if let Some(list) = rest.strip_prefix('{') {
-            let list = list.split(';').next().unwrap();
-            rooms.extend(list.split(',').map(|item| word(item.trim())));
-        } else {
-            rooms.insert(word(rest));
+/// The room that a path from the root of the crate leads to: the longest beginning of it that the table names.
+fn room(levels: &BTreeMap<String, u32>, path: &[String]) -> Option<String> {
+    let beginnings = (1..=path.len()).rev().map(|length| path[..length].join("::"));
+    beginnings.into_iter().find(|beginning| levels.contains_key(beginning))
+}
+
+/// The paths, from the root of the crate, that the code of a module names after `crate::` or `super::`, lists in braces taken apart.
+fn imports(source: &Source) -> Vec<Vec<String>> {
+    let mut found = Vec::new();
+    for (at, start) in (source.code.match_indices("crate::")).chain(source.code.match_indices("super::")) {
+        let before = source.code[..at].chars().next_back();
+        if before.is_some_and(|c| c.is_alphanumeric() || c == '_' || c == ':' || c == '$') {
+            continue;
+        }
+        let mut prefix = match start {
+            "crate::" => Vec::new(),
+            _ => source.module[..source.module.len() - 1].to_vec(),
+        };
+        let mut rest = &source.code[at + start.len()..];
+        while let Some(further) = rest.strip_prefix("super::") {
+            prefix.pop();
+            rest = further;
+        }
+        tree(rest, prefix, &mut found);
+    }
+    found
+}
+
+/// Adds the leaves of a tree of paths; gives back what follows it.
+fn tree<'a>(mut rest: &'a str, mut path: Vec<String>, found: &mut Vec<Vec<String>>) -> &'a str {
+    loop {
+        rest = rest.trim_start();
+        if let Some(inside) = rest.strip_prefix('{') {
+            rest = inside;
+            loop {
+                rest = rest.trim_start_matches(|c: char| c.is_whitespace() || c == ',');
+                if let Some(after) = rest.strip_prefix('}') {
+                    return after;
+                }
+                rest = tree(rest, path.clone(), found);
+            }
+        }
+        let end = rest.find(|c: char| !(c.is_alphanumeric() || c == '_' || c == '*'));
+        let (word, after) = rest.split_at(end.unwrap_or(rest.len()));
+        assert!(
+            !word.is_empty(),
+            "a path goes on with a name: {}",
+            &rest[..rest.len().min(60)]
+        );
+        path.push(word.to_owned());
+        match after.strip_prefix("::") {
+            // A type's arguments are no path.
+            Some(next) if !next.starts_with('<') => rest = next,
+            _ => {
+                found.push(path);
+                return after.trim_start_matches(|c: char| c == ' ' || c.is_alphanumeric() || c == '_');
+            }
         }
     }
-    rooms
 }
 
 /// The level of each room, from the table in ARCHITECTURE.md.
@@ -78,26 +150,102 @@ fn levels() -> BTreeMap<String, u32> {
 
 #[test]
 fn rooms_import_only_lower_rooms() {
-    let level = levels();
-    let rooms: BTreeSet<String> = files().into_iter().map(|(_, room, _)| room).collect();
-    let expected = rooms.iter().filter(|room| !["lib", "main"].contains(&room.as_str()));
-    assert!(
-        level.keys().eq(expected),
-        "the table has a row for each room: {level:?}"
-    );
+    let levels = levels();
+    let sources = sources();
+    let rooms: BTreeSet<&String> = sources.iter().map(|source| &source.room).collect();
+    assert!(levels.keys().eq(rooms), "the table has no row for a room without files");
     let mut faults = Vec::new();
-    for (path, room, code) in files() {
-        if room == "lib" || room == "main" {
-            continue;
-        }
-        for import in imports(&code) {
-            let Some(&other) = level.get(&import) else {
+    for source in &sources {
+        for import in imports(source) {
+            let Some(other) = room(&levels, &import) else {
                 continue;
             };
-            let allowed = import == room || other < level[&room];
-            if !allowed {
-                faults.push(format!("{} imports {import}", path.display()));
+            if other != source.room && levels[&other] >= levels[&source.room] {
+                faults.push(format!("{} imports {}", source.path.display(), import.join("::")));
             }
+        }
+    }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+/// The constants that match `{kind}::{NAME}` are used only where the room that declares them is the same or lower.
+fn constants_come_from_below(kind: &str, declares: impl Fn(&str) -> Vec<String>) {
+    let levels = levels();
+    let sources = sources();
+    let mut home: BTreeMap<String, &str> = BTreeMap::new();
+    for source in &sources {
+        for name in declares(&source.code) {
+            let former = home.insert(name.clone(), &source.room);
+            assert_eq!(former, None, "{kind}::{name} is declared twice");
+        }
+    }
+    assert!(home.len() > 10, "{home:?}");
+    let mut faults = Vec::new();
+    for source in &sources {
+        for (at, found) in source.code.match_indices(&format!("{kind}::")) {
+            let rest = &source.code[at + found.len()..];
+            let end = rest
+                .find(|c: char| !(c.is_alphanumeric() || c == '_'))
+                .unwrap_or(rest.len());
+            let Some(room) = home.get(&rest[..end]) else { continue };
+            if *room != source.room && levels[*room] >= levels[&source.room] {
+                faults.push(format!(
+                    "{} uses {kind}::{} of {room}",
+                    source.path.display(),
+                    &rest[..end]
+                ));
+            }
+        }
+    }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+#[test]
+fn codes_are_declared_in_the_room_that_uses_them_or_below() {
+    constants_come_from_below("Code", |code| {
+        let Some(at) = code.find("diagnostic_codes! {\n") else {
+            return Vec::new();
+        };
+        let lines = code[at..].lines().skip(1).take_while(|line| *line != "}");
+        let names = lines.filter_map(|line| Some(line.split_once(" = \"")?.0.trim().to_owned()));
+        names.collect()
+    });
+}
+
+#[test]
+fn purposes_of_draws_are_declared_in_the_room_that_uses_them_or_below() {
+    constants_come_from_below("Purpose", |code| {
+        let lines = code.lines().filter_map(|line| line.trim().strip_prefix("pub const "));
+        let names = lines.filter_map(|line| line.split_once(": Purpose = "));
+        names.map(|(name, _)| name.to_owned()).collect()
+    });
+    let mut numbers = BTreeSet::new();
+    for source in sources() {
+        for (at, found) in source.code.match_indices("Purpose = Purpose::new(") {
+            let rest = &source.code[at + found.len()..];
+            let number = &rest[..rest.find(')').unwrap()];
+            assert!(
+                numbers.insert(number.to_owned()),
+                "two purposes have the number {number}"
+            );
+        }
+    }
+}
+
+#[test]
+fn only_the_top_names_files_of_the_product() {
+    let mut faults = Vec::new();
+    for source in sources() {
+        let top = source.module[0].as_str();
+        if !PRODUCT_PATHS_IN.contains(&top) {
+            let paths = [
+                "\"rules/",
+                "\"configs/",
+                "include_str!(\"../../rules",
+                "include_str!(\"../../configs",
+            ];
+            let named = paths.iter().filter(|path| source.code.contains(**path));
+            faults.extend(named.map(|path| format!("{}: {path}", source.path.display())));
         }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
@@ -106,8 +254,8 @@ fn rooms_import_only_lower_rooms() {
 #[test]
 fn pure_rooms_touch_no_files_and_no_clock() {
     let mut faults = Vec::new();
-    for (path, room, code) in files() {
-        if PURE.contains(&room.as_str()) {
+    for source in sources() {
+        if PURE.contains(&source.module[0].as_str()) {
             let words = [
                 "std::fs",
                 "std::env",
@@ -117,12 +265,8 @@ fn pure_rooms_touch_no_files_and_no_clock() {
                 "println!",
                 "thread_rng",
             ];
-            faults.extend(
-                words
-                    .iter()
-                    .filter(|word| code.contains(*word))
-                    .map(|word| format!("{}: {word}", path.display())),
-            );
+            let used = words.iter().filter(|word| source.code.contains(**word));
+            faults.extend(used.map(|word| format!("{}: {word}", source.path.display())));
         }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
@@ -131,10 +275,9 @@ fn pure_rooms_touch_no_files_and_no_clock() {
 #[test]
 fn a_crate_with_one_purpose_is_used_in_one_place() {
     for (name, home) in ONLY_IN {
-        let users: Vec<PathBuf> = files()
-            .into_iter()
-            .filter(|(_, _, code)| code.contains(&format!("{name}::")))
-            .map(|(path, _, _)| path)
+        let users: Vec<PathBuf> = (sources().into_iter())
+            .filter(|source| source.code.contains(&format!("{name}::")))
+            .map(|source| source.path)
             .collect();
         assert_eq!(users, [Path::new(home)], "{name}");
     }

@@ -1,4 +1,4 @@
-//! Whether facts are as the rules constraint.
+//! Finds the facts that violate the constraints of the rules.
 
 use crate::datalog::check::{Constraint, RelId};
 use crate::datalog::session::Session;

@@ -242,7 +242,7 @@ mod tests {
     /// Drawn episodes, one in five of which is easy and hit by half of its runs, the others by none: 0.1 lies in about 95 of 100 intervals,
     /// and in far fewer of those that take all runs for independent ones.
     #[test]
-    fn intervals_hold_what_they_constraint() {
+    fn intervals_have_their_coverage() {
         let mut random = Seed(3).stream(Purpose::POLICY, 0, 0);
         let (trials, mut inside, mut naive) = (500, 0, 0);
         for _ in 0..trials {
