@@ -59,6 +59,7 @@ fn sources() -> Vec<Source> {
                 }
                 let text = fs::read_to_string(root().join(&path)).unwrap();
                 let text = text.split("\n#[cfg(test)]\nmod ").next().unwrap();
+                let text = text.split("\n#[cfg(test)]\npub(crate) mod ").next().unwrap();
                 let code: Vec<&str> = (text.lines())
                     .filter(|line| !line.trim_start().starts_with("//"))
                     .collect();
@@ -238,14 +239,16 @@ fn only_the_top_names_files_of_the_product() {
     for source in sources() {
         let top = source.module[0].as_str();
         if !PRODUCT_PATHS_IN.contains(&top) {
-            let paths = [
-                "\"rules/",
-                "\"configs/",
-                "include_str!(\"../../rules",
-                "include_str!(\"../../configs",
-            ];
-            let named = paths.iter().filter(|path| source.code.contains(**path));
-            faults.extend(named.map(|path| format!("{}: {path}", source.path.display())));
+            for (at, _) in (source.code.match_indices("\"rules/")).chain(source.code.match_indices("\"configs/")) {
+                let literal = source.code[at + 1..].split('"').next().unwrap();
+                if [".dl", ".yaml", ".jsonl"]
+                    .iter()
+                    .any(|ending| literal.ends_with(ending))
+                {
+                    faults.push(format!("{}: {literal}", source.path.display()));
+                }
+            }
+            assert!(!source.code.contains("include_dir!"), "{}", source.path.display());
         }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
