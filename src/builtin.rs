@@ -63,6 +63,20 @@ impl ReadFile for BuiltinFiles {
     }
 }
 
+/// Reads with a function, which serves the built-in files, and suggests these in messages.
+#[derive(Clone, Copy, Debug)]
+pub struct ReadWith<F>(pub F);
+
+impl<F: Fn(&Path) -> Result<String, ReadError>> ReadFile for ReadWith<F> {
+    fn read(&self, path: &Path) -> Result<String, ReadError> {
+        self.0(path)
+    }
+
+    fn builtin_paths(&self) -> Vec<String> {
+        paths()
+    }
+}
+
 /// Reads a text file, or, if there is none, the built-in file of that path.
 ///
 /// # Errors

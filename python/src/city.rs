@@ -1,8 +1,7 @@
 //! Scenes and simulations.
 
 use crate::{Shared, Signals, input_error, read_error, to_python};
-use logicity::builtin::BuiltinFiles;
-use logicity::builtin::read_or_builtin;
+use logicity::builtin::{BuiltinFiles, ReadWith, read_or_builtin};
 use logicity::city::{Action, Split};
 use logicity::city::{Agent, Cell, Heading, MoveReason};
 use logicity::config::{Scenario, load_scenario};
@@ -10,7 +9,7 @@ use logicity::datalog::Program;
 use logicity::datalog::explain::ExplanationPrinter;
 use logicity::diag::Located;
 use logicity::diag::{Code, Diagnostic, SourceId, Sources, Span};
-use logicity::files::{Output, ReadError, read_text};
+use logicity::files::{Output, ReadError, ReadFile};
 use logicity::rng::Seed;
 use logicity::sim::{Executor, Inference, MAX_ENTITIES, Settings, Simulation, TraceWriter, World, hash_sources};
 use numpy::ndarray::{Array1, Array2};
@@ -106,13 +105,13 @@ impl Loaded {
         };
         let read_config = |path: &Path| match overrides {
             Some(text) if path == Path::new(OVERRIDES) => Ok(text.to_owned()),
-            _ => record(path, given(path).unwrap_or_else(|| read_text(path))),
+            _ => record(path, given(path).unwrap_or_else(|| BuiltinFiles.read(path))),
         };
         let read_rules = |path: &Path| record(path, given(path).unwrap_or_else(|| read_or_builtin(path)));
 
         let mut sources = Sources::new();
         let entry = overrides.map_or(config, |_| Path::new(OVERRIDES));
-        let mut scenario = match load_scenario(&mut sources, entry, &read_config) {
+        let mut scenario = match load_scenario(&mut sources, entry, &ReadWith(read_config)) {
             Ok(scenario) => scenario,
             Err(faults) => {
                 return Err(match faults.as_slice() {
@@ -128,7 +127,7 @@ impl Loaded {
         let path = rules.clone().unwrap_or_else(|| scenario.rules.value.clone());
         let text = read_rules(&path).map_err(|error| LoadError::Unread(path.clone(), error))?;
         let rule_file = sources.add(path.display().to_string(), text);
-        let (program, faults) = Program::load(&mut sources, rule_file, &read_rules);
+        let (program, faults) = Program::load(&mut sources, rule_file, &ReadWith(&read_rules));
         let Some(program) = program else {
             return Err(LoadError::Faulty(faults, sources));
         };

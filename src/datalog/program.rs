@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::datalog::check::{Edb, RelId, Relation, Rules};
+use crate::datalog::check::{Edb, RelId, Rules};
 #[cfg(feature = "optimizer")]
 use crate::datalog::plan::optimize;
 use crate::datalog::plan::{Compiled, Plans};

@@ -6,3 +6,5 @@ pub mod city;
 pub mod datalog;
 #[path = "../datalog/random_program/mod.rs"]
 mod random_program;
+#[path = "../datalog/rule_files.rs"]
+mod rule_files;
