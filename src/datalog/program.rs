@@ -19,7 +19,7 @@ pub struct Program(pub(super) Arc<Compiled>);
 pub struct Options {
     /// Simplify clauses before they are planned. Without the feature `optimizer` clauses are planned as they are.
     pub optimize: bool,
-    /// Rely on [`Rules::constraints`]. Where facts violate a constraint, answers may then be wrong; [`constraint::broken`] tells.
+    /// Rely on [`Rules::constraints`]. Where facts violate a constraint, answers may then be wrong; see [`constraints::violations`](crate::datalog::constraints::violations).
     pub constraints: bool,
 }
 

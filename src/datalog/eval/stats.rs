@@ -2,7 +2,7 @@
 
 use crate::datalog::check::ClauseId;
 
-/// What [`Session::commit_watched`] tells of.
+/// An event of [`Session::commit_watched`](crate::datalog::Session::commit_watched).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EvalEvent {
     /// A clause begins to be evaluated.
@@ -87,12 +87,12 @@ pub struct RuleStats {
 /// What a commit did.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct EvalStats {
-    /// By position in [`Rules::strata`]; empty before the first commit.
+    /// By position in [`Rules::strata`](crate::datalog::Rules::strata); empty before the first commit.
     pub strata: Vec<StratumStats>,
 }
 
 impl EvalStats {
-    /// Positions in [`Rules::strata`] of the strata that were maintained or recomputed.
+    /// Positions in [`Rules::strata`](crate::datalog::Rules::strata) of the strata that were maintained or recomputed.
     pub fn evaluated(&self) -> impl Iterator<Item = usize> {
         let strata = self.strata.iter().enumerate();
         strata

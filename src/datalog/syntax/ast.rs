@@ -301,7 +301,7 @@ pub enum BaseType {
 }
 
 impl BaseType {
-    /// All of them; the type of that name is at the same position of [`Rules::types`].
+    /// All of them; the type of that name is at the same position of [`Rules::types`](crate::datalog::Rules::types).
     pub const ALL: [BaseType; 4] = [BaseType::Symbol, BaseType::Number, BaseType::Unsigned, BaseType::Float];
 
     /// The type that has this name in other languages.
@@ -326,7 +326,7 @@ impl BaseType {
     }
 }
 
-/// What a [`Directive`] says of its predicate.
+/// The kind of a [`Directive`](crate::datalog::Directive).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MarkKind {
     /// `.input`
