@@ -84,7 +84,7 @@ struct Tally {
     last_move: Vec<u64>,
     /// For each agent that stands still, whom it waited for when it was looked at, and by which clause.
     waited: Vec<BTreeSet<(usize, ClauseId)>>,
-    /// For each constraint that was broken, if that is looked for: what was told first, in which tick, and in how many ticks.
+    /// For each violated constraint, if constraints are checked: the first message, its tick, and the number of ticks.
     broken: Vec<(Diagnostic, u64, u64)>,
 }
 
@@ -329,7 +329,7 @@ impl Tally {
 
     /// Counts the constraints that the facts of a tick break.
     fn add_broken(&mut self, mut faults: Vec<Diagnostic>, tick: u64) {
-        // One directive may constraint several things.
+        // One directive may declare several constraints.
         faults.dedup_by(|a, b| a.primary == b.primary);
         for fault in faults {
             let same = |(known, ..): &&mut (Diagnostic, u64, u64)| known.primary == fault.primary;

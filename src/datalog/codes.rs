@@ -31,7 +31,7 @@ crate::diagnostic_codes! {
     EXTENDED_INPUT = "extended-input", Warning;
     /// A `.scope` that cannot guard the rules it is given.
     INVALID_SCOPE = "invalid-scope", Error;
-    /// A constraint that its predicates cannot keep: they are derived, or their columns do not fit it.
+    /// A constraint on derived predicates, or on columns that do not fit it.
     INVALID_CONSTRAINT = "invalid-constraint", Error;
     /// A named variable that occurs only once in its rule.
     SINGLETON_VARIABLE = "singleton-variable", Warning;

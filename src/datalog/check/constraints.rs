@@ -81,7 +81,7 @@ fn refuse(message: String, at: Span, relation: RelId, names: &Names) -> Diagnost
     fault.note(format!("the declaration is `{}`", names.signature_text(relation)))
 }
 
-/// Rules say what is true of a derived predicate; nobody need constraint it.
+/// Reports constraints on derived predicates: their rules already say what is true of them.
 fn usable(relation: RelId, name: &Name, names: &Names, faults: &mut Faults) -> bool {
     let signature = &names.signatures[relation.index()];
     if names.relation(relation).derived && signature.input.is_some() {

@@ -70,7 +70,7 @@ pub(crate) fn plan_clause(
                 matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
             if finished && clause.body.len() <= DETOUR_LITERALS_MAX {
                 let other = Planner::new(clause, indexes, order).plan(First::Literal(position), &version)?;
-                // An index over a relation that grows has to be kept up; a alternative must do without.
+                // An index over a relation that grows has to be kept up; an alternative must do without.
                 let mut sources = other.steps.iter().flat_map(Step::sources);
                 let own = |source: Source| source.version == Version::Complete || indexes.is_own(source.index);
                 let cheap = sources.all(own) && !other.searches_new();
