@@ -10,8 +10,8 @@
 //!
 //! ```
 //! use logicity::city::Cell;
-//! use logicity::config::{Split, load_scenario};
-//! use logicity::diag::Sources;
+//! use logicity::city::{Cell, Split};
+//! use logicity::config::load_scenario;
 //! use logicity::datalog::Program;
 //! use logicity::builtin::{self, BuiltinFiles};
 //! use logicity::render::{Difficulty, Facing, Icons, Renderer, Sprite, Viewport, write_png};
