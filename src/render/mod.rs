@@ -9,7 +9,6 @@
 //! on any number of threads.
 //!
 //! ```
-//! use logicity::city::Cell;
 //! use logicity::city::{Cell, Split};
 //! use logicity::config::load_scenario;
 //! use logicity::datalog::Program;
