@@ -11,6 +11,7 @@
 //! ```
 //! use logicity::city::{Cell, Split};
 //! use logicity::config::load_scenario;
+//! use logicity::diag::Sources;
 //! use logicity::datalog::Program;
 //! use logicity::builtin::{self, BuiltinFiles};
 //! use logicity::render::{Difficulty, Facing, Icons, Renderer, Sprite, Viewport, write_png};
