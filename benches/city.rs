@@ -5,15 +5,13 @@ mod shipped_world;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use logicity::builtin::BuiltinFiles;
-use logicity::city::{Action, AgentKind, Split};
-use logicity::city::{CityMap, Places, Router, Surroundings, advance, place_agents};
-use logicity::config::load_scenario;
+use logicity::city::{Action, AgentKind, AgentSet, Places, Router, Split, Surroundings, advance, place_agents};
 use logicity::datalog::dense::{BitFacts, BitState, TrackFirings, has};
 use logicity::diag::Located;
 use logicity::diag::Sources;
 use logicity::files::read_text;
 use logicity::rng::{Purpose, Seed};
-use logicity::sim::{Executor, Inference, Settings, Simulation, World};
+use logicity::sim::{Executor, Inference, LoadedCity, Settings, Simulation, World};
 use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
@@ -114,16 +112,14 @@ fn rules(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// A map with its places, ready to plan on.
-fn planner(config: &str) -> (Router, Places) {
-    let scenario =
-        load_scenario(&mut Sources::new(), Path::new(config), &BuiltinFiles).expect("a built-in configuration");
-    let map = CityMap::generate(&scenario.map).expect("a built-in map");
-    let router = Router::new(Arc::new(map), scenario.routing);
-    let set = scenario.agent_set(Split::Test).expect("a test set");
-    let cells = |given: Option<Located<u32>>| given.map(|given| given.value);
-    let places = Places::new(&router, cells(set.region), cells(set.trip));
-    (router, places)
+/// The test agents of a configuration, and its map with their places.
+fn planner(config: &str) -> (AgentSet, Router, Places) {
+    let city = LoadedCity::load(&mut Sources::new(), Path::new(config), None, &BuiltinFiles).expect("it is built in");
+    let World { router, scenario, .. } = city.world().expect("the rules fit");
+    let set = scenario.agent_set(Split::Test).expect("a test set").clone();
+    let cells = |given: &Option<Located<u32>>| given.as_ref().map(|given| given.value);
+    let places = Places::new(&router, cells(&set.region), cells(&set.trip));
+    (set, router, places)
 }
 
 /// Drawing a goal and planning the way there, from one goal to the next, on the map of the paper and on one for a million
@@ -132,7 +128,7 @@ fn route(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("route");
     group.throughput(Throughput::Elements(1));
     for config in ["expert", "metropolis"] {
-        let (router, places) = planner(config);
+        let (_, router, places) = planner(config);
         for kind in AgentKind::ALL {
             let mut at = places.nth(kind, places.count(kind) / 2).expect("a place");
             let mut draw = 0;
@@ -147,7 +143,7 @@ fn route(criterion: &mut Criterion) {
             });
         }
     }
-    let (router, places) = planner("metropolis");
+    let (_, router, places) = planner("metropolis");
     let count = places.count(AgentKind::Car);
     let place = |number: usize| places.nth(AgentKind::Car, number % count).expect("a place");
     let mut number = 0;
@@ -164,11 +160,8 @@ fn route(criterion: &mut Criterion) {
 
 /// Moves of the agents of the expert test city, each at its normal speed; replanning included. Throughput is in moves.
 fn moves(criterion: &mut Criterion) {
-    let (router, places) = planner("expert");
-    let scenario =
-        load_scenario(&mut Sources::new(), Path::new("expert"), &BuiltinFiles).expect("a built-in configuration");
-    let set = scenario.agent_set(Split::Test).expect("a test set");
-    let mut agents = place_agents(set, &router, &places, Seed(1)).expect("agents placed");
+    let (set, router, places) = planner("expert");
+    let mut agents = place_agents(&set, &router, &places, Seed(1)).expect("agents placed");
     let mut group = criterion.benchmark_group("advance");
     group.throughput(Throughput::Elements(agents.len() as u64));
     let mut surroundings = Surroundings {

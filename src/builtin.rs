@@ -76,18 +76,3 @@ impl<F: Fn(&Path) -> Result<String, ReadError>> ReadFile for ReadWith<F> {
         paths()
     }
 }
-
-/// Reads a text file, or, if there is none, the built-in file of that path.
-///
-/// # Errors
-/// Why the file cannot be read.
-pub fn read_or_builtin(path: &Path) -> Result<String, ReadError> {
-    match BuiltinFiles.read(path) {
-        Err(ReadError::NotFound) => path
-            .to_str()
-            .and_then(text)
-            .map(str::to_owned)
-            .ok_or(ReadError::NotFound),
-        read => read,
-    }
-}

@@ -57,9 +57,22 @@ pub trait ReadFile {
     /// Why the file cannot be read.
     fn read(&self, path: &Path) -> Result<String, ReadError>;
 
-    /// The paths of the files below [`BUILTIN_FOLDER`], for suggestions in messages.
+    /// The paths of the files below [`BUILTIN_FOLDER`].
     fn builtin_paths(&self) -> Vec<String> {
         Vec::new()
+    }
+
+    /// The text of a file or, if it does not exist, of the built-in file with that path.
+    ///
+    /// # Errors
+    /// Why the file cannot be read.
+    fn read_or_builtin(&self, path: &Path) -> Result<String, ReadError> {
+        match self.read(path) {
+            Err(ReadError::NotFound) if self.builtin_paths().iter().any(|known| path.to_str() == Some(known)) => {
+                self.read(&Path::new(BUILTIN_FOLDER).join(path))
+            }
+            read => read,
+        }
     }
 }
 

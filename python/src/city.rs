@@ -1,17 +1,17 @@
 //! Scenes and simulations.
 
 use crate::{Shared, Signals, input_error, read_error, to_python};
-use logicity::builtin::{BuiltinFiles, ReadWith, read_or_builtin};
+use logicity::builtin::{BuiltinFiles, ReadWith};
 use logicity::city::{Action, Split};
 use logicity::city::{Agent, Cell, Heading, MoveReason};
-use logicity::config::{Scenario, load_scenario};
-use logicity::datalog::Program;
+use logicity::config::missing_file;
 use logicity::datalog::explain::ExplanationPrinter;
-use logicity::diag::Located;
-use logicity::diag::{Code, Diagnostic, SourceId, Sources, Span};
+use logicity::diag::{Code, Diagnostic, SourceId, Sources};
 use logicity::files::{Output, ReadError, ReadFile};
 use logicity::rng::Seed;
-use logicity::sim::{Executor, Inference, MAX_ENTITIES, Settings, Simulation, TraceWriter, World, hash_sources};
+use logicity::sim::{
+    Executor, Inference, LoadError, LoadedCity, MAX_ENTITIES, Settings, Simulation, TraceWriter, World, hash_sources,
+};
 use numpy::ndarray::{Array1, Array2};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
@@ -41,41 +41,20 @@ const REASONS: [(MoveReason, &str); 4] = [
 /// The name of the text with overrides.
 const OVERRIDES: &str = "<overrides>";
 
-/// Workspace of files by path.
+/// The texts of files by path.
 type Files = BTreeMap<PathBuf, String>;
 
-/// A configuration and its rules.
+/// A city and the texts it was loaded from.
 pub struct Loaded {
     pub sources: Sources,
-    pub scenario: Scenario,
-    pub program: Program,
-    /// The first text of the rules; the later texts are their includes.
-    pub rule_file: SourceId,
+    pub city: LoadedCity,
     /// All texts that were read.
     files: Files,
 }
 
-/// The reason why loading failed.
-enum LoadError {
-    /// The configuration does not exist; the message.
-    Missing(String),
-    Unread(PathBuf, ReadError),
-    Faulty(Vec<Diagnostic>, Sources),
-}
-
-impl LoadError {
-    fn raise(self, py: Python<'_>) -> PyErr {
-        match self {
-            LoadError::Missing(message) => PyFileNotFoundError::new_err(message),
-            LoadError::Unread(path, error) => read_error(py, &path, &error),
-            LoadError::Faulty(faults, sources) => input_error(py, &faults, &sources),
-        }
-    }
-}
-
 impl Loaded {
-    /// Reads a configuration and its rules, or another rule file. Workspace come from `files` if given, else from disk, and then from the
-    /// built-in files. `overrides` is a mapping in JSON whose `base` is the configuration.
+    /// Reads a configuration and its rules, or those in another rule file. The texts come from `files` if given, else
+    /// from disk and the built-in files. `overrides` is a mapping in JSON whose `base` is the configuration.
     pub fn new(
         py: Python<'_>,
         signals: &Signals,
@@ -84,65 +63,46 @@ impl Loaded {
         files: Option<Files>,
         overrides: Option<String>,
     ) -> PyResult<Loaded> {
-        let read = move || Loaded::read(&config, rules, files, overrides.as_deref());
-        signals.on_thread(py, read)?.map_err(|unloaded| unloaded.raise(py))
+        let (loaded, sources) = signals.on_thread(py, move || {
+            let mut sources = Sources::new();
+            let loaded = Loaded::read(&mut sources, &config, rules, files, overrides.as_deref());
+            (loaded, sources)
+        })?;
+        match loaded {
+            Ok((city, files)) => Ok(Loaded { sources, city, files }),
+            Err(LoadError::RuleFile(path, error)) => Err(read_error(py, &path, &error)),
+            Err(LoadError::Rules(faults)) => Err(input_error(py, &faults, &sources)),
+            Err(LoadError::Config(faults)) => Err(match missing_file(&faults) {
+                Some(fault) => {
+                    let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
+                    PyFileNotFoundError::new_err(fault.message.clone() + &help)
+                }
+                None => input_error(py, &faults, &sources),
+            }),
+        }
     }
 
     fn read(
+        sources: &mut Sources,
         config: &Path,
         rules: Option<PathBuf>,
         files: Option<Files>,
         overrides: Option<&str>,
-    ) -> Result<Loaded, LoadError> {
+    ) -> Result<(LoadedCity, Files), LoadError> {
         let read = RefCell::new(Files::new());
-        let record = |path: &Path, text: Result<String, ReadError>| {
-            text.inspect(|text| drop(read.borrow_mut().insert(path.to_owned(), text.clone())))
-        };
-        let given = |path: &Path| {
-            files
-                .as_ref()
-                .map(|files| files.get(path).cloned().ok_or(ReadError::NotFound))
-        };
-        let read_config = |path: &Path| match overrides {
-            Some(text) if path == Path::new(OVERRIDES) => Ok(text.to_owned()),
-            _ => record(path, given(path).unwrap_or_else(|| BuiltinFiles.read(path))),
-        };
-        let read_rules = |path: &Path| record(path, given(path).unwrap_or_else(|| read_or_builtin(path)));
-
-        let mut sources = Sources::new();
-        let entry = overrides.map_or(config, |_| Path::new(OVERRIDES));
-        let mut scenario = match load_scenario(&mut sources, entry, &ReadWith(read_config)) {
-            Ok(scenario) => scenario,
-            Err(faults) => {
-                return Err(match faults.as_slice() {
-                    // The file that the caller named has no place in any text.
-                    [fault] if fault.code == Code::MISSING_FILE && fault.primary.is_none() => {
-                        let help = fault.help.iter().map(|help| format!("; {help}")).collect::<String>();
-                        LoadError::Missing(fault.message.clone() + &help)
-                    }
-                    _ => LoadError::Faulty(faults, sources),
-                });
+        let reader = ReadWith(|path: &Path| match (overrides, &files) {
+            (Some(text), _) if path == Path::new(OVERRIDES) => Ok(text.to_owned()),
+            (_, files) => {
+                let text = match files {
+                    Some(files) => files.get(path).cloned().ok_or(ReadError::NotFound),
+                    None => BuiltinFiles.read(path),
+                };
+                text.inspect(|text| drop(read.borrow_mut().insert(path.to_owned(), text.clone())))
             }
-        };
-        let path = rules.clone().unwrap_or_else(|| scenario.rules.value.clone());
-        let text = read_rules(&path).map_err(|error| LoadError::Unread(path.clone(), error))?;
-        let rule_file = sources.add(path.display().to_string(), text);
-        let (program, faults) = Program::load(&mut sources, rule_file, &ReadWith(&read_rules));
-        let Some(program) = program else {
-            return Err(LoadError::Faulty(faults, sources));
-        };
-        if rules.is_some() {
-            // Mismatches are reported in the given file, not in the configuration.
-            let span = Span::new(rule_file, 0..0);
-            scenario.rules = Located { value: path, span };
-        }
-        Ok(Loaded {
-            sources,
-            scenario,
-            program,
-            rule_file,
-            files: read.into_inner(),
-        })
+        });
+        let entry = overrides.map_or(config, |_| Path::new(OVERRIDES));
+        let city = LoadedCity::load(sources, entry, rules.as_deref(), &reader)?;
+        Ok((city, read.into_inner()))
     }
 }
 
@@ -173,14 +133,8 @@ impl PyInference {
         files: Option<Files>,
     ) -> PyResult<Self> {
         let executor = one_of("executor", executor, &Executor::ALL, Executor::name)?;
-        let Loaded {
-            sources,
-            scenario,
-            program,
-            files,
-            ..
-        } = Loaded::new(py, &Signals::new(), config, rules, files, None)?;
-        let inference = Inference::new(scenario, program, Seed(seed), executor, BuiltinFiles)
+        let Loaded { sources, city, files } = Loaded::new(py, &Signals::new(), config, rules, files, None)?;
+        let inference = Inference::new(city.scenario, city.program, Seed(seed), executor, BuiltinFiles)
             .map_err(|faults| input_error(py, &faults, &sources))?;
         Ok(PyInference {
             inference: Shared::new("Inference", inference),
@@ -217,7 +171,7 @@ struct PySimulation {
     world: Arc<World>,
     sources: Sources,
     config: PathBuf,
-    rule_file: SourceId,
+    rule_files: Vec<SourceId>,
 }
 
 /// A tick: number, positions and headings before it, derived actions, actions, positions after it, reasons, and whether agents set out
@@ -263,13 +217,8 @@ impl PySimulation {
             0 => std::thread::available_parallelism().map_or(1, usize::from),
             threads => threads,
         };
-        let Loaded {
-            sources,
-            scenario,
-            program,
-            rule_file,
-            ..
-        } = Loaded::new(py, &signals, config.clone(), rules, None, None)?;
+        let Loaded { sources, city, .. } = Loaded::new(py, &signals, config.clone(), rules, None, None)?;
+        let rule_files = city.rule_files.clone();
         let settings = Settings {
             executor,
             count_firings,
@@ -277,7 +226,7 @@ impl PySimulation {
         };
         let stop = signals.stop();
         let made = signals.on_thread(py, move || {
-            let world = Arc::new(World::new(scenario, program)?);
+            let world = Arc::new(city.world()?);
             let city = Simulation::new_until(Arc::clone(&world), split, Seed(seed), settings, stop);
             Ok((city.map_err(|fault| vec![fault])?, world))
         })?;
@@ -287,7 +236,7 @@ impl PySimulation {
             world,
             sources,
             config,
-            rule_file,
+            rule_files,
         })
     }
 
@@ -436,11 +385,10 @@ impl PySimulation {
         if city.agents().len() > MAX_ENTITIES {
             return Err(Failure::Fault(too_many(city.agents().len(), "a trace")));
         }
-        let rules: Vec<SourceId> = self.sources.ids().skip_while(|&id| id != self.rule_file).collect();
-        let hash = hash_sources(&self.sources, &rules);
+        let hash = hash_sources(&self.sources, &self.rule_files);
         let file = Output::create(path).map_err(Failure::File)?;
         let config = self.config.to_string_lossy();
-        let writer = TraceWriter::new(file, city, &self.sources, &config, self.rule_file, &hash);
+        let writer = TraceWriter::new(file, city, &self.sources, &config, self.rule_files[0], &hash);
         let mut writer = writer.map_err(Failure::File)?;
         let done = run(city, ticks, signals, |city| writer.tick(city).map_err(Failure::File));
         // The ticks before a failure are kept.

@@ -3,13 +3,12 @@
 use crate::columns;
 use crate::{Shared, Signals, input_error, to_python};
 use logicity::builtin::BuiltinFiles;
-use logicity::builtin::read_or_builtin;
 use logicity::datalog;
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
 use logicity::datalog::{ClauseId, Edb, RelId, Relation, Value, Workspace};
 use logicity::datalog::{Limits, Program, RowError, StratumStats, Threads};
 use logicity::diag::{Diagnostic, Sources, did_you_mean, to_json};
-use logicity::files::ReadError;
+use logicity::files::{ReadError, ReadFile as _};
 use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -88,7 +87,7 @@ impl PyProgram {
         let entry = sources.add(name, text);
         let given: HashMap<PathBuf, String> = files.map(|(name, text)| (name.into(), text)).collect();
         let read = move |path: &Path| match (given.get(path), given.is_empty()) {
-            (_, true) => read_or_builtin(path),
+            (_, true) => BuiltinFiles.read_or_builtin(path),
             (Some(text), _) => Ok(String::clone(text)),
             (None, _) => Err(ReadError::NotFound),
         };

@@ -21,10 +21,10 @@ mod multi_car;
 mod task;
 mod vap;
 
-use logicity::builtin::read_or_builtin;
+use logicity::builtin::BuiltinFiles;
 use logicity::cli::{Outcome, PYTHON_COMMANDS, run_with_python};
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
-use logicity::files::ReadError;
+use logicity::files::{ReadError, ReadFile as _};
 use logicity::sim::Stop;
 use numpy::ndarray::Dimension;
 use numpy::{Element, PyReadwriteArray};
@@ -98,7 +98,9 @@ fn read_error(py: Python<'_>, path: &Path, error: &ReadError) -> PyErr {
 /// The text of a file, on disk or built in.
 #[pyfunction]
 fn read_file(py: Python<'_>, path: PathBuf) -> PyResult<String> {
-    read_or_builtin(&path).map_err(|error| read_error(py, &path, &error))
+    BuiltinFiles
+        .read_or_builtin(&path)
+        .map_err(|error| read_error(py, &path, &error))
 }
 
 /// Converts JSON to Python values.

@@ -8,7 +8,6 @@ use logicity::city::{Action, Split};
 use logicity::diag::{Diagnostic, SourceId, Sources};
 use logicity::files::Output;
 use logicity::render::{Icons, Marked, Overview, Sprite};
-use logicity::sim::World;
 use logicity::task::spf::{
     ControlMode, ControlledCar, Env, Episode, EpisodeSet, Info, ObservationKind, Origin, RecordError, SpfTask, explain,
     record,
@@ -71,16 +70,10 @@ impl PyTask {
     #[new]
     fn new(py: Python<'_>, config: PathBuf, rules: Option<PathBuf>, overrides: Option<String>) -> PyResult<Self> {
         let signals = Signals::new();
-        let Loaded {
-            sources,
-            scenario,
-            program,
-            rule_file,
-            ..
-        } = Loaded::new(py, &signals, config, rules, None, overrides)?;
-        let rule_files = sources.ids().skip_while(|&id| id != rule_file).collect();
+        let Loaded { sources, city, .. } = Loaded::new(py, &signals, config, rules, None, overrides)?;
+        let rule_files = city.rule_files.clone();
         let (made, sources) = signals.on_thread(py, move || {
-            let world = World::new(scenario, program).map(Arc::new);
+            let world = city.world().map(Arc::new);
             (world.and_then(|world| SpfTask::new(world, &sources)), sources)
         })?;
         let task = made.map_err(|faults| input_error(py, &faults, &sources))?;

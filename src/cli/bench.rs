@@ -5,14 +5,13 @@ use crate::city::{Action, AgentSet, Building, Buildings, MapConfig, Split};
 use crate::city::{Agent, Cell};
 use crate::cli::{Failure, load_city, one_of, threads};
 use crate::config::Scenario;
-use crate::datalog::Program;
 use crate::datalog::dense::{BitFacts, BitState, Dense, TrackFirings};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files;
 use crate::render::{Difficulty, Icons, Picture, Renderer, Scale, Sprite, Viewport, read_png, write_png};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{
-    CROWD_MAX, Executor, Facts, Inference, Phase, Settings, Simulation, WHOLE_MAX, Width, World, in_words,
+    CROWD_MAX, Executor, Facts, Inference, LoadedCity, Phase, Settings, Simulation, WHOLE_MAX, Width, World, in_words,
 };
 use crate::task::spf::{ControlMode, Env, SpfTask};
 use serde_json::{Value, json};
@@ -262,19 +261,19 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             "--scenes times the dense executor only; leave out --executor relational".to_owned(),
         ));
     }
-    let (scenario, program, _) = load_city(sources, &arguments.config, None)?;
+    let city = load_city(sources, &arguments.config, None)?;
     if arguments.what == What::Scale {
         let most = arguments.agents.unwrap_or(SCALE[SCALE.len() - 1]);
         let sizes = SCALE.into_iter().take_while(|&size| size < most);
         for size in sizes.chain([most]) {
-            Bench::new(arguments, &scenario, &program, Some(size))?.tick(SCALE_TICKS, false)?;
+            Bench::new(arguments, city.clone(), Some(size))?.tick(SCALE_TICKS, false)?;
         }
         return Ok(());
     }
     if let Some(scenes) = &arguments.scenes {
-        return infer_scenes(arguments, scenario, program, scenes);
+        return infer_scenes(arguments, city, scenes);
     }
-    let mut bench = Bench::new(arguments, &scenario, &program, arguments.agents)?;
+    let mut bench = Bench::new(arguments, city, arguments.agents)?;
     match arguments.what {
         What::Infer => bench.infer(),
         What::Ground => bench.ground(),
@@ -292,17 +291,11 @@ struct Bench<'a> {
 }
 
 impl<'a> Bench<'a> {
-    fn new(
-        arguments: &'a Arguments,
-        scenario: &Scenario,
-        program: &Program,
-        agents: Option<u32>,
-    ) -> Result<Self, Failure> {
-        let mut scenario = scenario.clone();
+    fn new(arguments: &'a Arguments, mut city: LoadedCity, agents: Option<u32>) -> Result<Self, Failure> {
         if let Some(agents) = agents {
-            grow(&mut scenario, arguments.split, agents);
+            grow(&mut city.scenario, arguments.split, agents);
         }
-        let world = Arc::new(World::new(scenario, program.clone())?);
+        let world = Arc::new(city.world()?);
         let simulation = Self::place(arguments, &world, arguments.seed)?;
         Ok(Bench {
             arguments,
@@ -636,9 +629,15 @@ fn evaluate<const W: usize>(
 }
 
 /// The rules alone on the scenes of a file.
-fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, path: &Path) -> Result<(), Failure> {
-    let name = scenario.name.clone();
-    let mut inference = Inference::new(scenario, program, Seed(arguments.seed), Executor::Auto, BuiltinFiles)?;
+fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path) -> Result<(), Failure> {
+    let name = city.scenario.name.clone();
+    let mut inference = Inference::new(
+        city.scenario,
+        city.program,
+        Seed(arguments.seed),
+        Executor::Auto,
+        BuiltinFiles,
+    )?;
     let dense = inference.compile().map_err(|fault| {
         fault.help("--scenes times the dense executor only; `logicity infer` decides scenes by either")
     })?;

@@ -6,7 +6,6 @@ use crate::cli::{Failure, load_city, one_of, progress};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files;
 use crate::files::Output;
-use crate::sim::World;
 use crate::task::spf::{
     Baseline, ControlMode, Env, Episode, EpisodeSet, Policy, RANDOM_RUNS, Rollout, SpfTask, constrained_by_name,
     make_episodes, rollout, summarise,
@@ -101,8 +100,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 
 impl Which {
     fn task(&self, sources: &mut Sources) -> Result<Arc<SpfTask>, Failure> {
-        let (scenario, program, _) = load_city(sources, &self.config, self.rules.as_deref())?;
-        let world = World::new(scenario, program)?;
+        let world = load_city(sources, &self.config, self.rules.as_deref())?.world()?;
         Ok(Arc::new(SpfTask::new(Arc::new(world), sources)?))
     }
 

@@ -47,10 +47,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
                 .to_owned(),
         ));
     }
-    let (scenario, program, _) = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
+    let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
     let mut inference = Inference::new(
-        scenario,
-        program,
+        city.scenario,
+        city.program,
         Seed(arguments.seed),
         arguments.executor,
         BuiltinFiles,

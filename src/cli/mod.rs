@@ -26,14 +26,14 @@ mod vap;
 mod view;
 mod why;
 
-use crate::builtin::{BuiltinFiles, read_or_builtin};
+use crate::builtin::BuiltinFiles;
 use crate::city::MapConfig;
-use crate::config::{Scenario, load_map, load_scenario};
+use crate::config::{load_map, missing_file};
 use crate::datalog::{Edb, Rules, Workspace};
 use crate::datalog::{EvalError, Limits, Program};
-use crate::diag::Located;
-use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, render};
-use crate::files::ReadError;
+use crate::diag::{Code, Diagnostic, Sources, render};
+use crate::files::{ReadError, ReadFile as _};
+use crate::sim::{LoadError, LoadedCity};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -118,6 +118,16 @@ impl From<Diagnostic> for Failure {
 impl From<Vec<Diagnostic>> for Failure {
     fn from(faults: Vec<Diagnostic>) -> Self {
         Failure::Input(faults)
+    }
+}
+
+impl From<LoadError> for Failure {
+    fn from(error: LoadError) -> Self {
+        match error {
+            LoadError::Config(faults) => missing_is_usage(faults),
+            LoadError::RuleFile(path, error) => unreadable(&path, error),
+            LoadError::Rules(faults) => faults.into(),
+        }
     }
 }
 
@@ -348,12 +358,19 @@ fn one_of<T: Copy + Send + Sync + 'static>(
 
 /// Reads a file that the user named on the command line.
 fn read(path: &Path) -> Result<String, Failure> {
-    read_or_builtin(path).map_err(|error| match error {
+    BuiltinFiles
+        .read_or_builtin(path)
+        .map_err(|error| unreadable(path, error))
+}
+
+/// A file that the user named on the command line cannot be read.
+fn unreadable(path: &Path, error: ReadError) -> Failure {
+    match error {
         ReadError::NotText { .. } => Diagnostic::new(Code::NOT_TEXT, format!("`{}` is {error}", path.display()))
             .help("save the file as UTF-8")
             .into(),
         error => Failure::file("read", path, error),
-    })
+    }
 }
 
 /// What an evaluation may take.
@@ -455,25 +472,11 @@ fn load_texts(sources: &mut Sources, path: &Path, inputs: Edb) -> Result<Workspa
     Ok(texts)
 }
 
-/// A configuration and its rules, or those of the file that is given instead. Warnings have been told; the texts of the rules are
-/// the last of `sources`, from the one returned on.
-fn load_city(
-    sources: &mut Sources,
-    config: &Path,
-    rules: Option<&Path>,
-) -> Result<(Scenario, Program, SourceId), Failure> {
-    let mut scenario = load_config(sources, config)?;
-    let path = rules.unwrap_or(&scenario.rules.value).to_owned();
-    let texts = sources.ids().count();
-    let (program, warnings) = load_program(sources, &path)?;
-    report(&warnings, sources);
-    let entry = sources.ids().nth(texts).expect("the rules have been read");
-    if rules.is_some() {
-        // What does not fit is to be shown in the file that was given, not in the configuration.
-        let span = Span::new(entry, 0..0);
-        scenario.rules = Located { value: path, span };
-    }
-    Ok((scenario, program, entry))
+/// Loads a configuration with its rules, or those in the file `rules`, and prints the warnings.
+fn load_city(sources: &mut Sources, config: &Path, rules: Option<&Path>) -> Result<LoadedCity, Failure> {
+    let city = LoadedCity::load(sources, config, rules, &BuiltinFiles)?;
+    report(&city.warnings, sources);
+    Ok(city)
 }
 
 /// More threads are not started, on however many cores: each takes memory, and some thousands more than a system gives.
@@ -488,24 +491,19 @@ fn threads(text: &str) -> Result<NonZeroUsize, String> {
     Ok(NonZeroUsize::new(count).unwrap_or_else(cores))
 }
 
-/// Reads a run configuration and all its parts.
-fn load_config(sources: &mut Sources, path: &Path) -> Result<Scenario, Failure> {
-    load_scenario(sources, path, &BuiltinFiles).map_err(missing_is_usage)
-}
-
 /// Reads a map: a path to a YAML file, or the name of a built-in map.
 fn find_map(sources: &mut Sources, name: &str) -> Result<MapConfig, Failure> {
     load_map(sources, Path::new(name), &BuiltinFiles).map_err(missing_is_usage)
 }
 
-/// A file that the user named on the command line and that cannot be read has no place in any text: that is wrong usage.
+/// A file that the user named on the command line and that does not exist is wrong usage.
 fn missing_is_usage(faults: Vec<Diagnostic>) -> Failure {
-    match faults.as_slice() {
-        [fault] if fault.code == Code::MISSING_FILE && fault.primary.is_none() => {
+    match missing_file(&faults) {
+        Some(fault) => {
             let help = fault.help.iter().map(|help| format!("\nhelp: {help}"));
             Failure::Usage(fault.message.clone() + &help.collect::<String>())
         }
-        _ => faults.into(),
+        None => faults.into(),
     }
 }
 

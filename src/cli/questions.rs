@@ -4,7 +4,6 @@ use crate::city::Split;
 use crate::cli::{Failure, load_city, one_of, progress};
 use crate::diag::Sources;
 use crate::files::Output;
-use crate::sim::{World, hash_sources};
 use crate::task::questions::{Extent, QUESTIONS_MAX, QuestionSet, Request, RulesFile, SHOTS_MAX, askable};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -59,10 +58,9 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let (scenario, program, rule_file) = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
-    let rule_files: Vec<_> = sources.ids().skip_while(|&id| id != rule_file).collect();
-    let hash = hash_sources(sources, &rule_files);
-    let world = Arc::new(World::new(scenario, program)?);
+    let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
+    let (rule_file, hash) = (city.rule_files[0], city.rules_hash(sources));
+    let world = Arc::new(city.world()?);
     let (count, about) = match arguments.mini {
         true => (MINI.0, MINI.1.map(str::to_owned).to_vec()),
         false => (arguments.count as usize, arguments.about.clone()),

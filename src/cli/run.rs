@@ -13,7 +13,7 @@ use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{
     DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TraceWriter, WaitsFor,
-    World, hash_sources, standstill, waits,
+    standstill, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeSet;
@@ -89,12 +89,11 @@ struct Tally {
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
-    let (scenario, program, rule_file) = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
-    let rule_files: Vec<_> = sources.ids().skip_while(|&id| id != rule_file).collect();
-    let rules_hash = hash_sources(sources, &rule_files);
-    let ticks = arguments.ticks.unwrap_or(u64::from(scenario.ticks));
+    let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
+    let (rule_file, rules_hash) = (city.rule_files[0], city.rules_hash(sources));
+    let ticks = arguments.ticks.unwrap_or(u64::from(city.scenario.ticks));
     let mut simulation = Simulation::new(
-        Arc::new(World::new(scenario, program)?),
+        Arc::new(city.world()?),
         arguments.split,
         Seed(arguments.seed),
         Settings {

@@ -1,9 +1,10 @@
 //! Traces as input: found with the configuration and rules they were made with.
 
-use crate::cli::{Failure, load_config, load_program};
+use crate::builtin::BuiltinFiles;
+use crate::cli::Failure;
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::files::MAX_BYTES;
-use crate::sim::{Replay, TraceHeader, TraceTick, World, hash_sources};
+use crate::sim::{LoadError, LoadedCity, Replay, TraceHeader, TraceTick};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -63,22 +64,26 @@ impl TraceReader {
         strict: bool,
     ) -> Result<Replay, Failure> {
         let named = self.header.config_file.as_ref().unwrap_or(&self.header.config);
-        let path = config.unwrap_or(Path::new(named));
-        let scenario = load_config(sources, path)
-            .map_err(|failure| hint(failure, config, "give the configuration of the run with --config"))?;
-        let hashes = [&scenario.hash, &self.header.config_hash];
-        matching("configuration", path, hashes, &self.path, "--config")?;
-
-        let path = rules.unwrap_or(Path::new(&self.header.rules));
-        let first_rule_file = sources.ids().count();
-        let (program, _) = load_program(sources, path)
-            .map_err(|failure| hint(failure, rules, "give the rules of the run with --rules"))?;
+        let config_path = config.unwrap_or(Path::new(named));
+        let rules_path = rules.unwrap_or(Path::new(&self.header.rules));
+        let city = LoadedCity::load(sources, config_path, Some(rules_path), &BuiltinFiles).map_err(|error| {
+            let (given, help) = match error {
+                LoadError::Config(_) => (config, "give the configuration of the run with --config"),
+                LoadError::RuleFile(..) | LoadError::Rules(_) => (rules, "give the rules of the run with --rules"),
+            };
+            match Failure::from(error) {
+                // A file that only the trace names.
+                Failure::Usage(message) if given.is_none() => Failure::Usage(format!("{message}\nhelp: {help}")),
+                failure => failure,
+            }
+        })?;
+        let hashes = [&city.scenario.hash, &self.header.config_hash];
+        matching("configuration", config_path, hashes, &self.path, "--config")?;
         if strict {
-            let files: Vec<_> = sources.ids().skip(first_rule_file).collect();
-            let hashes = [&hash_sources(sources, &files), &self.header.rules_hash];
-            matching("rules", path, hashes, &self.path, "--rules")?;
+            let hashes = [&city.rules_hash(sources), &self.header.rules_hash];
+            matching("rules", rules_path, hashes, &self.path, "--rules")?;
         }
-        let world = World::new(scenario, program)?;
+        let world = city.world()?;
         Replay::new(Arc::new(world), &self.header).map_err(|fault| placed(fault, &self.path, 1))
     }
 }
@@ -111,14 +116,6 @@ fn next_line(
         if !line.trim().is_empty() {
             return Ok(Some(line));
         }
-    }
-}
-
-/// What else to do if a file that only the trace names cannot be read.
-fn hint(failure: Failure, given: Option<&Path>, help: &str) -> Failure {
-    match failure {
-        Failure::Usage(message) if given.is_none() => Failure::Usage(format!("{message}\nhelp: {help}")),
-        other => other,
     }
 }
 

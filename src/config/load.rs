@@ -65,6 +65,14 @@ pub fn load_map(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Ma
     finish(map, composer.faults)
 }
 
+/// The fault that the loaded file does not exist, if that is all.
+pub fn missing_file(faults: &[Diagnostic]) -> Option<&Diagnostic> {
+    match faults {
+        [fault] if fault.code == Code::MISSING_FILE && fault.primary.is_none() => Some(fault),
+        _ => None,
+    }
+}
+
 pub(super) fn finish<T>(value: Option<T>, faults: Vec<Diagnostic>) -> Result<T, Vec<Diagnostic>> {
     match value {
         Some(value) if faults.is_empty() => Ok(value),

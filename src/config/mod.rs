@@ -20,6 +20,6 @@ mod yaml;
 
 pub use codes::CODES;
 pub use compose::Read;
-pub use load::{load_map, load_scenario};
+pub use load::{load_map, load_scenario, missing_file};
 pub use model::*;
 pub use tree::{Tree, load_tree};

@@ -9,21 +9,16 @@
 //! on any number of threads.
 //!
 //! ```
+//! use logicity::builtin::BuiltinFiles;
 //! use logicity::city::{Cell, Split};
-//! use logicity::config::load_scenario;
 //! use logicity::diag::Sources;
-//! use logicity::datalog::Program;
-//! use logicity::builtin::{self, BuiltinFiles};
 //! use logicity::render::{Difficulty, Facing, Icons, Renderer, Sprite, Viewport, write_png};
 //! use logicity::rng::Seed;
-//! use logicity::sim::{Settings, Simulation, World};
+//! use logicity::sim::{LoadedCity, Settings, Simulation};
 //! use std::{path::Path, sync::Arc};
 //!
-//! let mut sources = Sources::new();
-//! let scenario = load_scenario(&mut sources, Path::new("vap-easy"), &BuiltinFiles).expect("it is built in");
-//! let rules = sources.add("vap-easy.dl", builtin::text("rules/vap-easy.dl").expect("it is built in"));
-//! let (program, _) = Program::load(&mut sources, rules, &BuiltinFiles);
-//! let world = World::new(scenario, program.expect("without errors")).expect("they fit");
+//! let loaded = LoadedCity::load(&mut Sources::new(), Path::new("vap-easy"), None, &BuiltinFiles).expect("it is built in");
+//! let world = loaded.world().expect("the rules fit");
 //! let city = Simulation::new(Arc::new(world), Split::Test, Seed(1), Settings::default()).expect("there is room for all");
 //!
 //! // 1024 x 1024 pixels: 128 cells of 8; cars are 48 pixels wide, pedestrians 32. The ground is drawn once.

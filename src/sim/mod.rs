@@ -12,6 +12,7 @@ mod deadlock;
 mod executor;
 mod ground;
 mod infer;
+mod load;
 mod observe;
 mod replay;
 mod rule_monitor;
@@ -31,6 +32,7 @@ pub use deadlock::{DeadlockReport, LOOK_TICKS, STUCK_TICKS, WaitsFor, standstill
 pub use executor::{CROWD_MAX, Executor, WHOLE_MAX};
 pub use ground::{Chance, Entity, Facts, ground};
 pub use infer::{Answer, EgoAnswer, Inference, SceneFacts};
+pub use load::{LoadError, LoadedCity};
 pub use observe::{OBSERVED_MAX, Observer, Oracle};
 pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};
 pub use rule_monitor::ActionConstraint;

@@ -1,11 +1,11 @@
 //! What is true whatever bytes come in, of configurations, scenes and rules of a city. `hostile` asks it of many inputs in every
 //! test run, `tests/fuzz` of as many as there is time for. Each function panics where something is not as it should be.
 
-use logicity::builtin::{BuiltinFiles, read_or_builtin};
+use logicity::builtin::BuiltinFiles;
 use logicity::config::{load_map, load_scenario};
 use logicity::datalog::Program;
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
-use logicity::files::{BUILTIN_FOLDER, ReadError};
+use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile as _};
 use logicity::rng::Seed;
 use logicity::sim::{Executor, Finding, Inference, conflicts as find_conflicts, scene_json};
 use std::cell::RefCell;
@@ -16,7 +16,7 @@ pub fn conflicts(bytes: &[u8]) {
     let mut sources = Sources::new();
     let entry = sources.add("any.dl", String::from_utf8_lossy(bytes));
     let builtin = |path: &Path| match path.starts_with(BUILTIN_FOLDER) {
-        true => read_or_builtin(path),
+        true => BuiltinFiles.read_or_builtin(path),
         false => Err(ReadError::NotFound),
     };
     let (Some(program), _) = Program::load(&mut sources, entry, &builtin) else {

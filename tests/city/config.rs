@@ -1,6 +1,6 @@
 //! Configurations: the files we ship, every message, the blocks of the reference, and hostile input.
 
-use logicity::builtin::{self, BuiltinFiles, read_or_builtin};
+use logicity::builtin::{self, BuiltinFiles};
 use logicity::city::{Action, AgentConfig, AgentKind, Buildings, Split};
 use logicity::config::{Definition, Scenario, load_map, load_scenario};
 use logicity::diag::{Code, Diagnostic, MAX_FAULTS, Sources, render, to_json};
@@ -492,7 +492,7 @@ fn built_in_files_are_the_files_of_the_folders() {
 fn built_in_files_are_read_where_there_is_no_repository() {
     let same = |path: &str, builtin_path: &str| {
         assert_eq!(
-            read_or_builtin(Path::new(path)).ok().as_deref(),
+            BuiltinFiles.read_or_builtin(Path::new(path)).ok().as_deref(),
             builtin::text(builtin_path),
             "{path}"
         );
@@ -501,10 +501,13 @@ fn built_in_files_are_read_where_there_is_no_repository() {
     same("<builtin>/vocabulary.dl", "rules/vocabulary.dl");
     same("<builtin>/configs/expert.yaml", "configs/expert.yaml");
     assert_eq!(
-        read_or_builtin(Path::new("<builtin>/nothing.dl")),
+        BuiltinFiles.read_or_builtin(Path::new("<builtin>/nothing.dl")),
         Err(ReadError::NotFound)
     );
-    assert_eq!(read_or_builtin(Path::new("vocabulary.dl")), Err(ReadError::NotFound));
+    assert_eq!(
+        BuiltinFiles.read_or_builtin(Path::new("vocabulary.dl")),
+        Err(ReadError::NotFound)
+    );
     // What a built-in configuration names is built in, too.
     let expert = load_scenario(&mut Sources::new(), Path::new("expert"), &builtin_only).expect("built in");
     same(expert.rules.value.to_str().expect("UTF-8"), "rules/expert.dl");

@@ -1,14 +1,13 @@
 //! Worlds of the shipped configurations, for tests and benches.
 #![allow(dead_code, reason = "each target uses its own part")]
 
-use logicity::builtin::BuiltinFiles;
-use logicity::builtin::read_or_builtin;
-use logicity::config::{Scenario, load_scenario};
-use logicity::datalog::Program;
+use logicity::builtin::{BuiltinFiles, ReadWith};
+use logicity::config::Scenario;
 use logicity::diag::{Diagnostic, Sources};
 use logicity::files::{BUILTIN_FOLDER, ReadError, ReadFile};
-use logicity::sim::World;
+use logicity::sim::{LoadError, LoadedCity, World};
 use logicity::task::spf::SpfTask;
+use std::cell::OnceCell;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -57,20 +56,23 @@ pub fn task_of(config: &str) -> Result<SpfTask, Vec<Diagnostic>> {
 
 fn load(
     config: &str,
-    read: &dyn ReadFile,
+    files: &dyn ReadFile,
     text: Option<&str>,
     edit: impl FnOnce(&mut Scenario),
 ) -> Result<(Arc<World>, Sources), Vec<Diagnostic>> {
     let mut sources = Sources::new();
-    let mut scenario = load_scenario(&mut sources, Path::new(config), read)?;
-    edit(&mut scenario);
-    let name = scenario.rules.value.display().to_string();
-    let rules = text.map_or_else(
-        || read_or_builtin(&scenario.rules.value).expect("built in"),
-        str::to_owned,
-    );
-    let entry = sources.add(name, rules);
-    let (program, faults) = Program::load(&mut sources, entry, &BuiltinFiles);
-    let world = World::new(scenario, program.ok_or(faults)?)?;
-    Ok((Arc::new(world), sources))
+    // The first rule file that is read is the one that the configuration names.
+    let named = OnceCell::new();
+    let read = ReadWith(|path: &Path| match text {
+        Some(text) if path.extension() == Some("dl".as_ref()) && named.get_or_init(|| path.to_owned()) == path => {
+            Ok(text.to_owned())
+        }
+        _ => files.read(path),
+    });
+    let mut city = LoadedCity::load(&mut sources, Path::new(config), None, &read).map_err(|error| match error {
+        LoadError::Config(faults) | LoadError::Rules(faults) => faults,
+        LoadError::RuleFile(path, error) => panic!("{}: {error}", path.display()),
+    })?;
+    edit(&mut city.scenario);
+    Ok((Arc::new(city.world()?), sources))
 }

@@ -2,12 +2,10 @@
 
 use logicity::builtin::BuiltinFiles;
 use logicity::city::{AgentKind, Split};
-use logicity::config::load_scenario;
-use logicity::datalog;
-use logicity::datalog::Program;
 use logicity::diag::Sources;
 use logicity::render::{Difficulty, Icons, Picture, PixelBox, read_png, write_png};
 use logicity::rng::{Purpose, RngExt, Seed};
+use logicity::sim::LoadedCity;
 use logicity::task::vap::table::{Sample, Table, Values, samples};
 use logicity::task::vap::{Agents, FIRST_TICK, Frame, SIDE, TICKS, Worlds, count_actions, icon_seed};
 use serde_json::Value;
@@ -23,15 +21,8 @@ fn worlds(agents: Agents, split: Split) -> Worlds {
     // Icons take long to draw; all worlds share them.
     static ICONS: OnceLock<Arc<Icons>> = OnceLock::new();
     let icons = ICONS.get_or_init(|| Arc::new(Icons::new(Seed(0), Difficulty::CLEAN)));
-    let mut sources = Sources::new();
-    let scenario = load_scenario(&mut sources, Path::new("vap-hard"), &BuiltinFiles).unwrap();
-    let rules = &scenario.rules.value;
-    let entry = sources.add(
-        rules.display().to_string(),
-        logicity::builtin::read_or_builtin(rules).unwrap(),
-    );
-    let program = Program::new(datalog::load(&mut sources, entry, &BuiltinFiles).rules.unwrap()).unwrap();
-    Worlds::new(scenario, program, Arc::clone(icons), agents, split, 0).unwrap()
+    let city = LoadedCity::load(&mut Sources::new(), Path::new("vap-hard"), None, &BuiltinFiles).unwrap();
+    Worlds::new(city.scenario, city.program, Arc::clone(icons), agents, split, 0).unwrap()
 }
 
 fn vap(arguments: &[&str]) -> Output {

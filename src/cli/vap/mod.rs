@@ -13,7 +13,7 @@ use crate::config::Scenario;
 use crate::datalog::Program;
 use crate::diag::Sources;
 use crate::render::{Picture, write_png};
-use crate::sim::{hash_sources, start_threads};
+use crate::sim::start_threads;
 use crate::task::vap::table::{Table, count_concepts};
 use crate::task::vap::{Agents, FIRST_TICK, TICKS, Worlds, count_actions, count_atoms, icon_seed, published_worlds};
 use folder::{ENTITIES, Manifest, PAIRS, Record, Settings, WorldWriter, wrong};
@@ -81,13 +81,12 @@ struct City {
 
 impl City {
     fn load(mode: Mode, sources: &mut Sources) -> Result<City, Failure> {
-        let (scenario, program, rule_file) = load_city(sources, Path::new(&mode.config()), None)?;
-        let rule_files: Vec<_> = sources.ids().skip_while(|&id| id != rule_file).collect();
+        let city = load_city(sources, Path::new(&mode.config()), None)?;
         Ok(City {
-            config_hash: scenario.hash.clone(),
-            rules_hash: hash_sources(sources, &rule_files),
-            scenario,
-            program,
+            config_hash: city.scenario.hash.clone(),
+            rules_hash: city.rules_hash(sources),
+            scenario: city.scenario,
+            program: city.program,
         })
     }
 }

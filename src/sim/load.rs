@@ -1,0 +1,83 @@
+//! Loads a city: one call from the path of a configuration to a scenario with its compiled rules.
+
+use crate::config::{Scenario, load_scenario};
+use crate::datalog::Program;
+use crate::diag::{Diagnostic, Located, SourceId, Sources, Span};
+use crate::files::{ReadError, ReadFile};
+use crate::sim::trace::hash_sources;
+use crate::sim::world::World;
+use std::path::{Path, PathBuf};
+
+/// A scenario and the program of its rules. [`LoadedCity::world`] joins them.
+#[derive(Clone, Debug)]
+pub struct LoadedCity {
+    /// The configuration.
+    pub scenario: Scenario,
+    /// The rules.
+    pub program: Program,
+    /// The rule file, then the files it includes.
+    pub rule_files: Vec<SourceId>,
+    /// The warnings of the rules.
+    pub warnings: Vec<Diagnostic>,
+}
+
+/// Why a city could not be loaded.
+#[derive(Clone, Debug)]
+pub enum LoadError {
+    /// The configuration is faulty. [`missing_file`](crate::config::missing_file) finds out whether it does not exist.
+    Config(Vec<Diagnostic>),
+    /// The rule file cannot be read.
+    RuleFile(PathBuf, ReadError),
+    /// The rules are faulty.
+    Rules(Vec<Diagnostic>),
+}
+
+impl LoadedCity {
+    /// Reads a configuration and its rules, or those in the file `rules`, and adds every text to `sources`.
+    ///
+    /// `config` is a path or the name of a built-in configuration, for example `expert`. A rule file that `files` does
+    /// not find is looked up among the built-in files.
+    ///
+    /// # Errors
+    /// See [`LoadError`].
+    pub fn load(
+        sources: &mut Sources,
+        config: &Path,
+        rules: Option<&Path>,
+        files: &dyn ReadFile,
+    ) -> Result<LoadedCity, LoadError> {
+        let mut scenario = load_scenario(sources, config, files).map_err(LoadError::Config)?;
+        let path = rules.unwrap_or(&scenario.rules.value).to_owned();
+        let text = files.read_or_builtin(&path);
+        let text = text.map_err(|error| LoadError::RuleFile(path.clone(), error))?;
+        let entry = sources.add(path.display().to_string(), text);
+        let (program, diagnostics) = Program::load(sources, entry, files);
+        let Some(program) = program else {
+            return Err(LoadError::Rules(diagnostics));
+        };
+        if rules.is_some() {
+            // A mismatch is shown in the file that the caller named, not in the configuration.
+            let span = Span::new(entry, 0..0);
+            scenario.rules = Located { value: path, span };
+        }
+        Ok(LoadedCity {
+            scenario,
+            program,
+            rule_files: sources.ids().skip_while(|&id| id != entry).collect(),
+            warnings: diagnostics,
+        })
+    }
+
+    /// The hash of the rule files, as traces and data sets name it.
+    pub fn rules_hash(&self, sources: &Sources) -> String {
+        hash_sources(sources, &self.rule_files)
+    }
+
+    /// Generates the map and binds the predicates to the rules.
+    ///
+    /// # Errors
+    /// As [`World::new`].
+    pub fn world(self) -> Result<World, Vec<Diagnostic>> {
+        World::new(self.scenario, self.program)
+    }
+}
