@@ -7,9 +7,9 @@ SOLVERS := .venv-solvers
 FUZZ_TARGETS := parse check query evaluate config scene rows
 FUZZ_SECONDS := 600
 
-.PHONY: test quick lint rust doc wheel python python-all page solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
+.PHONY: test quick lint features rust doc wheel python python-all page solvers fuzz $(FUZZ_TARGETS:%=fuzz-%)
 
-test: lint rust doc python page
+test: lint features rust doc python page
 
 # No Python, no pictures, no test whose name begins with slow_, fewer random cases.
 quick:
@@ -21,6 +21,15 @@ lint:
 	cargo fmt --manifest-path tests/fuzz/Cargo.toml --check
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 	cargo clippy --manifest-path tests/fuzz/Cargo.toml --target-dir target --no-default-features --locked -- -D warnings
+
+# The engine alone with its tests, then each feature alone.
+FEATURES := $(filter-out default,$(shell sed -n '/^\[features\]/,/^\[dep/s/^\([a-z]*\) = .*/\1/p' Cargo.toml))
+features:
+	cargo clippy --locked --no-default-features --all-targets -- -D warnings
+	cargo test --locked --no-default-features --test datalog -- --skip slow_
+	for feature in $(FEATURES); do \
+	    cargo clippy --locked --no-default-features --features $$feature --lib --bins --examples -- -D warnings || exit 1; \
+	done
 
 rust:
 	cargo test --locked
