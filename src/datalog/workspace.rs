@@ -181,7 +181,7 @@ impl Workspace {
             return Err(faults.finish());
         };
         let [Literal::Atom { negated: false, atom }] = body.as_slice() else {
-            let fault = Diagnostic::new(Code::INVALID_FACT, "this is not one fact");
+            let fault = Diagnostic::new(Code::INVALID_FACT, "this is not a single fact");
             return Err(vec![fault.at(place.0, "expected a predicate and its values")]);
         };
         for term in &atom.terms {
@@ -191,7 +191,7 @@ impl Workspace {
             });
             if let Some(name) = variable {
                 let fault = Diagnostic::new(Code::INVALID_FACT, format!("`{name}` is a variable, not a value"));
-                let help = format!("texts stand in double quotes: `\"{name}\"`; `_` is any value");
+                let help = format!("write strings in double quotes: `\"{name}\"`; `_` matches any value");
                 faults.push(fault.at(term.place.0, "").help(help));
             }
         }
@@ -210,7 +210,7 @@ impl Workspace {
                 values: constants(atom, &rules, symbols).collect(),
             }),
             _ => {
-                let fault = Diagnostic::new(Code::INVALID_FACT, "a fact has constants only");
+                let fault = Diagnostic::new(Code::INVALID_FACT, "a fact contains only constants");
                 Err(vec![fault.at(place.0, "").help("write the value of the expression")])
             }
         }

@@ -249,7 +249,7 @@ impl<'c> Check<'_, 'c> {
                             "`_` in a negated atom of an aggregate under a scope is not supported",
                         )
                         .at(atom.span, "")
-                        .help("define a predicate by a clause of its own, and negate that");
+                        .help("define a separate predicate, and negate that");
                         self.report(fault);
                     }
                     Term::Wildcard if in_view => {
@@ -278,7 +278,7 @@ impl<'c> Check<'_, 'c> {
                 let fault = Diagnostic::new(Code::INVALID_SCOPE, "cannot guard this aggregate")
                     .at(head.span, "")
                     .also(guard.span, "the scope")
-                    .note("what an aggregate counts under a scope is what the head's first argument sees")
+                    .note("under a scope, an aggregate ranges over what the head's first argument sees")
                     .help("end the scope before the clause: `.scope`");
                 self.report(fault);
                 return Vec::new();

@@ -175,7 +175,7 @@ fn refuse_cycles<'c>(items: &'c [Item], inline: &HashMap<&'c str, Span>, faults:
         if component[from] == component[to] {
             cyclic.extend([names[from], names[to]]);
             if reported.insert(component[from]) {
-                let why = "is inline and depends on itself by way of inline predicates only";
+                let why = "is inline and depends on itself through inline predicates only";
                 faults.push(refused(place, why).also(inline[names[to]], "declared here"));
             }
         }
@@ -202,7 +202,7 @@ fn refuse_negated(items: &[Item], meanings: &Meanings<'_>, open: &HashSet<&str>,
             let name = atom.predicate.text.as_str();
             let meaning = meanings.get(name).filter(|_| negated && !open.contains(name));
             if meaning.is_some_and(|clauses| clauses.iter().any(has_own)) {
-                let why = "is inline, has variables of its own, and is negated";
+                let why = "is inline, has extra variables, and is negated";
                 faults.push(refused(&atom.predicate, why));
             }
         });
@@ -272,7 +272,7 @@ impl Inliner<'_, '_> {
                 };
                 self.growth += meanings.iter().map(|(_, body)| 1 + body.len()).sum::<usize>();
                 if depth >= MAX_DEPTH || self.growth > MAX_GROWTH {
-                    return self.refuse(atom, "is inline and used too deeply");
+                    return self.refuse(atom, "is inline and nested too deeply");
                 }
                 let mut alternatives = Vec::new();
                 for &(head, body) in meanings {
@@ -280,7 +280,7 @@ impl Inliner<'_, '_> {
                         return vec![literal.clone()];
                     }
                     let Some(alternative) = self.meaning(atom, head, body, *negated) else {
-                        return self.refuse(atom, "is inline, has variables of its own, and is negated");
+                        return self.refuse(atom, "is inline, has extra variables, and is negated");
                     };
                     alternatives.push(self.all(&alternative, depth + 1));
                 }

@@ -174,12 +174,12 @@ pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
 fn report(code: Code, span: Span, other: Span, faults: &mut Faults) {
     let (message, label) = match code {
         Code::DUPLICATE_CLAUSE => (
-            "this clause stands here already",
-            "the same, up to the names of variables and order",
+            "this clause is a duplicate",
+            "the same clause, up to variable names and order",
         ),
         _ => (
-            "this clause derives nothing that another does not",
-            "whenever it fires, this one derives the same",
+            "another clause derives everything that this one does",
+            "this clause derives the same rows",
         ),
     };
     faults.push(

@@ -462,7 +462,7 @@ impl Names {
                 let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "union of too many types")
                     .at(decl.name.place.0, "")
                     .note(format!(
-                        "a union has at most {MAX_MEMBERS} members, those of its members included"
+                        "a union has at most {MAX_MEMBERS} members, including those of its members"
                     ));
                 faults.push(fault);
             } else if seen.contains(&id) {
@@ -587,7 +587,7 @@ impl Names {
                 MarkKind::PrintSize => {
                     relation.printsize = true;
                     if let Some(earlier) = self.printsizes.insert(id, name.place.0) {
-                        let message = format!("`{}` has two `.printsize`", name.text);
+                        let message = format!("`{}` has two `.printsize` directives", name.text);
                         let fault = Diagnostic::new(Code::DUPLICATE_DECLARATION, message)
                             .at(name.place.0, "again here")
                             .also(earlier, "first here");

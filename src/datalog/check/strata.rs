@@ -80,7 +80,9 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
             ),
         };
         faults.push(
-            fault.help(help).note("a negated atom or an aggregate needs the complete predicate first, so no cycle may contain one"),
+            fault
+                .help(help)
+                .note("a negated atom or an aggregate needs the complete predicate first, so no cycle may contain one"),
         );
     }
 }

@@ -56,7 +56,7 @@ pub(crate) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) ->
         let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "rule file too large")
             .at(Span::new(id, 0..0), "")
             .note(format!(
-                "a rule file has at most {} MiB; facts can be given as `.facts` files",
+                "a rule file has at most {} MiB; put facts into `.facts` files",
                 MAX_TEXT_BYTES >> 20
             ));
         faults.push(fault);
@@ -176,13 +176,13 @@ impl Walk<'_> {
             .collect();
         let mut fault = match on_cycle.as_slice() {
             [] => Diagnostic::new(Code::INCLUDE_CYCLE, format!("`{name}` includes itself")).at(span, ""),
-            _ => Diagnostic::new(Code::INCLUDE_CYCLE, "files include each other in a circle")
-                .at(span, "this include closes the circle"),
+            _ => Diagnostic::new(Code::INCLUDE_CYCLE, "files include each other in a cycle")
+                .at(span, "this include closes the cycle"),
         };
         for step in on_cycle {
-            fault = fault.also(step, "on the circle");
+            fault = fault.also(step, "on the cycle");
         }
         self.faults
-            .push(fault.help("move what both need into a file of its own, and include that"));
+            .push(fault.help("move the shared rules into a separate file, and include that"));
     }
 }

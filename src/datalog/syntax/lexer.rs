@@ -252,7 +252,7 @@ impl Lexer<'_> {
             }
             None => {
                 self.faults.push(
-                    Diagnostic::new(Code::SYNTAX, "comment without an end")
+                    Diagnostic::new(Code::SYNTAX, "unclosed comment")
                         .at(self.span(self.at, self.at + 2), "this `/*` has no `*/`"),
                 );
                 self.at = self.bytes.len();
@@ -271,9 +271,9 @@ impl Lexer<'_> {
             }
         }
         self.faults.push(
-            Diagnostic::new(Code::SYNTAX, "text without a closing quote")
+            Diagnostic::new(Code::SYNTAX, "string without a closing quote")
                 .at(self.span(self.at, self.at + 1), "it begins here")
-                .note("a text ends on the line it begins; write a line break as `\\n`"),
+                .note("a string ends on the line where it begins; write a line break as `\\n`"),
         );
         self.push(Kind::OpenText, length);
     }
@@ -299,9 +299,7 @@ impl Lexer<'_> {
         self.faults.push(
             Diagnostic::new(Code::SYNTAX, "not a number")
                 .at(self.span(self.at, self.at + length), "")
-                .help(
-                    "a number is written in decimal, or as `0x` or `0b` and digits; a name does not begin with a digit",
-                ),
+                .help("write a number in decimal, or with the prefix `0x` or `0b`; a name cannot begin with a digit"),
         );
         self.push(Kind::Faulty, length);
     }
@@ -451,10 +449,10 @@ impl Lexer<'_> {
         let mut fault = Diagnostic::new(Code::SYNTAX, message).at(self.span(start, start + length), "");
         fault = match first {
             '\'' | '\u{2018}' | '\u{2019}' | '\u{201c}' | '\u{201d}' => {
-                fault.help("texts are written in double quotes: `\"...\"`")
+                fault.help("write strings in double quotes: `\"...\"`")
             }
             _ if first.is_alphabetic() => fault.help(
-                "names are made of the letters a-z and A-Z, digits, `_` and `?`; other letters stand in texts only",
+                "names consist of the letters a-z and A-Z, digits, `_` and `?`; only strings may contain other letters",
             ),
             _ => fault,
         };

@@ -429,7 +429,7 @@ impl<'c> Check<'_, 'c> {
             TermKind::Variable(name) => OperandKind::Variable(self.variable(name, span)),
             TermKind::Wildcard => {
                 let fault = Diagnostic::new(Code::UNBOUND_VARIABLE, "`_` where a value is needed")
-                    .at(span, "nothing says what this is")
+                    .at(span, "nothing binds it")
                     .help("write a variable that an atom binds, or a constant");
                 self.fault(fault);
                 OperandKind::Nothing
@@ -523,7 +523,7 @@ impl<'c> Check<'_, 'c> {
                 }
                 let fault = Diagnostic::new(Code::UNSUPPORTED, "alternatives in an aggregate are not supported")
                     .at(span, "")
-                    .help("define a predicate by a clause with these alternatives, and aggregate over that");
+                    .help("define a predicate with these alternatives, and aggregate over that");
                 self.fault(fault);
                 self.lost = true;
             }
@@ -633,8 +633,8 @@ impl<'c> Check<'_, 'c> {
         };
         value.unwrap_or_else(|| {
             let range = match base {
-                BaseType::Unsigned => format!("unsigned numbers go from 0 to {}", u32::MAX),
-                _ => format!("numbers go from {} to {}", i32::MIN, i32::MAX),
+                BaseType::Unsigned => format!("unsigned numbers range from 0 to {}", u32::MAX),
+                _ => format!("numbers range from {} to {}", i32::MIN, i32::MAX),
             };
             let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "number out of range")
                 .at(operand.span, "")
@@ -675,7 +675,7 @@ impl<'c> Check<'_, 'c> {
         for term in &atom.terms {
             if term.kind == TermKind::Wildcard {
                 let fault = Diagnostic::new(Code::UNBOUND_VARIABLE, "`_` in a head")
-                    .at(term.place.0, "nothing says what this is")
+                    .at(term.place.0, "nothing binds it")
                     .help(if fact {
                         "write a constant"
                     } else {
@@ -764,11 +764,11 @@ impl<'c> Check<'_, 'c> {
             let (code, help) = match self.names.inputs {
                 Edb::Fixed => (
                     Code::DERIVED_INPUT,
-                    "derive another predicate, with one clause that takes over what is given",
+                    "derive another predicate, with one clause that copies the input",
                 ),
                 Edb::Extensible => (
                     Code::EXTENDED_INPUT,
-                    "to tell them apart, derive another predicate, with one clause that takes over what is given",
+                    "to distinguish them, derive another predicate, with one clause that copies the input",
                 ),
             };
             let fault = Diagnostic::new(code, format!("`{name}` is input and also derived"))

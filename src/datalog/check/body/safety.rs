@@ -153,7 +153,7 @@ impl<'c> Check<'_, 'c> {
                 .at(self.variables[index].first, "");
             if is_fact {
                 fault = fault
-                    .note("a fact has no variables; a name without quotes is one")
+                    .note("a fact has no variables; a name without quotes is a variable")
                     .help(format!("write the constant in quotes: `\"{name}\"`"));
             } else {
                 if let Some((_, span)) = self.variables[index].negated
@@ -162,12 +162,10 @@ impl<'c> Check<'_, 'c> {
                     fault = fault.also(span, "a negated atom binds nothing");
                 }
                 if let Some(span) = self.variables[index].further_in {
-                    fault = fault.also(span, "what stands in an aggregate binds nothing outside of it");
+                    fault = fault.also(span, "an aggregate binds nothing outside of it");
                 }
                 fault = match self.binder(index, head, &name) {
-                    Some(binder) => fault.help(format!(
-                        "add a positive atom that says what `{name}` is, such as `{binder}`"
-                    )),
+                    Some(binder) => fault.help(format!("add a positive atom that binds `{name}`, such as `{binder}`")),
                     None => fault.help(format!("add a positive atom with `{name}` to the body")),
                 };
             }

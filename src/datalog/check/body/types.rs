@@ -310,7 +310,7 @@ impl<'c> Check<'_, 'c> {
             let wanted: Vec<String> = tie.allowed.iter().map(|base| format!("`{}`", base.name())).collect();
             let what = match tie.kind {
                 TieKind::Compare => "this takes values",
-                TieKind::Functor(_) => "has to do with values",
+                TieKind::Functor(_) => "takes or returns values",
             };
             let message = match tie.kind {
                 TieKind::Compare => format!("{what} of type {}, not `{}`", wanted.join(" or "), found.name()),

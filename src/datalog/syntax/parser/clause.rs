@@ -34,7 +34,7 @@ impl Parser<'_> {
             return Err(self.expected_item(" (a head cannot be negated)"));
         }
         if self.at_question() {
-            let help = "mark a predicate as a result with `.output`, or ask it in `logicity repl`";
+            let help = "mark a predicate as output with `.output`, or enter the query in `logicity repl`";
             return Err(self.unsupported(self.span(start), "queries (`?-`) are", help));
         }
         let mut heads = vec![self.atom("the arguments of the head: `(`")?];
@@ -251,15 +251,15 @@ impl Parser<'_> {
                 return Err(self.unsupported(
                     atom.place.0,
                     &format!("the functor `{}` is", atom.predicate.text),
-                    "an atom has no value that could be compared",
+                    "an atom has no value to compare",
                 ));
             }
             return Ok(Literal::Atom { negated: false, atom });
         };
         let (Some(right), Some(left), 0) = (atom.terms.pop(), atom.terms.pop(), atom.terms.len()) else {
             let message = format!("`{}` takes 2 arguments", atom.predicate.text);
-            let fault =
-                Diagnostic::new(Code::ARITY_MISMATCH, message).at(atom.place.0, "a pattern or part, and a text");
+            let fault = Diagnostic::new(Code::ARITY_MISMATCH, message)
+                .at(atom.place.0, "expected a pattern or part, then a string");
             self.faults.push(fault);
             return Err(Reported);
         };
@@ -305,7 +305,7 @@ impl Parser<'_> {
         let help = match next.kind {
             _ if self.habit().is_some() => self.habit().unwrap_or_default().to_owned(),
             Kind::Ident | Kind::Underscore => {
-                format!("arguments stand in parentheses: `{text}({})`", self.slice(next))
+                format!("put arguments in parentheses: `{text}({})`", self.slice(next))
             }
             _ => format!("a predicate without arguments is written `{text}()`"),
         };
@@ -318,7 +318,7 @@ impl Parser<'_> {
 }
 
 /// Help for programs that use a cut.
-const CUT: &str = "all answers are wanted, and the order of clauses says nothing; to leave out what another clause covers, \
+const CUT: &str = "Datalog derives all answers and ignores the order of clauses; to exclude what another clause covers, \
                    negate it: `Not(A(x))`";
 
 fn comparison(kind: Kind) -> Option<Comparison> {

@@ -74,7 +74,7 @@ impl Parser<'_> {
                     words.push(self.unescape(token));
                 }
                 if words.is_empty() {
-                    return Err(self.expected("a text in quotes"));
+                    return Err(self.expected("a quoted string"));
                 }
                 Ok(Some(Item::Pragma(Pragma {
                     words,
@@ -99,7 +99,7 @@ impl Parser<'_> {
                 if let Some((_, what)) = FOREIGN_DIRECTIVES.iter().find(|(foreign, _)| *foreign == name) {
                     let verb = if what.contains('(') { "are" } else { "is" };
                     let help = match name {
-                        "limitsize" => "remove it; a query stops by itself when it derives too many rows",
+                        "limitsize" => "remove it; evaluation stops when the rules derive too many rows",
                         _ => "",
                     };
                     let reported = self.unsupported(span, &format!("{what} {verb}"), help);
@@ -213,7 +213,7 @@ impl Parser<'_> {
         let place = self.place_from(dot);
         let (good, wanted) = match kind {
             ConstraintKind::Disjoint => (names.len() >= 2, "two predicates or more"),
-            ConstraintKind::Implies => (names.len() == 2, "two predicates: what holds, and what then holds too"),
+            ConstraintKind::Implies => (names.len() == 2, "two predicates: the premise, then the conclusion"),
             ConstraintKind::Irreflexive | ConstraintKind::Symmetric => (true, ""),
         };
         if !good {
@@ -241,7 +241,7 @@ impl Parser<'_> {
         {
             let fault = Diagnostic::new(Code::SYNTAX, format!("`{}` is not a predicate's name", name.text))
                 .at(name.place.0, "")
-                .note("it is a comparison of texts");
+                .note("it is a comparison of strings");
             self.faults.push(fault);
         }
         let mut qualifiers = Vec::new();

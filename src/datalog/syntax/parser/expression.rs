@@ -54,7 +54,9 @@ impl Parser<'_> {
         }
         let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "expression with too many operators")
             .at(self.span(start), "it begins here")
-            .note(format!("an expression is at most {MAX_HEIGHT} operators high"));
+            .note(format!(
+                "an expression is at most {MAX_HEIGHT} levels of operators high"
+            ));
         self.faults.push(fault);
         Err(Reported)
     }
@@ -182,7 +184,7 @@ impl Parser<'_> {
         }
         let help = match word {
             "autoinc" => "",
-            _ => "an argument is a variable, a constant, `_` or an expression of the functors listed in the reference",
+            _ => "an argument is a variable, a constant, `_` or an expression; the reference lists the functors",
         };
         self.unsupported(self.span(name), &format!("the functor `{word}` is"), help)
     }
@@ -191,11 +193,9 @@ impl Parser<'_> {
     fn applied_aggregate(&mut self, op: AggregateOp, name: Token) -> Reported {
         let word = op.name();
         let of = if op == AggregateOp::Count { "" } else { " y" };
-        let fault = Diagnostic::new(Code::SYNTAX, format!("`{word}` is no function"))
+        let fault = Diagnostic::new(Code::SYNTAX, format!("`{word}` is not a function"))
             .at(self.span(name), "")
-            .help(format!(
-                "it stands before a body of its own: `n = {word}{of} : {{ A(x, y) }}`"
-            ));
+            .help(format!("write it before a body: `n = {word}{of} : {{ A(x, y) }}`"));
         self.faults.push(fault);
         Reported
     }
@@ -347,7 +347,7 @@ impl Parser<'_> {
             let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "number out of range")
                 .at(self.span(token), "")
                 .note(format!(
-                    "numbers go from {} to {}, unsigned ones to {}",
+                    "numbers range from {} to {}, unsigned numbers from 0 to {}",
                     i32::MIN,
                     i32::MAX,
                     u32::MAX

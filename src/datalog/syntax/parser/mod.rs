@@ -450,7 +450,7 @@ impl<'a> Parser<'a> {
         let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "nested too deeply")
             .at(self.span(self.token()), "")
             .note(format!(
-                "at most {MAX_NESTING} negations, parentheses and braces may stand around anything"
+                "at most {MAX_NESTING} enclosing negations, parentheses and braces are allowed"
             ));
         self.faults.push(fault);
         Err(Reported)
@@ -483,7 +483,7 @@ impl<'a> Parser<'a> {
         }
         for (at, c) in bad {
             let start = token.start as usize + 1 + at;
-            let fault = Diagnostic::new(Code::SYNTAX, "unknown escape in a text")
+            let fault = Diagnostic::new(Code::SYNTAX, "unknown escape in a string")
                 .at(Span::new(self.source, start..start + 1 + c.len_utf8()), "")
                 .note("the escapes are `\\n`, `\\r`, `\\t`, `\\0`, `\\\"`, `\\'` and `\\\\`");
             self.faults.push(fault);
