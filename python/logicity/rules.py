@@ -370,7 +370,7 @@ class Session:
         If the fact does not hold, the explanation is that of `why_not`; `holds` distinguishes the two.
 
         Args:
-            fact: A fact in the syntax of rules, such as `path("a", _)`, where `_` is any value; or the name of a
+            fact: A fact in the syntax of rules, such as `path("a", _)`, where `_` matches any value; or the name of a
                 predicate.
             row: With the name of a predicate, its values, where `None` is any value.
 

@@ -1,4 +1,4 @@
-//! The codes of messages about rules and facts.
+//! Codes of diagnostics about rules and facts.
 
 crate::diagnostic_codes! {
     /// The text does not follow the grammar.
@@ -9,7 +9,7 @@ crate::diagnostic_codes! {
     UNKNOWN_PREDICATE = "unknown-predicate", Error;
     /// A type that is not declared.
     UNKNOWN_TYPE = "unknown-type", Error;
-    /// A type that is its own ancestor.
+    /// A type that is its own ancestor, directly or through others.
     CYCLIC_TYPE = "cyclic-type", Error;
     /// An atom with more or fewer arguments than its predicate's declaration.
     ARITY_MISMATCH = "arity-mismatch", Error;
@@ -25,36 +25,37 @@ crate::diagnostic_codes! {
     INCLUDE_CYCLE = "include-cycle", Error;
     /// An included file that cannot be read.
     MISSING_INCLUDE = "missing-include", Error;
-    /// A predicate that is input and also head of a rule.
+    /// An `.input` predicate that is also the head of a rule.
     DERIVED_INPUT = "derived-input", Error;
-    /// The same where both are meant to hold: the given rows and the derived ones.
+    /// An `.input` predicate that is also the head of a rule, where inputs are extensible: both sets of rows hold.
     EXTENDED_INPUT = "extended-input", Warning;
-    /// A `.scope` that cannot guard the rules it is given.
+    /// A `.scope` that cannot guard the rules it applies to.
     INVALID_SCOPE = "invalid-scope", Error;
-    /// A constraint on derived predicates, or on columns that do not fit it.
+    /// A constraint on derived predicates, or on columns of unsuitable types or number.
     INVALID_CONSTRAINT = "invalid-constraint", Error;
     /// A named variable that occurs only once in its rule.
     SINGLETON_VARIABLE = "singleton-variable", Warning;
-    /// A clause that derives nothing another clause does not.
+    /// A clause that derives nothing that another clause does not derive.
     SUBSUMED_CLAUSE = "subsumed-clause", Warning;
-    /// A clause equal to another, up to the names of variables and the order of literals.
+    /// A clause equal to another up to variable names and the order of literals.
     DUPLICATE_CLAUSE = "duplicate-clause", Warning;
-    /// A clause that can never fire, since a predicate it needs is always empty.
+    /// A clause that never fires, because a predicate it needs is always empty.
     DEAD_CLAUSE = "dead-clause", Warning;
-    /// Something of Soufflé that is accepted and has no effect here.
+    /// A feature of Soufflé that the checker accepts and that has no effect here.
     IGNORED = "ignored", Warning;
-    /// A declaration of a type as older versions of Soufflé write it.
+    /// A type declaration in the notation of older Soufflé versions.
     OLD_FORM = "old-form", Warning;
-    /// A body two literals of which never hold together.
+    /// A body with two literals that never hold together.
     CONTRADICTORY_BODY = "contradictory-body", Warning;
-    /// A literal that others imply.
+    /// A literal that other literals of the body imply.
     REDUNDANT_LITERAL = "redundant-literal", Warning;
-    /// Several literals that stand together in several clauses.
+    /// A group of literals that several clauses repeat.
     REPEATED_BODY = "repeated-body", Warning;
     /// A row of a facts file that does not fit its predicate's declaration.
     INVALID_FACT = "invalid-fact", Error;
     /// Facts that violate a constraint.
     CONSTRAINT_VIOLATION = "constraint-violation", Error;
-    /// Two rule sets, or rules and a configuration, do not fit: an input predicate or an action that the other side does not have.
+    /// Two rule sets, or rules and a configuration, that do not fit: one side lacks an input predicate or an action of
+    /// the other.
     RULE_MISMATCH = "rule-mismatch", Error;
 }

@@ -1,8 +1,8 @@
-//! Relations as text, by Soufflé's conventions.
+//! Relations as text, in Soufflé's conventions.
 //!
-//! One row is one line, its values are separated by tabs or what a [`RowFormat`] says: a symbol as it is, a number in decimal,
-//! a float with up to nine significant digits. The only row of a relation without columns is `()`. This module turns text into rows and
-//! rows into text; reading and writing files is for others.
+//! Each line is one row. Tabs separate the values unless a [`RowFormat`] sets another delimiter. A symbol stands as it
+//! is, a number in decimal, a float with up to nine significant digits. The only row of a relation without columns is
+//! `()`. This module converts rows from and to text; the caller reads and writes files.
 
 use crate::datalog::check::{Column, RelId, Relation, RowFormat};
 use crate::datalog::session::Session;
@@ -13,8 +13,9 @@ use crate::symbol::Symbol;
 use std::cmp::Ordering;
 use std::io::{self, Write};
 
-/// Inserts the rows of a `.facts` text into a relation, to hold from the next commit on, and says how many lines there were. If
-/// there are faults, nothing is inserted.
+/// Inserts the rows of a `.facts` text into a relation and returns the number of rows read.
+///
+/// The rows hold from the next commit on.
 ///
 /// ```text
 /// Car_1<tab>7
@@ -24,7 +25,10 @@ pub fn load(session: &mut Session, rel: RelId, sources: &Sources, source: Source
     load_as(session, rel, sources, source, &RowFormat::default())
 }
 
-/// The same for rows in any format.
+/// Loads rows as [`load`] does, in the given format.
+///
+/// # Errors
+/// All faults, as `invalid-fact` diagnostics. In that case `load_as` inserts nothing.
 pub fn load_as(
     session: &mut Session,
     rel: RelId,
@@ -44,7 +48,7 @@ pub fn load_as(
     let mut rows: Vec<Value> = Vec::new();
     let mut count = 0;
     let mut start = 0;
-    // The last line may or may not end with a line break.
+    // The final line break is optional.
     for line in text
         .strip_suffix('\n')
         .unwrap_or(text)
@@ -126,12 +130,13 @@ pub fn load_as(
     if faults.is_empty() { Ok(count) } else { Err(faults) }
 }
 
-/// Where the values of a line stand.
+/// Returns the byte range of each value in the line.
 fn split(line: &str, format: &RowFormat) -> Vec<std::ops::Range<usize>> {
     let mut parts = Vec::new();
     let mut from = 0;
     for (at, delimiter) in line.match_indices(format.delimiter.as_str()) {
-        // A delimiter between quotes is part of the text. A doubled quote opens and closes.
+        // A delimiter inside quotes belongs to the value. A doubled quote closes and reopens, so counting quotes
+        // suffices.
         let quotes = || line[from..at].bytes().filter(|byte| *byte == b'"').count();
         if !format.quoted || quotes() % 2 == 0 {
             parts.push(from..at);
@@ -155,14 +160,14 @@ fn parse(session: &mut Session, column: &Column, text: &str, format: &RowFormat)
     }
 }
 
-/// The rows of a relation as text, ordered by what is shown: numbers by value, symbols by text.
+/// Returns the rows of a relation as text, in the order of [`sorted`].
 pub fn print(session: &Session, rel: RelId) -> String {
     let mut out = Vec::new();
     write_rows(session, rel, &RowFormat::default(), &mut out).expect("writing to memory cannot fail");
     String::from_utf8(out).expect("texts are written whole")
 }
 
-/// The names of the columns on a line, if the format has it.
+/// Returns the header line with the column names; empty if the format has no headers.
 pub fn header(relation: &Relation, format: &RowFormat) -> String {
     let names: Vec<&str> = relation.columns.iter().map(|column| column.name.as_str()).collect();
     match format.headers {
@@ -171,7 +176,7 @@ pub fn header(relation: &Relation, format: &RowFormat) -> String {
     }
 }
 
-/// The rows of a relation, ordered by what is shown: numbers by value, symbols by text.
+/// Returns the rows of a relation, ordered column by column: numbers by value, symbols by text.
 pub fn sorted(session: &Session, rel: RelId) -> Vec<&[Value]> {
     let mut rows: Vec<&[Value]> = session.rows(rel).collect();
     let Some(relation) = session.program().rules().relations.get(rel.index()) else {
@@ -194,7 +199,7 @@ pub fn sorted(session: &Session, rel: RelId) -> Vec<&[Value]> {
     rows
 }
 
-/// A value as it stands in a file of rows.
+/// Returns a value as a rows file shows it.
 pub fn print_value(session: &Session, value: Value, base: BaseType) -> String {
     match base {
         BaseType::Symbol => session.symbols().text(Symbol(value.0)).unwrap_or_default().to_owned(),
@@ -204,8 +209,9 @@ pub fn print_value(session: &Session, value: Value, base: BaseType) -> String {
     }
 }
 
-/// Writes what [`print()`] prints in any format, without the header. The text may be far larger than the session: a long symbol may
-/// be in many rows.
+/// Writes the rows of a relation in the given format, without the header, in the order of [`sorted`].
+///
+/// Streaming matters: a long symbol that occurs in many rows makes the text far larger than the session.
 pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut dyn Write) -> io::Result<()> {
     let Some(relation) = session.program().rules().relations.get(rel.index()) else {
         return Ok(());

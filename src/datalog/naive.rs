@@ -1,7 +1,7 @@
-//! The slow, obvious evaluator: what a program means.
+//! Naive evaluation: the specification of what a program means.
 //!
-//! It tries every clause on every combination of rows until nothing new is derived, one stratum after the other. It shares no
-//! code with the real executor and is never made faster; tests compare the two.
+//! The evaluator goes through the strata in order. In each stratum it tries every clause on every combination of rows
+//! until it derives nothing new. It shares no code with the real executor and stays unoptimized; tests compare the two.
 
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Rules, Term};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
@@ -9,13 +9,13 @@ use crate::datalog::value::{Patterns, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::collections::BTreeSet;
 
-/// All rows that hold, by [`RelId`].
+/// All rows that hold, indexed by [`RelId`].
 pub type Database = Vec<BTreeSet<Vec<Value>>>;
 
-/// What each variable of a clause stands for, as far as it is known.
+/// The value of each variable of a clause; `None` while unbound.
 type Binding = Vec<Option<Value>>;
 
-/// All that holds if `facts` do. `symbols` must know the symbols in rules and facts.
+/// Returns the perfect model of the rules and `facts`. `symbols` must contain every symbol of both.
 pub fn evaluate(rules: &Rules, symbols: &Symbols, facts: impl IntoIterator<Item = (RelId, Vec<Value>)>) -> Database {
     let mut database: Database = vec![BTreeSet::new(); rules.relations.len()];
     for (relation, row) in facts {
@@ -38,11 +38,11 @@ pub fn evaluate(rules: &Rules, symbols: &Symbols, facts: impl IntoIterator<Item 
     database
 }
 
-/// The head rows that a clause derives from the database.
+/// Returns the head rows that a clause derives from the database.
 pub fn consequences(clause: &Clause, symbols: &Symbols, database: &Database) -> BTreeSet<Vec<Value>> {
     let mut bindings: Vec<Binding> = vec![vec![None; clause.variables.len()]];
 
-    // P(x, y): for each row of P that agrees with what is known.
+    // P(x, y): one binding for each row of P that agrees with the bindings so far.
     for literal in &clause.body {
         if let Literal::Positive(atom) | Literal::Guard(atom) = literal {
             let rows = &database[atom.relation.index()];
@@ -53,8 +53,8 @@ pub fn consequences(clause: &Clause, symbols: &Symbols, database: &Database) -> 
         }
     }
 
-    // x = y, x = y + 1, x = sum z : { P(y, z) }: what one side is, the other is. As often as there could be a chain of such
-    // literals.
+    // x = y, x = y + 1, x = sum z : { P(y, z) }: the known side binds the other one. The loop repeats once per literal
+    // of the body, the longest possible chain of such literals.
     for _ in &clause.body {
         for known in &mut bindings {
             for literal in &clause.body {
@@ -77,7 +77,7 @@ pub fn consequences(clause: &Clause, symbols: &Symbols, database: &Database) -> 
         }
     }
 
-    // x < y, !P(x, _): now that everything is bound.
+    // x < y, !P(x, _): tests, once every variable is bound.
     bindings.retain(|known| {
         clause.body.iter().all(|literal| match literal {
             Literal::Positive(_) | Literal::Guard(_) => true,
@@ -101,7 +101,7 @@ pub fn consequences(clause: &Clause, symbols: &Symbols, database: &Database) -> 
     bindings.iter().filter_map(head).collect()
 }
 
-/// What is known once the atom stands for the row; `None` if it cannot.
+/// Extends the bindings so that the atom matches the row; `None` if it cannot match.
 fn unify(atom: &Atom, row: &[Value], known: &Binding) -> Option<Binding> {
     let mut known = known.clone();
     for (term, &found) in atom.terms.iter().zip(row) {
@@ -119,14 +119,14 @@ fn unify(atom: &Atom, row: &[Value], known: &Binding) -> Option<Binding> {
     Some(known)
 }
 
-/// If `to` is an unknown variable, it becomes what was found.
+/// Binds `to` to `found` if it is an unbound variable.
 fn learn(to: &Term, found: Option<Value>, known: &mut Binding) {
     if let Term::Variable(variable) = to {
         known[variable.index()] = known[variable.index()].or(found);
     }
 }
 
-/// The value of an expression or aggregate, if it has one and all that it needs is known.
+/// Returns the value of an expression or aggregate; `None` if it has none or an operand is unbound.
 fn result(literal: &Literal, known: &Binding, database: &Database, symbols: &Symbols) -> Option<Value> {
     match literal {
         Literal::Compute {

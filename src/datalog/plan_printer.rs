@@ -1,4 +1,4 @@
-//! Plans as text: what is scanned and tested in which order, by which columns, through which index.
+//! Plans as text: the order of scans and tests, with their key columns and indexes.
 
 use crate::datalog::check::{Clause, ClauseId, RelId};
 use crate::datalog::plan::Compiled;
@@ -14,7 +14,7 @@ use crate::diag::Sources;
 use crate::symbol::Symbol;
 
 impl Program {
-    /// How every clause is evaluated, for people. The sources are those that the rules were loaded from.
+    /// Returns the evaluation plan of every clause as text for readers. `sources` must be those of the rules.
     ///
     /// ```text
     /// stratum 1: Path (recursive)
@@ -34,13 +34,13 @@ impl Program {
         shown.all(sources)
     }
 
-    /// A clause on one line, with its place.
+    /// Returns a clause on one line, with its place.
     pub fn show_clause(&self, id: ClauseId, sources: &Sources) -> String {
         on_one_line(&self.0.rules.clauses[id.index()], sources)
     }
 }
 
-/// The names of variables; one that holds the value of an expression, and is named by it, gets a letter that is free.
+/// Returns readable names of the variables. A variable that holds the value of an expression gets an unused letter.
 fn readable(variables: &[String]) -> Vec<String> {
     let mut letters = (0_u32..).flat_map(|round| {
         ('a'..='z').map(move |letter| match round {
@@ -66,8 +66,8 @@ fn on_one_line(clause: &Clause, sources: &Sources) -> String {
 }
 
 impl Session {
-    /// How the last commit evaluated every clause that it computed from scratch, with the numbers of rows of the relations it
-    /// reads; see [`Program::show_plans`].
+    /// Returns the plans of all clauses that the last commit recomputed, with the row counts of the relations they
+    /// read; see [`Program::show_plans`].
     pub fn show_plans(&self, sources: &Sources) -> String {
         let shown = Shown {
             compiled: &self.program.0,
@@ -78,11 +78,11 @@ impl Session {
     }
 }
 
-/// Plans to be shown.
+/// The plans to print.
 struct Shown<'a> {
     compiled: &'a Compiled,
     plans: &'a Plans,
-    /// How many rows a relation has, if there are any.
+    /// The row count of each relation, once there are rows.
     rows: Option<&'a dyn Fn(RelId) -> usize>,
 }
 
@@ -114,7 +114,7 @@ impl Shown<'_> {
                     out += &format!("    for the new rows of {}\n", self.name(*over));
                     self.show_steps(&mut out, clause, plan);
                     for alternative in alternatives {
-                        out += "    or, in a round where that looks at less\n";
+                        out += "    or, in a round where this scans fewer rows\n";
                         self.show_steps(&mut out, clause, alternative);
                     }
                 }
@@ -134,20 +134,20 @@ impl Shown<'_> {
             let name = names.get(slot as usize).cloned();
             name.unwrap_or_else(|| self.show_value(plan.slots[slot as usize], base))
         };
-        // Where the part ends of which was told that one match is enough.
-        let mut told = 0;
+        // The end of the part that the last note about one match covers.
+        let mut covered = 0;
         for (position, step) in plan.steps.iter().enumerate() {
             match plan.enough[position] as usize {
                 0 => {}
-                _ if position < told => {}
+                _ if position < covered => {}
                 end if end == plan.steps.len() => {
-                    told = end;
+                    covered = end;
                     if position > 0 {
                         *out += "      the head is known: one match of the rest is enough\n";
                     }
                 }
                 end => {
-                    told = end;
+                    covered = end;
                     let steps = match end - position {
                         1 => "step".to_owned(),
                         count => format!("{count} steps"),
@@ -184,7 +184,7 @@ impl Shown<'_> {
                         self.show_lookup(list.source, &terms, list.key.len(), &value)
                     };
                     let lists: Vec<String> = lists.iter().map(list).collect();
-                    format!("meet   {}", lists.join("\n         and "))
+                    format!("join   {}", lists.join("\n         and "))
                 }
                 Step::Copy { to, from } => {
                     let name = |slot: Slot| value(slot, BaseType::Number);
@@ -200,7 +200,7 @@ impl Shown<'_> {
                     to,
                     test,
                 } => {
-                    // Of the arguments of `substr` only the first is a text.
+                    // Only the first argument of `substr` is a string.
                     let base_of = |position: usize| match (functor, position) {
                         (Functor::Substring, 1..) => BaseType::Number,
                         _ => *base,
@@ -244,7 +244,8 @@ impl Shown<'_> {
         *out += &format!("      derive {}({})\n", relation.name, terms.join(", "));
     }
 
-    /// The atom, the columns by which it is looked up, the index if it is not the relation's own order, and which rows are meant.
+    /// Returns the atom with its key columns, its index unless that is the relation's own order, and the version of the
+    /// rows.
     fn show_lookup(
         &self,
         source: Source,

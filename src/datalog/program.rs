@@ -1,4 +1,4 @@
-//! Rules with a plan for every clause.
+//! Checked rules with evaluation plans.
 
 use std::sync::Arc;
 
@@ -10,21 +10,24 @@ use crate::datalog::workspace;
 use crate::diag::{Diagnostic, SourceId, Sources};
 use crate::files::ReadFile;
 
-/// Rules with a plan for every clause. Cheap to clone; many sessions can run one program.
+/// Checked rules with a plan for every clause; immutable and cheap to clone.
+///
+/// Many sessions can share one program. See the [module](crate::datalog) for the life of a program.
 #[derive(Clone, Debug)]
 pub struct Program(pub(super) Arc<Compiled>);
 
-/// How to prepare a program.
+/// Options for preparing a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Options {
-    /// Simplify clauses before they are planned. Without the feature `optimizer` clauses are planned as they are.
+    /// Simplify clauses before planning. Has no effect without the feature `optimizer`.
     pub optimize: bool,
-    /// Rely on [`Rules::constraints`]. Where facts violate a constraint, answers may then be wrong; see [`constraints::violations`](crate::datalog::constraints::violations).
+    /// Rely on [`Rules::constraints`] when simplifying. If facts violate a constraint, answers may then be wrong;
+    /// [`constraints::violations`](crate::datalog::constraints::violations) finds such facts.
     pub constraints: bool,
 }
 
 impl Default for Options {
-    /// Optimised, relying on no constraint.
+    /// Simplifies clauses and relies on no constraint.
     fn default() -> Self {
         Options {
             optimize: true,
@@ -34,13 +37,14 @@ impl Default for Options {
 }
 
 impl Program {
-    /// Loads the rules of `entry`, a text of `sources`, with [`load`](crate::datalog::load) and plans them. Beside the program stand all errors
-    /// and warnings; there is none if one of them is an error.
+    /// Loads the rules of the source `entry` as [`load`](crate::datalog::load) does, and plans them.
+    ///
+    /// Returns the program with all errors and warnings; the program is `None` if any of them is an error.
     pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) -> (Option<Program>, Vec<Diagnostic>) {
         Program::load_with(sources, entry, read, Edb::Fixed)
     }
 
-    /// As [`Program::load`], with a choice of what an `.input` is.
+    /// Loads as [`Program::load`] does; `inputs` determines whether rules may derive `.input` predicates.
     pub fn load_with(
         sources: &mut Sources,
         entry: SourceId,
@@ -54,13 +58,16 @@ impl Program {
         (program, loaded.diagnostics)
     }
 
-    /// Plans the evaluation of checked rules. Fails only if a predicate has more than 32 columns or a clause more than 128
-    /// variables or literals.
+    /// Plans the evaluation of checked rules, with the default [`Options`].
+    ///
+    /// # Errors
+    /// If a predicate has more than 32 columns, or a clause more than 128 variables or literals.
     pub fn new(rules: Rules) -> Result<Program, Diagnostic> {
         Program::with(rules, Options::default())
     }
 
-    /// As [`Program::new`], with a choice of what to rely on. The answers are the same.
+    /// Plans as [`Program::new`] does, with the given options. The options do not change the answers, as long as the
+    /// facts satisfy the constraints that [`Options::constraints`] relies on.
     pub fn with(rules: Rules, options: Options) -> Result<Program, Diagnostic> {
         #[cfg(feature = "optimizer")]
         let plans = match options.optimize {
@@ -79,12 +86,12 @@ impl Program {
         Ok(Program(Arc::new(Compiled { rules, plans })))
     }
 
-    /// The rules.
+    /// Returns the checked rules.
     pub fn rules(&self) -> &Rules {
         &self.0.rules
     }
 
-    /// The predicate of that name.
+    /// Returns the predicate with that name, if the program declares it.
     pub fn relation(&self, name: &str) -> Option<RelId> {
         self.0.rules.relation(name)
     }

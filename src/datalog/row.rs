@@ -1,16 +1,16 @@
 //! Rows of a width fixed at compile time, and sorted lists of them.
 //!
-//! A program learns the arities of its predicates at run time, while fast sorting, merging and searching want them at compile
-//! time. So everything that touches rows is generic over one width `W`, the program's largest arity rounded up to one of
-//! [`WIDTHS`]; narrower rows are padded with zeros. A set of rows is a sorted slice without repetitions.
+//! A program learns the arities of its predicates at run time, but fast sorting, merging and searching need them at
+//! compile time. So all code on rows is generic over one width `W`: the program's largest arity, rounded up to one of
+//! [`WIDTHS`]. Zeros pad narrower rows. A set of rows is a sorted slice without duplicates.
 
 use crate::datalog::value::Value;
 use std::cmp::Ordering;
 
-/// The widths there is code for, in words. An arity beyond the last is refused when a program is made.
+/// The supported widths, in words. The planner rejects a program with a larger arity.
 pub(crate) const WIDTHS: [usize; 6] = [2, 3, 4, 8, 16, 32];
 
-/// A row of `W` words, ordered from the first word on.
+/// A row of `W` words, ordered lexicographically.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Row<const W: usize>(pub(crate) [Value; W]);
 
@@ -18,18 +18,18 @@ impl<const W: usize> Row<W> {
     /// A row of zeros.
     pub(crate) const ZERO: Self = Row([Value(0); W]);
 
-    /// The values, padded. There must be at most `W`.
+    /// Pads the values to a row. `values` must have at most `W` elements.
     #[inline]
     pub(crate) fn new(values: &[Value]) -> Self {
         let mut row = Self::ZERO;
-        // Shorter than a call to copy so few.
+        // Shorter than a call of `memcpy` for a few words.
         for (to, &from) in row.0.iter_mut().zip(values) {
             *to = from;
         }
         row
     }
 
-    /// The values of the given columns, padded.
+    /// Returns the values of the given columns, padded.
     pub(crate) fn project(&self, columns: &[u16]) -> Self {
         let mut row = Self::ZERO;
         for (to, &from) in row.0.iter_mut().zip(columns) {
@@ -39,9 +39,9 @@ impl<const W: usize> Row<W> {
     }
 }
 
-/// Rows of some width.
+/// Rows of some width, behind a common interface.
 pub(crate) trait RowList: Send + Sync {
-    /// The row at a position below the number of rows, padded.
+    /// Returns the padded row at a position, which must be less than the number of rows.
     fn row(&self, position: usize) -> &[Value];
 }
 
@@ -52,7 +52,7 @@ impl<const W: usize> RowList for Vec<Row<W>> {
 }
 
 impl<const W: usize> Ord for Row<W> {
-    /// Lexicographic, two words at a time: sorting spends its time here.
+    /// Compares lexicographically, two words at a time, because sorting spends its time here.
     #[inline]
     fn cmp(&self, other: &Self) -> Ordering {
         let pair = |row: &Self, i: usize| u64::from(row.0[i].0) << 32 | u64::from(row.0[i + 1].0);
@@ -75,11 +75,12 @@ impl<const W: usize> PartialOrd for Row<W> {
     }
 }
 
-/// How many elements from the front satisfy `before`, which holds for a prefix of the slice. Fast if they are few.
+/// Returns the length of the prefix that satisfies `before`, by galloping (exponential) search. `before` must hold for
+/// a prefix only. Fast for short prefixes.
 pub(crate) fn gallop<T>(slice: &[T], mut before: impl FnMut(&T) -> bool) -> usize {
     let mut step = 1;
     let mut low = 0;
-    // Everything in front of `low` is before.
+    // Invariant: every element in front of `low` satisfies `before`.
     while low + step <= slice.len() && before(&slice[low + step - 1]) {
         low += step;
         step *= 2;
@@ -88,7 +89,7 @@ pub(crate) fn gallop<T>(slice: &[T], mut before: impl FnMut(&T) -> bool) -> usiz
     low + slice[low..high].partition_point(before)
 }
 
-/// The union of two disjoint or overlapping sets.
+/// Returns the union of two sets.
 pub(crate) fn merge<const W: usize>(a: &[Row<W>], b: &[Row<W>]) -> Vec<Row<W>> {
     let mut out = Vec::with_capacity(a.len() + b.len());
     let (mut a, mut b) = (a, b);
@@ -110,7 +111,7 @@ pub(crate) fn merge<const W: usize>(a: &[Row<W>], b: &[Row<W>]) -> Vec<Row<W>> {
     out
 }
 
-/// The elements of `a` that are not in `b`.
+/// Returns the elements of `a` that are not in `b`.
 pub(crate) fn difference<const W: usize>(a: &[Row<W>], b: &[Row<W>]) -> Vec<Row<W>> {
     let mut out = Vec::new();
     let mut b = b;
@@ -123,7 +124,7 @@ pub(crate) fn difference<const W: usize>(a: &[Row<W>], b: &[Row<W>]) -> Vec<Row<
     out
 }
 
-/// Sorts and removes repetitions.
+/// Sorts the rows and removes duplicates.
 pub(crate) fn normalise<const W: usize>(rows: &mut Vec<Row<W>>) {
     if !rows.is_sorted_by(|a, b| a < b) {
         rows.sort_unstable();
@@ -131,21 +132,22 @@ pub(crate) fn normalise<const W: usize>(rows: &mut Vec<Row<W>>) {
     }
 }
 
-/// A sorted list of rows that can be searched by a prefix.
+/// A sorted list of rows with search by prefix.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Batch<'a, const W: usize> {
     pub(crate) rows: &'a [Row<W>],
-    /// `starts[v]` is the position of the first row that begins with `v` or more; empty if there is no such directory.
+    /// The directory: `starts[v]` is the position of the first row whose first word is at least `v`. Empty if the batch
+    /// has no directory.
     pub(crate) starts: &'a [u32],
 }
 
 impl<'a, const W: usize> Batch<'a, W> {
-    /// A batch without a directory.
+    /// Creates a batch without a directory.
     pub(crate) fn plain(rows: &'a [Row<W>]) -> Self {
         Batch { rows, starts: &[] }
     }
 
-    /// The rows that begin with `key`.
+    /// Returns the rows that begin with `key`.
     #[inline]
     pub(crate) fn range(&self, key: &[Value]) -> &'a [Row<W>] {
         match key {
@@ -156,7 +158,7 @@ impl<'a, const W: usize> Batch<'a, W> {
         }
     }
 
-    /// Whether a row begins with `key`.
+    /// Returns whether a row begins with `key`.
     #[inline]
     pub(crate) fn holds(&self, key: &[Value]) -> bool {
         match key {
@@ -175,7 +177,7 @@ impl<'a, const W: usize> Batch<'a, W> {
         }
     }
 
-    /// The rows that begin with a word.
+    /// Returns the rows whose first word is `first`.
     #[inline]
     fn group(&self, first: Value) -> &'a [Row<W>] {
         if self.starts.is_empty() {
@@ -191,10 +193,10 @@ impl<'a, const W: usize> Batch<'a, W> {
     }
 }
 
-/// So many rows are looked through one by one.
+/// Up to this many rows, linear search beats binary search.
 const GROUP_SMALL: usize = 32;
 
-/// Of rows that agree in the first column, those with a word in the second.
+/// Returns the rows with `second` in the second column. All rows must agree in the first column.
 #[inline]
 fn pick<const W: usize>(rows: &[Row<W>], second: Value) -> &[Row<W>] {
     let start = match rows.len() {
@@ -209,7 +211,7 @@ fn pick<const W: usize>(rows: &[Row<W>], second: Value) -> &[Row<W>] {
     }
 }
 
-/// Of rows that agree in the first column, those whose next columns are `rest`.
+/// Returns the rows whose columns from the second on begin with `rest`. All rows must agree in the first column.
 fn narrow<'a, const W: usize>(rows: &'a [Row<W>], rest: &[Value]) -> &'a [Row<W>] {
     let key = |row: &Row<W>| row.0[1..=rest.len()].cmp(rest);
     let start = rows.partition_point(|row| key(row).is_lt());

@@ -1,4 +1,4 @@
-//! Facts, their changes, and what follows from them.
+//! Sessions: facts, their changes and what follows from them.
 
 use std::fmt;
 
@@ -13,11 +13,11 @@ use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::value::Value;
 use crate::symbol::Symbols;
 
-/// Facts and what follows from them.
+/// Facts and everything that the rules derive from them.
 ///
-/// A fact passes through these stages: it is *noted* by [`insert`](Session::insert) or [`retract`](Session::retract) and
-/// visible to nobody; [`commit`](Session::commit) makes it *true* (or not true any more) together with all that follows. All
-/// questions are answered as of the last commit.
+/// [`insert`](Session::insert) and [`retract`](Session::retract) record pending changes, which no query sees.
+/// [`commit`](Session::commit) applies all of them at once and updates the derived relations. Every query answers as of
+/// the last commit.
 pub struct Session {
     pub(super) program: Program,
     symbols: Symbols,
@@ -29,7 +29,7 @@ pub struct Session {
 }
 
 impl Program {
-    /// The relation, if rows of it can be set.
+    /// Returns the relation if the caller may set its rows.
     fn base(&self, rel: RelId) -> Result<&Relation, RowError> {
         let relation = self.rules().relations.get(rel.index());
         let relation = relation.ok_or(RowError::UnknownRelation)?;
@@ -41,7 +41,8 @@ impl Program {
         Ok(relation)
     }
 
-    /// A session without inserted facts and without a commit: every relation is empty, also those with facts in the text.
+    /// Creates a session without inserted facts. Every relation is empty until the first commit, even one with facts in
+    /// the rule text.
     pub fn session(&self) -> Session {
         Session {
             store: exec::store(&self.0),
@@ -56,54 +57,60 @@ impl Program {
 }
 
 impl Session {
-    /// The program.
+    /// Returns the program that the session runs.
     pub fn program(&self) -> &Program {
         &self.program
     }
 
-    /// The texts of the symbols in rows: the program's and those interned here.
+    /// Returns the symbol table: the symbols of the program and those interned in this session.
     pub fn symbols(&self) -> &Symbols {
         &self.symbols
     }
 
-    /// The word for a symbol, for use in rows of this session.
+    /// Returns the word for a symbol, for use in rows of this session.
     pub fn intern(&mut self, text: &str) -> Value {
         Value(self.symbols.intern(text).0)
     }
 
-    /// Sets what a commit may take; one that would take more fails.
+    /// Sets the limits of a commit. A commit that would exceed one fails.
     pub fn set_limits(&mut self, limits: Limits) {
         self.limits = limits;
     }
 
-    /// Sets how many threads evaluate: one unless set otherwise. Answers, their order, deltas and work logs are the same with any
-    /// number. Fails if the system does not give so many.
+    /// Sets the number of evaluation threads; the default is one.
+    ///
+    /// The number changes neither rows nor their order, deltas or statistics.
+    ///
+    /// # Errors
+    /// If the operating system cannot start the threads.
     pub fn set_threads(&mut self, threads: Threads) -> std::io::Result<()> {
         self.workers = Workers::new(threads)?;
         Ok(())
     }
 
-    /// Sets how commits bring strata up to date: [`Strategy::Auto`] unless set otherwise. There is no need to set it besides
-    /// testing and measuring.
+    /// Sets how commits update strata; the default is [`Strategy::Auto`]. Other strategies serve tests and
+    /// measurements.
     pub fn set_strategy(&mut self, strategy: Strategy) {
         self.strategy = strategy;
     }
 
-    /// Notes that the row holds from the next commit on. Noting both for one row, the last one counts.
+    /// Marks a row to hold from the next commit on. The last change of a row before the commit wins.
     pub fn insert(&mut self, rel: RelId, row: &[Value]) -> Result<(), RowError> {
         let rel = self.check(rel, row)?;
         self.store.change(rel, row, true);
         Ok(())
     }
 
-    /// Notes that all these rows hold from the next commit on: as [`insert`](Session::insert) does, but faster where they are many.
-    /// If one of them cannot be inserted, none is noted.
+    /// Marks many rows to hold from the next commit on; faster than repeated [`insert`](Session::insert).
+    ///
+    /// # Errors
+    /// If one of the rows is invalid. In that case the call changes nothing.
     pub fn insert_all(
         &mut self,
         rel: RelId,
         rows: impl IntoIterator<Item = impl AsRef<[Value]>>,
     ) -> Result<(), RowError> {
-        /// Words that are handed on at once.
+        /// Words per call of the store.
         const PART: usize = 1 << 12;
         let (relation, known) = (self.program.base(rel)?, self.symbols.len());
         let (to, arity) = (relation.edb.unwrap_or(rel), relation.arity());
@@ -135,35 +142,40 @@ impl Session {
         Ok(())
     }
 
-    /// Notes that the row does not hold from the next commit on. A fact in the text of the rules holds nevertheless: this takes
-    /// back an [`insert`](Session::insert), not a rule.
+    /// Marks a row not to hold from the next commit on.
+    ///
+    /// This undoes an [`insert`](Session::insert), not a rule: a fact of the rule text holds nevertheless.
     pub fn retract(&mut self, rel: RelId, row: &[Value]) -> Result<(), RowError> {
         let rel = self.check(rel, row)?;
         self.store.change(rel, row, false);
         Ok(())
     }
 
-    /// Forgets what was noted since the last commit.
+    /// Discards the changes since the last commit.
     pub fn rollback(&mut self) {
         self.store.rollback();
     }
 
-    /// Where the row goes.
+    /// Returns the relation that stores the row, once the row is valid.
     fn check(&self, rel: RelId, row: &[Value]) -> Result<RelId, RowError> {
         let relation = self.program.base(rel)?;
         check_row(relation, row, self.symbols.len())?;
         Ok(relation.edb.unwrap_or(rel))
     }
 
-    /// Makes what was noted true and derives what follows. Says exactly what became true and what stopped being true, in every
-    /// relation. If it fails, the session is as before the call, with the same changes noted; see
-    /// [`rollback`](Session::rollback).
+    /// Applies the pending changes, derives what follows and returns the difference.
+    ///
+    /// The [`Delta`] lists, for every relation, exactly the rows that became true and those that became false.
+    ///
+    /// # Errors
+    /// If the evaluation exceeds a limit. In that case the session stays as before the call, with the same changes
+    /// pending; see [`rollback`](Session::rollback).
     pub fn commit(&mut self) -> Result<Delta, EvalError> {
         self.commit_with(None, None)
     }
 
-    /// The same, telling on the calling thread when the evaluation of a clause begins and ends. The engine reads no clock; whoever
-    /// watches may.
+    /// Commits and calls `watch` on the calling thread whenever the evaluation of a clause begins or ends. The engine
+    /// reads no clock; the callback may.
     pub fn commit_watched(&mut self, watch: &dyn Fn(EvalEvent)) -> Result<Delta, EvalError> {
         self.commit_with(Some(watch), None)
     }
@@ -202,23 +214,23 @@ impl Session {
         }
     }
 
-    /// Whether the row holds.
+    /// Returns whether the row holds.
     pub fn contains(&self, rel: RelId, row: &[Value]) -> bool {
         self.arity(rel) == Some(row.len()) && self.store.contains(rel, row)
     }
 
-    /// The rows that hold, in the order of their words (for symbols, the order in which they were interned).
+    /// Returns the rows that hold, in the order of their words. For symbols this is the order of interning.
     pub fn rows(&self, rel: RelId) -> impl Iterator<Item = &[Value]> {
         let arity = self.arity(rel).unwrap_or(0);
         (0..self.len(rel)).map(move |position| &self.store.row(rel, position)[..arity])
     }
 
-    /// How many rows hold.
+    /// Returns the number of rows that hold.
     pub fn len(&self, rel: RelId) -> usize {
         self.arity(rel).map_or(0, |_| self.store.len(rel))
     }
 
-    /// Whether no row of the relation holds.
+    /// Returns whether no row of the relation holds.
     pub fn is_empty(&self, rel: RelId) -> bool {
         self.len(rel) == 0
     }
@@ -231,8 +243,9 @@ impl Session {
             .map(|relation| relation.arity())
     }
 
-    /// The distinct rows that one clause derives from what holds, sorted. Several clauses may derive one row. For a fact in the
-    /// text, the fact.
+    /// Returns the distinct rows that one clause derives from the current facts, sorted.
+    ///
+    /// For a fact of the rule text this is the fact itself. Several clauses may derive the same row.
     pub fn fired(&self, clause: ClauseId) -> Vec<Vec<Value>> {
         if clause.index() < self.program.rules().clauses.len() {
             self.store.fired(&self.program.0, &self.symbols, clause)
@@ -241,13 +254,13 @@ impl Session {
         }
     }
 
-    /// What the last successful commit did.
+    /// Returns the statistics of the last successful commit.
     pub fn work(&self) -> &EvalStats {
         &self.work
     }
 }
 
-/// Whether the row can be one of the relation, where so many symbols are known.
+/// Checks that the row fits the relation. `known` is the number of interned symbols.
 fn check_row(relation: &Relation, row: &[Value], known: usize) -> Result<(), RowError> {
     if relation.arity() != row.len() {
         return Err(RowError::Arity {
@@ -274,17 +287,17 @@ impl fmt::Debug for Session {
     }
 }
 
-/// Why a row cannot be inserted or retracted.
+/// The reason why a session refuses a row.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RowError {
     /// The program has no relation with that id.
     UnknownRelation,
-    /// The relation is head of a clause with a body and not input, so its rows follow from others.
+    /// The relation is derived: clauses with bodies define its rows, and it is no input.
     Derived {
-        /// Its name.
+        /// The relation's name.
         relation: String,
     },
-    /// The row is too short or too long.
+    /// The row has the wrong number of values.
     Arity {
         /// The relation's name.
         relation: String,
@@ -293,7 +306,7 @@ pub enum RowError {
         /// The number of values in the row.
         found: usize,
     },
-    /// A value in a column of symbols is not a symbol of the session; see [`Session::intern`].
+    /// A value in a symbol column is no symbol of the session; see [`Session::intern`].
     UnknownSymbol {
         /// The relation's name.
         relation: String,

@@ -1,9 +1,9 @@
 //! Values, and the evaluation of functors and aggregates on them.
 //!
-//! A functor applied to values either has a value or has none (`1 / 0`, `to_number("x")`); the literal that contains it then does
-//! not hold. So an expression never fails, and what a program derives does not depend on the order of evaluation.
+//! A functor application may have no value (`1 / 0`, `to_number("x")`); then the literal that contains it does not
+//! hold. So an expression never fails, and the derived facts do not depend on the order of evaluation.
 //!
-//! Words are 32 bits: `number` and `unsigned` wrap around, `float` has single precision.
+//! Words have 32 bits: `number` and `unsigned` wrap around on overflow, `float` has single precision.
 
 use std::collections::HashMap;
 
@@ -11,35 +11,39 @@ use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::syntax::functor::{AggregateOp, Functor, Functor::*};
 use crate::symbol::{Symbol, Symbols};
 
-/// One 32-bit word of a row. A column of base type `symbol` holds the number of a [`crate::symbol::Symbol`], one of base type
-/// `number` the bits of an `i32`, of `unsigned` a `u32`, of `float` the bits of an `f32`.
+/// One 32-bit word of a row.
+///
+/// The base type of the column determines the meaning: the id of a [`crate::symbol::Symbol`] for `symbol`, the bits of
+/// an `i32` for `number`, a `u32` for `unsigned`, the bits of an `f32` for `float`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Value(pub u32);
 
 impl Value {
-    /// The word for a number.
+    /// Returns the word for a number.
     pub fn number(n: i32) -> Self {
         Value(n.cast_unsigned())
     }
 
-    /// The number that the word holds, if its column is of base type `number`.
+    /// Returns the word as a number; meaningful in a column of base type `number`.
     pub fn as_number(self) -> i32 {
         self.0.cast_signed()
     }
 
-    /// The word for a float. There is one zero and one "not a number", so floats are equal if their words are.
+    /// Returns the word for a float. Negative zero becomes zero, and every NaN becomes the same one, so floats are
+    /// equal exactly if their words are.
     pub fn float(x: f32) -> Self {
         Value(if x.is_nan() { f32::NAN } else { x + 0.0 }.to_bits())
     }
 
-    /// The float that the word holds, if its column is of base type `float`.
+    /// Returns the word as a float; meaningful in a column of base type `float`.
     pub fn as_float(self) -> f32 {
         f32::from_bits(self.0)
     }
 }
 
 impl Functor {
-    /// The value for arguments of base type `base` (of the first, where they differ). `None`: it has none.
+    /// Applies the functor; `None` if it has no value. `base` is the base type of the arguments; where they differ,
+    /// that of the first.
     pub fn apply(self, base: BaseType, arguments: &[Value], symbols: &Symbols) -> Option<Value> {
         let text = |value: &Value| symbols.text(Symbol(value.0)).unwrap_or_default();
         let made = |text: &str| Some(Value(symbols.intern(text).0));
@@ -122,7 +126,7 @@ impl Functor {
                 (a, Ok(exponent)) => a.wrapping_pow(exponent),
                 (1, _) => 1,
                 (-1, _) => 1 - 2 * (b & 1),
-                // One over zero.
+                // A negative power of zero divides by zero.
                 (0, _) => return None,
                 _ => 0,
             },
@@ -180,7 +184,7 @@ impl Functor {
     }
 }
 
-/// Most functors have one or two operands: no allocation for these.
+/// Reads the arguments and applies the operation. The cases of one and two operands allocate nothing.
 fn fold<T: Copy + Default>(
     arguments: &[Value],
     read: impl Fn(&Value) -> T,
@@ -193,7 +197,8 @@ fn fold<T: Copy + Default>(
     }
 }
 
-/// The value that a text writes: decimal, or `0x` and `0b` for whole numbers.
+/// Parses a number, unsigned number or float; `None` if the text does not fit the type. Whole numbers may be decimal,
+/// hexadecimal (`0x`) or binary (`0b`). Symbols always give `None`.
 pub fn parse(base: BaseType, text: &str) -> Option<Value> {
     let radix = |text: &str| {
         let (sign, digits) = match text.strip_prefix('-') {
@@ -225,8 +230,9 @@ pub fn parse(base: BaseType, text: &str) -> Option<Value> {
 }
 
 impl AggregateOp {
-    /// The value for these values of base type `base`; for [`AggregateOp::Count`] any value stands for a row. `None`: it has
-    /// none, as the least of nothing. The order of the values does not matter, not even for floats.
+    /// Returns the aggregate of `values`, which have base type `base`; `None` if it has none, such as the minimum of no
+    /// values. [`AggregateOp::Count`] counts the values, whatever they are. The order of the values has no effect, not
+    /// even for floats.
     pub fn of(self, base: BaseType, values: impl Iterator<Item = Value>, symbols: &Symbols) -> Option<Value> {
         let text = |value: &Value| symbols.text(Symbol(value.0)).unwrap_or_default();
         match (self, base) {
@@ -262,7 +268,7 @@ fn double(base: BaseType, value: Value) -> f64 {
     }
 }
 
-/// The sum in one order, whatever order the values came in.
+/// Sums in sorted order, so that the result does not depend on the order of the input.
 fn total(mut values: Vec<f64>) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     values.into_iter().sum()
@@ -273,12 +279,12 @@ fn narrow(value: f64) -> f32 {
     value as f32
 }
 
-/// Regular expressions that were needed so far, by symbol; a faulty one matches nothing.
+/// Cache of compiled regular expressions, by pattern symbol. An invalid pattern matches nothing.
 #[derive(Debug, Default)]
 pub struct Patterns(HashMap<Value, Option<regex::Regex>>);
 
 impl Patterns {
-    /// Whether the whole of `text` matches `pattern`.
+    /// Returns whether the whole of `text` matches `pattern`.
     pub fn matches(&mut self, pattern: Value, text: &str, symbols: &Symbols) -> bool {
         let compiled = self.0.entry(pattern).or_insert_with(|| {
             let pattern = symbols.text(Symbol(pattern.0)).unwrap_or_default();
@@ -289,8 +295,8 @@ impl Patterns {
     }
 }
 
-/// A float as text: nine significant digits without trailing zeros, which is enough to read the same float back; an exponent where the
-/// number is very small or large.
+/// Returns a float as text: nine significant digits without trailing zeros, which suffice to read back the same float.
+/// Very small and very large numbers have an exponent.
 pub fn print_float(x: f32) -> String {
     const DIGITS: i32 = 9;
     if !x.is_finite() {

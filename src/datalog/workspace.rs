@@ -1,11 +1,11 @@
-//! A program in the making: texts that are added to and taken from, and questions about what they declare.
+//! Editable programs: sources that grow and shrink, and queries over their predicates.
 //!
 //! ```text
 //! ?- Path(x, y), y > 3.    becomes    .decl ?-(x: number, y: number)    ?-(x, y) :- Path(x, y), y > 3.
 //! ```
 //!
-//! A question is checked as a program of its own, in which every declared predicate is input. So asking needs no clause of the
-//! program to be looked at again, and everything that is allowed in a body is allowed in a question.
+//! `check` treats a query as a program of its own, in which every declared predicate is input. So a query re-checks no
+//! clause of the program, and its body may use everything that a clause body may use.
 
 use std::collections::HashSet;
 
@@ -29,22 +29,22 @@ use crate::datalog::syntax::lexer::Kind;
 use crate::datalog::syntax::parser;
 use crate::datalog::value::Value;
 
-/// The predicate of the rows that answer a question.
+/// The predicate that holds the answers of a query.
 const ANSWER: &str = "?-";
 
-/// What [`load`] gives.
+/// The result of [`load`].
 #[derive(Clone, Debug)]
 pub struct Loaded {
     /// The rules; `None` if a diagnostic is an error.
     pub rules: Option<Rules>,
-    /// Errors and warnings of all files, in the order of the text.
+    /// Errors and warnings of all files, in source order.
     pub diagnostics: Vec<Diagnostic>,
-    /// What looking for clauses that derive nothing new took.
+    /// The work of the search for subsumed clauses.
     pub compared: Comparing,
 }
 
 impl Loaded {
-    /// No rules, because of these faults.
+    /// A failed load with these diagnostics.
     fn failed(diagnostics: Vec<Diagnostic>) -> Self {
         Loaded {
             rules: None,
@@ -54,23 +54,23 @@ impl Loaded {
     }
 }
 
-/// Reads and checks the rules of `entry`, a text of `sources`, and of all it includes.
+/// Reads and checks the rules of the source `entry` and of all files it includes.
 ///
-/// `.include "x"` asks `read` for `x` in the folder of the including text (whose path is its name in `sources`); if that is
-/// not found, for the path [`BUILTIN_FOLDER`](crate::files::BUILTIN_FOLDER)`/x`, at which the caller may serve rule files of its own.
-/// Included texts are added to `sources`.
+/// For `.include "x"`, `read` first looks for `x` in the folder of the including source, whose path is its name in
+/// `sources`. If that file does not exist, `read` looks for [`BUILTIN_FOLDER`](crate::files::BUILTIN_FOLDER)`/x`, where
+/// the caller may serve rule files. `load` adds the included files to `sources`.
 pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) -> Loaded {
     load_with(sources, entry, read, Edb::Fixed)
 }
 
-/// As [`load`], with a choice of what an `.input` is.
+/// Loads as [`load`] does; `inputs` determines whether rules may derive `.input` predicates.
 pub fn load_with(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile, inputs: Edb) -> Loaded {
     let mut texts = Workspace::new(inputs);
     texts.add(sources, entry, read);
     texts.check()
 }
 
-/// The texts of a program, read and not yet checked.
+/// The parsed sources of a program, which can grow and shrink between checks.
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
     gathered: Gathered,
@@ -78,12 +78,12 @@ pub struct Workspace {
     faults: Faults,
 }
 
-/// A fact as it is asked about: a value for each column, or any.
+/// A fact with wildcards: a value or `_` for each column.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FactPattern {
     /// The predicate.
     pub relation: RelId,
-    /// By column; `None` for `_`.
+    /// The values by column; `None` for `_`.
     pub values: Vec<Option<Value>>,
 }
 
@@ -91,10 +91,10 @@ pub struct FactPattern {
 pub type FactRow = (RelId, Vec<Value>);
 
 impl Workspace {
-    /// The name of the predicate, in the rules that [`Workspace::ask`] gives, whose rows are the answer.
+    /// The name of the answer predicate in the rules that [`Workspace::ask`] returns.
     pub const ANSWER: &str = ANSWER;
 
-    /// None yet.
+    /// Creates an empty workspace.
     pub fn new(inputs: Edb) -> Self {
         Workspace {
             inputs,
@@ -102,12 +102,13 @@ impl Workspace {
         }
     }
 
-    /// Adds a text of `sources` and all it includes, as [`load`](crate::datalog::workspace::load) does. A file that is there already is not read again.
+    /// Parses the source `entry` and all files it includes, as [`load`](crate::datalog::workspace::load) does. Skips
+    /// files that the workspace already contains.
     pub fn add(&mut self, sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) {
         include::gather(&mut self.gathered, sources, entry, read, &mut self.faults);
     }
 
-    /// The rules that the texts make, or all their faults.
+    /// Checks the program as a whole. `rules` is `None` if any diagnostic is an error.
     pub fn check(&self) -> Loaded {
         let mut faults = self.faults.clone();
         let (rules, compared) = check(
@@ -124,7 +125,7 @@ impl Workspace {
         }
     }
 
-    /// Where the heads of a clause stand, whatever the names of its variables and its comments.
+    /// Returns the places of the heads of every clause that equals `clause` up to variable names and comments.
     pub fn find(&self, clause: &Clause) -> Vec<Span> {
         let wanted = canonical(clause);
         let found = self.gathered.items.iter().filter_map(|item| match item {
@@ -137,7 +138,7 @@ impl Workspace {
             .collect()
     }
 
-    /// Takes out the heads that stand in these places, and clauses that have no others.
+    /// Removes the heads at these places, and every clause that loses its last head.
     pub fn remove_heads(&mut self, places: &HashSet<Span>) {
         for item in &mut self.gathered.items {
             if let Item::Clause(clause) = item {
@@ -147,12 +148,13 @@ impl Workspace {
         (self.gathered.items).retain(|item| !matches!(item, Item::Clause(clause) if clause.heads.is_empty()));
     }
 
-    /// The rules that answer a question: the body of a clause, which may be preceded by `?-`. They speak of the declared predicates,
-    /// which are all input and have the ids that [`Workspace::check`] gives them; the answer is the predicate [`Workspace::ANSWER`], with
-    /// a column for each variable that stands outside of aggregates and does not begin with `_`. `symbols` are those of the rows
-    /// that will be given. No `.scope` holds.
+    /// Returns the rules that answer a query: the body of a clause, optionally after `?-`.
     ///
-    /// The texts themselves must be without errors.
+    /// Every declared predicate is input and keeps its id of [`Workspace::check`]. The answer is the predicate
+    /// [`Workspace::ANSWER`]. It has a column for each variable that occurs outside of aggregates and does not begin
+    /// with `_`. `symbols` must contain the symbols of the rows that the caller will insert. No `.scope` applies.
+    ///
+    /// The workspace itself must be free of errors.
     pub fn ask(&self, sources: &Sources, question: SourceId, symbols: Symbols) -> Loaded {
         let mut faults = Faults::default();
         let parsed = parser::parse_question(question, sources.text(question), &mut faults);
@@ -162,10 +164,11 @@ impl Workspace {
         }
     }
 
-    /// Reads a fact that is asked about, such as `Path(1, _)`, whose texts are added to `symbols`. The full stop may be missing.
+    /// Parses a fact with wildcards, such as `Path(1, _)`, and interns its symbols in `symbols`. The full stop is
+    /// optional.
     ///
     /// # Errors
-    /// All that is wrong with it.
+    /// All faults of the fact.
     pub fn fact(
         &self,
         sources: &Sources,
@@ -178,7 +181,7 @@ impl Workspace {
             return Err(faults.finish());
         };
         let [Literal::Atom { negated: false, atom }] = body.as_slice() else {
-            let fault = Diagnostic::new(Code::INVALID_FACT, "this is not one fact");
+            let fault = Diagnostic::new(Code::INVALID_FACT, "this is not a single fact");
             return Err(vec![fault.at(place.0, "expected a predicate and its values")]);
         };
         for term in &atom.terms {
@@ -188,7 +191,7 @@ impl Workspace {
             });
             if let Some(name) = variable {
                 let fault = Diagnostic::new(Code::INVALID_FACT, format!("`{name}` is a variable, not a value"));
-                let help = format!("texts stand in double quotes: `\"{name}\"`; `_` is any value");
+                let help = format!("write strings in double quotes: `\"{name}\"`; `_` matches any value");
                 faults.push(fault.at(term.place.0, "").help(help));
             }
         }
@@ -207,17 +210,17 @@ impl Workspace {
                 values: constants(atom, &rules, symbols).collect(),
             }),
             _ => {
-                let fault = Diagnostic::new(Code::INVALID_FACT, "a fact has constants only");
+                let fault = Diagnostic::new(Code::INVALID_FACT, "a fact contains only constants");
                 Err(vec![fault.at(place.0, "").help("write the value of the expression")])
             }
         }
     }
 
-    /// The rows of a text that consists of facts, whose texts are added to `symbols`. `None` if the text says anything else, also
-    /// a fact with an expression that has no value.
+    /// Parses a source that consists of facts and interns their symbols in `symbols`. Returns `None` if the source
+    /// contains anything else, or a fact with an expression that has no value.
     ///
     /// # Errors
-    /// All that is wrong with them.
+    /// All faults of the facts.
     pub fn facts(
         &self,
         sources: &Sources,
@@ -246,14 +249,14 @@ impl Workspace {
         Ok(rules.clauses.iter().map(row).collect())
     }
 
-    /// Types and predicates alone; if `given`, marked as input.
+    /// Returns the declarations of types and predicates; with `given`, the predicates are input.
     fn declarations(&self, given: bool) -> Vec<Item> {
         let declared = |item: &&Item| matches!(item, Item::Type(_) | Item::Decl(_));
         let mut items: Vec<Item> = self.gathered.items.iter().filter(declared).cloned().collect();
         let mut names = Vec::new();
         for item in &mut items {
             if let Item::Decl(decl) = item {
-                // They would be warned of once more.
+                // `Workspace::check` reports the warnings about qualifiers.
                 decl.qualifiers.clear();
                 names.extend(decl.names.iter().cloned());
             }
@@ -268,7 +271,7 @@ impl Workspace {
         items
     }
 
-    /// The body with predicates replaced that stand for their bodies.
+    /// Returns the clause with every `inline` predicate replaced by its bodies.
     fn inlined(&self, clause: Clause, faults: &mut Faults) -> Clause {
         let mut items: Vec<Item> = (self.gathered.items.iter())
             .filter(|item| matches!(item, Item::Decl(_) | Item::Clause(_)))
@@ -340,7 +343,7 @@ impl Workspace {
         }
     }
 
-    /// What variables of the body of a clause without columns are made of.
+    /// Returns the base types of the variables in the body of a clause whose head has no columns.
     fn bases(&self, clause: &Clause, variables: &[&str], faults: &mut Faults) -> Vec<BaseType> {
         let items = self.asked(Vec::new(), clause.clone());
         let mut known = names::declare(&items, true, self.inputs, faults);
@@ -357,7 +360,7 @@ impl Workspace {
             .collect()
     }
 
-    /// The program of a question: all predicates as input, and the clause for the answer.
+    /// Returns the program of a query: all predicates as input, and the answer clause.
     fn asked(&self, columns: Vec<ColumnDecl>, clause: Clause) -> Vec<Item> {
         let mut items = self.declarations(true);
         items.push(Item::Decl(Decl {
@@ -378,7 +381,7 @@ fn answer_name(place: Place) -> Name {
     }
 }
 
-/// The constants of an atom, their texts added to `symbols`; `None` for a column that holds anything else.
+/// Returns the constants of an atom with their symbols interned in `symbols`; `None` for a column without a constant.
 fn constants<'r>(
     atom: &'r rules::Atom,
     rules: &'r rules::Rules,
@@ -391,13 +394,13 @@ fn constants<'r>(
     })
 }
 
-/// The faults that have their place in one text.
+/// Returns the diagnostics whose primary place lies in one source, and those without a place.
 fn of(source: SourceId, faults: Faults) -> Vec<Diagnostic> {
     let here = |fault: &Diagnostic| (fault.primary.as_ref()).is_none_or(|label| label.span.source == source);
     faults.finish().into_iter().filter(here).collect()
 }
 
-/// The variables that a question asks for, and where each stands first.
+/// Returns the variables that a query asks for, each with its first place.
 fn variables(body: &[Literal]) -> Vec<(&str, Place)> {
     fn of_term<'t>(term: &'t Term, each: &mut impl FnMut(&'t str, Place)) {
         match &term.kind {
@@ -426,7 +429,7 @@ fn variables(body: &[Literal]) -> Vec<(&str, Place)> {
     found
 }
 
-/// The clause with its variables named by the order in which they occur, and without its comment.
+/// Returns the clause without its doc comment, with variables numbered in the order of occurrence.
 fn canonical(clause: &Clause) -> Clause {
     let mut order: Vec<&str> = Vec::new();
     let mut seen = HashSet::new();
@@ -455,7 +458,7 @@ fn canonical(clause: &Clause) -> Clause {
     }
 }
 
-/// A value of one table of symbols as one of another.
+/// Translates a value from one symbol table to another.
 fn moved(value: Value, base: BaseType, from: &Symbols, to: &Symbols) -> Value {
     match base {
         BaseType::Symbol => Value(to.intern(from.text(Symbol(value.0)).unwrap_or_default()).0),
@@ -463,8 +466,8 @@ fn moved(value: Value, base: BaseType, from: &Symbols, to: &Symbols) -> Value {
     }
 }
 
-/// Whether a text that somebody is typing may end here: every parenthesis is closed, and the last clause has its full stop. A
-/// directive ends with its line, and a question where it can be answered.
+/// Returns whether text typed at a prompt is complete: all parentheses are closed, and the last clause ends with a full
+/// stop. A directive ends with its line, and a query once it parses.
 pub fn is_complete(text: &str) -> bool {
     let mut sources = Sources::new();
     let id = sources.add("", text);
@@ -478,9 +481,9 @@ pub fn is_complete(text: &str) -> bool {
             _ => {}
         }
     }
-    // The last token is the end.
+    // The last token is the end of input.
     let Some(last) = lexed.tokens.iter().rev().nth(1) else {
-        // A doc comment waits for what it belongs to.
+        // A doc comment needs the item it documents.
         return lexed.docs.is_empty() && !has_open_comment(text, &lexed);
     };
     if depth > 0 || has_open_comment(text, &lexed) {
@@ -501,7 +504,7 @@ pub fn is_complete(text: &str) -> bool {
     }
 }
 
-/// The lexer stops at a `/*` without its `*/`, and keeps no comment there.
+/// Returns whether a comment is unclosed. The lexer stops at a `/*` without `*/` and records no comment there.
 fn has_open_comment(text: &str, lexed: &lexer::Lexed) -> bool {
     let read = (lexed.comments.iter().map(|comment| comment.end))
         .chain(lexed.tokens.iter().rev().nth(1).map(|token| token.end))

@@ -420,7 +420,7 @@ lone(7)  by lone(x) :- big(x), !path(x, _).  [rules.dl:12]
          ├─ E: an edge is a path  [rules.dl:8]
          │  └─ edge(7, 9) does not hold
          └─ P: and so is one after another  [rules.dl:10]
-            ├─ path(7, y) does not hold  (that would rest on itself)
+            ├─ path(7, y) does not hold  (circular)
             └─ edge(y, 9) does not hold
 "
     );

@@ -880,7 +880,7 @@ stratum 1: cycle
   cycle(x, y, z) :- edge(x, y), edge(y, z), edge(x, z).    {rules}:7:1
     once
       scan   edge(x, y)
-      meet   edge(y, z) by x
+      join   edge(y, z) by x
          and edge(x, z) by x
       derive cycle(x, y, z)
 

@@ -1,4 +1,4 @@
-//! Finds the facts that violate the constraints of the rules.
+//! Integrity constraints on the facts of a session.
 
 use crate::datalog::check::{Constraint, RelId};
 use crate::datalog::session::Session;
@@ -7,10 +7,10 @@ use crate::datalog::value::{Value, print_float};
 use crate::diag::{Code, Diagnostic};
 use crate::symbol::Symbol;
 
-/// At most this many violations of constraints are told, one row for each.
+/// Maximum number of violations reported, one for each constraint.
 pub const BROKEN_MAX: usize = 20;
 
-/// The constraints that the facts of the last commit break, each with a row that shows it.
+/// Returns the constraints that the facts of the last commit violate, each with one offending row.
 pub fn violations(session: &Session) -> Vec<Diagnostic> {
     let mut faults = Vec::new();
     for constraint in &session.program().rules().constraints {
@@ -40,13 +40,13 @@ pub fn violations(session: &Session) -> Vec<Diagnostic> {
             && faults.len() < BROKEN_MAX
         {
             let fault = Diagnostic::new(Code::CONSTRAINT_VIOLATION, message).at(constraint.span, "declared here");
-            faults.push(fault.help("correct the facts, or take the constraint back"));
+            faults.push(fault.help("correct the facts, or remove the constraint"));
         }
     }
     faults
 }
 
-/// A fact as it is written in rules.
+/// Returns a fact in the notation of rules.
 fn shown(session: &Session, relation: RelId, row: &[Value]) -> String {
     let relation = &session.program().rules().relations[relation.index()];
     let values = relation

@@ -1,4 +1,4 @@
-//! Analyses of programs and facts: equality of rule sets ([`diff`]) and integrity constraints ([`constraints`]).
+//! Analyses of programs and facts: equivalence of rule sets ([`diff`]) and integrity constraints ([`constraints`]).
 
 pub mod constraints;
 pub mod diff;

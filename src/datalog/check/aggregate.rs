@@ -7,9 +7,9 @@
 //!                                                 with  +1(k, v) :- B(v), v < k, K(k).
 //! ```
 //!
-//! A body that is not one simple atom becomes a hidden predicate. Its columns are the variables it shares with the rest of the
-//! clause and, as each way to fulfil the body counts once, the values of its own atoms. What is shared and not bound in the
-//! body itself is bound as the rest of the clause does it.
+//! A body other than one simple atom becomes a hidden predicate. Its columns are the variables it shares with the rest
+//! of the clause, and the values of its own atoms, because each solution of the body counts once. For a shared variable
+//! that the body does not bind, the hidden clause copies the literals that bind it outside.
 
 use std::collections::BTreeSet;
 
@@ -24,13 +24,13 @@ use crate::datalog::check::scope::Guard;
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 
-/// What the literals of a clause become, and what they need besides.
+/// The state for finishing the literals of a clause.
 pub(crate) struct Finish<'f> {
-    /// The scope in force, and the first argument of the head.
+    /// The scope in force, with the first argument of the head.
     pub scope: Option<(Guard, Option<Term>)>,
-    /// Of the whole clause; more are added.
+    /// The variables of the whole clause; finishing adds more.
     pub variables: &'f mut Vec<Known>,
-    /// Clauses of hidden predicates.
+    /// The clauses of hidden predicates.
     pub hidden: &'f mut Vec<Clause>,
 }
 
@@ -45,7 +45,7 @@ struct Head {
 }
 
 impl<'c> Check<'_, 'c> {
-    /// The literals that the engine gets. `context` are those of the clause, or of aggregates, around.
+    /// Returns the finished literals. `context` are those of the enclosing clause or aggregates.
     pub fn finish(&mut self, pending: &[Pending<'c>], context: &[Literal], finish: &mut Finish<'_>) -> Vec<Literal> {
         let mut done: Vec<Option<Literal>> = Vec::with_capacity(pending.len());
         for pending in pending {
@@ -102,7 +102,7 @@ impl<'c> Check<'_, 'c> {
         done.into_iter().flatten().collect()
     }
 
-    /// `None` if something around that it needs is not there yet.
+    /// Returns the literal of an aggregate; `None` while an outer literal that it needs is missing.
     fn aggregate_literal(
         &mut self,
         head: Head,
@@ -123,7 +123,7 @@ impl<'c> Check<'_, 'c> {
         }
         inner.extend(guards);
 
-        // The columns: first what is shared.
+        // The columns: shared variables first.
         let mut shared = BTreeSet::new();
         let mut own = BTreeSet::new();
         for term in inner.iter().flat_map(Literal::terms).chain(&target) {
@@ -196,7 +196,7 @@ impl<'c> Check<'_, 'c> {
         })
     }
 
-    /// The aggregate over the atom itself, if no variable of its own occurs twice.
+    /// Returns the aggregate over the atom itself, unless one of its own variables occurs twice.
     fn direct(&self, head: Head, atom: &Atom, target: Option<Term>, base: BaseType) -> Option<Literal> {
         let is_own = |id: VarId| self.level(id).is_none_or(|level| level >= head.level);
         let mut seen = BTreeSet::new();
@@ -225,7 +225,7 @@ impl<'c> Check<'_, 'c> {
         })
     }
 
-    /// Under a scope, the aggregate's own variables and `_`s stand for what is in view.
+    /// Returns the guards that restrict the aggregate's own variables and `_`s to what is in view under a scope.
     fn guards(&mut self, head: Head, inner: &mut [Literal], finish: &mut Finish<'_>) -> Vec<Literal> {
         let Some((guard, ego)) = finish.scope else {
             return Vec::new();
@@ -249,7 +249,7 @@ impl<'c> Check<'_, 'c> {
                             "`_` in a negated atom of an aggregate under a scope is not supported",
                         )
                         .at(atom.span, "")
-                        .help("define a predicate by a clause of its own, and negate that");
+                        .help("define a separate predicate, and negate that");
                         self.report(fault);
                     }
                     Term::Wildcard if in_view => {
@@ -278,7 +278,7 @@ impl<'c> Check<'_, 'c> {
                 let fault = Diagnostic::new(Code::INVALID_SCOPE, "cannot guard this aggregate")
                     .at(head.span, "")
                     .also(guard.span, "the scope")
-                    .note("what an aggregate counts under a scope is what the head's first argument sees")
+                    .note("under a scope, an aggregate ranges over what the head's first argument sees")
                     .help("end the scope before the clause: `.scope`");
                 self.report(fault);
                 return Vec::new();
@@ -297,13 +297,13 @@ impl<'c> Check<'_, 'c> {
             .collect()
     }
 
-    /// Adds literals from around until the shared variables are bound. `None` if that cannot be done.
+    /// Adds context literals until the shared variables are bound. `None` if that is impossible.
     fn ground(&mut self, shared: &BTreeSet<VarId>, inner: &mut Vec<Literal>, context: &[Literal]) -> Option<()> {
         let mut taken = BTreeSet::new();
         loop {
             let bound = bound_by(inner);
             let missing = |id: &VarId| !bound.contains(id);
-            // What an added literal needs is missing too.
+            // An added literal may need further variables.
             let needed = inner.iter().filter_map(|literal| inputs(literal, &bound));
             let Some(missing) = shared.iter().copied().chain(needed).find(missing) else {
                 return Some(());
@@ -334,7 +334,7 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// A hidden predicate with these columns.
+    /// Defines a hidden predicate with these columns.
     fn define(&mut self, columns: &[VarId], mut body: Vec<Literal>, head: Head, finish: &mut Finish<'_>) -> RelId {
         let column = |id: &VarId| {
             let Known { name, ty, .. } = &finish.variables[id.index()];
@@ -345,7 +345,7 @@ impl<'c> Check<'_, 'c> {
             };
             (name.clone(), ty)
         };
-        let doc = format!("what `{}` is taken of", head.op.name());
+        let doc = format!("the rows of `{}`", head.op.name());
         let relation = self.names.hide(columns.iter().map(column).collect(), doc, head.span);
         let mut terms: Vec<Term> = columns.iter().map(|id| Term::Variable(*id)).collect();
         let variables = renumber(finish.variables.clone(), std::iter::once(&mut terms), &mut body);
@@ -364,7 +364,7 @@ impl<'c> Check<'_, 'c> {
     }
 }
 
-/// One more variable, without a name.
+/// Adds a variable without a name.
 fn fresh(variables: &mut Vec<Known>, ty: VariableType, span: Span) -> VarId {
     let id = VarId(u32::try_from(variables.len()).expect("fewer than 2^32 variables"));
     variables.push(Known {
@@ -377,7 +377,7 @@ fn fresh(variables: &mut Vec<Known>, ty: VariableType, span: Span) -> VarId {
     id
 }
 
-/// The variables that literals bind among themselves.
+/// Returns the variables that the literals bind among themselves.
 pub(crate) fn bound_by(literals: &[Literal]) -> BTreeSet<VarId> {
     let mut bound = BTreeSet::new();
     loop {
@@ -412,7 +412,7 @@ pub(crate) fn bound_by(literals: &[Literal]) -> BTreeSet<VarId> {
     }
 }
 
-/// A variable that a literal needs and that is not bound.
+/// Returns an unbound variable of the literal.
 fn inputs(literal: &Literal, bound: &BTreeSet<VarId>) -> Option<VarId> {
     literal.terms().find_map(|term| match term {
         Term::Variable(id) if !bound.contains(id) => Some(*id),

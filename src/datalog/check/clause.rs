@@ -1,5 +1,5 @@
-//! From the syntax of clauses to checked ones: alternatives and several heads become clauses of their own, and each is checked
-//! by [`super::body`].
+//! From the syntax of clauses to checked clauses. Disjunctions and multiple heads become separate clauses;
+//! [`super::body`] checks each of them.
 
 use std::collections::{HashMap, HashSet};
 
@@ -17,13 +17,13 @@ use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::syntax::ast::{Item, TermKind};
 
-/// A longer body is refused.
+/// Maximum number of literals in a body.
 const MAX_LITERALS: usize = 1024;
 
-/// More combinations of alternatives are refused.
+/// Maximum number of combinations of alternatives and heads of one clause.
 const MAX_ALTERNATIVES: usize = 1024;
 
-/// That a head depends on a predicate of its body.
+/// A dependency of a head on a predicate of its body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Edge {
     pub from: RelId,
@@ -40,31 +40,31 @@ pub(crate) enum EdgeKind {
     Aggregates,
 }
 
-/// A clause and what the checks between clauses need besides.
+/// A clause with the facts that checks between clauses need.
 #[derive(Debug)]
 pub(crate) struct Checked {
     pub clause: Clause,
-    /// What its variables are made of, as far as that is known.
+    /// The base types of its variables, as far as known.
     pub bases: Vec<Option<BaseType>>,
-    /// Whether no error was found in it.
+    /// Whether the clause is free of errors.
     pub sound: bool,
 }
 
-/// All clauses.
+/// All clauses of a program.
 #[derive(Default)]
 pub(crate) struct Clauses {
     pub clauses: Vec<Checked>,
-    /// Clauses of the hidden predicates.
+    /// The clauses of the hidden predicates.
     pub hidden: Vec<Clause>,
-    /// Dependencies, of faulty clauses too. Hidden predicates do not occur in them.
+    /// The dependencies, also those of faulty clauses. Hidden predicates do not occur in them.
     pub edges: Vec<Edge>,
-    /// The texts of all constants.
+    /// The symbols of all constants.
     pub symbols: Symbols,
-    /// Whether a clause was left out because of a name that is not known.
+    /// Whether the checker dropped a clause because of an unknown name or a limit.
     pub incomplete: bool,
 }
 
-/// Checks all clauses. The constants' texts are added to `symbols`.
+/// Checks all clauses and interns their constants in `symbols`.
 pub(crate) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults: &mut Faults) -> Clauses {
     let mut clauses = Clauses {
         symbols,
@@ -86,7 +86,7 @@ pub(crate) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults:
     for index in 0..names.relations.len() {
         let relation = &names.relations[index];
         if relation.input && relation.derived && relation.edb.is_none() {
-            give(
+            split_input(
                 RelId(u32::try_from(index).expect("fewer than 2^32 predicates")),
                 names,
                 &mut clauses,
@@ -96,7 +96,7 @@ pub(crate) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults:
     clauses
 }
 
-/// Orders that are none of the clause before are refused, as Soufflé does.
+/// Reports a `.plan` whose orders do not fit the preceding clause, as Soufflé does.
 fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Faults) {
     let positive = |literal: &ast::Literal| matches!(literal, ast::Literal::Atom { negated: false, .. });
     let is_flat = |clause: &&ast::Clause| {
@@ -113,7 +113,7 @@ fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Fault
             if !sorted.into_iter().eq(1..=count as i64) {
                 let fault = Diagnostic::new(
                     Code::SYNTAX,
-                    format!("version {version} is no order of the clause's atoms"),
+                    format!("version {version} does not list the clause's atoms"),
                 )
                 .at(plan.place.0, "")
                 .also(
@@ -126,15 +126,15 @@ fn check_plan(plan: &ast::Plan, clause: Option<&ast::Clause>, faults: &mut Fault
         }
     }
     let fault = Diagnostic::new(Code::IGNORED, "`.plan` has no effect").at(plan.place.0, "");
-    faults.push(fault.help("remove it; the order of literals is chosen by itself"));
+    faults.push(fault.help("remove it; the planner chooses the order of literals"));
 }
 
-/// A predicate that is input and derived: what is given goes to a hidden one, `P(x, y) :- +1(x, y).`
-fn give(id: RelId, names: &mut Names, out: &mut Clauses) {
+/// Moves the inserted rows of a predicate that is input and derived to a hidden predicate: `P(x, y) :- +1(x, y).`
+fn split_input(id: RelId, names: &mut Names, out: &mut Clauses) {
     let given = RelId(u32::try_from(names.relations.len()).expect("fewer than 2^32 predicates"));
     let owner = names.relation(id);
     let name = format!("+{}", names.hidden() + 1);
-    let doc = format!("the rows of `{}` that are given", owner.name);
+    let doc = format!("the inserted rows of `{}`", owner.name);
     let mut hidden = Relation::made(name, owner.columns.clone(), doc, owner.span);
     hidden.derived = false;
     let span = hidden.span;
@@ -182,7 +182,7 @@ fn one(clause: &ast::Clause, scopes: &mut scope::Scopes, names: &mut Names, out:
         expand(vec![&clause.body], Vec::new(), &mut bodies);
     }
     if bodies.is_empty() {
-        // It says `false`, so there is nothing to derive; but its heads are looked up like all names.
+        // A body that is `false` derives nothing, but its heads still need name resolution.
         for head in &clause.heads {
             names.predicate(&head.predicate);
         }
@@ -200,7 +200,7 @@ fn one(clause: &ast::Clause, scopes: &mut scope::Scopes, names: &mut Names, out:
     }
 }
 
-/// How many alternatives a body has.
+/// Returns the number of alternatives of a body.
 fn count(body: &[ast::Literal]) -> usize {
     body.iter().fold(1_usize, |product, literal| match literal {
         ast::Literal::Any(alternatives) => {
@@ -211,8 +211,8 @@ fn count(body: &[ast::Literal]) -> usize {
     })
 }
 
-/// Every way to choose one alternative of each disjunction. `rest` are the lists of literals that are still to be gone through,
-/// the next one last.
+/// Appends every choice of one alternative per disjunction to `out`. `rest` is the stack of literal lists still to
+/// process, the next one last.
 fn expand<'c>(
     mut rest: Vec<&'c [ast::Literal]>,
     mut done: Vec<&'c ast::Literal>,
@@ -238,7 +238,7 @@ fn expand<'c>(
     out.push(done);
 }
 
-/// One head and one alternative of a clause.
+/// Checks one head with one alternative of the body.
 fn alternative(
     clause: &ast::Clause,
     head: &ast::Atom,
@@ -303,7 +303,7 @@ fn base(ty: VariableType, names: &Names) -> Option<BaseType> {
     }
 }
 
-/// Warns of variables that occur once. One guarded by a scope says "somebody in view" and needs no second occurrence.
+/// Warns of variables that occur once. A guarded variable means "some agent in view" and needs no second occurrence.
 fn lone_variables(clause: &ast::Clause, variables: &[body::Known], guarded: &[bool], faults: &mut Faults) {
     let lone = |variable: &body::Known| variable.count == 1 && !variable.hidden && !variable.name.starts_with('_');
     let mut counts = None;
@@ -311,7 +311,7 @@ fn lone_variables(clause: &ast::Clause, variables: &[body::Known], guarded: &[bo
         if *guarded || !lone(variable) {
             continue;
         }
-        // What occurs once in this alternative may occur in others.
+        // A variable that occurs once in this alternative may occur in others.
         let counts = counts.get_or_insert_with(|| {
             let mut counts: HashMap<&str, usize> = HashMap::new();
             let mut count = |name| *counts.entry(name).or_default() += 1;
@@ -342,7 +342,7 @@ fn lone_variables(clause: &ast::Clause, variables: &[body::Known], guarded: &[bo
     }
 }
 
-/// Every occurrence of a variable in a term; those in aggregates if `inside`.
+/// Calls `each` with every occurrence of a variable in a term; those in aggregates only if `inside`.
 pub(crate) fn names_of<'c>(term: &'c ast::Term, inside: bool, each: &mut impl FnMut(&'c str)) {
     match &term.kind {
         TermKind::Variable(name) => each(name),
@@ -367,7 +367,7 @@ pub(crate) fn names_of<'c>(term: &'c ast::Term, inside: bool, each: &mut impl Fn
     }
 }
 
-/// Every occurrence of a variable in a literal; those in aggregates if `inside`.
+/// Calls `each` with every occurrence of a variable in a literal; those in aggregates only if `inside`.
 pub(crate) fn names_in<'c>(literal: &'c ast::Literal, inside: bool, each: &mut impl FnMut(&'c str)) {
     match literal {
         ast::Literal::Atom { atom, .. } => atom.terms.iter().for_each(|term| names_of(term, inside, each)),

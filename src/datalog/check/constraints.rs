@@ -1,4 +1,4 @@
-//! `.disjoint`, `.implies`, `.irreflexive`, `.symmetric`: what the author constraints of the facts of base predicates.
+//! Integrity constraints: `.disjoint`, `.implies`, `.irreflexive` and `.symmetric` on the facts of base predicates.
 
 use crate::diag::{Code, Diagnostic, Faults, Span};
 
@@ -7,11 +7,11 @@ use crate::datalog::check::rules::{Constraint, DeclaredConstraint, RelId};
 use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::{ConstraintKind, Item, Name};
 
-/// More constraints are refused: `.disjoint` makes one of every pair.
-const MAX_PROMISES: usize = 10_000;
+/// Maximum number of constraints. `.disjoint` makes one of every pair of predicates.
+const MAX_CONSTRAINTS: usize = 10_000;
 
-/// Looks names up and refuses constraints that cannot be kept. The clauses must have been checked before, so that it is known what
-/// is derived.
+/// Resolves the names of constraints and reports constraints that make no sense. Requires checked clauses, which
+/// determine the derived predicates.
 pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> Vec<DeclaredConstraint> {
     let mut constraints = Vec::new();
     for item in items {
@@ -24,11 +24,11 @@ pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> V
             })
             .collect();
         let pairs: usize = found.len() * found.len().saturating_sub(1) / 2;
-        if constraints.len() + pairs.max(found.len()) > MAX_PROMISES {
+        if constraints.len() + pairs.max(found.len()) > MAX_CONSTRAINTS {
             let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too many constraints")
                 .at(constraint.place.0, "")
                 .note(format!(
-                    "at most {MAX_PROMISES} are possible; `.disjoint` makes one of every pair"
+                    "a program has at most {MAX_CONSTRAINTS}; `.disjoint` makes one of every pair"
                 ));
             faults.push(fault);
             break;
@@ -81,22 +81,22 @@ fn refuse(message: String, at: Span, relation: RelId, names: &Names) -> Diagnost
     fault.note(format!("the declaration is `{}`", names.signature_text(relation)))
 }
 
-/// Reports constraints on derived predicates: their rules already say what is true of them.
+/// Returns whether a constraint may name the predicate. Reports derived predicates: their rules determine their rows.
 fn usable(relation: RelId, name: &Name, names: &Names, faults: &mut Faults) -> bool {
     let signature = &names.signatures[relation.index()];
     if names.relation(relation).derived && signature.input.is_some() {
-        return false; // reported as an input that is derived
+        return false; // Already reported as a derived input.
     }
     if names.relation(relation).derived {
-        let message = format!("`{}` is derived, so what is true of it follows from rules", name.text);
+        let message = format!("`{}` is derived, so its rules determine its rows", name.text);
         let fault = refuse(message, name.place.0, relation, names);
-        faults.push(fault.help("constraints are about predicates that have facts only"));
+        faults.push(fault.help("constraints apply only to predicates without rules"));
         return false;
     }
     signature.columns.is_some()
 }
 
-/// The two predicates, if a row of one can be a row of the other.
+/// Returns the two predicates if they can have a row in common, and reports them otherwise.
 fn pair(
     first: Option<RelId>,
     second: Option<RelId>,
@@ -123,7 +123,7 @@ fn pair(
     fits.then_some((first, second))
 }
 
-/// Whether the predicate relates things of one kind.
+/// Returns whether the predicate has two columns of one type, and reports it otherwise.
 fn relates(relation: RelId, name: &Name, constraint: &ast::ConstraintDecl, names: &Names, faults: &mut Faults) -> bool {
     let columns = &names.relation(relation).columns;
     let fits = match columns.as_slice() {
@@ -132,7 +132,7 @@ fn relates(relation: RelId, name: &Name, constraint: &ast::ConstraintDecl, names
     };
     if !fits {
         let message = format!(
-            "`{}` cannot be {}: it has not two columns of one type",
+            "`{}` cannot be {}: it does not have exactly two columns of one type",
             name.text,
             constraint.kind.name()
         );

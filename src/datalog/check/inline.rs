@@ -1,4 +1,4 @@
-//! Inline predicates that say nothing of themselves.
+//! Inline predicates whose clauses do not bind their variables.
 //!
 //! ```text
 //! .decl less(x: number, y: number) inline
@@ -6,8 +6,9 @@
 //! A(x) :- B(x), B(y), less(x, y + 1).         becomes   A(x) :- B(x), B(y), x < y + 1.
 //! ```
 //!
-//! An inline predicate is like any other if its clauses bind their variables. One with a clause that does not is no set of
-//! rows: each atom over it is replaced by what it stands for. This is done on the syntax, before names are looked up.
+//! An inline predicate whose clauses bind all their variables is an ordinary relation. Otherwise it is no finite set of
+//! rows, and the checker replaces each atom over it by its definition. The replacement works on syntax, before name
+//! resolution.
 
 use std::collections::{HashMap, HashSet};
 
@@ -20,16 +21,16 @@ use crate::datalog::syntax::ast::Comparison;
 use crate::datalog::syntax::ast::{Atom, Clause, Decl, Item, Literal, Name, Term, TermKind};
 use crate::datalog::syntax::parser::negate;
 
-/// Inline predicates may use each other so deeply.
+/// Maximum nesting of inline predicates.
 const MAX_DEPTH: usize = 16;
 
-/// One clause may be made this much longer by it.
+/// Maximum number of literals that inlining may add to one clause.
 const MAX_GROWTH: usize = 1024;
 
-/// What an inline predicate stands for: head and body of its clauses.
+/// The definitions of inline predicates: head and body of each clause.
 type Meanings<'c> = HashMap<&'c str, Vec<(&'c Atom, &'c [Literal])>>;
 
-/// The items with such predicates replaced; `None` if there are none.
+/// Replaces such predicates in all items; `None` if there are none.
 pub(crate) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> {
     let inline = declared(items);
     if inline.is_empty() {
@@ -91,7 +92,7 @@ pub(crate) fn replace(items: &[Item], faults: &mut Faults) -> Option<Vec<Item>> 
             }
             Item::Decl(decl) => {
                 let mut decl = decl.clone();
-                // Here the word has an effect.
+                // For these predicates `inline` has an effect, so no warning follows.
                 let replaced = |name: &str| meanings.contains_key(name) || cyclic.contains(name);
                 if decl.names.iter().all(|name| replaced(&name.text)) {
                     decl.qualifiers.retain(|word| word.text != "inline");
@@ -111,7 +112,7 @@ fn clauses(items: &[Item]) -> impl Iterator<Item = &Clause> {
     })
 }
 
-/// The inline predicates and where they are declared. `no_inline` beside `inline` wins.
+/// Returns the inline predicates with the places of their declarations. `no_inline` overrides `inline`.
 fn declared(items: &[Item]) -> HashMap<&str, Span> {
     let has = |decl: &Decl, wanted: &str| decl.qualifiers.iter().any(|word| word.text == wanted);
     (items.iter())
@@ -133,7 +134,7 @@ fn refused(name: &Name, why: &str) -> Diagnostic {
     .help("remove `inline` from its declaration")
 }
 
-/// What stands for something else is neither read nor written.
+/// Reports directives that name inline predicates, which have no rows to read or write.
 fn refuse_marks(items: &[Item], inline: &HashMap<&str, Span>, faults: &mut Faults) {
     for item in items {
         let Item::Mark(mark) = item else { continue };
@@ -146,7 +147,7 @@ fn refuse_marks(items: &[Item], inline: &HashMap<&str, Span>, faults: &mut Fault
     }
 }
 
-/// The inline predicates that stand for themselves, by way of inline ones only. Each circle is told once.
+/// Returns the inline predicates that depend on themselves through inline predicates only. Reports each cycle once.
 fn refuse_cycles<'c>(items: &'c [Item], inline: &HashMap<&'c str, Span>, faults: &mut Faults) -> HashSet<&'c str> {
     let mut names: Vec<&str> = inline.keys().copied().collect();
     names.sort_unstable_by_key(|name| inline[name]);
@@ -168,13 +169,13 @@ fn refuse_cycles<'c>(items: &'c [Item], inline: &HashMap<&'c str, Span>, faults:
         successors[from].push(to);
     }
     let (component, _) = components(&successors);
-    let mut told: HashSet<usize> = HashSet::new();
+    let mut reported: HashSet<usize> = HashSet::new();
     let mut cyclic = HashSet::new();
     for (from, to, place) in uses {
         if component[from] == component[to] {
             cyclic.extend([names[from], names[to]]);
-            if told.insert(component[from]) {
-                let why = "is inline and depends on itself by way of inline predicates only";
+            if reported.insert(component[from]) {
+                let why = "is inline and depends on itself through inline predicates only";
                 faults.push(refused(place, why).also(inline[names[to]], "declared here"));
             }
         }
@@ -182,7 +183,7 @@ fn refuse_cycles<'c>(items: &'c [Item], inline: &HashMap<&'c str, Span>, faults:
     cyclic
 }
 
-/// "Not P" for a P that is closed: what a clause of P has besides the variables of its head cannot be bound outside.
+/// Reports negated atoms over inline predicates with extra variables in a body, which nothing outside can bind.
 fn refuse_negated(items: &[Item], meanings: &Meanings<'_>, open: &HashSet<&str>, faults: &mut Faults) {
     let has_own = |(head, body): &(&Atom, &[Literal])| {
         let mut of_head: HashSet<&str> = HashSet::new();
@@ -201,14 +202,14 @@ fn refuse_negated(items: &[Item], meanings: &Meanings<'_>, open: &HashSet<&str>,
             let name = atom.predicate.text.as_str();
             let meaning = meanings.get(name).filter(|_| negated && !open.contains(name));
             if meaning.is_some_and(|clauses| clauses.iter().any(has_own)) {
-                let why = "is inline, has variables of its own, and is negated";
+                let why = "is inline, has extra variables, and is negated";
                 faults.push(refused(&atom.predicate, why));
             }
         });
     }
 }
 
-/// Every atom of literals, those of aggregates included, and whether it is negated.
+/// Calls `each` with every atom, also those in aggregates, and whether it is negated.
 fn each_atom<'c>(literals: &'c [Literal], each: &mut dyn FnMut(bool, &'c Atom)) {
     for literal in literals {
         match literal {
@@ -271,7 +272,7 @@ impl Inliner<'_, '_> {
                 };
                 self.growth += meanings.iter().map(|(_, body)| 1 + body.len()).sum::<usize>();
                 if depth >= MAX_DEPTH || self.growth > MAX_GROWTH {
-                    return self.refuse(atom, "is inline and used too deeply");
+                    return self.refuse(atom, "is inline and nested too deeply");
                 }
                 let mut alternatives = Vec::new();
                 for &(head, body) in meanings {
@@ -279,7 +280,7 @@ impl Inliner<'_, '_> {
                         return vec![literal.clone()];
                     }
                     let Some(alternative) = self.meaning(atom, head, body, *negated) else {
-                        return self.refuse(atom, "is inline, has variables of its own, and is negated");
+                        return self.refuse(atom, "is inline, has extra variables, and is negated");
                     };
                     alternatives.push(self.all(&alternative, depth + 1));
                 }
@@ -294,7 +295,7 @@ impl Inliner<'_, '_> {
         }
     }
 
-    /// Aggregates have bodies, too.
+    /// Replaces inline predicates in the bodies of aggregates.
     fn term(&mut self, term: &Term, depth: usize) -> Term {
         let mut term = term.clone();
         match &mut term.kind {
@@ -315,7 +316,7 @@ impl Inliner<'_, '_> {
         Vec::new()
     }
 
-    /// What one clause says of the atom. `None` if that cannot be negated.
+    /// Returns the body of one clause for the arguments of the atom; `None` if its negation is not expressible.
     fn meaning(&mut self, atom: &Atom, head: &Atom, body: &[Literal], negated: bool) -> Option<Vec<Literal>> {
         self.fresh += 1;
         let mut names: Names = HashMap::new();

@@ -1,4 +1,4 @@
-//! Warnings that need all clauses: those that can never fire, and those that derive nothing new.
+//! Warnings that need all clauses: clauses that never fire, and clauses that derive nothing new.
 
 use std::collections::HashMap;
 
@@ -14,11 +14,11 @@ use crate::datalog::check::subsumption::{NoConstraints, Pattern};
 
 // --- clauses that never fire
 
-/// Of the clauses that need one empty predicate, so many are shown.
+/// Maximum number of clauses shown for one empty predicate.
 const MAX_DEAD_SHOWN: usize = 4;
 
-/// Warns of clauses with a positive atom over a predicate that cannot have a row: it is not input, and it has no clause, or
-/// only clauses that need it first. A clause that is dead only because such a clause is, is not reported.
+/// Warns of clauses with a positive atom over an empty predicate: one that is not input and has no clause, or only
+/// clauses that need it first. Does not report clauses that are dead only because these are.
 pub(crate) fn dead(all: &Clauses, names: &Names, faults: &mut Faults) {
     if all.incomplete || !names.complete() {
         return;
@@ -36,7 +36,7 @@ pub(crate) fn dead(all: &Clauses, names: &Names, faults: &mut Faults) {
         );
     }
     let (component, _) = strata::components(&needs_empty);
-    // The empty predicates, in the order of the text, and the clauses that need each.
+    // The empty predicates, in source order, each with the clauses that need it.
     let mut causes: indexmap::IndexMap<RelId, Vec<&Clause>> = indexmap::IndexMap::new();
     for Checked { clause, .. } in &all.clauses {
         let empty = |atom: &&Atom| !filled[atom.relation.index()];
@@ -82,7 +82,7 @@ pub(crate) fn dead(all: &Clauses, names: &Names, faults: &mut Faults) {
     }
 }
 
-/// The atoms that must hold for a clause to fire.
+/// Returns the atoms that must hold for a clause to fire.
 fn needed(clause: &Clause) -> impl Iterator<Item = &Atom> {
     clause.body.iter().filter_map(|literal| match literal {
         Literal::Positive(atom) | Literal::Guard(atom) => Some(atom),
@@ -90,7 +90,7 @@ fn needed(clause: &Clause) -> impl Iterator<Item = &Atom> {
     })
 }
 
-/// Which predicates may have rows.
+/// Returns, by predicate, whether it may have rows.
 fn filled(all: &Clauses, names: &Names) -> Vec<bool> {
     let mut waiting: Vec<usize> = all
         .clauses
@@ -103,7 +103,7 @@ fn filled(all: &Clauses, names: &Names) -> Vec<bool> {
             users[atom.relation.index()].push(index);
         }
     }
-    // A hidden predicate with positive atoms, see `range`, is filled by what the clause asks of it.
+    // The clause that uses a hidden predicate with positive atoms fills it; see `range`.
     let given = |relation: &Relation| relation.input || relation.hidden;
     let mut filled: Vec<bool> = names.relations.iter().map(given).collect();
     for (index, Checked { clause, .. }) in all.clauses.iter().enumerate() {
@@ -125,12 +125,12 @@ fn filled(all: &Clauses, names: &Names) -> Vec<bool> {
 
 // --- clauses that derive nothing new
 
-/// Steps of all comparisons of clauses together.
+/// Maximum number of steps for all comparisons of clauses together.
 const MAX_STEPS: usize = 10_000_000;
 
-/// Warns of clauses that are equal to another one or that another one subsumes.
+/// Warns of clauses that duplicate another one, or that another one subsumes.
 pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
-    // Facts are found by their rows: there may be very many. The map is never iterated.
+    // A map finds duplicate facts, because there may be many. Lookup only, never iterated.
     let mut facts: HashMap<(RelId, &[Term]), Span> = HashMap::new();
     for Checked { clause, sound, .. } in clauses {
         if *sound && clause.body.is_empty() {
@@ -158,7 +158,7 @@ pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
         let patterns: Vec<Pattern> = (group.iter())
             .map(|clause| Pattern::new(clause, &NoConstraints))
             .collect();
-        // Alternatives and heads of one clause are not the author's fault.
+        // Ignore the alternatives and heads of one source clause, which the checker split.
         let counts = |one: usize, other: usize| group[one].span != group[other].span;
         for found in subsumption::redundant(&patterns, &NoConstraints, &mut budget, &counts) {
             let code = match found.copy {
@@ -174,12 +174,12 @@ pub(crate) fn redundant(clauses: &[Checked], faults: &mut Faults) -> Comparing {
 fn report(code: Code, span: Span, other: Span, faults: &mut Faults) {
     let (message, label) = match code {
         Code::DUPLICATE_CLAUSE => (
-            "this clause stands here already",
-            "the same, up to the names of variables and order",
+            "this clause is a duplicate",
+            "the same clause, up to variable names and order",
         ),
         _ => (
-            "this clause derives nothing that another does not",
-            "whenever it fires, this one derives the same",
+            "another clause derives everything that this one does",
+            "this clause derives the same rows",
         ),
     };
     faults.push(

@@ -1,11 +1,20 @@
-//! From syntax trees to checked [`Rules`].
+//! The checker: from syntax trees to checked [`Rules`].
 //!
-//! The stages, each in its own file or folder: `inline` (predicates that stand for their bodies), `names` (types and predicates),
-//! `clause` (alternatives and several heads), `witness` (the rows of an extreme value), `body` (one clause: names, expressions, types,
-//! safety), `aggregate` and `range` (hidden predicates for these), `scope` (guards), `constraints` (integrity constraints), `strata` (the
-//! order of evaluation), `lint` (warnings that need all clauses), `subsumption` (which clause derives all that another one does). None stops at the first fault.
+//! Each stage has a file or folder. No stage stops at the first fault.
 //!
-//! This room does not know how rules are evaluated.
+//! - `inline`: replaces inline predicates by their bodies.
+//! - `names`: declares types and predicates.
+//! - `clause`: splits disjunctions and multiple heads into clauses.
+//! - `witness`: rewrites `min` and `max` with witness variables.
+//! - `body`: checks one clause: names, expressions, types and safety.
+//! - `aggregate`, `range`: define hidden predicates for aggregates and ranges.
+//! - `scope`: adds the guards of `.scope`.
+//! - `constraints`: checks integrity constraints.
+//! - `strata`: finds the order of evaluation.
+//! - `lint`: warns of dead and redundant clauses.
+//! - `subsumption`: decides whether one clause derives everything that another one derives.
+//!
+//! This module does not know how rules are evaluated.
 
 mod aggregate;
 mod body;
@@ -36,17 +45,17 @@ pub use subsets::Comparing;
 #[cfg(test)]
 pub(crate) use subsets::random_clauses;
 
-/// What holds of a predicate that is `.input`.
+/// Whether rules may derive `.input` predicates (the EDB).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Edb {
-    /// The rows that are given, and the facts of the text: a rule for it is an error.
+    /// Only inserted rows and the facts of the text hold. A rule for an `.input` predicate is an error.
     #[default]
     Fixed,
-    /// Besides, what rules derive, as in Soufflé: a rule for it is told by a warning.
+    /// As in Soufflé, rules may derive further rows of an `.input` predicate. The checker warns of such rules.
     Extensible,
 }
 
-/// Checks all items. The constants' texts are added to `symbols`. There are no rules if there is an error.
+/// Checks all items and interns their constants in `symbols`. The rules are `None` if there is an error.
 pub(crate) fn check(
     items: &[ast::Item],
     complete: bool,
@@ -63,7 +72,7 @@ pub(crate) fn check(
     names.report_unknown(faults);
     strata::check(&checked.edges, &names, faults);
     let mut compared = Comparing::default();
-    // What could not be read might make a clause live, or tell two clauses apart.
+    // A clause that did not parse could make a dead clause live.
     if syntax_is_good {
         lint::dead(&checked, &names, faults);
         compared = lint::redundant(&checked.clauses, faults);

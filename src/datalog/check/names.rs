@@ -1,4 +1,4 @@
-//! Types and predicates: who is declared, as what.
+//! Declarations: types, predicates and their directives.
 
 use std::collections::{HashMap, HashSet};
 
@@ -9,53 +9,53 @@ use crate::datalog::check::rules::{Column, Directive, RelId, Relation, RowFormat
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::syntax::ast::{Decl, Item, Mark, MarkKind, Name, TypeDecl, TypeDefinition};
 
-/// More columns than this are refused.
+/// Maximum number of columns of a predicate.
 const MAX_COLUMNS: usize = 64;
 
-/// A longer chain of subtypes is refused.
+/// Maximum length of a chain of subtypes.
 const MAX_TYPE_DEPTH: usize = 64;
 
-/// More members of a union are refused.
+/// Maximum number of members of a union.
 const MAX_MEMBERS: usize = 128;
 
-/// For so many unknown names a similar one is looked for; beyond that the text is too strange for it to help.
+/// Maximum number of unknown names with a suggestion. A source with more errors gains nothing from suggestions.
 const MAX_SUGGESTIONS: usize = 30;
 
-/// Of the places where an unknown name is used, so many are shown.
+/// Maximum number of uses shown for one unknown name.
 const MAX_USES_SHOWN: usize = 4;
 
-/// What the checks know of a predicate besides its [`Relation`].
+/// The data about a predicate that the checks need besides its [`Relation`].
 #[derive(Clone, Debug)]
 pub(crate) struct Signature {
-    /// The column types as far as they are known; `None` if the columns were not understood.
+    /// The column types as far as known; `None` if the columns did not parse.
     pub columns: Option<Vec<Option<TypeId>>>,
-    /// The `.input` that names it.
+    /// The `.input` directive that names it.
     pub input: Option<Span>,
 }
 
-/// All declared names. The maps are only asked, never walked.
+/// All declared names. The maps serve lookups only and are never iterated.
 pub(crate) struct Names {
     pub types: Vec<Type>,
     pub relations: Vec<Relation>,
     pub signatures: Vec<Signature>,
-    /// Where each type is declared, for labels; none for `symbol` and `number`.
+    /// The place of each type's declaration, for labels; `None` for base types.
     type_spans: Vec<Option<Span>>,
     type_by_name: HashMap<String, Option<TypeId>>,
-    /// Where each type is declared, those too that are another name for one.
+    /// The places of all type declarations, also of aliases.
     declared_types: HashMap<String, Span>,
-    /// The unions that a type is a member of.
+    /// The unions that contain each type.
     unions_of: HashMap<TypeId, Vec<TypeId>>,
     relation_by_name: HashMap<String, RelId>,
-    /// The `.printsize` that names a predicate.
+    /// The `.printsize` directive of each predicate.
     printsizes: HashMap<RelId, Span>,
     unknown: Unknown,
-    /// Whether every declaration was read; if not, unknown names are not reported.
+    /// Whether all declarations are known. If not, the checker reports no unknown names.
     complete: bool,
-    /// What an `.input` may be.
+    /// Whether rules may derive `.input` predicates.
     pub inputs: Edb,
 }
 
-/// Unknown names and where they are used, in the order of first use.
+/// Unknown names with their uses, in the order of first use.
 #[derive(Default)]
 struct Unknown {
     predicates: indexmap::IndexMap<String, Vec<Span>>,
@@ -98,7 +98,7 @@ pub(crate) fn declare(items: &[Item], complete: bool, inputs: Edb, faults: &mut 
 }
 
 impl Names {
-    /// The predicate of that name; an unknown one is remembered for [`Names::report_unknown`].
+    /// Returns the predicate with that name. Records an unknown name for [`Names::report_unknown`].
     pub fn predicate(&mut self, name: &Name) -> Option<RelId> {
         let known = self.find(&name.text);
         if known.is_none() {
@@ -107,12 +107,12 @@ impl Names {
         known
     }
 
-    /// The predicate of that name, if it is declared.
+    /// Returns the predicate with that name, if it is declared.
     pub fn find(&self, name: &str) -> Option<RelId> {
         self.relation_by_name.get(name).copied()
     }
 
-    /// Whether every declaration was read.
+    /// Returns whether all declarations are known.
     pub fn complete(&self) -> bool {
         self.complete
     }
@@ -121,7 +121,7 @@ impl Names {
         &self.relations[id.index()]
     }
 
-    /// The base type itself.
+    /// Returns the id of the base type.
     pub fn base_type(base: BaseType) -> TypeId {
         match base {
             BaseType::Symbol => TypeId(0),
@@ -131,7 +131,7 @@ impl Names {
         }
     }
 
-    /// How many predicates were made while checking.
+    /// Returns the number of hidden predicates.
     pub fn hidden(&self) -> usize {
         self.relations
             .iter()
@@ -140,7 +140,7 @@ impl Names {
             .count()
     }
 
-    /// A hidden predicate with these columns, which clauses are to derive.
+    /// Adds a hidden predicate with these columns.
     pub fn hide(&mut self, columns: Vec<(String, TypeId)>, doc: String, span: Span) -> RelId {
         let relation = RelId(u32::try_from(self.relations.len()).expect("fewer than 2^32 predicates"));
         self.signatures.push(Signature {
@@ -166,7 +166,7 @@ impl Names {
         self.types[id.0 as usize].base
     }
 
-    /// Whether every value of type `sub` is one of type `sup`.
+    /// Returns whether every value of type `sub` has type `sup`.
     pub fn is_subtype(&self, sub: TypeId, sup: TypeId) -> bool {
         if self.unions_of.is_empty() {
             let parent = |id: &TypeId| self.types[id.0 as usize].parent;
@@ -188,7 +188,8 @@ impl Names {
         !members.is_empty() && members.iter().all(|&member| self.is_subtype(member, sup))
     }
 
-    /// The narrower of two types of one line, or a type that both have as a part; `None` if no value is of both.
+    /// Returns the narrower of two comparable types, or a member that two types share; `None` if they have no value in
+    /// common.
     pub fn meet(&self, a: TypeId, b: TypeId) -> Option<TypeId> {
         if a == b || self.is_subtype(a, b) {
             return Some(a);
@@ -241,7 +242,7 @@ impl Names {
                 declared.push(decl);
             }
         }
-        // Every subtype gets its number before parents are looked up, so that declarations may come in any order.
+        // Every type gets its number before parents are resolved, so that declarations may come in any order.
         for decl in &declared {
             if let TypeDefinition::Subtype(_) | TypeDefinition::Union(_) = decl.definition {
                 let id = self.add_type(
@@ -282,7 +283,7 @@ impl Names {
             {
                 let known: Vec<TypeId> = members.iter().filter_map(|member| self.type_named(member)).collect();
                 faulty[id.0 as usize] |= known.len() < members.len();
-                // Until all bases are known the first member stands for the base.
+                // Until all base types are known, the first member stands in as the parent.
                 self.types[id.0 as usize].parent = known.first().copied();
                 self.types[id.0 as usize].members = known;
             }
@@ -313,7 +314,7 @@ impl Names {
         id
     }
 
-    /// Follows `.type A = B`, `.type B = C` ... to a type.
+    /// Follows a chain of aliases to a type.
     fn alias_target(
         &mut self,
         decl: &TypeDecl,
@@ -329,14 +330,14 @@ impl Names {
             steps += 1;
             at = match first.get(other.text.as_str()) {
                 Some(next) if std::ptr::eq(*next, decl) => {
-                    let message = format!("the type `{}` is declared by way of itself", decl.name.text);
+                    let message = format!("the type `{}` is an alias of itself", decl.name.text);
                     faults.push(Diagnostic::new(Code::CYCLIC_TYPE, message).at(decl.name.place.0, ""));
                     return None;
                 }
                 Some(_) if steps > MAX_TYPE_DEPTH => {
                     let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too long a chain of types")
                         .at(decl.name.place.0, "")
-                        .note(format!("at most {MAX_TYPE_DEPTH} names may stand for each other"));
+                        .note(format!("a chain of aliases has at most {MAX_TYPE_DEPTH} names"));
                     faults.push(fault);
                     return None;
                 }
@@ -347,7 +348,7 @@ impl Names {
         None
     }
 
-    /// A subtype has one parent line, which a union has not.
+    /// Reports subtypes of unions: a subtype needs a single chain of parents.
     fn refuse_subtypes_of_unions(&self, declared: &[&TypeDecl], faulty: &mut [bool], faults: &mut Faults) {
         let is_union = |decl: &&&TypeDecl| matches!(decl.definition, TypeDefinition::Union(_));
         let unions: HashMap<TypeId, Span> = (declared.iter().filter(is_union))
@@ -368,9 +369,9 @@ impl Names {
         }
     }
 
-    /// Finds the base of every type through its parents. Types on a cycle or under a faulty one become faulty.
+    /// Finds the base type of every type through its parents. Types on a cycle or under a faulty type become faulty.
     fn settle_parents(&mut self, faulty: &mut [bool], faults: &mut Faults) {
-        // 0: not looked at; otherwise the distance from the base, plus one.
+        // 0: not visited; otherwise the distance from the base type, plus one.
         let mut depth = vec![0_usize; self.types.len()];
         depth[..BaseType::ALL.len()].fill(1);
         let mut reported_on = vec![usize::MAX; self.types.len()];
@@ -395,7 +396,7 @@ impl Names {
                     fault = if index == 0 {
                         fault.at(span, "")
                     } else {
-                        fault.also(span, "on the circle")
+                        fault.also(span, "on the cycle")
                     };
                 }
                 faults.push(fault);
@@ -419,7 +420,7 @@ impl Names {
                 }
             }
         }
-        // Nobody may walk along a cycle later.
+        // Removing these parents protects later traversals from cycles.
         for (id, ty) in self.types.iter_mut().enumerate() {
             if faulty[id] {
                 ty.parent = None;
@@ -427,7 +428,7 @@ impl Names {
         }
     }
 
-    /// The members of a union have one base, and none is the union itself.
+    /// Checks that the members of a union have one base type and do not include the union itself.
     fn settle_unions(&mut self, declared: &[&TypeDecl], faulty: &mut [bool], faults: &mut Faults) {
         for decl in declared {
             let (TypeDefinition::Union(written), Some(id)) = (&decl.definition, self.type_by_name[&decl.name.text])
@@ -442,7 +443,7 @@ impl Names {
                 self.types[at].parent = None;
                 continue;
             }
-            // A member that is itself a union is walked through, to find circles.
+            // Expand the members that are unions, to find cycles.
             let mut seen = HashSet::new();
             let mut work = members.clone();
             let mut leaves = Vec::new();
@@ -461,11 +462,11 @@ impl Names {
                 let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "union of too many types")
                     .at(decl.name.place.0, "")
                     .note(format!(
-                        "a union has at most {MAX_MEMBERS} members, those of its members included"
+                        "a union has at most {MAX_MEMBERS} members, including those of its members"
                     ));
                 faults.push(fault);
             } else if seen.contains(&id) {
-                let message = format!("the type `{name}` is a part of itself");
+                let message = format!("the type `{name}` contains itself");
                 faults.push(Diagnostic::new(Code::CYCLIC_TYPE, message).at(decl.name.place.0, ""));
             } else if let Some(other) = other {
                 let message = format!(
@@ -489,7 +490,7 @@ impl Names {
         }
     }
 
-    /// The type of that name; an unknown one is remembered for [`Names::report_unknown`].
+    /// Returns the type with that name. Records an unknown name for [`Names::report_unknown`].
     pub fn type_named(&mut self, name: &Name) -> Option<TypeId> {
         match self.type_by_name.get(&name.text) {
             Some(known) => *known,
@@ -586,7 +587,7 @@ impl Names {
                 MarkKind::PrintSize => {
                     relation.printsize = true;
                     if let Some(earlier) = self.printsizes.insert(id, name.place.0) {
-                        let message = format!("`{}` has two `.printsize`", name.text);
+                        let message = format!("`{}` has two `.printsize` directives", name.text);
                         let fault = Diagnostic::new(Code::DUPLICATE_DECLARATION, message)
                             .at(name.place.0, "again here")
                             .also(earlier, "first here");
@@ -657,8 +658,8 @@ impl Names {
                     fault.help(format!("did you mean `{near}`?"))
                 }
                 None => fault.help(format!(
-                    "declare it: `.decl {name}(...)`, or include the file that does; `.include \"vocabulary.dl\"` declares all that \
-                     rules of the city speak of"
+                    "declare it: `.decl {name}(...)`, or include the file that declares it; `.include \"vocabulary.dl\"` \
+                     declares the predicates of the city"
                 )),
             };
             faults.push(fault);
@@ -666,8 +667,8 @@ impl Names {
     }
 }
 
-/// Reports the words after a declaration: none may say again or otherwise what another says, and all but `inline` have no effect. That
-/// asks how a predicate is evaluated, which changes no answer, so nothing is lost where it is not followed.
+/// Reports qualifiers that repeat or contradict another one, and warns of those without effect: all but `inline`. They
+/// ask for a way of evaluation, which never changes an answer.
 fn qualifiers(words: &[Name], faults: &mut Faults) {
     let storage = |word: &Name| matches!(word.text.as_str(), "btree" | "brie");
     let rivals = |a: &Name, b: &Name| a.text == b.text || (storage(a) && storage(b));
@@ -687,10 +688,10 @@ fn qualifiers(words: &[Name], faults: &mut Faults) {
     }
 }
 
-/// How far back a place is looked for.
+/// Number of recent uses compared for duplicates.
 const MAX_USES_REMEMBERED: usize = 8;
 
-/// A place is remembered once, though a clause with alternatives is looked at several times.
+/// Records a use once, although the checker visits a clause with alternatives several times.
 fn remember(unknown: &mut indexmap::IndexMap<String, Vec<Span>>, name: &Name) {
     let places = unknown.entry(name.text.clone()).or_default();
     if !places
@@ -703,7 +704,7 @@ fn remember(unknown: &mut indexmap::IndexMap<String, Vec<Span>>, name: &Name) {
     }
 }
 
-/// What the options of an `.input`, `.output` or `.printsize` say.
+/// Reads the options of an `.input`, `.output` or `.printsize` directive.
 fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
     let mut place = RowPlace::Usual;
     let mut format = RowFormat::default();
@@ -736,7 +737,7 @@ fn read_options(mark: &Mark, faults: &mut Faults) -> Directive {
                 Some(numbers) => format.columns = numbers,
                 None => {
                     let fault = Diagnostic::new(Code::SYNTAX, "not a list of columns").at(option.place.0, "");
-                    faults.push(fault.help("it is written as numbers, from 0 on, each once: `columns=\"0:2:1\"`"));
+                    faults.push(fault.help("list each column number once, counted from 0: `columns=\"0:2:1\"`"));
                 }
             },
             "compress" if option.value == "false" => {}

@@ -2,14 +2,14 @@
 //!
 //! ```text
 //! A(x) :- B(n), x = range(0, n).      becomes   A(x) :- B(n), +2(0, n, 1, x).
-//!                                     with      +1(0, n, 1) :- 0 <= n, B(n).              what is asked for
-//!                                               +2(f, t, s, f) :- +1(f, t, s), f < t.     where it begins
-//!                                               +2(f, t, s, y) :- +2(f, t, s, x), ...     and what comes after
+//!                                     with      +1(0, n, 1) :- 0 <= n, B(n).              the requests
+//!                                               +2(f, t, s, f) :- +1(f, t, s), f < t.     the first value
+//!                                               +2(f, t, s, y) :- +2(f, t, s, x), ...     the values after it
 //! ```
 //!
-//! So a range is asked for only where the rest of the clause needs one, and every way of evaluation knows ranges. Whole numbers
-//! are reached by doubling the distance from the beginning: a range of n values takes log n rounds. The steps of a range of
-//! floats are added one by one, since the sum depends on how it is made.
+//! So the rules compute only ranges that the rest of the clause requests, and every executor supports ranges. Whole
+//! numbers double the distance from the start in each round, so a range of n values takes log n rounds. Ranges of
+//! floats add one step at a time, because the rounded sum depends on the order of additions.
 
 use std::collections::BTreeSet;
 
@@ -35,13 +35,13 @@ const NEXT: Term = Term::Variable(VarId(6));
 /// The names of these variables.
 const NAMES: [&str; 7] = ["from", "to", "step", "value", "distance", "double", "next"];
 
-/// The columns of what is asked for, and of the values.
+/// The numbers of columns: of a request, and of a value.
 const ASKED: usize = 3;
 const COLUMNS: usize = 4;
 
 impl<'c> Check<'_, 'c> {
-    /// An atom for `to = range(from, to, step)`; `None` if something that it needs is not there yet. `near` are the finished literals
-    /// beside it, `context` those of the clause, or of aggregates, around.
+    /// Returns an atom for `to = range(from, to, step)`; `None` while a literal that binds an argument is missing.
+    /// `near` are the finished literals of the same body. `context` are those of the enclosing clause or aggregates.
     pub fn range_literal(
         &mut self,
         pending: &Pending<'c>,
@@ -72,8 +72,8 @@ impl<'c> Check<'_, 'c> {
             base,
             span,
         };
-        let asked = making.predicate("what is asked of `range`", ASKED);
-        let values = making.predicate("what `range` gives", COLUMNS);
+        let asked = making.predicate("requests to `range`", ASKED);
+        let values = making.predicate("values of `range`", COLUMNS);
         let around: Vec<Literal> = near.into_iter().chain(context).collect();
         let mut ways = Vec::new();
         for (terms, condition, way) in asked_of(&arguments, base, span) {
@@ -85,7 +85,7 @@ impl<'c> Check<'_, 'c> {
         let [from, until, rest @ ..] = arguments.as_slice() else {
             return None;
         };
-        // Without a step both ways are there, of which one is empty.
+        // Without a step the request has two directions, one of which has no values.
         let step = rest.first().copied().unwrap_or(Term::Wildcard);
         Some(Literal::Positive(Atom {
             relation: values,
@@ -102,8 +102,8 @@ fn variable(term: &Term) -> Option<VarId> {
     }
 }
 
-/// Of the literals near and around those that are bound and have to do, through others, with the needed variables. `None` if they do
-/// not bind these.
+/// Returns the bound literals of `near` and `context` that share variables, directly or through others, with the needed
+/// ones. `None` if these literals do not bind the needed variables.
 fn relevant(needed: &BTreeSet<VarId>, near: &[Literal], context: &[Literal]) -> Option<(Vec<Literal>, Vec<Literal>)> {
     let all: Vec<Literal> = near.iter().chain(context).cloned().collect();
     let bound = bound_by(&all);
@@ -133,7 +133,8 @@ fn relevant(needed: &BTreeSet<VarId>, near: &[Literal], context: &[Literal]) -> 
     Some((pick(0, near), pick(near.len(), context)))
 }
 
-/// Where a range goes: up with a step above zero, down with one below; with the step 0 it has one value.
+/// The direction of a range: up for a positive step, down for a negative one. A range with step 0 contains only its
+/// start, provided that start and end differ.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Way {
     Up,
@@ -141,7 +142,7 @@ enum Way {
     Nowhere,
 }
 
-/// What may be asked for with these arguments: beginning, end and step, when, and which way the step leads.
+/// Returns the possible requests for these arguments: start, end and step, the condition, and the direction.
 fn asked_of(arguments: &[Term], base: BaseType, span: Span) -> Vec<(Vec<Term>, Option<Literal>, Way)> {
     let [from, to, rest @ ..] = arguments else {
         return Vec::new();
@@ -169,7 +170,7 @@ fn asked_of(arguments: &[Term], base: BaseType, span: Span) -> Vec<(Vec<Term>, O
                 })
                 .collect()
         }
-        // Of unsigned numbers there is no step downwards.
+        // Unsigned numbers have no step downwards.
         None => {
             let mut all = vec![(
                 vec![*from, *to, constant(1, base)],
@@ -192,7 +193,7 @@ fn constant(n: i8, base: BaseType) -> Term {
     })
 }
 
-/// The hidden predicates of one range.
+/// The context in which a range defines its hidden predicates.
 struct Making<'m> {
     names: &'m mut Names,
     hidden: &'m mut Vec<Clause>,
@@ -227,7 +228,7 @@ impl Making<'_> {
         }
     }
 
-    /// The clauses for the values.
+    /// Defines the clauses for the values.
     fn values(&mut self, asked: RelId, values: RelId, ways: &[Way]) {
         let variables: Vec<Known> = (NAMES.iter())
             .map(|name| Known {
@@ -245,7 +246,8 @@ impl Making<'_> {
         }
     }
 
-    /// What is a value, and when. Numbers wrap around: what does not lie further on than where it was reached from is none.
+    /// Returns the possible values and the bodies that derive them. Because numbers wrap around, a value counts only if
+    /// it lies beyond the one it was computed from.
     fn bodies(&self, asked: RelId, values: RelId, way: Way) -> Vec<(Term, Vec<Literal>)> {
         let (before, after, sign) = match way {
             Way::Up => (Comparison::Less, Comparison::Greater, Comparison::Greater),

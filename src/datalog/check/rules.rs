@@ -1,9 +1,9 @@
-//! Checked rules: what the engine is given.
+//! Checked rules: the input of planning and evaluation.
 //!
-//! A [`Rules`] is made by [`crate::datalog::workspace::load`] from parsed text once every check has passed, and never changes afterwards. In it every name is
-//! resolved, expressions, aggregates and disjunctions are taken apart, `.scope` guards are written out as ordinary atoms, every clause is
-//! safe (each variable is bound by a positive atom or computed from bound ones; in the clause of a hidden predicate by a positive atom or a
-//! guard) and the predicates are stratified.
+//! [`load`](crate::datalog::load) makes a [`Rules`] from source text once every check has passed. It never changes
+//! afterwards. Checking resolves all names, flattens expressions, aggregates and disjunctions, and writes `.scope`
+//! guards as ordinary atoms. Every clause is safe: a positive atom binds each variable, or an expression computes it
+//! from bound ones. In the clause of a hidden predicate a guard may bind variables too. The predicates are stratified.
 
 use crate::datalog::syntax::ast::{BaseType, Comparison, MarkKind};
 use crate::datalog::value::Value;
@@ -13,31 +13,31 @@ use std::collections::HashMap;
 
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 
-/// Names a type of [`Rules::types`].
+/// The id of a type: its position in [`Rules::types`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TypeId(pub u32);
 
 /// A type: a base type, a declared subtype, or a union of types.
 #[derive(Clone, Debug)]
 pub struct Type {
-    /// Its name.
+    /// The name of the type.
     pub name: String,
-    /// What its values are made of.
+    /// The base type of its values.
     pub base: BaseType,
-    /// The type it was declared a subtype of; for a union its base; `None` for a base type.
+    /// The declared supertype; for a union its base type; `None` for a base type.
     pub parent: Option<TypeId>,
-    /// The types that a union is made of; empty for other types.
+    /// The members of a union; empty for other types.
     pub members: Vec<TypeId>,
-    /// Text of its doc comment.
+    /// The text of the doc comment.
     pub doc: String,
 }
 
-/// Names a predicate of [`Rules::relations`].
+/// The id of a predicate: its position in [`Rules::relations`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RelId(pub u32);
 
 impl RelId {
-    /// Position in [`Rules::relations`].
+    /// Returns the position in [`Rules::relations`].
     pub fn index(self) -> usize {
         self.0 as usize
     }
@@ -46,74 +46,75 @@ impl RelId {
 /// A column of a declared predicate.
 #[derive(Clone, Debug)]
 pub struct Column {
-    /// Its name.
+    /// The name of the column.
     pub name: String,
-    /// Its declared type.
+    /// The declared type.
     pub ty: TypeId,
-    /// The base of that type.
+    /// The base type of the declared type.
     pub base: BaseType,
 }
 
-/// A declared predicate, or a hidden one (its name begins with `+`, which no user can write) made while checking.
+/// A predicate: declared, or hidden. The checker makes hidden ones, whose names begin with `+`, which no source can
+/// write.
 #[derive(Clone, Debug)]
 pub struct Relation {
-    /// Its name.
+    /// The name of the predicate.
     pub name: String,
-    /// Its columns; may be none.
+    /// The columns; may be empty.
     pub columns: Vec<Column>,
-    /// Text of its doc comment, without the slashes.
+    /// The text of the doc comment, without the slashes.
     pub doc: String,
-    /// Where it is declared.
+    /// The place of the declaration.
     pub span: Span,
-    /// Marked `.input`.
+    /// Whether `.input` names it.
     pub input: bool,
-    /// Where rows that are given go if rules derive further ones: a hidden predicate that the last of these rules reads.
+    /// The hidden predicate for inserted rows if rules derive further ones. The last of these rules reads it.
     pub edb: Option<RelId>,
-    /// Marked `.output`.
+    /// Whether `.output` names it.
     pub output: bool,
-    /// Marked `.printsize`.
+    /// Whether `.printsize` names it.
     pub printsize: bool,
-    /// Whether some clause with a body has it as head (IDB). Facts in the text do not count.
+    /// Whether it is the head of a clause with a body (IDB). Facts in the text do not count.
     pub derived: bool,
-    /// Made while checking, not declared.
+    /// Whether the checker made it.
     pub hidden: bool,
-    /// What its `.input`, `.output` and `.printsize` say beyond that, one for each.
+    /// Its `.input`, `.output` and `.printsize` directives with their options.
     pub directives: Vec<Directive>,
 }
 
-/// One `.input`, `.output` or `.printsize` of a predicate.
+/// One `.input`, `.output` or `.printsize` directive of a predicate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Directive {
-    /// Which of them.
+    /// The kind of directive.
     pub kind: MarkKind,
-    /// Where rows come from or go to.
+    /// The source or destination of the rows.
     pub place: RowPlace,
-    /// How rows are written.
+    /// The text format of the rows.
     pub format: RowFormat,
 }
 
-/// Where rows come from or go to.
+/// The source or destination of rows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RowPlace {
-    /// The file that is named after the predicate.
+    /// The file named after the predicate.
     Usual,
-    /// `filename=`
+    /// `filename=`: a file.
     File(String),
-    /// `IO=stdin`, `IO=stdout`
+    /// `IO=stdin` or `IO=stdout`: the standard streams.
     Terminal,
 }
 
-/// How rows are written as text.
+/// The text format of rows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RowFormat {
-    /// `delimiter=`: what stands between the values of a row.
+    /// `delimiter=`: the separator between the values of a row.
     pub delimiter: String,
     /// `headers=`: whether the first line names the columns.
     pub headers: bool,
-    /// `columns=`: for each column of the predicate the position of its value in the row that is read, from 0 on. Empty: rows have these
-    /// values and no others.
+    /// `columns=`: for each column of the predicate, the position of its value in a row of the file, from 0. If empty,
+    /// rows contain exactly the columns of the predicate.
     pub columns: Vec<usize>,
-    /// `rfc4180=`: whether texts stand in double quotes, with a double quote in them written twice.
+    /// `rfc4180=`: whether strings stand in double quotes, with double quotes inside doubled.
     pub quoted: bool,
 }
 
@@ -129,7 +130,7 @@ impl Default for RowFormat {
 }
 
 impl Relation {
-    /// A predicate that clauses made while checking or planning derive.
+    /// Creates a hidden predicate, which clauses made by the checker or planner derive.
     pub(crate) fn made(name: String, columns: Vec<Column>, doc: String, span: Span) -> Self {
         Relation {
             name,
@@ -146,56 +147,58 @@ impl Relation {
         }
     }
 
-    /// Number of columns.
+    /// Returns the number of columns.
     pub fn arity(&self) -> usize {
         self.columns.len()
     }
 }
 
-/// A variable of one clause: position in [`Clause::variables`].
+/// The id of a variable of one clause: its position in [`Clause::variables`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct VarId(pub u32);
 
 impl VarId {
-    /// Position in [`Clause::variables`].
+    /// Returns the position in [`Clause::variables`].
     pub fn index(self) -> usize {
         self.0 as usize
     }
 }
 
-/// An argument.
+/// An argument or operand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Term {
     /// A variable of the clause.
     Variable(VarId),
-    /// A constant of the type of its column.
+    /// A constant of the column's type.
     Constant(Value),
-    /// `_`: any value, not needed. Occurs in body atoms only. In a negated atom it is quantified inside: `!P(x, _)` holds if
-    /// no row of `P` begins with x.
+    /// `_`: any value. Occurs in body atoms only. A negated atom quantifies it inside: `!P(x, _)` holds if no row of
+    /// `P` begins with x.
     Wildcard,
 }
 
-/// A predicate with arguments.
+/// A predicate applied to arguments.
 #[derive(Clone, Debug)]
 pub struct Atom {
     /// The predicate.
     pub relation: RelId,
-    /// As many as the predicate has columns.
+    /// One term for each column.
     pub terms: Vec<Term>,
-    /// The place in the text.
+    /// The place in the source.
     pub span: Span,
 }
 
-/// A literal of a clause's body.
+/// A literal of a body.
 #[derive(Clone, Debug)]
 pub enum Literal {
     /// The atom holds.
     Positive(Atom),
     /// The atom does not hold. Its predicate is in a lower stratum.
     Negative(Atom),
-    /// Both sides are variables or constants of the same base type. Symbols compare by their text, character by character.
-    /// Besides testing, `=` with one bound side binds the other, so a variable may be bound by a chain of equalities that
-    /// starts at a constant or at a variable of a positive atom.
+    /// A comparison of variables or constants of the same base type. Symbols compare by their text, character by
+    /// character.
+    ///
+    /// An `=` with one bound side binds the other side. So a chain of equalities that starts at a constant or at a
+    /// bound variable binds variables.
     Compare {
         /// The operator.
         op: Comparison,
@@ -203,46 +206,48 @@ pub enum Literal {
         left: Term,
         /// Right side.
         right: Term,
-        /// What both sides are made of.
+        /// The base type of both sides.
         base: BaseType,
-        /// The place in the text.
+        /// The place in the source.
         span: Span,
     },
-    /// `to` is the value of the functor; if there is none, the literal does not hold. The arguments are variables or constants.
-    /// Besides testing it binds `to` when all arguments are bound.
+    /// `to` equals the value of the functor; if there is none, the literal does not hold.
+    ///
+    /// The arguments are variables or constants. Once all of them are bound, the literal binds `to`.
     Compute {
-        /// A variable.
+        /// The result; a variable.
         to: Term,
-        /// What is computed.
+        /// The functor.
         functor: Functor,
-        /// The base type of the first argument, which decides what the functor means.
+        /// The base type of the first argument, which selects the operation.
         base: BaseType,
-        /// Its arguments.
+        /// The arguments.
         arguments: Vec<Term>,
-        /// The place in the text.
+        /// The place in the source.
         span: Span,
     },
-    /// `to` is the aggregate over the rows of the atom that have its constants and the values of its variables; if it has no
-    /// value, the literal does not hold. The atom's predicate is in a lower stratum. Besides testing it binds `to` when all
-    /// variables of the atom are bound.
+    /// `to` equals the aggregate over the rows that match the atom; if it has no value, the literal does not hold.
+    ///
+    /// The predicate of the atom is in a lower stratum. Once all variables of the atom are bound, the literal binds
+    /// `to`.
     Aggregate {
-        /// A variable.
+        /// The result; a variable.
         to: Term,
-        /// What is computed.
+        /// The aggregate function.
         op: AggregateOp,
         /// The base type of the values.
         base: BaseType,
-        /// The rows.
+        /// The pattern of the rows.
         atom: Atom,
         /// The column of the values; `None` for `count`.
         column: Option<usize>,
     },
-    /// `.scope` guard: like `Positive`, but not written by the author.
+    /// A `.scope` guard: like `Positive`, but added by the checker.
     Guard(Atom),
 }
 
 impl Literal {
-    /// The atom of a literal that has one.
+    /// Returns the atom of the literal, if it has one.
     pub fn atom(&self) -> Option<&Atom> {
         match self {
             Literal::Positive(atom)
@@ -253,7 +258,7 @@ impl Literal {
         }
     }
 
-    /// Its variables, constants and wildcards.
+    /// Returns the variables, constants and wildcards of the literal.
     pub fn terms(&self) -> impl Iterator<Item = &Term> {
         let (list, further): (&[Term], [Option<&Term>; 2]) = match self {
             Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => (&atom.terms, [None; 2]),
@@ -264,7 +269,7 @@ impl Literal {
         list.iter().chain(further.into_iter().flatten())
     }
 
-    /// The same, to be changed.
+    /// Mutable variant of `terms`.
     pub(crate) fn terms_mut(&mut self) -> impl Iterator<Item = &mut Term> {
         let (list, further): (&mut [Term], [Option<&mut Term>; 2]) = match self {
             Literal::Positive(atom) | Literal::Negative(atom) | Literal::Guard(atom) => (&mut atom.terms, [None, None]),
@@ -276,12 +281,12 @@ impl Literal {
     }
 }
 
-/// Names a clause of [`Rules::clauses`].
+/// The id of a clause: its position in [`Rules::clauses`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ClauseId(pub u32);
 
 impl ClauseId {
-    /// Position in [`Rules::clauses`].
+    /// Returns the position in [`Rules::clauses`].
     pub fn index(self) -> usize {
         self.0 as usize
     }
@@ -290,77 +295,76 @@ impl ClauseId {
 /// A clause. A clause without a body is a fact; all its terms are constants.
 #[derive(Clone, Debug)]
 pub struct Clause {
-    /// What is derived.
+    /// The head.
     pub head: Atom,
-    /// When; all literals must hold.
+    /// The body: a conjunction.
     pub body: Vec<Literal>,
     /// The names of the variables, for messages.
     pub variables: Vec<String>,
-    /// Text of the doc comment before the clause, without the slashes.
+    /// The text of the doc comment before the clause, without the slashes.
     pub doc: String,
-    /// The place in the text, from head to full stop.
+    /// The place in the source, from the head to the full stop.
     pub span: Span,
 }
 
-/// What is true of the facts of base predicates, whatever they are: the author's word, which nothing in the rules can show.
+/// An integrity constraint on the facts of base predicates. The author declares it; no rule implies it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Constraint {
-    /// No row is in both.
+    /// No row is in both predicates.
     Disjoint(RelId, RelId),
-    /// Every row of the first is one of the second.
+    /// Every row of the first predicate is in the second one.
     Implies(RelId, RelId),
-    /// No row relates something to itself.
+    /// No row relates a value to itself.
     Irreflexive(RelId),
-    /// With each row the reversed one is there.
+    /// With every row the reversed row holds too.
     Symmetric(RelId),
 }
 
-/// A constraint and where it is declared.
+/// A constraint with its place.
 #[derive(Clone, Copy, Debug)]
 pub struct DeclaredConstraint {
-    /// What is declared.
+    /// The constraint.
     pub constraint: Constraint,
-    /// The directive.
+    /// The place of the directive.
     pub span: Span,
 }
 
-/// Predicates that are computed together, after all they negate.
+/// A stratum: predicates that evaluation computes together, after everything they negate or aggregate.
 #[derive(Clone, Debug)]
 pub struct Stratum {
     /// The predicates, each with at least one clause.
     pub relations: Vec<RelId>,
-    /// All clauses with those heads, in the order of the text; facts included.
+    /// All clauses, including facts, with these heads, in source order.
     pub clauses: Vec<ClauseId>,
-    /// Whether a predicate of the stratum occurs in a body of the stratum.
+    /// Whether a body of the stratum uses a predicate of the stratum.
     pub recursive: bool,
 }
 
 /// Checked rules.
 #[derive(Clone, Debug)]
 pub struct Rules {
-    /// Types; the first ones are the base types, in the order of [`BaseType::ALL`].
+    /// The types; the base types come first, in the order of [`BaseType::ALL`].
     pub types: Vec<Type>,
-    /// Predicates in the order of declaration, hidden ones last.
+    /// The predicates in the order of declaration, hidden ones last.
     pub relations: Vec<Relation>,
-    /// Clauses in the order of the text, those of hidden predicates last.
+    /// The clauses in source order, those of hidden predicates last.
     pub clauses: Vec<Clause>,
-    /// Strongly connected components of the predicates that have clauses, in an order in which each comes after all it depends
-    /// on.
+    /// The strata: strongly connected components of the predicates with clauses, in topological order.
     pub strata: Vec<Stratum>,
-    /// What is declared of the facts of predicates without rules, in the order of the text.
+    /// The declared integrity constraints, in source order.
     pub constraints: Vec<DeclaredConstraint>,
-    /// The texts of all constants.
+    /// The symbols of all constants.
     pub symbols: Symbols,
 }
 
 impl Rules {
-    /// The predicate of that name.
+    /// Returns the predicate with that name, if there is one.
     pub fn relation(&self, name: &str) -> Option<RelId> {
         let index = self.relations.iter().position(|relation| relation.name == name)?;
         Some(RelId(u32::try_from(index).expect("fewer than 2^32 predicates")))
     }
 
-    /// All predicates by their names, for whoever looks up many.
+    /// Returns all predicates by name, for many lookups.
     pub(crate) fn relations_by_name(&self) -> HashMap<&str, RelId> {
         let names = self.relations.iter().map(|relation| relation.name.as_str());
         names.zip((0..).map(RelId)).collect()

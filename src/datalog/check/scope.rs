@@ -1,4 +1,4 @@
-//! `.scope P`: writes the guards of a local view out as ordinary literals.
+//! `.scope P`: makes the guards of a local view explicit, as ordinary literals.
 //!
 //! ```text
 //! .scope Sees
@@ -18,15 +18,15 @@ use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
 use crate::datalog::syntax::ast;
 
-/// A clause that the scope may add to.
+/// A clause to which the scope may add literals.
 pub(crate) struct Scope<'a> {
     pub head: &'a Atom,
     pub body: &'a mut Vec<Literal>,
-    /// The names of its variables; new ones are added.
+    /// The names of its variables; the scope adds new ones.
     pub names: Vec<String>,
-    /// The types of the author's variables.
+    /// The types of the variables in the source.
     pub types: Vec<VariableType>,
-    /// Which of the author's variables have a guard.
+    /// Whether each variable in the source has a guard.
     pub guarded: Vec<bool>,
 }
 
@@ -36,35 +36,35 @@ pub(crate) struct Guard {
     pub relation: RelId,
     pub ego: TypeId,
     pub seen: TypeId,
-    /// The `.scope`.
+    /// The place of the `.scope`.
     pub span: Span,
 }
 
-/// The scopes of a program, as its clauses are read in order.
+/// The scopes of a program, in source order.
 #[derive(Default)]
 pub(crate) struct Scopes {
     current: Option<Guard>,
-    /// The hidden predicates by what they stand for: equal ones are shared.
+    /// The hidden predicates by definition, so that equal ones are shared.
     hidden: IndexMap<Hidden, RelId>,
 }
 
-/// A negated atom with `_` under a scope, without the names of its variables.
+/// The definition of a hidden predicate: a negated atom with `_` under a scope, without variable names.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Hidden {
     guard: RelId,
     relation: RelId,
     terms: Vec<Term>,
-    /// For each term, whether it is a `_` in view.
+    /// Whether each term is a `_` in view.
     in_view: Vec<bool>,
 }
 
 impl Scopes {
-    /// The scope in force.
+    /// Returns the scope in force.
     pub fn current(&self) -> Option<Guard> {
         self.current
     }
 
-    /// A `.scope` directive.
+    /// Processes a `.scope` directive.
     pub fn enter(&mut self, scope: &ast::Scope, names: &mut Names, faults: &mut Faults) {
         self.current = None;
         let Some(name) = &scope.predicate else { return };
@@ -92,7 +92,8 @@ impl Scopes {
         }
     }
 
-    /// Adds the guards of the scope in force to a clause, or reports that it cannot be guarded. `false`: reported.
+    /// Adds the guards of the scope in force to a clause. Returns `false` after reporting a clause that it cannot
+    /// guard.
     pub fn guard(
         &mut self,
         clause: &mut Scope<'_>,
@@ -119,7 +120,7 @@ impl Scopes {
                 .unwrap_or_default();
             atom.terms[column] == Term::Wildcard && types[column].is_some_and(|ty| names.meet(ty, guard.seen).is_some())
         };
-        // For each literal, which of its columns are a `_` in view.
+        // For each literal: whether each of its columns is a `_` in view.
         let wildcards: Vec<Vec<bool>> = (clause.body.iter())
             .map(|literal| match literal {
                 Literal::Positive(atom) | Literal::Negative(atom) => {
@@ -132,7 +133,7 @@ impl Scopes {
             return true;
         }
         let Some(ego) = ego else {
-            // Of a clause that is wrong anyway the head's type may be unknown.
+            // In a faulty clause the type of the head may be unknown.
             if sound {
                 self.refuse(clause, guard, names, faults);
             }
@@ -158,7 +159,7 @@ impl Scopes {
         )
         .also(guard.span, "the scope")
         .note(format!(
-            "in a scope the other variables of a clause are those that `{scope}` relates to the head's first"
+            "in a scope, `{scope}` must relate the head's first argument to every other variable of the clause"
         ))
         .help("end the scope before this clause with `.scope` alone");
         faults.push(fault);
@@ -225,7 +226,7 @@ impl Scopes {
         });
     }
 
-    /// The atom `+n(ego, others)` that holds if some row in view matches `atom`.
+    /// Returns the atom `+n(ego, others)`, which holds if a row in view matches `atom`.
     #[allow(clippy::too_many_arguments)]
     fn hide(
         &mut self,
@@ -237,7 +238,7 @@ impl Scopes {
         names: &mut Names,
         out: &mut Clauses,
     ) -> Atom {
-        // Variables are numbered anew: 0 is the ego, then the others of the atom, then the `_`s in view.
+        // New numbering: 0 is the ego, then the other variables of the atom, then the `_`s in view.
         let mut others = vec![ego];
         let mut columns = vec![(guard.ego, variable_names[ego.index()].clone())];
         let types = names.signatures[atom.relation.index()]
@@ -333,7 +334,7 @@ fn variable(index: usize) -> VarId {
     VarId(u32::try_from(index).expect("fewer than 2^32 variables"))
 }
 
-/// Whether a variable of that type may stand in a column of the scope.
+/// Returns whether a variable of that type fits a column of the scope.
 pub(crate) fn fits(ty: VariableType, column: TypeId, names: &Names) -> bool {
     match ty {
         VariableType::Unknown => false,

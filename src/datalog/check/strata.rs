@@ -1,5 +1,5 @@
-//! The order of evaluation: predicates that depend on each other together, each after all it depends on; and the check that
-//! none depends on its own negation.
+//! Stratification: the order of evaluation, and the check that no predicate depends on its own negation. Predicates
+//! that depend on each other form one stratum, which comes after everything it depends on.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
@@ -10,11 +10,11 @@ use crate::datalog::check::clause::{Edge, EdgeKind};
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Clause, ClauseId, RelId, Relation, Stratum};
 
-/// In one component so many cycles are reported; more would not help to mend it.
+/// Maximum number of cycles reported in one component.
 const MAX_CYCLES: usize = 8;
 
-/// Reports the predicates that depend on their own negation: for each negated atom on a cycle the shortest cycle through it,
-/// if no cycle reported before goes through it.
+/// Reports cycles through negation or aggregation. For each such atom on a cycle this is the shortest cycle through it,
+/// unless a reported cycle already contains it.
 pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
     let count = names.relations.len();
     let mut out: Vec<Vec<usize>> = vec![Vec::new(); count];
@@ -70,17 +70,19 @@ pub(crate) fn check(edges: &[Edge], names: &Names, faults: &mut Faults) {
         }
         let help = match edge.kind {
             EdgeKind::Aggregates => format!(
-                "aggregate over a predicate that does not need `{}`, such as one that holds what is known before",
+                "aggregate over a predicate that does not depend on `{}`",
                 name(edge.from)
             ),
             _ => format!(
-                "let `{}` be decided by predicates that do not need `{}`, or leave one of these steps out",
+                "define `{}` without `{}`, or remove one of these steps",
                 name(edge.to),
                 name(edge.from)
             ),
         };
         faults.push(
-            fault.help(help).note("what a negated atom or an aggregate says must be settled before it is used, so no circle may lead through one"),
+            fault
+                .help(help)
+                .note("a negated atom or an aggregate needs the complete predicate first, so no cycle may contain one"),
         );
     }
 }
@@ -94,7 +96,7 @@ fn through(edge: &Edge, back: &[usize], edges: &[Edge], names: &Names) -> String
     on_the_way.join(" and ")
 }
 
-/// The edges of a shortest way between two predicates of one component.
+/// Returns the edges of a shortest path between two predicates of one component.
 fn shortest(from: usize, to: usize, edges: &[Edge], out: &[Vec<usize>], component: &[usize]) -> Vec<usize> {
     let mut came_by: Vec<Option<usize>> = vec![None; out.len()];
     let mut queue = VecDeque::from([from]);
@@ -121,8 +123,8 @@ fn shortest(from: usize, to: usize, edges: &[Edge], out: &[Vec<usize>], componen
     way
 }
 
-/// The strongly connected components of a graph: for each node the number of its component, and how many there are. A
-/// component has a higher number than those it leads to.
+/// Returns the strongly connected components of a graph: the component of each node, and their number. A component has
+/// a higher number than every component it reaches.
 pub(crate) fn components(successors: &[Vec<usize>]) -> (Vec<usize>, usize) {
     const UNSEEN: usize = usize::MAX;
     let count = successors.len();
@@ -132,7 +134,7 @@ pub(crate) fn components(successors: &[Vec<usize>]) -> (Vec<usize>, usize) {
     let mut components = 0;
     let mut next_index = 0;
     let mut stack = Vec::new();
-    // Tarjan's algorithm with its own call stack, so that long chains of predicates do not exhaust the real one.
+    // Tarjan's algorithm with an explicit stack, so that long chains of predicates do not overflow the call stack.
     let mut calls: Vec<(usize, usize)> = Vec::new();
     for root in 0..count {
         if index[root] != UNSEEN {
@@ -175,7 +177,8 @@ pub(crate) fn components(successors: &[Vec<usize>]) -> (Vec<usize>, usize) {
     (component, components)
 }
 
-/// The strata of the predicates that have clauses. Of those that could come next, the one declared first does.
+/// Returns the strata of the predicates with clauses, in topological order. Ties go to the predicate that is declared
+/// first.
 pub(crate) fn order(relations: &[Relation], clauses: &[Clause]) -> Vec<Stratum> {
     let mut successors: Vec<Vec<usize>> = vec![Vec::new(); relations.len()];
     let mut defining: Vec<Vec<ClauseId>> = vec![Vec::new(); relations.len()];

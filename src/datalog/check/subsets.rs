@@ -1,12 +1,12 @@
-//! Which of many sets are parts of another one.
+//! Subset queries: which of many sets are subsets of a given one.
 //!
-//! The sets stand in a trie, each with its rarest element first. Whoever asks walks down along the elements it has, so a set that lacks
-//! one of them is not looked at, however many such sets there are.
+//! A trie stores the sets, each with its rarest element first. A query follows only the elements of its own set. So it
+//! never visits a set whose rarest element it lacks, however many there are.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::hash::Hash;
 
-/// What a search may still look at.
+/// The remaining steps of a search.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Budget {
     most: usize,
@@ -14,24 +14,24 @@ pub(crate) struct Budget {
     complete: bool,
 }
 
-/// What a search took.
+/// The work of a search for subsumed clauses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Comparing {
-    /// How often something was looked at.
+    /// The number of steps.
     pub steps: usize,
-    /// Whether all was looked at. If not, something may not have been found.
+    /// Whether the search was exhaustive. If not, it may have missed something.
     pub complete: bool,
 }
 
 impl Default for Comparing {
-    /// Nothing was looked for.
+    /// An empty search.
     fn default() -> Self {
         Budget::new(0).spent()
     }
 }
 
 impl Budget {
-    /// So many steps.
+    /// Creates a budget of so many steps.
     pub(crate) fn new(steps: usize) -> Self {
         Budget {
             most: steps,
@@ -40,7 +40,7 @@ impl Budget {
         }
     }
 
-    /// Takes steps; if there are not so many, the search is to be given up.
+    /// Takes steps from the budget. Returns whether the search may continue.
     pub(crate) fn take(&mut self, steps: usize) -> bool {
         match self.left.checked_sub(steps) {
             Some(left) => self.left = left,
@@ -49,7 +49,7 @@ impl Budget {
         self.complete
     }
 
-    /// A search that takes at most so many of the steps. Whether it found what it looked for.
+    /// Runs a search with at most `steps` of the remaining steps. Returns whether it succeeded.
     pub(crate) fn part(&mut self, steps: usize, search: impl FnOnce(&mut Budget) -> bool) -> bool {
         let mut part = Budget::new(steps.min(self.left));
         let found = search(&mut part);
@@ -58,7 +58,7 @@ impl Budget {
         found
     }
 
-    /// What has been taken.
+    /// Returns the work so far.
     pub(crate) fn spent(&self) -> Comparing {
         Comparing {
             steps: self.most - self.left,
@@ -67,26 +67,26 @@ impl Budget {
     }
 }
 
-/// Sets, by number.
+/// A collection of sets, identified by numbers.
 pub(crate) struct Subsets<E> {
-    /// The rarest first, those that may be free last. The map is only asked, never walked.
+    /// The rank of each element: rarest first, and those that may be free last. Lookup only, never iterated.
     ranks: HashMap<E, usize>,
     /// The rank of the first element that may be free.
     free: usize,
-    /// The first is the root.
+    /// The nodes of the trie; the first one is the root.
     nodes: Vec<Node>,
 }
 
 #[derive(Default)]
 struct Node {
-    /// By the rank of a further element.
+    /// The children by the rank of the next element.
     children: BTreeMap<usize, usize>,
-    /// The sets of just the elements on the way here.
+    /// The numbers of the sets that end at this node.
     sets: Vec<usize>,
 }
 
 impl<E: Clone + Ord + Hash> Subsets<E> {
-    /// Sets and their numbers. Who asks may count some elements as there anyway: those that `may_be_free`.
+    /// Builds the trie of numbered sets. A query may treat the elements with `may_be_free` as present.
     pub(crate) fn new(sets: &[(usize, BTreeSet<E>)], may_be_free: impl Fn(&E) -> bool) -> Self {
         let mut counts: BTreeMap<&E, usize> = BTreeMap::new();
         for element in sets.iter().flat_map(|(_, set)| set) {
@@ -119,8 +119,8 @@ impl<E: Clone + Ord + Hash> Subsets<E> {
         subsets
     }
 
-    /// The numbers, in order, of the sets all of whose elements are in this one or, if it `has_free`, may be free. `None` if it would
-    /// take more steps than there are.
+    /// Returns, in order, the numbers of the sets that are subsets of `set`. With `has_free`, free elements count as
+    /// present. `None` if the budget does not suffice.
     pub(crate) fn within(&self, set: &BTreeSet<E>, has_free: bool, budget: &mut Budget) -> Option<Vec<usize>> {
         let mut ranks = set_of_ranks(set, &self.ranks);
         let free = if has_free { self.free } else { usize::MAX };
@@ -137,8 +137,8 @@ impl<E: Clone + Ord + Hash> Subsets<E> {
                 open.extend(ranks.iter().filter_map(|rank| children.get(rank)));
                 open.extend(children.range(free..).map(|(_, child)| child));
             }
-            let rows_scanned = children.len().min(ranks.len()) + (open.len() - before) + sets.len();
-            if !budget.take(1 + rows_scanned) {
+            let visited = children.len().min(ranks.len()) + (open.len() - before) + sets.len();
+            if !budget.take(1 + visited) {
                 return None;
             }
             found.extend(sets);
@@ -148,12 +148,12 @@ impl<E: Clone + Ord + Hash> Subsets<E> {
     }
 }
 
-/// The elements by rank; unknown ones are in no set.
+/// Returns the ranks of the elements. No set contains the others.
 fn set_of_ranks<E: Eq + Hash>(set: &BTreeSet<E>, ranks: &HashMap<E, usize>) -> BTreeSet<usize> {
     set.iter().filter_map(|element| ranks.get(element).copied()).collect()
 }
 
-/// Rules with clauses that often cover each other.
+/// Random rules whose clauses often subsume each other.
 #[cfg(test)]
 pub(crate) mod random_clauses {
     use crate::datalog::check::Rules;
@@ -229,7 +229,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn finds_what_looking_at_all_sets_finds(
+        fn equals_linear_search(
             sets in vec(btree_set(0_u8..12, 0..5), 0..40),
             set in btree_set(0_u8..14, 0..9),
             limit in proptest::option::of(0_u8..12),
@@ -253,8 +253,8 @@ mod tests {
     }
 
     #[test]
-    fn sets_that_lack_an_element_are_not_looked_at() {
-        // All have 0 in common, each has an element of its own.
+    fn skips_sets_that_lack_an_element() {
+        // All sets share 0, and each has one unique element.
         let sets: Vec<(usize, BTreeSet<usize>)> = (1..=1_000).map(|own| (own, BTreeSet::from([0, own]))).collect();
         let found = Subsets::new(&sets, |_| false).within(&BTreeSet::from([0, 7]), false, &mut Budget::new(20));
         assert_eq!(found, Some(vec![7]));

@@ -1,10 +1,10 @@
 //! Theta subsumption between clauses.
 //!
-//! A clause C *subsumes* a clause D if some substitution of C's variables makes the heads equal and every literal of C follows from a literal
-//! of D: whenever D fires, C derives the same row. The condition is sufficient, not necessary. What follows from a literal depends on a
-//! [`Theory`]; [`NoConstraints`] is the empty one.
+//! A clause C *subsumes* a clause D if some substitution of C's variables makes the heads equal and every literal of C
+//! follows from a literal of D. Then C derives every row that D derives. The condition is sufficient, not necessary. A
+//! [`Theory`] determines what follows from a literal; [`NoConstraints`] is the empty one.
 //!
-//! Few pairs are searched: a clause can subsume only the clauses that have all its traits, and [`Subsets`] finds these.
+//! The search compares few pairs. A clause can subsume only clauses with all its traits, and [`Subsets`] finds these.
 
 use std::cmp::Ordering;
 use std::collections::btree_map::Entry;
@@ -16,10 +16,10 @@ use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::Functor;
 use crate::datalog::value::Value;
 
-/// Steps of the search for one substitution. If they do not suffice, the clause counts as not subsumed.
+/// Maximum number of steps of the search for one substitution. Beyond it, the clause counts as not subsumed.
 const STEPS_OF_PAIR: usize = 2_000;
 
-/// Arguments of a head or an atom that become traits.
+/// Maximum number of arguments of a head or an atom that become traits.
 const PLACES: usize = 8;
 
 /// An argument.
@@ -31,12 +31,12 @@ pub(crate) enum Arg {
     Any,
 }
 
-/// The outcomes of a comparison that a literal allows are a set of these bits.
+/// Bits for the outcomes of a comparison. A literal allows a set of them.
 pub(crate) const LESS: u8 = 1;
 pub(crate) const EQUAL: u8 = 2;
 pub(crate) const GREATER: u8 = 4;
 
-/// A literal in a normal form: up to names, literals with equal meaning are equal values.
+/// A literal in normal form: up to variable names, literals with equal meaning are equal values.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Fact {
     Atom {
@@ -44,9 +44,9 @@ pub(crate) enum Fact {
         relation: RelId,
         args: Vec<Arg>,
     },
-    /// A comparison of texts or whole numbers. The smaller argument is on the left.
+    /// A comparison of symbols or whole numbers, with the smaller argument on the left.
     Compare { allowed: u8, left: Arg, right: Arg },
-    /// Another comparison, a test of texts, or an expression. Only an equal fact implies it.
+    /// Another comparison, a string test or an expression. Only an equal fact implies it.
     Opaque { operator: Operator, args: Vec<Arg> },
 }
 
@@ -56,8 +56,8 @@ pub(crate) enum Operator {
     Functor(Functor, BaseType),
 }
 
-/// Facts of different kinds never imply each other without a theory. The search goes through a body in this order, so that the variables of
-/// comparisons and negated atoms are bound.
+/// The kind of a fact. Without a theory, facts of different kinds never imply each other. The search processes a body
+/// in this order, so that atoms bind the variables of comparisons and negated atoms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum Kind {
     Positive(RelId),
@@ -85,7 +85,7 @@ impl Fact {
 }
 
 impl Kind {
-    /// Whether the two arguments may be exchanged.
+    /// Returns whether the two arguments are interchangeable.
     fn is_symmetric(self) -> bool {
         matches!(
             self,
@@ -94,8 +94,9 @@ impl Kind {
     }
 }
 
-/// Returns the literals of a clause but for its aggregates. With `once_is_any` a variable that occurs only once, in a positive atom, is
-/// [`Arg::Any`]; otherwise each `_` of a positive atom is a variable of its own, numbered after those of the clause.
+/// Returns the literals of a clause except aggregates. With `once_is_any`, a variable that occurs only once, in a
+/// positive atom, becomes [`Arg::Any`]. Otherwise each `_` of a positive atom becomes a fresh variable, numbered after
+/// those of the clause.
 pub(crate) fn facts(clause: &Clause, once_is_any: bool) -> Vec<Fact> {
     let mut uses = vec![0_usize; clause.variables.len()];
     let mut count = |term: &Term| {
@@ -163,7 +164,7 @@ fn compared(op: Comparison, left: Arg, right: Arg, base: BaseType) -> Fact {
         Comparison::GreaterEqual => GREATER | EQUAL,
         Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => 0,
     };
-    // Nothing follows from a comparison of floats: NaN is not even equal to itself.
+    // No rule applies to a comparison of floats: NaN is not even equal to itself.
     if allowed != 0 && matches!(base, BaseType::Symbol | BaseType::Number) {
         return comparison(allowed, left, right, base);
     }
@@ -179,7 +180,8 @@ fn compared(op: Comparison, left: Arg, right: Arg, base: BaseType) -> Fact {
     Fact::Opaque { operator, args }
 }
 
-/// A comparison in normal form. Of one thing with itself, or of two numbers, the outcome is known: all or nothing is allowed.
+/// Returns a comparison in normal form. If the outcome is known (equal arguments, or two numbers), it allows every
+/// outcome or none.
 pub(crate) fn comparison(allowed: u8, left: Arg, right: Arg, base: BaseType) -> Fact {
     let known = match (left, right) {
         _ if left == right => Some(Ordering::Equal),
@@ -209,7 +211,7 @@ pub(crate) fn comparison(allowed: u8, left: Arg, right: Arg, base: BaseType) -> 
     }
 }
 
-/// The same outcomes with the sides exchanged.
+/// Returns the same outcomes with the sides exchanged.
 fn turned(allowed: u8) -> u8 {
     allowed & EQUAL | (allowed & LESS) << 2 | (allowed & GREATER) >> 2
 }
@@ -241,39 +243,39 @@ pub(crate) fn covers(known: &Fact, wanted: &Fact) -> bool {
     }
 }
 
-/// What the facts that a program is given are known to satisfy.
+/// The properties that the facts of a program are known to satisfy.
 pub(crate) trait Theory {
-    /// The fact and what follows from it.
+    /// Returns the fact and everything that follows from it.
     fn closure(&self, fact: &Fact) -> Vec<Fact> {
         vec![fact.clone()]
     }
 
-    /// Whether the fact holds for any facts.
+    /// Returns whether the fact is always true.
     fn always(&self, fact: &Fact) -> bool {
         matches!(fact, Fact::Compare { allowed, .. } if *allowed == LESS | EQUAL | GREATER)
     }
 
-    /// Whether the predicate never relates a thing to itself.
+    /// Returns whether the predicate never relates a value to itself.
     fn is_irreflexive(&self, _: RelId) -> bool {
         false
     }
 }
 
-/// The facts may be any facts.
+/// The empty theory: the facts are arbitrary.
 pub(crate) struct NoConstraints;
 
 impl Theory for NoConstraints {}
 
-/// Something a clause has. A clause has the traits of every clause that subsumes it.
+/// A property of a clause. A clause has all traits of every clause that subsumes it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum Trait {
     /// A fact of this kind.
     Kind(Kind),
-    /// Such a fact with a constant in this place.
+    /// A fact of this kind with the constant in this place.
     Constant(Kind, usize, Value),
-    /// Such a fact that has, in this place, the argument in this column of the head.
+    /// A fact of this kind whose argument in this place equals the head's argument in this column.
     Head(Kind, usize, usize),
-    /// A constant in this column of the head.
+    /// The constant in this column of the head.
     HeadConstant(usize, Value),
     /// A comparison of a variable with this constant.
     Side(Value),
@@ -283,9 +285,9 @@ enum Trait {
 pub(crate) struct Pattern {
     head: Vec<Arg>,
     variables: usize,
-    /// Its distinct literals, as those of a clause that subsumes another; by kind, then in the author's order.
+    /// Its distinct literals as the general clause, sorted by kind, then in source order.
     general: Vec<Fact>,
-    /// Its literals and all that follows from them, as those of a clause that is subsumed; by kind.
+    /// Its literals and everything that follows from them, as the special clause; sorted by kind.
     special: Vec<Fact>,
 }
 
@@ -326,16 +328,16 @@ impl Pattern {
         })
     }
 
-    /// The traits of every clause that this one subsumes.
+    /// Returns the traits of every clause that this one subsumes.
     fn required(&self, theory: &dyn Theory) -> BTreeSet<Trait> {
         let mut traits = traits(&self.head, &self.general);
-        // A fact that no thing is related to itself may hold without a literal.
+        // That a predicate relates no value to itself may hold without a literal.
         traits.retain(|one| !matches!(one, Trait::Kind(Kind::Negative(relation)) if theory.is_irreflexive(*relation)));
         traits
     }
 
-    /// Whether a variable of a clause that subsumes this one may stand for a constant. Then a comparison of the variable may hold without a
-    /// literal.
+    /// Returns whether a variable of a subsuming clause may map to a constant. Then a comparison of that variable may
+    /// hold without a literal.
     fn names_constants(&self) -> bool {
         let is_constant = |arg: &Arg| matches!(arg, Arg::Constant(_));
         self.head.iter().any(is_constant)
@@ -380,17 +382,17 @@ fn traits(head: &[Arg], facts: &[Fact]) -> BTreeSet<Trait> {
     traits
 }
 
-/// A clause that is not needed, by its position.
+/// A redundant clause, by its position.
 pub(crate) struct Redundant {
     pub(crate) clause: usize,
-    /// The clause that derives the same.
+    /// The clause that derives the same rows.
     pub(crate) by: usize,
-    /// Whether the two are equal up to names of variables and order.
+    /// Whether the two clauses are equal up to variable names and order.
     pub(crate) copy: bool,
 }
 
-/// Finds the clauses of one predicate that others subsume. Of two that subsume each other the shorter one stays, else the first. Only pairs
-/// that `counts` accepts are looked at.
+/// Finds the clauses of one predicate that others subsume. If two clauses subsume each other, the shorter one stays, or
+/// else the first. The search considers only pairs that `counts` accepts.
 pub(crate) fn redundant(
     group: &[Pattern],
     theory: &dyn Theory,
@@ -398,7 +400,7 @@ pub(crate) fn redundant(
     counts: &dyn Fn(usize, usize) -> bool,
 ) -> Vec<Redundant> {
     let mut found = Vec::new();
-    // Copies first, so that many of one clause are not compared with each other.
+    // Removing copies first avoids comparing many copies with each other.
     let mut first: BTreeMap<(&[Arg], &[Fact]), usize> = BTreeMap::new();
     let mut required = Vec::new();
     for (clause, pattern) in group.iter().enumerate() {
@@ -437,7 +439,8 @@ pub(crate) fn redundant(
     found
 }
 
-/// Returns whether the general clause makes the special one redundant, and then whether they are equal up to names.
+/// Returns `None` unless the general clause makes the special one redundant; otherwise whether the two are equal up to
+/// names.
 fn makes_redundant(
     group: &[Pattern],
     general: usize,
@@ -459,14 +462,14 @@ fn makes_redundant(
     Some(short == long && one.search(two, theory, true, budget))
 }
 
-/// The search for a substitution.
+/// The state of the search for a substitution.
 struct Search<'a> {
     theory: &'a dyn Theory,
     general: &'a [Fact],
     special: &'a [Fact],
-    /// By variable of the general clause: the argument it stands for.
+    /// The argument that each variable of the general clause maps to.
     bound: Vec<Option<Arg>>,
-    /// The bound variables in the order of binding.
+    /// The bound variables, in order of binding.
     trail: Vec<usize>,
     /// Whether the substitution must map variables to distinct variables.
     renaming: bool,
@@ -474,7 +477,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Whether the facts of the general clause from `at` on follow from the special one.
+    /// Returns whether the facts of the general clause from `at` on follow from the special clause.
     fn fact(&mut self, at: usize) -> bool {
         let Some(wanted) = self.general.get(at) else {
             return !self.renaming || self.renames();
@@ -520,7 +523,7 @@ impl Search<'_> {
         false
     }
 
-    /// Binds variables so that the first arguments become the second ones. On failure the trail has the variables bound until then.
+    /// Binds variables to make the arguments equal. On failure the trail contains the bindings made so far.
     fn unify(&mut self, general: &[Arg], special: &[Arg]) -> bool {
         general.iter().zip(special).all(|(&general, &special)| match general {
             Arg::Any => true,
@@ -537,7 +540,7 @@ impl Search<'_> {
         })
     }
 
-    /// The fact with its variables replaced; `None` if one of them is not bound.
+    /// Returns the fact with its variables replaced; `None` if one of them is unbound.
     fn instance(&self, fact: &Fact) -> Option<Fact> {
         let value = |arg: Arg| match arg {
             Arg::Variable(id) => self.bound[id],
@@ -570,7 +573,7 @@ pub(crate) fn within_theory(clause: &Clause) -> bool {
     facts.len() == clause.body.len() && !facts.iter().any(|fact| matches!(fact, Fact::Opaque { .. }))
 }
 
-/// Returns whether every clause that another one subsumes has the traits that are looked for, so that comparing only such clauses misses none.
+/// Returns whether each subsumed clause has the required traits, so that the search by traits misses none.
 #[cfg(test)]
 pub(crate) fn traits_suffice<'a>(clauses: impl Iterator<Item = &'a Clause>, theory: &dyn Theory) -> bool {
     let all: Vec<Pattern> = clauses.map(|clause| Pattern::new(clause, theory)).collect();

@@ -1,4 +1,4 @@
-//! Who has the least or the most.
+//! Witnesses of `min` and `max`.
 //!
 //! ```text
 //! Youngest(p, n) :- n = min x : { Age(p, x) }.
@@ -6,8 +6,8 @@
 //! Youngest(p, n) :- n = min x : { Age(q, x) }, Age(p, y), n = y.
 //! ```
 //!
-//! A variable of the body of `min` or `max` that stands outside too, but is bound nowhere there, is what the aggregate is true of.
-//! This is done on the syntax, before names are looked up.
+//! A variable in the body of `min` or `max` that also occurs outside, but is bound nowhere there, is a witness: it
+//! takes the values for which the aggregate attains its result. The rewriting works on syntax, before name resolution.
 
 use std::collections::{HashMap, HashSet};
 
@@ -16,7 +16,7 @@ use crate::datalog::syntax::ast::Comparison;
 use crate::datalog::syntax::ast::{Aggregate, Atom, Literal, Term, TermKind};
 use crate::datalog::syntax::functor::AggregateOp;
 
-/// The literals with witnesses written out; `None` if there are none.
+/// Rewrites the aggregates with witnesses; `None` if there are none.
 pub(crate) fn write_out(head: &Atom, body: &[&Literal]) -> Option<Vec<Literal>> {
     if !body.iter().any(|literal| selection(literal).is_some()) {
         return None;
@@ -57,7 +57,7 @@ pub(crate) fn write_out(head: &Atom, body: &[&Literal]) -> Option<Vec<Literal>> 
             TermKind::Wildcard => variable(format!("+{index}"), result),
             _ => result.clone(),
         };
-        // The aggregate itself gets names of its own for the witnesses.
+        // The aggregate gets fresh names for its witnesses.
         let apart = rename(&inside, |name| is_witness(name).then(|| format!("+{name}.{index}")));
         out.push(Literal::Compare {
             op: Comparison::Equal,
@@ -72,7 +72,7 @@ pub(crate) fn write_out(head: &Atom, body: &[&Literal]) -> Option<Vec<Literal>> 
             },
             place,
         });
-        // And its body holds once more, for the value it has found.
+        // A second copy of the body holds for the result of the aggregate.
         let again = rename(&inside, |name| {
             (free(name) && !is_witness(name)).then(|| format!("+{name}.{index}.found"))
         });
@@ -87,7 +87,7 @@ pub(crate) fn write_out(head: &Atom, body: &[&Literal]) -> Option<Vec<Literal>> 
     any.then_some(out)
 }
 
-/// The two sides of `x = min y : { ... }` and what is selected.
+/// Returns the result, the aggregate and its target if the literal has the form `x = min y : { ... }`.
 fn selection(literal: &Literal) -> Option<(&Term, &Aggregate, &Term)> {
     let Literal::Compare {
         op: Comparison::Equal,
@@ -112,7 +112,7 @@ fn selection(literal: &Literal) -> Option<(&Term, &Aggregate, &Term)> {
     (simple && selects).then_some((result, aggregate, target))
 }
 
-/// The names that the literals bind outside of aggregates; the results of aggregates count as bound.
+/// Returns the names that the literals bind outside of aggregates. Results of aggregates count as bound.
 pub(crate) fn bound_names<'c>(body: &[&'c Literal]) -> HashSet<&'c str> {
     let mut bound: HashSet<&str> = HashSet::new();
     loop {
@@ -157,7 +157,7 @@ fn variable(name: String, at: &Term) -> Term {
     }
 }
 
-/// What to put in the place of variables.
+/// A substitution of variables.
 pub(crate) type Names = HashMap<String, TermKind>;
 
 fn rename(names: &HashSet<&str>, new: impl Fn(&str) -> Option<String>) -> Names {

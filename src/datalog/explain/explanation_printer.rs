@@ -13,20 +13,20 @@ use crate::symbol::{Symbol, Symbols};
 use serde_json::{Map, json};
 use std::collections::HashSet;
 
-/// Tells explanations in the notation of the paper: `Not(IsAmbulance(Car_3))`.
+/// Prints explanations in the notation of the paper: `Not(IsAmbulance(Car_3))`.
 ///
-/// The guard of a scope is told as what is in view; a hidden predicate, which stands for a negated atom with `_` in view, as that
-/// atom.
+/// A scope guard prints as `in view`. A hidden predicate, which represents a negated atom with `_` in view, prints as
+/// that atom.
 #[derive(Clone, Copy)]
 pub struct ExplanationPrinter<'a> {
     rules: &'a Rules,
     symbols: &'a Symbols,
     sources: &'a Sources,
-    /// Whether texts stand in quotes even where they read as names.
+    /// Whether symbols always stand in quotes, even if they read as names.
     quotes: bool,
 }
 
-/// A line and what stands below it.
+/// A line with its child lines.
 struct Item {
     text: String,
     children: Vec<Item>,
@@ -56,10 +56,10 @@ impl Item {
 }
 
 impl<'a> ExplanationPrinter<'a> {
-    /// A proof is drawn down to this depth; [`ExplanationPrinter::json`] has all of it.
+    /// Maximum depth of the printed tree; [`ExplanationPrinter::json`] is complete.
     pub const DEPTH_MAX: usize = 40;
 
-    /// Tells what `rules` derive. `symbols` are the session's, `sources` those of the rules.
+    /// Creates a printer. `symbols` are those of the session, `sources` those of the rules.
     pub fn new(rules: &'a Rules, symbols: &'a Symbols, sources: &'a Sources) -> Self {
         ExplanationPrinter {
             rules,
@@ -69,19 +69,19 @@ impl<'a> ExplanationPrinter<'a> {
         }
     }
 
-    /// Tells values as they are written in rules, so that what is told can be read again: all texts in quotes.
+    /// Puts all symbols in quotes, as in rules, so that the output parses again.
     pub fn quoting(self) -> Self {
         ExplanationPrinter { quotes: true, ..self }
     }
 
-    /// The explanation as a tree of lines. What occurs several times is told once.
+    /// Returns the explanation as a tree of lines. The tree expands each node once.
     pub fn tree(&self, explanation: &Explanation) -> String {
         let mut out = String::new();
         if !explanation.nodes().is_empty() {
             let mut drawing = Drawing {
-                teller: *self,
+                printer: *self,
                 explanation,
-                told: HashSet::new(),
+                printed: HashSet::new(),
                 open: Vec::new(),
             };
             drawing.node(NodeId(0), 0).draw("", "", &mut out);
@@ -89,20 +89,23 @@ impl<'a> ExplanationPrinter<'a> {
         out
     }
 
-    /// The explanation as JSON: `{"nodes": [..]}`, the first node being what was asked; nodes refer to others by position.
+    /// Returns the explanation as JSON: `{"nodes": [..]}`. The first node is the subject of the query; nodes refer to
+    /// others by position.
     ///
     /// A node is `{"holds", "height", "by": "input" | "text" | "clause" | "range", "clause", "binding", "premises"}` or
-    /// `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range", "clauses": [{"clause", "binding", "fails"}]}`. An
-    /// entry of `premises` and `fails` has the `literal` as it reads under the binding, the `kind` (`fact`, `in-view`, `not`, `comparison`,
-    /// `expression`, `aggregate`) and, except for the last three, the `node` that tells why it holds or does not. A `clause` has `head`,
-    /// `file`, `line` and `doc`; where only the head does not fit, `fails` is empty. What does not hold in a recursion may lead back to
-    /// itself.
+    /// `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range", "clauses": [{"clause",
+    /// "binding", "fails"}]}`.
+    ///
+    /// An entry of `premises` and `fails` has the `literal` under the binding and the `kind`: `fact`, `in-view`, `not`,
+    /// `comparison`, `expression` or `aggregate`. For the first three kinds, `node` refers to the explanation of the
+    /// literal. A `clause` has `head`, `file`, `line` and `doc`. If only the head does not match, `fails` is empty. The
+    /// references between absences of a recursion may form cycles.
     pub fn json(&self, explanation: &Explanation) -> serde_json::Value {
         let nodes = explanation.nodes().iter().map(|node| self.node_json(node));
         json!({ "nodes": nodes.collect::<Vec<serde_json::Value>>() })
     }
 
-    /// One node of [`ExplanationPrinter::json`].
+    /// Returns one node of [`ExplanationPrinter::json`].
     pub fn node_json(&self, node: &Node) -> serde_json::Value {
         match node {
             Node::Fact(fact) => self.fact_json(fact),
@@ -202,7 +205,7 @@ impl<'a> ExplanationPrinter<'a> {
         entry
     }
 
-    /// A clause as `{"head", "file", "line", "doc"}`.
+    /// Returns a clause as `{"head", "file", "line", "doc"}`.
     pub fn clause_json(&self, clause: ClauseId) -> serde_json::Value {
         let clause = &self.rules.clauses[clause.index()];
         let head = &self.rules.relations[clause.head.relation.index()];
@@ -221,7 +224,7 @@ impl<'a> ExplanationPrinter<'a> {
                     BaseType::Number => json!(value.as_number()),
                     BaseType::Unsigned => json!(value.0),
                     BaseType::Float if value.as_float().is_finite() => json!(value.as_float()),
-                    // JSON has no such numbers.
+                    // JSON has no infinities and no NaN.
                     BaseType::Float => json!(value.as_float().to_string()),
                     BaseType::Symbol => json!(self.symbols.text(Symbol(value.0)).unwrap_or_default()),
                 };
@@ -230,7 +233,7 @@ impl<'a> ExplanationPrinter<'a> {
             .collect()
     }
 
-    /// The named variables that are bound.
+    /// Returns the named variables that are bound.
     fn named<'b>(
         &self,
         clause: &'b Clause,
@@ -242,7 +245,7 @@ impl<'a> ExplanationPrinter<'a> {
             .filter_map(|((name, value), base)| Some((name.as_str(), (*value)?, base)))
     }
 
-    /// What the variables of a clause are made of.
+    /// Returns the base types of the variables of a clause.
     fn bases(&self, clause: &Clause) -> Vec<BaseType> {
         let mut bases = vec![BaseType::Symbol; clause.variables.len()];
         let mut see = |term: &Term, base: BaseType| {
@@ -284,7 +287,7 @@ impl<'a> ExplanationPrinter<'a> {
         bases
     }
 
-    /// The base type of what a literal computes.
+    /// Returns the base type of the value that a literal computes.
     fn computed_base(&self, clause: &Clause, literal: &Literal) -> BaseType {
         match literal {
             Literal::Compute {
@@ -296,7 +299,7 @@ impl<'a> ExplanationPrinter<'a> {
         }
     }
 
-    /// Title and place of a clause: the first line of its doc comment, else its text, and `file:line`.
+    /// Returns the title and place of a clause: the first line of its doc comment, or else its text, and `file:line`.
     pub fn title(&self, clause: ClauseId) -> String {
         let clause = &self.rules.clauses[clause.index()];
         let title = match clause.doc.lines().next() {
@@ -309,7 +312,7 @@ impl<'a> ExplanationPrinter<'a> {
         format!("{title}  [{}]", self.place(clause))
     }
 
-    /// The short name of a clause: what stands before the colon of its doc comment (`S2`), else `file:line`.
+    /// Returns the short name of a clause: its doc comment up to the first colon (`S2`), or else `file:line`.
     pub fn label(&self, clause: ClauseId) -> String {
         let clause = &self.rules.clauses[clause.index()];
         match clause.doc.split_once(':') {
@@ -318,19 +321,20 @@ impl<'a> ExplanationPrinter<'a> {
         }
     }
 
-    /// A clause as its author wrote it.
+    /// Returns a clause as its source has it.
     pub fn source(&self, clause: ClauseId) -> &'a str {
         self.sources.slice(self.rules.clauses[clause.index()].span)
     }
 
-    /// `file:line` of a clause, without the folder.
+    /// Returns `file:line` of a clause, without the folder.
     fn place(&self, clause: &Clause) -> String {
         let name = self.sources.name(clause.span.source);
         let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
         format!("{file}:{}", self.sources.position(clause.span).line)
     }
 
-    /// A value as it is written: numbers in decimal, symbols bare where they read as names unless [`ExplanationPrinter::quoting`].
+    /// Returns a value as text: numbers in decimal, symbols without quotes if they read as names, unless
+    /// [`ExplanationPrinter::quoting`].
     pub fn value(&self, value: Value, base: BaseType) -> String {
         match base {
             BaseType::Number => value.as_number().to_string(),
@@ -348,7 +352,7 @@ impl<'a> ExplanationPrinter<'a> {
         }
     }
 
-    /// A row or a pattern as an atom. Open columns are `_`.
+    /// Returns a row or pattern as an atom. Open columns are `_`.
     pub fn row(&self, relation: RelId, pattern: &[Option<Value>]) -> String {
         self.row_within(relation, pattern, 0)
     }
@@ -365,7 +369,7 @@ impl<'a> ExplanationPrinter<'a> {
         self.named_atom(rel, &values)
     }
 
-    /// An atom of a predicate that is not unfolded.
+    /// Returns an atom of a predicate that is not unfolded.
     fn named_atom(&self, rel: RelId, arguments: &[String]) -> String {
         let arguments = arguments.join(", ");
         match self.rules.relations.iter().find(|relation| relation.edb == Some(rel)) {
@@ -374,7 +378,8 @@ impl<'a> ExplanationPrinter<'a> {
         }
     }
 
-    /// Whether a hidden predicate holds the values of a `range`: no other is recursive. How it is computed is not told.
+    /// Returns whether a hidden predicate holds the values of a `range`: no other hidden one is recursive. The printer
+    /// does not unfold these.
     fn is_range(&self, rel: RelId) -> bool {
         let itself = |literal: &Literal| literal.atom().is_some_and(|atom| atom.relation == rel);
         let mut clauses = self.rules.clauses.iter().filter(|clause| clause.head.relation == rel);
@@ -382,7 +387,7 @@ impl<'a> ExplanationPrinter<'a> {
         hidden && clauses.any(|clause| clause.body.iter().any(itself))
     }
 
-    /// What a hidden predicate stands for: the bodies of its clauses.
+    /// Returns the definition of a hidden predicate: the bodies of its clauses.
     fn unfold(&self, rel: RelId, pattern: &[Option<Value>], depth: usize) -> String {
         const UNFOLD_MAX: usize = 8;
         let relation = &self.rules.relations[rel.index()];
@@ -424,7 +429,7 @@ impl<'a> ExplanationPrinter<'a> {
         bodies.join(" or ")
     }
 
-    /// A literal as it reads under a binding: open variables by name.
+    /// Returns a literal under a binding. Unbound variables appear by name.
     pub fn literal(&self, clause: &Clause, literal: &Literal, binding: &[Option<Value>]) -> String {
         self.literal_within(clause, literal, binding, 0)
     }
@@ -473,7 +478,7 @@ impl<'a> ExplanationPrinter<'a> {
         }
     }
 
-    /// The name of a column: of a hidden predicate, as the text that it stands for has it.
+    /// Returns the name of a column. For a hidden predicate this is the variable in its definition.
     fn column(&self, rel: RelId, column: usize) -> &str {
         let mut clauses = self.rules.clauses.iter();
         match clauses.find(|clause| self.rules.relations[rel.index()].hidden && clause.head.relation == rel) {
@@ -506,7 +511,7 @@ impl<'a> ExplanationPrinter<'a> {
     }
 }
 
-/// What the argument at a position is made of, if the first is of base type `base`.
+/// Returns the base type of the argument at a position, given that of the first argument.
 fn argument_base(functor: Functor, base: BaseType, at: usize) -> BaseType {
     if functor == Functor::Substring && at > 0 {
         BaseType::Number
@@ -515,7 +520,7 @@ fn argument_base(functor: Functor, base: BaseType, at: usize) -> BaseType {
     }
 }
 
-/// What the value of a functor is made of; `None` for a cast, which says so elsewhere.
+/// Returns the base type of a functor's value; `None` for a cast, which names its type itself.
 fn result_base(functor: Functor, base: BaseType) -> Option<BaseType> {
     match functor {
         Functor::Cast => None,
@@ -527,7 +532,7 @@ fn result_base(functor: Functor, base: BaseType) -> Option<BaseType> {
     }
 }
 
-/// What the value of an aggregate is made of.
+/// Returns the base type of an aggregate's value.
 fn aggregate_base(op: AggregateOp, base: BaseType) -> BaseType {
     match op {
         AggregateOp::Count => BaseType::Number,
@@ -536,7 +541,7 @@ fn aggregate_base(op: AggregateOp, base: BaseType) -> BaseType {
     }
 }
 
-/// A functor with its arguments.
+/// Returns a functor application as text.
 fn applied(functor: Functor, arguments: &[String]) -> String {
     let name = functor.name();
     let word = name.starts_with(char::is_alphabetic);
@@ -560,12 +565,12 @@ fn applied(functor: Functor, arguments: &[String]) -> String {
     }
 }
 
-/// A tree being drawn.
+/// A tree under construction.
 struct Drawing<'a> {
-    teller: ExplanationPrinter<'a>,
+    printer: ExplanationPrinter<'a>,
     explanation: &'a Explanation,
-    told: HashSet<NodeId>,
-    /// The nodes that the present line stands below.
+    printed: HashSet<NodeId>,
+    /// The ancestors of the current line.
     open: Vec<NodeId>,
 }
 
@@ -574,26 +579,26 @@ impl Drawing<'_> {
         match self.explanation.node(id) {
             Node::Fact(fact) => {
                 let pattern: Vec<Option<Value>> = fact.row.iter().copied().map(Some).collect();
-                let mut item = Item::leaf(self.teller.row(fact.relation, &pattern));
+                let mut item = Item::leaf(self.printer.row(fact.relation, &pattern));
                 match &fact.origin {
                     Origin::Input => {}
                     Origin::Text(clause) => {
-                        let clause = &self.teller.rules.clauses[clause.index()];
-                        item.text = format!("{}  [{}]", item.text, self.teller.place(clause));
+                        let clause = &self.printer.rules.clauses[clause.index()];
+                        item.text = format!("{}  [{}]", item.text, self.printer.place(clause));
                     }
                     Origin::Derived(_) => self.below(id, depth, &mut item),
                 }
                 item
             }
             Node::Absence(absence) => {
-                let mut item = Item::leaf(format!("Not({})", self.teller.row(absence.relation, &absence.pattern)));
+                let mut item = Item::leaf(format!("Not({})", self.printer.row(absence.relation, &absence.pattern)));
                 self.below(id, depth, &mut item);
                 item
             }
         }
     }
 
-    /// What stands below a node, unless it has been told or is too deep.
+    /// Adds the children of a node, unless the tree already shows them or is too deep.
     fn below(&mut self, id: NodeId, depth: usize, item: &mut Item) {
         let node = self.explanation.node(id);
         let relation = match node {
@@ -604,15 +609,15 @@ impl Drawing<'_> {
             Node::Fact(fact) => fact.relation,
             Node::Absence(absence) => absence.relation,
         };
-        if self.teller.is_range(relation) {
+        if self.printer.is_range(relation) {
             return;
         }
         if self.open.contains(&id) {
-            item.text.push_str("  (that would rest on itself)");
-        } else if !self.told.insert(id) {
+            item.text.push_str("  (circular)");
+        } else if !self.printed.insert(id) {
             item.text.push_str("  (see above)");
         } else if depth == ExplanationPrinter::DEPTH_MAX {
-            self.told.remove(&id);
+            self.printed.remove(&id);
             item.text.push_str("  ...");
         } else {
             self.open.push(id);
@@ -628,9 +633,9 @@ impl Drawing<'_> {
         let Origin::Derived(derivation) = &fact.origin else {
             return;
         };
-        let clause = &self.teller.rules.clauses[derivation.clause.index()];
-        if !self.teller.rules.relations[fact.relation.index()].hidden {
-            item.text = format!("{}  by {}", item.text, self.teller.title(derivation.clause));
+        let clause = &self.printer.rules.clauses[derivation.clause.index()];
+        if !self.printer.rules.relations[fact.relation.index()].hidden {
+            item.text = format!("{}  by {}", item.text, self.printer.title(derivation.clause));
         }
         for (literal, premise) in clause.body.iter().zip(&derivation.premises) {
             let child = match premise {
@@ -643,7 +648,7 @@ impl Drawing<'_> {
                 }
                 Premise::Absence(node) => self.node(*node, depth + 1),
                 Premise::Comparison { .. } | Premise::Computed { .. } => {
-                    Item::leaf(self.teller.literal(clause, literal, &derivation.binding))
+                    Item::leaf(self.printer.literal(clause, literal, &derivation.binding))
                 }
             };
             item.children.push(child);
@@ -651,7 +656,7 @@ impl Drawing<'_> {
     }
 
     fn misses(&mut self, absence: &Absence, depth: usize, item: &mut Item) {
-        let relation = &self.teller.rules.relations[absence.relation.index()];
+        let relation = &self.printer.rules.relations[absence.relation.index()];
         match &absence.reason {
             AbsenceReason::NotAFact => {}
             AbsenceReason::NotLookedInto => item.text.push_str("  (not looked into)"),
@@ -663,7 +668,7 @@ impl Drawing<'_> {
             AbsenceReason::NoClause(misses) => {
                 item.text = format!("{}: no clause of {} holds", item.text, relation.name);
                 for miss in misses {
-                    let mut child = Item::leaf(self.teller.title(miss.clause));
+                    let mut child = Item::leaf(self.printer.title(miss.clause));
                     child.children = self.failures(miss, depth);
                     item.children.push(child);
                 }
@@ -672,7 +677,7 @@ impl Drawing<'_> {
     }
 
     fn failures(&mut self, miss: &Miss, depth: usize) -> Vec<Item> {
-        let clause = &self.teller.rules.clauses[miss.clause.index()];
+        let clause = &self.printer.rules.clauses[miss.clause.index()];
         let (binding, failures) = match &miss.obstacle {
             Obstacle::Head { column } => {
                 return vec![Item::leaf(format!(
@@ -686,16 +691,16 @@ impl Drawing<'_> {
             (clause.head.terms.iter())
                 .any(|term| matches!(term, Term::Variable(variable) if clause.variables[variable.index()] == name))
         };
-        let nearest: Vec<String> = (self.teller.named(clause, binding))
+        let nearest: Vec<String> = (self.printer.named(clause, binding))
             .filter(|(name, ..)| !in_head(name))
-            .map(|(name, value, base)| format!("{name} = {}", self.teller.value(value, base)))
+            .map(|(name, value, base)| format!("{name} = {}", self.printer.value(value, base)))
             .collect();
         let nearest = if nearest.is_empty() {
             String::new()
         } else {
             format!("nearest {}", nearest.join(", "))
         };
-        // One failure stands on the line of its binding, several below it.
+        // A single failure stands on the line of its binding, several stand below it.
         let inline = if nearest.is_empty() || failures.len() > 1 {
             String::new()
         } else {
@@ -704,7 +709,7 @@ impl Drawing<'_> {
         let items: Vec<Item> = (failures.iter())
             .map(|failure| {
                 let literal = &clause.body[failure.literal];
-                let text = self.teller.literal(clause, literal, binding);
+                let text = self.printer.literal(clause, literal, binding);
                 let (text, node) = match (&failure.kind, literal) {
                     (FailureKind::Absent(node), Literal::Guard(_)) => (format!("not in view: {text}"), Some(*node)),
                     (FailureKind::Absent(node), _) => (format!("{text} does not hold"), Some(*node)),
@@ -713,14 +718,17 @@ impl Drawing<'_> {
                     (FailureKind::Comparison { .. }, _) => (format!("{text} fails"), None),
                     (FailureKind::Computed { value: None }, _) => (format!("{text} fails: it has no value"), None),
                     (FailureKind::Computed { value: Some(value) }, _) => {
-                        let base = self.teller.computed_base(clause, literal);
-                        (format!("{text} fails: it is {}", self.teller.value(*value, base)), None)
+                        let base = self.printer.computed_base(clause, literal);
+                        (
+                            format!("{text} fails: it is {}", self.printer.value(*value, base)),
+                            None,
+                        )
                     }
                 };
                 let mut item = Item::leaf(format!("{inline}{text}"));
                 if let Some(id) = node {
                     match self.explanation.node(id) {
-                        // The text says it already.
+                        // The line states it already.
                         Node::Absence(Absence { reason, .. }) => match reason {
                             AbsenceReason::NoClause(_) => self.below_absence(id, depth, &mut item),
                             AbsenceReason::NotAFact | AbsenceReason::NotLookedInto => {}
@@ -744,12 +752,12 @@ impl Drawing<'_> {
         }
     }
 
-    /// Why a positive literal does not hold, below the line that says so.
+    /// Adds the reasons why a positive literal does not hold below its line.
     fn below_absence(&mut self, id: NodeId, depth: usize, item: &mut Item) {
         let mut inner = self.node(id, depth + 1);
         if inner.children.is_empty() {
-            if let Some((_, told)) = inner.text.split_once("  ") {
-                item.text = format!("{}  {told}", item.text);
+            if let Some((_, remark)) = inner.text.split_once("  ") {
+                item.text = format!("{}  {remark}", item.text);
             }
         } else {
             item.children.append(&mut inner.children);

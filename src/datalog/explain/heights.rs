@@ -1,4 +1,4 @@
-//! Heights of derived facts, and for each fact the derivation of least height.
+//! Heights of derived facts, and the derivation of minimal height of each.
 
 use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules};
 use crate::datalog::explain::ExplainError;
@@ -6,33 +6,33 @@ use crate::datalog::explain::search::{Attempt, Binding, Search, bind_head, unify
 use crate::datalog::value::Value;
 use std::collections::{BTreeMap, HashMap};
 
-/// What is known of heights.
+/// The known heights.
 pub(super) struct Heights {
-    /// The facts of the text, with the first clause that states each.
+    /// The facts of the text, each with the first clause that states it.
     text: HashMap<(RelId, Vec<Value>), ClauseId>,
-    /// By [`RelId`]: position of the stratum of a derived relation.
+    /// The position of the stratum of each derived relation, by [`RelId`].
     stratum: Vec<Option<usize>>,
-    /// Heights of derived facts that some goal rests on, by relation and position of the row.
+    /// The heights of derived facts that some goal rests on, by relation and row position.
     relevant: HashMap<(RelId, u32), u32>,
-    /// The derivations that have been found.
+    /// The derivations found so far.
     best: HashMap<(RelId, Vec<Value>), (u32, Best)>,
-    /// By position of the stratum: heights of all its facts, where what is relevant was too much.
+    /// The heights of whole strata, by stratum position. Used where too much is relevant to a goal.
     progress: HashMap<usize, Progress>,
 }
 
-/// Facts by relation and position, and their heights.
+/// Facts, by relation and position, with their heights.
 type Settled = Vec<((RelId, u32), u32)>;
 
-/// How much may be relevant to a goal: instances of clauses, and steps to find them.
+/// Limits of the backward search from one goal: clause instances, and steps to find them.
 const INSTANCES_MAX: usize = 500_000;
 const RELEVANT_STEPS: u64 = 5_000_000;
 
-/// A stratum whose facts are being given their heights, in ascending order.
+/// A stratum in which the search settles heights in ascending order.
 #[derive(Default)]
 struct Progress {
-    /// By relation and position of the row.
+    /// The heights by relation and row position.
     heights: HashMap<RelId, Vec<Height>>,
-    /// Facts to settle, by the height they have unless a smaller one is found.
+    /// The facts to settle, by their height so far.
     queue: BTreeMap<u32, Vec<(RelId, u32)>>,
 }
 
@@ -42,7 +42,7 @@ struct Height {
     settled: bool,
 }
 
-/// Where a fact comes from.
+/// The origin of a fact.
 #[derive(Clone)]
 pub(super) enum Best {
     Input,
@@ -50,7 +50,7 @@ pub(super) enum Best {
     Derived {
         clause: ClauseId,
         binding: Binding,
-        /// By literal of the body, the row that a positive one stands for.
+        /// By literal of the body: the row that matches a positive literal.
         rows: Vec<Option<Vec<Value>>>,
     },
 }
@@ -83,7 +83,7 @@ impl Heights {
         }
     }
 
-    /// The height of a row, if it is settled.
+    /// Returns the height of a row, if it is settled.
     fn of(&self, rel: RelId, position: u32) -> Option<u32> {
         let Some(stratum) = self.stratum[rel.index()] else {
             return Some(0);
@@ -96,7 +96,7 @@ impl Heights {
     }
 }
 
-/// The atoms that must hold for a clause to.
+/// Returns the atoms that must hold for the clause to fire.
 fn positive(clause: &Clause) -> impl Iterator<Item = (usize, &Atom)> {
     let body = clause.body.iter().enumerate();
     body.filter_map(|(literal, body)| match body {
@@ -106,7 +106,7 @@ fn positive(clause: &Clause) -> impl Iterator<Item = (usize, &Atom)> {
 }
 
 impl Search<'_> {
-    /// The height of a fact that holds, and the derivation that gives it.
+    /// Returns the height of a fact that holds, and the derivation that gives it.
     pub(super) fn origin(&mut self, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
         let fact = (rel, row.to_vec());
         if let Some(&clause) = self.heights.text.get(&fact) {
@@ -123,14 +123,14 @@ impl Search<'_> {
         Ok(found)
     }
 
-    /// Of a derived fact that does not stand in the text.
+    /// Returns the height and derivation of a derived fact that is not in the text.
     fn derivation(&mut self, stratum: usize, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
         let rules = self.rules();
         let clauses = self.clauses_of(rel);
         let goal = self.position(rel, row).map(|position| (rel, position));
         let known = goal.is_some_and(|(rel, position)| self.heights.of(rel, position).is_some());
         if known || goal.is_some_and(|goal| self.settle_relevant(goal)) {
-            // Then all that the fact could rest on is known too.
+            // In this case the heights of all premises are known too.
         } else if rules.strata[stratum].recursive {
             self.settle_below(&rules.strata[stratum].clauses)?;
             self.settle(stratum, goal)?;
@@ -147,7 +147,7 @@ impl Search<'_> {
                 continue;
             }
             let mut attempt = Attempt::new(clause, &vec![true; clause.body.len()], binding, 0);
-            // Clauses come in the order of the text, so of equal height the first found by clause is kept.
+            // Clauses come in source order, so the first clause of minimal height wins.
             let bar = best.as_ref().map_or(u32::MAX, |(height, ..)| *height);
             let heights = &self.heights;
             let usable = |rel, position| heights.of(rel, position).is_some_and(|height| height + 1 < bar);
@@ -163,7 +163,7 @@ impl Search<'_> {
             })?;
         }
         let Some((height, clause, binding, rows)) = best else {
-            // A session holds nothing that no clause derives.
+            // Unreachable: a session holds only derived facts in derived relations.
             return Ok((0, Best::Input));
         };
         let body = &rules.clauses[clause.index()].body;
@@ -177,8 +177,9 @@ impl Search<'_> {
         Ok((height, Best::Derived { clause, binding, rows }))
     }
 
-    /// Gives its height to everything that a derivation of the goal could rest on: first all instances of clauses are collected
-    /// backwards from the goal, then heights go forwards through them. `false`, and nothing is settled, if that is too much.
+    /// Computes the heights of all facts that a derivation of the goal could rest on. First collects all clause
+    /// instances backwards from the goal, then computes heights forwards. Returns `false` without a change if that
+    /// exceeds its limits.
     fn settle_relevant(&mut self, goal: (RelId, u32)) -> bool {
         let outer = self.left();
         let inner = RELEVANT_STEPS.min(outer / 2);
@@ -198,7 +199,7 @@ impl Search<'_> {
         let rules = self.rules();
         let mut facts = vec![goal];
         let mut ids = HashMap::from([(goal, 0)]);
-        // By instance: what it derives, and how many facts that it needs are not settled yet.
+        // By instance: the fact it derives, and the number of unsettled facts it needs.
         let mut instances: Vec<(usize, usize)> = Vec::new();
         // By fact: the instances that need it.
         let mut users: Vec<Vec<usize>> = vec![Vec::new()];
@@ -274,7 +275,7 @@ impl Search<'_> {
         ))
     }
 
-    /// Settles all facts of the strata below that the clauses need to hold, directly or through others.
+    /// Settles all facts of the lower strata that the clauses need, directly or through others.
     fn settle_below(&mut self, clauses: &[ClauseId]) -> Result<(), ExplainError> {
         let rules = self.rules();
         let own = clauses
@@ -299,14 +300,14 @@ impl Search<'_> {
         needed.into_iter().try_for_each(|stratum| self.settle(stratum, None))
     }
 
-    /// Settles the facts of a stratum in ascending order until `goal` is settled, or all.
+    /// Settles the facts of a stratum in ascending order, up to `goal` or all of them.
     fn settle(&mut self, stratum: usize, goal: Option<(RelId, u32)>) -> Result<(), ExplainError> {
         if let Some((rel, position)) = goal
             && self.heights.of(rel, position).is_some()
         {
             return Ok(());
         }
-        // Taken out while it changes, so that nothing half done is left behind if the work is too much.
+        // Removed during the update, so that an error leaves no half-finished state.
         let mut progress = match self.heights.progress.remove(&stratum) {
             Some(progress) => progress,
             None => self.begin(stratum)?,
@@ -334,7 +335,7 @@ impl Search<'_> {
         Ok(())
     }
 
-    /// The facts that follow without any fact of the stratum itself.
+    /// Derives the facts that follow without any fact of the stratum itself.
     fn begin(&mut self, stratum: usize) -> Result<Progress, ExplainError> {
         let rules = self.rules();
         let mut progress = Progress::default();
@@ -361,7 +362,7 @@ impl Search<'_> {
         Ok(progress)
     }
 
-    /// What follows from a fact that has just been settled, together with others that are.
+    /// Derives what follows from a newly settled fact and other settled facts.
     fn follow(
         &mut self,
         stratum: usize,
@@ -385,7 +386,7 @@ impl Search<'_> {
         Ok(())
     }
 
-    /// Lowers the heights of what an attempt derives.
+    /// Lowers the heights of the facts that an attempt derives.
     fn derive(&mut self, mut attempt: Attempt<'_>, progress: &mut Progress) -> Result<(), ExplainError> {
         let clause = attempt.clause;
         let mut lower = Vec::new();
@@ -404,7 +405,7 @@ impl Search<'_> {
                     let head: Option<Vec<Value>> = (clause.head.terms.iter())
                         .map(|term| value(term, solution.binding))
                         .collect();
-                    // A fact of the text has height 0 and needs no clause with a body.
+                    // A fact of the text has height 0.
                     let height = if clause.body.is_empty() {
                         0
                     } else {
@@ -433,7 +434,7 @@ impl Search<'_> {
     }
 }
 
-/// The greatest height among the rows that stand for positive literals.
+/// Returns the maximal height among the rows that match positive literals.
 fn highest(clause: &Clause, rows: &[Option<u32>], of: impl Fn(RelId, u32) -> Option<u32>) -> u32 {
     positive(clause)
         .filter_map(|(literal, atom)| of(atom.relation, rows[literal]?))

@@ -1,24 +1,26 @@
-//! Why a fact holds, and why another does not.
+//! Explanations: why a fact holds, and why another one does not.
 //!
-//! Reach for [`Session::explain`] and [`Session::explain_absence`] to ask one question; for an [`Explainer`] to ask many about
-//! the same state, since it keeps what it found out on the way; for [`ExplanationPrinter`] to turn an answer into text or JSON.
+//! [`Session::explain`] and [`Session::explain_absence`] answer one query. An [`Explainer`] answers many queries about
+//! the same state and keeps its intermediate results. An [`ExplanationPrinter`] converts an answer to text or JSON.
 //!
 //! ```text
-//! Session --explain--> Explanation (nodes: what holds by which clause, what does not hold and for lack of what) --tell--> text
+//! Session --explain--> Explanation (facts with their clauses, absences with their reasons) --print--> text
 //! ```
 //!
-//! **A proof is shortest by height.** A fact that was inserted or stands in the text has height 0; a derived one has 1 more than
-//! the highest fact its derivation needs. Negated literals, comparisons, expressions and aggregates
-//! add nothing; the rows that an aggregate looks at are not told, only its value. To know the height of a fact, all instances
-//! of clauses that it could rest on are collected backwards, and heights go forwards through them in ascending order, as Knuth
-//! generalised Dijkstra's algorithm; if too much is relevant, whole strata are settled in that order until the fact is reached. Of
-//! derivations equally high the first clause of the text is taken, of one clause's the one whose variables have the smallest words
-//! (for symbols: interned first). So a proof never rests on itself and is always the same.
+//! **A proof has minimal height.** An inserted fact or a fact of the text has height 0. A derived fact has the height
+//! of the highest fact in its derivation plus 1. Negated literals, comparisons, expressions and aggregates add nothing.
+//! A proof shows the value of an aggregate, not its rows.
 //!
-//! **What does not hold** is told clause by clause: the literals that fail under the nearest binding. See [`Miss`].
+//! To find the height of a fact, the search collects backwards all clause instances that the fact could rest on. It
+//! then computes heights forwards through them in ascending order: Knuth's generalization of Dijkstra's algorithm. If
+//! too many instances are relevant, it processes whole strata in that order until it reaches the fact. Among
+//! derivations of equal height, the first clause in source order wins. Among derivations by one clause, the smallest
+//! binding wins, by words (for symbols, by the order of interning). So a proof is never circular and always the same.
 //!
-//! This module reads a session through its public functions only and so knows nothing of how relations are kept or evaluated.
-//! WorkCounts is bounded: see [`Explainer::set_limit`].
+//! **An absence names the failing literals**, clause by clause, under the nearest binding; see [`Miss`].
+//!
+//! This module uses only the public functions of a session, so it is independent of storage and evaluation. The work is
+//! bounded; see [`Explainer::set_limit`].
 
 mod explanation_printer;
 mod heights;
@@ -34,153 +36,155 @@ use search::{Binding, Search};
 use std::collections::{HashMap, VecDeque};
 use std::fmt;
 
-/// A row of which some values may be left open.
+/// A row in which some values are open (`None`).
 pub type Pattern = Vec<Option<Value>>;
 
-/// Names a node of an [`Explanation`].
+/// The id of a node of an [`Explanation`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct NodeId(pub u32);
 
 impl NodeId {
-    /// Position in [`Explanation::nodes`].
+    /// Returns the position in [`Explanation::nodes`].
     pub fn index(self) -> usize {
         self.0 as usize
     }
 }
 
-/// The answer to a question: nodes that refer to each other, the first being what was asked. Equal questions that come up on the
-/// way share a node, so that an explanation is never larger than what it speaks of.
+/// The answer to a query: a graph of nodes, of which the first one is the subject of the query. Equal subgoals share a
+/// node, which bounds the size of the graph.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Explanation {
     nodes: Vec<Node>,
 }
 
 impl Explanation {
-    /// All nodes; the first is what was asked.
+    /// Returns all nodes; the first one is the subject of the query.
     pub fn nodes(&self) -> &[Node] {
         &self.nodes
     }
 
-    /// One node.
+    /// Returns one node.
     pub fn node(&self, id: NodeId) -> &Node {
         &self.nodes[id.index()]
     }
 }
 
-/// One thing that is explained.
+/// One explained fact or absence.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Node {
     /// A fact that holds.
     Fact(Fact),
-    /// Something that does not hold.
+    /// A pattern without a matching fact.
     Absence(Absence),
 }
 
-/// A fact that holds, and why.
+/// A fact with the reason why it holds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fact {
-    /// Its predicate.
+    /// The predicate.
     pub relation: RelId,
-    /// Its values.
+    /// The values.
     pub row: Vec<Value>,
     /// The height of its shortest proof.
     pub height: u32,
-    /// Where it comes from.
+    /// The reason why it holds.
     pub origin: Origin,
 }
 
-/// Why a fact holds.
+/// The reason why a fact holds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// It was inserted.
+    /// The caller inserted it.
     Input,
-    /// It stands in the text.
+    /// The rule text contains it.
     Text(ClauseId),
     /// A clause derives it.
     Derived(Derivation),
 }
 
-/// A clause and what its variables stand for.
+/// A clause with the values of its variables.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Derivation {
     /// The clause.
     pub clause: ClauseId,
-    /// By variable of the clause; `None` for one that does not occur.
+    /// The values by variable of the clause; `None` for a variable that does not occur.
     pub binding: Pattern,
-    /// What each literal of the body says then, in the order of the body.
+    /// The instances of the literals, in the order of the body.
     pub premises: Vec<Premise>,
 }
 
-/// A literal that holds.
+/// An instance of a literal that holds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Premise {
-    /// A positive literal, or the guard of a scope: this fact holds.
+    /// A positive literal or guard: this fact holds.
     Fact(NodeId),
-    /// A negated literal: nothing of this form holds.
+    /// A negated literal: no fact matches this pattern.
     Absence(NodeId),
     /// A comparison of these values.
     Comparison {
-        /// The left one.
+        /// The left value.
         left: Value,
-        /// The right one.
+        /// The right value.
         right: Value,
     },
-    /// An expression or aggregate, and this is its value. Why the rows of an aggregate hold is not unfolded; it can be asked.
+    /// An expression or aggregate with this value. The explanation does not unfold the rows of an aggregate; query them
+    /// separately.
     Computed {
         /// The value.
         value: Value,
     },
 }
 
-/// Something that does not hold, and why.
+/// A pattern without a matching fact, with the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Absence {
     /// The predicate.
     pub relation: RelId,
-    /// No row of it has these values.
+    /// The pattern: no row of the predicate has these values.
     pub pattern: Pattern,
-    /// Why.
+    /// The reason.
     pub reason: AbsenceReason,
 }
 
-/// Why something does not hold.
+/// The reason why no fact matches a pattern.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum AbsenceReason {
-    /// No clause speaks of the predicate, and it is not among the facts.
+    /// No clause derives the predicate, and no such fact was inserted.
     NotAFact,
-    /// No clause of the predicate holds: one entry for each clause with a body.
+    /// No clause derives a match: one entry for each clause with a body.
     NoClause(Vec<Miss>),
-    /// Not looked into: the explanation has enough absences already. See [`Explainer::ABSENCES_MAX`].
+    /// The explanation contains enough absences already; see [`Explainer::ABSENCES_MAX`].
     NotLookedInto,
 }
 
-/// Why a clause does not derive what was asked for.
+/// The reason why a clause does not derive a match.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Miss {
     /// The clause.
     pub clause: ClauseId,
-    /// What is in the way.
+    /// The obstacle.
     pub obstacle: Obstacle,
 }
 
-/// What keeps a clause from deriving something.
+/// The part of a clause that prevents a derivation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Obstacle {
-    /// The head has another value in this column.
+    /// The head has a different value in this column.
     Head {
-        /// Position of the column.
+        /// The position of the column.
         column: usize,
     },
     /// Literals of the body fail.
     Body {
-        /// The nearest binding, by variable of the clause. A variable may be open: nothing says what it could be.
+        /// The nearest binding, by variable of the clause; `None` for a variable without any candidate value.
         ///
-        /// If literals fail that speak of the head's variables alone, those are the failures and nothing else is bound. Else the
-        /// nearest binding is one with the fewest literals that fail; among those, one that gives different values to different
-        /// variables; then one for which it is not a guard that fails; then one whose first failure comes late; then the one with
-        /// the smallest words. Should that take too many steps, it is one that satisfies the most literals from the front.
+        /// If literals over the head's variables alone fail, these are the failures, and nothing else is bound.
+        /// Otherwise the nearest binding minimizes the number of failing literals. Ties go to the binding with the
+        /// fewest pairs of variables of equal value, then to one with fewer failing guards, then to one whose first
+        /// failure comes later, then to the smallest words. If that search takes too many steps, the binding instead
+        /// satisfies as many literals from the front as possible.
         binding: Pattern,
-        /// The literals that fail under it; at least one.
+        /// The literals that fail under the binding; at least one.
         failures: Vec<Failure>,
     },
 }
@@ -190,37 +194,37 @@ pub enum Obstacle {
 pub struct Failure {
     /// Its position in the body.
     pub literal: usize,
-    /// Why it does not hold.
+    /// The reason why it does not hold.
     pub kind: FailureKind,
 }
 
-/// Why a literal does not hold.
+/// The reason why a literal does not hold.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FailureKind {
-    /// A positive literal or guard, and nothing of this form holds.
+    /// A positive literal or guard without a matching fact.
     Absent(NodeId),
-    /// A positive literal or guard in which an open variable occurs twice, and nothing of this form holds.
+    /// A positive literal or guard with a repeated open variable and without a matching fact.
     AbsentTwice,
-    /// A negated literal, and this fact holds.
+    /// A negated literal that this fact contradicts.
     Holds(NodeId),
-    /// A comparison, and these are the values.
+    /// A comparison of these values.
     Comparison {
-        /// The left one.
+        /// The left value.
         left: Value,
-        /// The right one.
+        /// The right value.
         right: Value,
     },
-    /// An expression or aggregate, whose value is not what it should be.
+    /// An expression or aggregate with a different value.
     Computed {
         /// The value; `None` if it has none.
         value: Option<Value>,
     },
 }
 
-/// Why a question has no answer.
+/// The reason why a query has no answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExplainError {
-    /// More rows would have to be looked at than allowed; see [`Explainer::set_limit`].
+    /// The search would exceed its limit of steps; see [`Explainer::set_limit`].
     TooMuchWork {
         /// The limit.
         limit: u64,
@@ -234,7 +238,7 @@ impl fmt::Display for ExplainError {
         match self {
             ExplainError::TooMuchWork { limit } => write!(
                 f,
-                "no explanation was found within {limit} steps; the facts are too many for this search"
+                "no explanation found within {limit} steps; there are too many facts for this search"
             ),
             ExplainError::Interrupted => write!(f, "the search for an explanation was cancelled"),
         }
@@ -243,7 +247,7 @@ impl fmt::Display for ExplainError {
 
 impl std::error::Error for ExplainError {}
 
-/// Without a place: it is no text's fault.
+/// A diagnostic without a place, because no source is at fault.
 impl From<ExplainError> for Diagnostic {
     fn from(error: ExplainError) -> Self {
         let code = match error {
@@ -255,7 +259,8 @@ impl From<ExplainError> for Diagnostic {
 }
 
 impl Session {
-    /// Why a fact holds: a shortest proof down to inserted facts and facts of the text. `None` if it does not hold.
+    /// Explains why a fact holds: a proof of minimal height, down to inserted facts and facts of the text. `None` if
+    /// the fact does not hold.
     ///
     /// ```
     /// # use logicity::{datalog::{self, Program, explain::Node}, diag::Sources, files};
@@ -280,33 +285,33 @@ impl Session {
     /// ```
     ///
     /// # Errors
-    /// If that is more work than [`Explainer::LIMIT`].
+    /// If the search exceeds [`Explainer::LIMIT`].
     pub fn explain(&self, rel: RelId, row: &[Value]) -> Result<Option<Explanation>, ExplainError> {
         Explainer::new(self).explain(rel, row)
     }
 
-    /// Why no row of that form holds; `None` in the pattern is any value. `None` if some row of that form does hold.
+    /// Explains why no row matches the pattern, in which `None` matches any value. Returns `None` if some row matches.
     ///
     /// # Errors
-    /// If that is more work than [`Explainer::LIMIT`].
+    /// If the search exceeds [`Explainer::LIMIT`].
     pub fn explain_absence(&self, rel: RelId, pattern: &[Option<Value>]) -> Result<Option<Explanation>, ExplainError> {
         Explainer::new(self).explain_absence(rel, pattern)
     }
 }
 
-/// Answers questions about one state of a session.
+/// Answers queries about one state of a session.
 pub struct Explainer<'s> {
     search: Search<'s>,
     limit: u64,
 }
 
 impl<'s> Explainer<'s> {
-    /// How many steps (rows looked at) one question may take unless told otherwise.
+    /// The default limit of steps for one query; see [`Explainer::set_limit`].
     pub const LIMIT: u64 = 20_000_000;
-    /// How many absences one explanation looks into; a proof is always complete.
+    /// Maximum number of absences that one explanation explores. Proofs are always complete.
     pub const ABSENCES_MAX: usize = 256;
 
-    /// Ready for questions about what `session` holds now.
+    /// Creates an explainer for the current state of `session`.
     pub fn new(session: &'s Session) -> Self {
         Explainer {
             search: Search::new(session),
@@ -314,7 +319,8 @@ impl<'s> Explainer<'s> {
         }
     }
 
-    /// Sets how many steps one question may take. A step is a row or a literal looked at; a million take well below a second.
+    /// Sets the maximum number of steps for one query. A step visits a row or a literal; a million steps take well
+    /// below a second.
     pub fn set_limit(&mut self, steps: u64) {
         self.limit = steps;
     }
@@ -324,10 +330,11 @@ impl<'s> Explainer<'s> {
         self.search.ask = Some(stop);
     }
 
-    /// Why a row of that form holds, the first in order, or why none does: whatever is the case, which the first value tells.
+    /// Explains the first row that matches the pattern, or why none matches. The first value states whether a row
+    /// matches.
     ///
     /// # Errors
-    /// If that is more work than the limit.
+    /// If the search exceeds the limit.
     pub fn explain_either(
         &mut self,
         rel: RelId,
@@ -342,10 +349,10 @@ impl<'s> Explainer<'s> {
         }
     }
 
-    /// Why a fact holds. See [`Session::explain`].
+    /// Explains why a fact holds; see [`Session::explain`].
     ///
     /// # Errors
-    /// If that is more work than the limit.
+    /// If the search exceeds the limit.
     pub fn explain(&mut self, rel: RelId, row: &[Value]) -> Result<Option<Explanation>, ExplainError> {
         self.search.refill(self.limit);
         if !self.search.session.contains(rel, row) {
@@ -356,10 +363,10 @@ impl<'s> Explainer<'s> {
         making.finish(&mut self.search).map(Some)
     }
 
-    /// Why no row of that form holds. See [`Session::explain_absence`].
+    /// Explains why no row matches; see [`Session::explain_absence`].
     ///
     /// # Errors
-    /// If that is more work than the limit.
+    /// If the search exceeds the limit.
     pub fn explain_absence(
         &mut self,
         rel: RelId,
@@ -375,11 +382,10 @@ impl<'s> Explainer<'s> {
         making.finish(&mut self.search).map(Some)
     }
 
-    /// Every way in which some clause derives the fact in one step, in the order of the clauses and of the words of their
-    /// variables; facts of the text are left out.
+    /// Returns every one-step derivation of the fact by a clause with a body, ordered by clause and then by binding.
     ///
     /// # Errors
-    /// If that is more work than the limit.
+    /// If the search exceeds the limit.
     pub fn derivations(&mut self, rel: RelId, row: &[Value]) -> Result<Vec<(ClauseId, Pattern)>, ExplainError> {
         self.search.refill(self.limit);
         let mut found = Vec::new();
@@ -403,11 +409,11 @@ impl<'s> Explainer<'s> {
         Ok(found)
     }
 
-    /// Whether the clause would derive a row that does not hold, were `literal` of its body left out. `None` if it cannot be left
-    /// out, since it alone binds a variable of the head, of a comparison or of a negated literal.
+    /// Returns whether the clause would derive further rows without `literal` of its body. `None` if the literal is
+    /// necessary, because it alone binds a variable of the head, of a comparison or of a negated literal.
     ///
     /// # Errors
-    /// If that is more work than the limit.
+    /// If the search exceeds the limit.
     pub fn matters(&mut self, clause: ClauseId, literal: usize) -> Result<Option<bool>, ExplainError> {
         self.search.refill(self.limit);
         let Some(clause) = self.search.rules().clauses.get(clause.index()) else {
@@ -434,10 +440,10 @@ impl<'s> Explainer<'s> {
     }
 }
 
-/// An explanation in the making: nodes are made when they are first spoken of and explained in that order.
+/// An explanation under construction: a queue of nodes in the order of their first mention.
 #[derive(Default)]
 struct Making {
-    /// What is known of each node, and its explanation once it is there.
+    /// Each node's query, and its explanation once it exists.
     nodes: Vec<(Question, Option<Node>)>,
     known: HashMap<Question, NodeId>,
     todo: VecDeque<NodeId>,
@@ -507,7 +513,7 @@ impl Making {
                         left: search::value(left, &binding).unwrap_or_default(),
                         right: search::value(right, &binding).unwrap_or_default(),
                     },
-                    // It holds, so what it is equal to is its value.
+                    // The literal holds, so the result equals its value.
                     Literal::Compute { to, .. } | Literal::Aggregate { to, .. } => Premise::Computed {
                         value: search::value(to, &binding).unwrap_or_default(),
                     },
@@ -555,7 +561,7 @@ impl Making {
         })
     }
 
-    /// What keeps a clause from deriving the pattern; `None` for a fact of the text.
+    /// Returns what prevents a clause from deriving the pattern; `None` for a fact of the text.
     fn obstacle(
         &mut self,
         search: &mut Search<'_>,

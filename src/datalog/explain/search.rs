@@ -1,4 +1,5 @@
-//! Bindings that satisfy the literals of a clause, all or all but a few, over what a session holds.
+//! Backtracking search for bindings that satisfy the literals of a clause, or all but a few, over the facts of a
+//! session.
 
 use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
 use crate::datalog::explain::heights::Heights;
@@ -12,29 +13,29 @@ use std::cmp::{Ordering, Reverse};
 use std::collections::HashMap;
 use std::rc::Rc;
 
-/// What each variable of a clause stands for, as far as it is known.
+/// The value of each variable of a clause; `None` while unbound.
 pub(super) type Binding = Vec<Option<Value>>;
 
-/// Numbers of rows by the values of some columns.
+/// Row positions by the values of some columns.
 type Index = HashMap<Vec<Value>, Rc<[u32]>>;
 
-/// The nearest binding is looked for with at most this many failing literals, and in at most this many steps a clause.
+/// Limits of the search for the nearest binding: failing literals, and steps for each clause.
 const FAILURES_MAX: usize = 3;
 const NEAREST_STEPS: u64 = 200_000;
 
-/// A relation's rows with indexes by bound columns, made when they are first needed.
+/// The rows of a relation, with indexes on bound columns that are built on first use.
 struct Table<'s> {
     rows: Vec<&'s [Value]>,
-    /// By the set of bound columns, a bit for each.
+    /// The indexes by the bit set of bound columns.
     indexes: RefCell<HashMap<u64, Rc<Index>>>,
 }
 
-/// Searches a session, counting steps.
+/// A search over a session that counts its steps.
 pub(super) struct Search<'s> {
     pub(super) session: &'s Session,
-    /// By [`RelId`].
+    /// The tables, by [`RelId`].
     tables: Vec<OnceCell<Table<'s>>>,
-    /// By [`RelId`]: the clauses with that head, in the order of the text.
+    /// The clauses for each predicate in source order, by [`RelId`].
     clauses: Vec<Vec<ClauseId>>,
     limit: Cell<u64>,
     left: Cell<u64>,
@@ -45,7 +46,7 @@ pub(super) struct Search<'s> {
     pub(super) heights: Heights,
 }
 
-/// Rows of a relation by their positions.
+/// Rows of a relation, by position.
 enum Rows {
     All(u32),
     Some(Rc<[u32]>),
@@ -69,29 +70,29 @@ impl Rows {
     }
 }
 
-/// A binding under which the literals that were asked for hold.
+/// A binding under which the requested literals hold.
 pub(super) struct Solution<'a> {
     pub(super) binding: &'a [Option<Value>],
-    /// By literal: the position of the row that a positive one stands for.
+    /// By literal: the position of the row that matches a positive literal.
     pub(super) rows: &'a [Option<u32>],
-    /// By literal: whether it was given up.
+    /// By literal: whether it is one of the permitted failures.
     pub(super) failed: &'a [bool],
 }
 
-/// Which rows may be used for positive literals.
+/// Determines which rows may match positive literals.
 type Usable<'a> = &'a dyn Fn(RelId, u32) -> bool;
-/// Is shown every solution; whether to go on.
+/// Receives every solution; returns whether to continue.
 type Visit<'a> = &'a mut dyn FnMut(Solution<'_>) -> bool;
 
-/// A clause half way through.
+/// A partial solution of a clause.
 pub(super) struct Attempt<'a> {
     pub(super) clause: &'a Clause,
-    /// By literal: whether it is still to be satisfied.
+    /// By literal: whether the search still has to satisfy it.
     pub(super) pending: Vec<bool>,
     pub(super) binding: Binding,
     pub(super) rows: Vec<Option<u32>>,
     failed: Vec<bool>,
-    /// How many more literals may fail.
+    /// The number of literals that may still fail.
     failures: usize,
 }
 
@@ -108,7 +109,7 @@ impl<'a> Attempt<'a> {
     }
 }
 
-/// How to put an [`Attempt`] back as it was.
+/// The changes that restore an [`Attempt`].
 #[derive(Default)]
 struct Undo {
     settled: Vec<usize>,
@@ -144,19 +145,19 @@ impl<'s> Search<'s> {
         self.clauses[rel.index()].clone()
     }
 
-    /// Allows this many steps from now on.
+    /// Resets the number of steps available.
     pub(super) fn refill(&mut self, steps: u64) {
         self.limit.set(steps);
         self.left.set(steps);
         self.interrupted.set(false);
     }
 
-    /// How many steps are left.
+    /// Returns the number of steps left.
     pub(super) fn left(&self) -> u64 {
         self.left.get()
     }
 
-    /// Sets how many steps are left.
+    /// Sets the number of steps left.
     pub(super) fn set_left(&self, steps: u64) {
         self.left.set(steps);
     }
@@ -190,7 +191,7 @@ impl<'s> Search<'s> {
         })
     }
 
-    /// The row at a position.
+    /// Returns the row at a position.
     pub(super) fn row(&self, rel: RelId, position: u32) -> &'s [Value] {
         self.table(rel).rows[position as usize]
     }
@@ -199,14 +200,14 @@ impl<'s> Search<'s> {
         self.table(rel).rows.len()
     }
 
-    /// The position of a row.
+    /// Returns the position of a row.
     pub(super) fn position(&self, rel: RelId, row: &[Value]) -> Option<u32> {
         let pattern: Pattern = row.iter().copied().map(Some).collect();
         let rows = self.rows(rel, &pattern);
         (rows.len() > 0).then(|| rows.get(0))
     }
 
-    /// The rows that have the values of a pattern.
+    /// Returns the rows that match a pattern.
     fn rows(&self, rel: RelId, pattern: &[Option<Value>]) -> Rows {
         let table = self.table(rel);
         let bound = |column: &usize| pattern[*column].is_some();
@@ -228,7 +229,7 @@ impl<'s> Search<'s> {
         index.get(&key).map_or(Rows::None, |list| Rows::Some(Rc::clone(list)))
     }
 
-    /// The first row that has the values of a pattern.
+    /// Returns the first row that matches a pattern.
     pub(super) fn first_row(&self, rel: RelId, pattern: &[Option<Value>]) -> Result<Option<Vec<Value>>, ExplainError> {
         self.step()?;
         let rows = self.rows(rel, pattern);
@@ -239,8 +240,8 @@ impl<'s> Search<'s> {
         Ok(self.first_row(rel, pattern)?.is_some())
     }
 
-    /// Shows `visit` every binding that extends `binding` and satisfies the `pending` literals except for `failures` of them,
-    /// until it has seen enough.
+    /// Calls `visit` with every binding that extends `binding` and satisfies all `pending` literals except `failures`
+    /// of them, until `visit` returns `false`.
     pub(super) fn solve(
         &self,
         clause: &Clause,
@@ -253,7 +254,7 @@ impl<'s> Search<'s> {
         self.advance(&mut attempt, &|_, _| true, visit).map(|_| ())
     }
 
-    /// As [`Search::solve`], from any point and with some rows only.
+    /// Variant of [`Search::solve`] that starts from a partial solution and uses only some rows.
     pub(super) fn advance(
         &self,
         attempt: &mut Attempt<'_>,
@@ -284,7 +285,7 @@ impl<'s> Search<'s> {
         visit: Visit<'_>,
     ) -> Result<bool, ExplainError> {
         let clause = attempt.clause;
-        // Where a literal may fail, an equality must not force a value before the atoms have had their say.
+        // While literals may fail, an equality must not bind a variable before the atoms had their chance.
         let mut force = attempt.failures == 0;
         let chosen = loop {
             if !self.test(attempt, undo, force)? {
@@ -306,7 +307,7 @@ impl<'s> Search<'s> {
             }
         };
         let Some((literal, rows)) = chosen else {
-            // What is left speaks of variables that nothing binds any more, so it cannot be said to hold.
+            // The remaining literals have variables that nothing can bind, so they count as failing.
             let open = attempt.pending.iter().filter(|pending| **pending).count();
             return Ok(open > attempt.failures
                 || visit(Solution {
@@ -359,7 +360,8 @@ impl<'s> Search<'s> {
         Ok(true)
     }
 
-    /// Tests the negated literals, comparisons, expressions and aggregates whose variables are bound. Whether the attempt can go on.
+    /// Tests the negated literals, comparisons, expressions and aggregates whose variables are bound. Returns whether
+    /// the attempt can succeed.
     fn test(&self, attempt: &mut Attempt<'_>, undo: &mut Undo, force: bool) -> Result<bool, ExplainError> {
         let clause = attempt.clause;
         loop {
@@ -401,7 +403,7 @@ impl<'s> Search<'s> {
         }
     }
 
-    /// Whether a literal holds, if its variables are bound.
+    /// Returns whether a literal holds; `None` while a variable is unbound.
     fn decide(&self, literal: &Literal, binding: &[Option<Value>]) -> Result<Option<bool>, ExplainError> {
         match literal {
             Literal::Positive(atom) | Literal::Guard(atom) if determined(atom, binding) => {
@@ -427,8 +429,8 @@ impl<'s> Search<'s> {
         }
     }
 
-    /// The value of an expression or aggregate, the inner `None` being that it has none; `None` for other literals and while not
-    /// all that it speaks of is bound.
+    /// Returns the value of an expression or aggregate; the inner `None` means that it has none. The outer `None` means
+    /// another kind of literal or an unbound variable.
     pub(super) fn result(
         &self,
         literal: &Literal,
@@ -459,7 +461,7 @@ impl<'s> Search<'s> {
         }
     }
 
-    /// The value that an equality, expression or aggregate gives to its one unbound variable.
+    /// Returns the value that an equality, expression or aggregate gives to its only unbound variable.
     fn learn(&self, literal: &Literal, binding: &[Option<Value>]) -> Result<Option<(usize, Value)>, ExplainError> {
         match literal {
             Literal::Compute {
@@ -480,7 +482,7 @@ impl<'s> Search<'s> {
     fn compare(&self, op: Comparison, left: Value, right: Value, base: BaseType) -> bool {
         let symbols = self.session.symbols();
         let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
-        // Nothing is less or greater than what is not a number.
+        // A NaN is neither less nor greater than any float.
         let order = || match base {
             BaseType::Number => Some(left.as_number().cmp(&right.as_number())),
             BaseType::Symbol => Some(text(left).cmp(text(right))),
@@ -502,7 +504,7 @@ impl<'s> Search<'s> {
         }
     }
 
-    /// The nearest binding of a clause that does not hold, and the literals that fail under it. See
+    /// Returns the nearest binding of a clause that does not hold, and the literals that fail under it. See
     /// [`Obstacle::Body`](super::Obstacle::Body).
     pub(super) fn nearest(&self, clause: &Clause, binding: Binding) -> Result<(Binding, Vec<usize>), ExplainError> {
         let mut failing = Vec::new();
@@ -557,8 +559,8 @@ impl<'s> Search<'s> {
         Ok(None)
     }
 
-    /// A binding that satisfies as many literals from the front as can be satisfied together, and the one after them. The order
-    /// is that of the text, but a literal that binds nothing waits for its variables.
+    /// Returns a binding for the longest prefix of literals that can hold together, and the literal after it. Literals
+    /// come in source order, but one that binds nothing waits for its variables.
     fn longest_prefix(&self, clause: &Clause, binding: Binding) -> Result<(Binding, Vec<usize>), ExplainError> {
         let mut satisfied = binding.clone();
         let mut pending = vec![false; clause.body.len()];
@@ -578,7 +580,7 @@ impl<'s> Search<'s> {
     }
 }
 
-/// How many pairs of variables stand for the same.
+/// Returns the number of pairs of variables with equal values.
 fn coincidences(binding: &[Option<Value>]) -> usize {
     let bound: Vec<Value> = binding.iter().flatten().copied().collect();
     let pairs = bound.iter().enumerate();
@@ -587,7 +589,7 @@ fn coincidences(binding: &[Option<Value>]) -> usize {
         .sum()
 }
 
-/// The literals, each after those that bind what it speaks of.
+/// Returns the literals, each after those that bind its variables.
 fn in_order(clause: &Clause, binding: &Binding) -> Vec<usize> {
     let mut bound: Vec<bool> = binding.iter().map(Option::is_some).collect();
     let mut order = Vec::new();
@@ -604,7 +606,7 @@ fn in_order(clause: &Clause, binding: &Binding) -> Vec<usize> {
     order
 }
 
-/// The variables that are bound once a literal is satisfied; `None` if that cannot be told while so few are.
+/// Returns the variables that a satisfied literal binds; `None` while it needs further bound variables.
 fn binds(literal: &Literal, bound: &[bool]) -> Option<Vec<usize>> {
     let variable = |term: &Term| match term {
         Term::Variable(variable) => Some(variable.index()),
@@ -629,7 +631,7 @@ fn binds(literal: &Literal, bound: &[bool]) -> Option<Vec<usize>> {
     }
 }
 
-/// Whether the pending literals bind every variable that the head, they themselves or nothing else needs.
+/// Returns whether the pending literals bind every variable that they or the head need.
 pub(super) fn safe(clause: &Clause, pending: &[bool]) -> bool {
     let mut bound = vec![false; clause.variables.len()];
     let mut waiting: Vec<&Literal> = (clause.body.iter().zip(pending))
@@ -655,7 +657,7 @@ pub(super) fn safe(clause: &Clause, pending: &[bool]) -> bool {
             .all(|term| !matches!(term, Term::Variable(variable) if !bound[variable.index()]))
 }
 
-/// What a term stands for.
+/// Returns the value of a term.
 pub(super) fn value(term: &Term, binding: &[Option<Value>]) -> Option<Value> {
     match *term {
         Term::Constant(constant) => Some(constant),
@@ -664,25 +666,25 @@ pub(super) fn value(term: &Term, binding: &[Option<Value>]) -> Option<Value> {
     }
 }
 
-/// The values of an atom as far as they are known.
+/// Returns the known values of an atom's arguments.
 pub(super) fn pattern(atom: &Atom, binding: &[Option<Value>]) -> Pattern {
     atom.terms.iter().map(|term| value(term, binding)).collect()
 }
 
-/// Whether every variable of an atom is bound.
+/// Returns whether every variable of an atom is bound.
 fn determined(atom: &Atom, binding: &[Option<Value>]) -> bool {
     let bound = |term: &Term| !matches!(term, Term::Variable(variable) if binding[variable.index()].is_none());
     atom.terms.iter().all(bound)
 }
 
-/// Whether an unbound variable occurs twice in an atom.
+/// Returns whether an unbound variable occurs twice in an atom.
 pub(super) fn repeats(atom: &Atom, binding: &[Option<Value>]) -> bool {
     let open = |term: &&Term| matches!(term, Term::Variable(variable) if binding[variable.index()].is_none());
     let mut terms = atom.terms.iter().enumerate().filter(|(_, term)| open(term));
     terms.any(|(at, term)| atom.terms[..at].contains(term))
 }
 
-/// The value that an equality gives to its one unbound variable.
+/// Returns the value that an equality gives to its only unbound variable.
 fn copy(literal: &Literal, binding: &[Option<Value>]) -> Option<(usize, Value)> {
     let Literal::Compare {
         op: Comparison::Equal,
@@ -701,8 +703,8 @@ fn copy(literal: &Literal, binding: &[Option<Value>]) -> Option<(usize, Value)> 
     }
 }
 
-/// Binds the variables of the terms so that they stand for the row, and notes which were new. `false` if they cannot; what was
-/// noted is to be taken back then too.
+/// Binds the variables of the terms to the values of the row and appends the newly bound ones to `bound`. Returns
+/// `false` if they do not match; the caller then unbinds the variables in `bound`.
 pub(super) fn unify(terms: &[Term], row: &[Value], binding: &mut Binding, bound: &mut Vec<usize>) -> bool {
     terms.iter().zip(row).all(|(term, &found)| match *term {
         Term::Wildcard => true,
@@ -718,7 +720,7 @@ pub(super) fn unify(terms: &[Term], row: &[Value], binding: &mut Binding, bound:
     })
 }
 
-/// Binds the variables of the head so that it has the values of the pattern, or says in which column it cannot.
+/// Binds the variables of the head to the values of the pattern. On failure returns the column that does not match.
 pub(super) fn bind_head(clause: &Clause, pattern: &[Option<Value>], binding: &mut Binding) -> Result<(), usize> {
     for (column, (term, &wanted)) in clause.head.terms.iter().zip(pattern).enumerate() {
         let Some(wanted) = wanted else { continue };

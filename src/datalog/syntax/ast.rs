@@ -1,10 +1,10 @@
-//! The syntax tree: what a text says, before any name is looked up.
+//! The syntax tree: a parsed source, before name resolution.
 
 use crate::diag::Span;
 
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 
-/// Where a part of the tree stands in its text. Two places are always equal, so trees are compared by what they say.
+/// The place of a node in its source. All places compare equal, so the comparison of trees ignores them.
 #[derive(Clone, Copy, Debug)]
 pub struct Place(pub Span);
 
@@ -21,14 +21,14 @@ impl Eq for Place {}
 pub struct Name {
     /// The name.
     pub text: String,
-    /// Where it stands.
+    /// The place of the name.
     pub place: Place,
 }
 
-/// One text.
+/// One parsed source.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct File {
-    /// Its parts, in order.
+    /// Directives and clauses, in source order.
     pub items: Vec<Item>,
 }
 
@@ -45,9 +45,9 @@ pub enum Item {
     Mark(Mark),
     /// `.disjoint A, B`, `.implies A, B`, `.irreflexive A`, `.symmetric A`
     Constraint(ConstraintDecl),
-    /// `.pragma "key" "value"`: read and ignored.
+    /// `.pragma "key" "value"`: parsed and ignored.
     Pragma(Pragma),
-    /// `.plan 1:(2,1)`: read and ignored.
+    /// `.plan 1:(2,1)`: parsed and ignored.
     Plan(Plan),
     /// `.scope P`, or `.scope` alone
     Scope(Scope),
@@ -67,7 +67,7 @@ pub struct Include {
 /// `.pragma "key" "value"`
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pragma {
-    /// The texts after it: a key and perhaps a value.
+    /// The strings after the directive: a key and an optional value.
     pub words: Vec<String>,
     /// The directive.
     pub place: Place,
@@ -76,20 +76,20 @@ pub struct Pragma {
 /// `.plan 0:(1,2), 1:(2,1)`
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Plan {
-    /// Versions of the clause before it, each with an order of its atoms.
+    /// The join orders: a version number of the preceding clause and the order of its atoms.
     pub orders: Vec<(i64, Vec<i64>)>,
     /// The directive.
     pub place: Place,
 }
 
-/// A declared type.
+/// A type declaration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TypeDecl {
-    /// Its name.
+    /// The name of the type.
     pub name: Name,
-    /// What it is.
+    /// The right-hand side of the declaration.
     pub definition: TypeDefinition,
-    /// Text of the doc comment before it.
+    /// The text of the doc comment before the declaration.
     pub doc: String,
 }
 
@@ -98,84 +98,84 @@ pub struct TypeDecl {
 pub enum TypeDefinition {
     /// `<: parent`
     Subtype(Name),
-    /// `= other`: one type under two names.
+    /// `= other`: a second name for the same type.
     Alias(Name),
-    /// `= a | b`: all values of several types; at least two.
+    /// `= a | b`: the values of all members, of which there are at least two.
     Union(Vec<Name>),
-    /// Something that is not understood and was reported; the name is kept so that its uses are not reported too.
+    /// A definition that the parser reported as faulty. The tree keeps the name to avoid further reports at its uses.
     Faulty,
 }
 
-/// One or more declared predicates with the same columns.
+/// A declaration of one or more predicates with the same columns.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Decl {
-    /// Their names; at least one.
+    /// The names of the predicates; at least one.
     pub names: Vec<Name>,
-    /// Their columns; `None` if they could not be read, which was reported.
+    /// The columns; `None` if the parser reported them as faulty.
     pub columns: Option<Vec<ColumnDecl>>,
-    /// How they are to be stored or evaluated (`btree`, `inline` ...): read and ignored.
+    /// Storage and evaluation qualifiers (`btree`, `inline` ...). Only `inline` has an effect.
     pub qualifiers: Vec<Name>,
-    /// Text of the doc comment before it.
+    /// The text of the doc comment before the declaration.
     pub doc: String,
 }
 
-/// `name: type`
+/// A column: `name: type`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ColumnDecl {
-    /// The column's name.
+    /// The name of the column.
     pub name: Name,
     /// The name of its type.
     pub ty: Name,
 }
 
-/// `.input A, B` and the like.
+/// `.input A, B`, `.output A` or `.printsize A`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mark {
-    /// Which directive.
+    /// The directive.
     pub kind: MarkKind,
-    /// The predicates it names; at least one.
+    /// The predicates; at least one.
     pub names: Vec<Name>,
-    /// `(key=value, ...)`; for all of them.
+    /// The options `(key=value, ...)`, which apply to all the predicates.
     pub options: Vec<DirectiveOption>,
 }
 
-/// `key=value`
+/// An option: `key=value`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DirectiveOption {
     /// The key.
     pub key: Name,
-    /// The value; a word is the same as a text.
+    /// The value; a bare word equals the same word in quotes.
     pub value: String,
-    /// The value's place.
+    /// The place of the value.
     pub place: Place,
 }
 
-/// `.disjoint A, B` and the like.
+/// An integrity constraint, such as `.disjoint A, B`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ConstraintDecl {
-    /// Which directive.
+    /// The kind of constraint.
     pub kind: ConstraintKind,
-    /// The predicates it names: two for `.implies`, at least two for `.disjoint`, else at least one.
+    /// The predicates: exactly two for `.implies`, at least two for `.disjoint`, at least one otherwise.
     pub names: Vec<Name>,
-    /// All of it.
+    /// The whole directive.
     pub place: Place,
 }
 
-/// What a [`ConstraintDecl`] says of its predicates.
+/// The kind of a [`ConstraintDecl`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ConstraintKind {
-    /// `.disjoint`
+    /// `.disjoint`: no row is in two of the predicates.
     Disjoint,
-    /// `.implies`
+    /// `.implies`: every row of the first predicate is in the second one.
     Implies,
-    /// `.irreflexive`
+    /// `.irreflexive`: no row relates a value to itself.
     Irreflexive,
-    /// `.symmetric`
+    /// `.symmetric`: with every row, the swapped row holds too.
     Symmetric,
 }
 
 impl ConstraintKind {
-    /// The directive without its dot.
+    /// Returns the name of the directive without its dot.
     pub fn name(self) -> &'static str {
         match self {
             ConstraintKind::Disjoint => "disjoint",
@@ -186,10 +186,10 @@ impl ConstraintKind {
     }
 }
 
-/// `.scope P`: guards the variables of the clauses after it; without a name it ends.
+/// `.scope P`: guards the variables of the clauses that follow. `.scope` alone ends the scope.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Scope {
-    /// The guard.
+    /// The guard; `None` ends the scope.
     pub predicate: Option<Name>,
     /// The directive.
     pub place: Place,
@@ -198,22 +198,22 @@ pub struct Scope {
 /// A fact (no body) or a rule.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Clause {
-    /// What is derived; at least one.
+    /// The head atoms; at least one.
     pub heads: Vec<Atom>,
-    /// When: all of these hold.
+    /// The body: a conjunction. Empty for a fact.
     pub body: Vec<Literal>,
-    /// Text of the doc comment before it.
+    /// The text of the doc comment before the clause.
     pub doc: String,
     /// From head to full stop.
     pub place: Place,
 }
 
-/// A literal. Negations of anything but an atom are folded when they are read, and so are parentheses and `true`.
+/// A literal. The parser folds parentheses, `true`, and negations of anything but an atom.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Literal {
     /// `P(X)`, or `Not(P(X))`, `not P(X)`, `!P(X)`
     Atom {
-        /// Whether it is negated.
+        /// Whether the atom is negated.
         negated: bool,
         /// The atom.
         atom: Atom,
@@ -229,44 +229,44 @@ pub enum Literal {
         /// Both sides.
         place: Place,
     },
-    /// `(A(x), B(x); C(x))`: all literals of one of the alternatives hold. None for `false`.
+    /// `(A(x), B(x); C(x))`: a disjunction of conjunctions. Without alternatives it is `false`.
     Any(Vec<Vec<Literal>>),
 }
 
-/// A predicate with arguments.
+/// A predicate applied to arguments.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Atom {
-    /// The predicate's name.
+    /// The name of the predicate.
     pub predicate: Name,
-    /// Its arguments.
+    /// The arguments.
     pub terms: Vec<Term>,
-    /// All of it.
+    /// The whole atom.
     pub place: Place,
 }
 
-/// An argument.
+/// An argument or operand.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Term {
-    /// What it is.
+    /// The kind of term.
     pub kind: TermKind,
-    /// Where it stands.
+    /// The place of the term.
     pub place: Place,
 }
 
-/// What a [`Term`] is.
+/// The kind of a [`Term`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TermKind {
-    /// A variable's name.
+    /// A variable, by name.
     Variable(String),
     /// `_`
     Wildcard,
-    /// A whole number; what base type it is of depends on where it stands.
+    /// A whole number. The context determines its base type.
     Number(i64),
     /// `1u`
     Unsigned(u32),
-    /// `2.5`, as it is written.
+    /// `2.5`, as written.
     Float(String),
-    /// A text in quotes, after its escapes were replaced.
+    /// A string, with its escapes replaced.
     Text(String),
     /// `x + 1`, `cat(x, y)`
     Functor(Functor, Vec<Term>),
@@ -279,32 +279,32 @@ pub enum TermKind {
 /// `op target : { body }`
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Aggregate {
-    /// What is computed.
+    /// The aggregate function.
     pub op: AggregateOp,
-    /// Of what; `None` for `count` only.
+    /// The aggregated expression; `None` for `count`, and only there.
     pub target: Option<Term>,
-    /// For which values of the variables.
+    /// The body: the aggregate ranges over the bindings that satisfy it.
     pub body: Vec<Literal>,
 }
 
-/// What a word means.
+/// The interpretation of a 32-bit word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum BaseType {
-    /// An interned text.
+    /// An interned string.
     Symbol,
     /// A 32-bit signed integer.
     Number,
     /// A 32-bit unsigned integer.
     Unsigned,
-    /// A floating-point number of single precision.
+    /// A single-precision floating-point number.
     Float,
 }
 
 impl BaseType {
-    /// All of them; the type of that name is at the same position of [`Rules::types`](crate::datalog::Rules::types).
+    /// All base types, in the order in which they open [`Rules::types`](crate::datalog::Rules::types).
     pub const ALL: [BaseType; 4] = [BaseType::Symbol, BaseType::Number, BaseType::Unsigned, BaseType::Float];
 
-    /// The type that has this name in other languages.
+    /// Returns the base type that other languages call `name`.
     pub(crate) fn of_other_languages(name: &str) -> Option<BaseType> {
         match name {
             "int" | "integer" | "i32" => Some(BaseType::Number),
@@ -315,7 +315,7 @@ impl BaseType {
         }
     }
 
-    /// Its name in the language.
+    /// Returns the name of the type in rule files.
     pub fn name(self) -> &'static str {
         match self {
             BaseType::Symbol => "symbol",
@@ -338,7 +338,7 @@ pub enum MarkKind {
 }
 
 impl MarkKind {
-    /// Its name in the language, without the full stop.
+    /// Returns the name of the directive without its dot.
     pub fn name(self) -> &'static str {
         match self {
             MarkKind::Input => "input",
@@ -363,18 +363,18 @@ pub enum Comparison {
     Greater,
     /// `>=`
     GreaterEqual,
-    /// `match(pattern, text)`
+    /// `match(pattern, text)`: the regular expression matches all of the text.
     Match,
     /// `!match(pattern, text)`
     NotMatch,
-    /// `contains(part, text)`
+    /// `contains(part, text)`: the text contains the part.
     Contains,
     /// `!contains(part, text)`
     NotContains,
 }
 
 impl Comparison {
-    /// The comparison that holds when this one does not.
+    /// Returns the negated comparison.
     pub fn opposite(self) -> Comparison {
         match self {
             Comparison::Equal => Comparison::NotEqual,

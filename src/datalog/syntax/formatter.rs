@@ -1,13 +1,14 @@
-//! One layout for every rule file.
+//! The formatter: one layout for every rule file.
 //!
-//! The formatter moves tokens and comments and changes none: no literal is rewritten, nothing is sorted, every comment stays between
-//! the tokens it stood between. So what a file means cannot change.
+//! The formatter moves tokens and comments but changes none. It rewrites no literal and sorts nothing, and every
+//! comment stays between the same tokens. So the meaning of a file cannot change.
 //!
-//! - Every directive and clause begins a line; facts that share a line may go on doing so.
-//! - One blank line may separate them, never more.
-//! - A clause that fits stands on one line. A longer one goes on below its `:-`, indented; there the author's line breaks between
-//!   literals are kept, and more are made where a line would be too long.
-//! - A comment behind code stays behind it, in its column if there is room; a comment on a line of its own keeps one.
+//! - Every directive and clause begins a line, except that facts may share one.
+//! - At most one blank line separates items.
+//! - A clause that fits stands on one line. A longer clause continues below its `:-`, indented. There the formatter
+//!   keeps the author's line breaks between literals and adds breaks where a line would be too long.
+//! - A comment behind code stays there, in the same column if there is room. A comment on a line of its own keeps that
+//!   line.
 
 use crate::diag::{Diagnostic, Faults, SourceId, Sources};
 
@@ -15,15 +16,15 @@ use crate::datalog::syntax::lexer;
 use crate::datalog::syntax::lexer::{Kind, Lexed, Token};
 use crate::datalog::syntax::parser;
 
-/// Longer lines are broken where that is possible.
+/// Maximum line width in characters, where a break is possible.
 const WIDTH: usize = 120;
 
 const INDENT: usize = 4;
 
-/// The text of a rule file in the layout that all share.
+/// Returns a rule file in the standard layout.
 ///
 /// # Errors
-/// All faults of a text that does not parse.
+/// All faults, if the file does not parse.
 pub fn format(sources: &Sources, id: SourceId) -> Result<String, Vec<Diagnostic>> {
     let text = sources.text(id);
     let mut faults = Faults::default();
@@ -53,7 +54,7 @@ pub fn format(sources: &Sources, id: SourceId) -> Result<String, Vec<Diagnostic>
     })
 }
 
-/// Whether two texts have the same tokens and comments.
+/// Returns whether two sources have the same tokens and comments.
 fn same(a: &str, one: &Lexed, b: &str, other: &Lexed) -> bool {
     fn words<'t>(text: &'t str, lexed: &Lexed) -> Vec<&'t str> {
         lexed
@@ -78,7 +79,7 @@ struct Layout<'a> {
     lexed: &'a Lexed,
     out: String,
     next_comment: usize,
-    /// Where the last thing written ends in the text.
+    /// The end of the last part written, as a byte offset in the input.
     last: usize,
 }
 
@@ -86,7 +87,7 @@ struct Layout<'a> {
 #[derive(Clone, Copy)]
 enum Part {
     Token(Token),
-    /// Its bytes.
+    /// A comment, as a byte range.
     Comment(usize, usize),
 }
 
@@ -106,18 +107,18 @@ impl Layout<'_> {
         }
     }
 
-    /// Whether the item has neither a dot before nor an `:-` in it.
+    /// Returns whether the item is a fact: no directive, and without a `:-`.
     fn is_fact(&self, start: usize, end: usize) -> bool {
         self.lexed.tokens[start].kind == Kind::Ident
             && !self.lexed.tokens[start..end].iter().any(|token| token.kind == Kind::If)
     }
 
-    /// Line breaks in the text between two places.
+    /// Returns the number of line breaks between two byte offsets.
     fn breaks(&self, from: usize, to: usize) -> usize {
         self.text[from..to].bytes().filter(|&byte| byte == b'\n').count()
     }
 
-    /// Begins a line, after a blank one if there was one here.
+    /// Begins a line, and keeps one blank line if the input has one here.
     fn line(&mut self, from: usize) {
         if self.out.is_empty() {
             return;
@@ -130,7 +131,7 @@ impl Layout<'_> {
         }
     }
 
-    /// The comments before a token that begins an item, or before the end.
+    /// Writes the comments before the token that begins an item, or before the end.
     fn comments(&mut self, before: usize) {
         while let Some(comment) = self.lexed.comments.get(self.next_comment).copied()
             && comment.before as usize <= before
@@ -149,13 +150,13 @@ impl Layout<'_> {
         }
     }
 
-    /// A comment without what trails its lines.
+    /// Returns a comment without trailing whitespace.
     fn comment(&self, start: usize, end: usize) -> String {
         let lines: Vec<&str> = self.text[start..end].lines().map(str::trim_end).collect();
         lines.join("\n")
     }
 
-    /// How many characters stand before a place on its line.
+    /// Returns the number of characters before a byte offset on its line.
     fn column(&self, at: usize) -> usize {
         let line = self.text[..at].rfind('\n').map_or(0, |newline| newline + 1);
         self.text[line..at].chars().count()
@@ -201,7 +202,7 @@ impl Layout<'_> {
         self.last = to;
     }
 
-    /// Whether a comment was the last thing before a place.
+    /// Returns whether a comment directly precedes a byte offset.
     fn ends_in_comment(&self, from: usize) -> bool {
         let before = self
             .next_comment
@@ -210,7 +211,7 @@ impl Layout<'_> {
         before.is_some_and(|comment| comment.end as usize == self.last && self.last <= from)
     }
 
-    /// The item on one line, unless a comment in it needs a line's end.
+    /// Returns the item on one line; `None` if a comment in it requires a line break.
     fn flat(&self, parts: &[Part]) -> Option<String> {
         let mut line = String::new();
         let mut before: Option<Token> = None;
@@ -251,7 +252,7 @@ impl Layout<'_> {
         &self.text[token.start as usize..token.end as usize]
     }
 
-    /// Whether a sign stands between two values.
+    /// Returns whether a sign stands between two values.
     fn is_binary(&self, before: Option<Token>, token: Token) -> bool {
         matches!(token.kind, Kind::Minus | Kind::Operator)
             && before.is_some_and(|before| {
@@ -268,12 +269,12 @@ impl Layout<'_> {
             })
     }
 
-    /// Whether a space separates two tokens. `binary`: the first is a sign between two values.
+    /// Returns whether a space separates two tokens. `binary`: the first is a sign between two values.
     fn space(&self, left: Token, right: Token, binary: bool) -> bool {
         use Kind::*;
         match (left.kind, right.kind) {
             (_, Comma | Semicolon | RParen | RBracket | Colon) => false,
-            // The dot of a directive touches what follows; a full stop what stands before.
+            // The dot of a directive touches the following name; a full stop touches the preceding token.
             (Dot, Ident) => left.end != right.start,
             (_, Dot) => false,
             (LParen | LBracket | Bang | Dollar | At | Hash, _) => false,
@@ -285,12 +286,12 @@ impl Layout<'_> {
         }
     }
 
-    /// The item over several lines.
+    /// Writes the item over several lines.
     fn broken(&mut self, parts: &[Part]) {
         let is_directive = matches!(parts.first(), Some(Part::Token(token)) if token.kind == Kind::Dot);
         let allowed = usize::from(is_directive);
         let mut line = String::new();
-        // Written before, and the part of `line` that may not be broken.
+        // The tokens since the last possible break, not yet part of `line`.
         let mut chunk = String::new();
         let mut before: Option<Token> = None;
         let mut binary = false;
@@ -354,7 +355,7 @@ impl Layout<'_> {
     }
 }
 
-/// Puts a chunk behind a line, or on the next one if it would be too long. Lines but an item's first are indented.
+/// Appends a chunk to the line, or to a new line if it does not fit. All lines but the first of an item are indented.
 fn join(out: &mut String, line: &mut String, chunk: &mut String) {
     if chunk.is_empty() {
         return;
@@ -370,7 +371,7 @@ fn join(out: &mut String, line: &mut String, chunk: &mut String) {
     chunk.clear();
 }
 
-/// Ends a line and indents the next.
+/// Ends a line and indents the next one.
 fn end_line(out: &mut String, line: &mut String) {
     let text = line.trim_end();
     if !text.is_empty() {
@@ -380,7 +381,7 @@ fn end_line(out: &mut String, line: &mut String) {
     *line = " ".repeat(INDENT);
 }
 
-/// Puts a comment behind code, in its column if there is room.
+/// Appends a comment to a line of code, in its column if there is room.
 fn trail(line: &mut String, column: usize, comment: &str) {
     let start = line.rfind('\n').map_or(0, |newline| newline + 1);
     let length = line.trim_end().len();

@@ -1,4 +1,4 @@
-//! The operators, functions and aggregates of expressions: names, precedence, and the types they take.
+//! Operators, functions and aggregates: names, precedence, arity and types.
 //!
 //! [`super::super::value`] evaluates them.
 
@@ -36,19 +36,19 @@ pub enum Functor {
     ToText,
     ToFloat,
     ToUnsigned,
-    /// `as(x, T)`: the same bits, of another type.
+    /// `as(x, T)`: the same bits with another type.
     Cast,
-    /// It has many values; checking takes it apart, so nobody applies it. See `range`.
+    /// `range` has many values. The checker replaces it by an atom, so no evaluator applies it; see `check::range`.
     Range,
 }
 
 use Functor::*;
 
-/// What a functor takes and gives.
+/// The types of arguments and result.
 pub(crate) enum Shape {
-    /// Any number of arguments of one base type, which is that of the result.
+    /// Any number of arguments of one base type, which is also that of the result.
     Same(&'static [BaseType]),
-    /// An argument of one of these, and a result of another base type.
+    /// An argument of one of these base types, and a result of another one.
     Convert(&'static [BaseType], BaseType),
     /// Arguments and result as listed.
     Fixed(&'static [BaseType], BaseType),
@@ -60,7 +60,7 @@ const SIGNED: &[BaseType] = &[BaseType::Number, BaseType::Float];
 const ANY: &[BaseType] = &[BaseType::Number, BaseType::Unsigned, BaseType::Float, BaseType::Symbol];
 
 impl Functor {
-    /// The operators and functions, as they are written.
+    /// Every functor with its spelling.
     const NAMES: &'static [(Functor, &'static str)] = &[
         (Negate, "-"),
         (BitNot, "bnot"),
@@ -94,37 +94,37 @@ impl Functor {
         (Range, "range"),
     ];
 
-    /// How it is written.
+    /// Returns the spelling of the functor.
     pub fn name(self) -> &'static str {
         let found = Self::NAMES.iter().find(|(functor, _)| *functor == self);
         found.map_or("", |(_, name)| name)
     }
 
-    /// The function of that name, such as `cat`.
+    /// Returns the function with that name, such as `cat`.
     pub(crate) fn function(name: &str) -> Option<Functor> {
         let named = |functor: &Functor| functor.precedence().is_none() && *functor != Cast;
         let mut all = Self::NAMES.iter().filter(|(functor, _)| named(functor));
         all.find(|(_, other)| *other == name).map(|(functor, _)| *functor)
     }
 
-    /// The operator between two operands that is written so.
+    /// Returns the binary operator with that spelling.
     pub(crate) fn infix(text: &str) -> Option<Functor> {
         let infix = |functor: &Functor| !functor.is_prefix() && functor.precedence().is_some();
         let mut all = Self::NAMES.iter().filter(|(functor, _)| infix(functor));
         all.find(|(_, other)| *other == text).map(|(functor, _)| *functor)
     }
 
-    /// Whether it stands before its only operand.
+    /// Returns whether the functor is a prefix operator.
     pub(crate) fn is_prefix(self) -> bool {
         matches!(self, Negate | BitNot | Not)
     }
 
-    /// Whether its values may be texts that were not there.
+    /// Returns whether the functor can create new symbols.
     pub fn makes_text(self) -> bool {
         matches!(self, Cat | Substring | ToText)
     }
 
-    /// How tightly an operator binds; `None` for functions.
+    /// Returns the precedence of an operator, from 1 (loosest) to 11; `None` for functions.
     pub(crate) fn precedence(self) -> Option<u8> {
         Some(match self {
             Or => 1,
@@ -142,7 +142,7 @@ impl Functor {
         })
     }
 
-    /// The least and the greatest number of arguments.
+    /// Returns the minimum and maximum number of arguments.
     pub(crate) fn arity(self) -> (usize, usize) {
         match self {
             Min | Max | Cat => (2, 64),
@@ -170,13 +170,13 @@ impl Functor {
             ToText => Shape::Convert(ANY, Symbol),
             ToFloat => Shape::Convert(ANY, Float),
             ToUnsigned => Shape::Convert(ANY, Unsigned),
-            // The result's base is that of the type it names.
+            // The result has the base type of the named type.
             Cast => Shape::Convert(ANY, Number),
         }
     }
 }
 
-/// A function of the values of all rows that an aggregate looks at.
+/// An aggregate function.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs, reason = "the names are those of the language")]
 pub enum AggregateOp {
@@ -196,7 +196,7 @@ impl AggregateOp {
         AggregateOp::Mean,
     ];
 
-    /// How it is written.
+    /// Returns the spelling of the aggregate.
     pub fn name(self) -> &'static str {
         match self {
             AggregateOp::Count => "count",
@@ -207,7 +207,7 @@ impl AggregateOp {
         }
     }
 
-    /// The base types it takes.
+    /// Returns the base types that the aggregate accepts.
     pub(crate) fn takes(self) -> &'static [BaseType] {
         match self {
             AggregateOp::Min | AggregateOp::Max => ANY,

@@ -1,4 +1,4 @@
-//! Follows `.include`: the texts of a program become one list of items, in the order in which they would be read aloud.
+//! Includes: the files of a program as one list of items, in reading order.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -9,27 +9,27 @@ use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalise};
 use crate::datalog::syntax::ast::{File, Include, Item};
 use crate::datalog::syntax::parser;
 
-/// A larger text is refused.
+/// Maximum size of a rule file in bytes.
 const MAX_TEXT_BYTES: usize = 64 << 20;
 
-/// What names of rule files end with.
+/// The extension of rule files.
 const ENDING: &str = "dl";
 
-/// A longer chain of includes is refused.
+/// Maximum length of a chain of includes.
 const MAX_DEPTH: usize = 64;
 
-/// The items of all texts.
+/// The items of all files of a program.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Gathered {
-    /// No [`Item::Include`] is left among them.
+    /// The items, without any [`Item::Include`].
     pub items: Vec<Item>,
-    /// Whether an included text was not there, so that names may be unknown only because their declaration was not read.
+    /// Whether an included file was missing. If so, its declarations may explain unknown names.
     pub incomplete: bool,
-    /// The normal paths of all texts so far. It is only asked, never walked.
+    /// The normalized paths of all files so far. Only for lookup, never iterated.
     seen: HashSet<PathBuf>,
 }
 
-/// Adds the items of a text and of all it includes; a text that is there already is not read again.
+/// Adds the items of a source and of all files it includes. Skips files that `gathered` already contains.
 pub(crate) fn gather(
     gathered: &mut Gathered,
     sources: &mut Sources,
@@ -56,7 +56,7 @@ pub(crate) fn parse_one(sources: &Sources, id: SourceId, faults: &mut Faults) ->
         let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "rule file too large")
             .at(Span::new(id, 0..0), "")
             .note(format!(
-                "a rule file has at most {} MiB; facts can be given as `.facts` files",
+                "a rule file has at most {} MiB; put facts into `.facts` files",
                 MAX_TEXT_BYTES >> 20
             ));
         faults.push(fault);
@@ -69,7 +69,7 @@ struct Walk<'a> {
     sources: &'a mut Sources,
     read: &'a dyn ReadFile,
     faults: &'a mut Faults,
-    /// The texts being read, outermost first: normal path, and the include that led to it.
+    /// The files that are open, outermost first: the normalized path, and the include that led to it.
     open: Vec<(PathBuf, Option<Span>)>,
     gathered: &'a mut Gathered,
 }
@@ -101,7 +101,7 @@ impl Walk<'_> {
                 return;
             }
             if path.as_os_str() == builtin.as_os_str() && !builtin.starts_with(BUILTIN_FOLDER) {
-                continue; // an absolute path
+                continue; // An absolute path.
             }
             match self.read.read(path) {
                 Ok(text) => return self.open(path, key, text, span),
@@ -136,7 +136,7 @@ impl Walk<'_> {
         self.faults.push(fault);
     }
 
-    /// A name like this one that could have been included: with the usual ending, or of a built-in file.
+    /// Returns a similar name of an existing file: with the usual extension, or a built-in file.
     fn similar(&self, from: SourceId, path: &str) -> Option<String> {
         let folder = Path::new(self.sources.name(from)).parent().unwrap_or(Path::new(""));
         let is_there = |path: &Path| self.read.read(path).is_ok();
@@ -167,7 +167,7 @@ impl Walk<'_> {
         self.open.pop();
     }
 
-    /// `span` includes the open text number `position`.
+    /// Reports that `span` includes the open file at `position`.
     fn cycle(&mut self, position: usize, span: Span) {
         let name = self.sources.name(span.source).to_owned();
         let on_cycle: Vec<Span> = self.open[position + 1..]
@@ -176,13 +176,13 @@ impl Walk<'_> {
             .collect();
         let mut fault = match on_cycle.as_slice() {
             [] => Diagnostic::new(Code::INCLUDE_CYCLE, format!("`{name}` includes itself")).at(span, ""),
-            _ => Diagnostic::new(Code::INCLUDE_CYCLE, "files include each other in a circle")
-                .at(span, "this include closes the circle"),
+            _ => Diagnostic::new(Code::INCLUDE_CYCLE, "files include each other in a cycle")
+                .at(span, "this include closes the cycle"),
         };
         for step in on_cycle {
-            fault = fault.also(step, "on the circle");
+            fault = fault.also(step, "on the cycle");
         }
         self.faults
-            .push(fault.help("move what both need into a file of its own, and include that"));
+            .push(fault.help("move the shared rules into a separate file, and include that"));
     }
 }

@@ -1,8 +1,8 @@
-//! Text to tokens. One pass, no look-back; faults are reported and lexing goes on.
+//! The lexer: from text to tokens in one pass. It reports faults and continues.
 
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Span};
 
-/// Longer names are refused, so that they can be shown and compared.
+/// Maximum length of a name in bytes, which keeps messages and comparisons of names cheap.
 pub(crate) const MAX_NAME_BYTES: usize = 255;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -12,11 +12,11 @@ pub(crate) enum Kind {
     Number,
     Float,
     Unsigned,
-    /// Digits and letters that make no number, or too long a name; reported.
+    /// A malformed number or an overlong name, already reported.
     Faulty,
-    /// A text with both quotes.
+    /// A string with both quotes.
     Text,
-    /// A text whose closing quote is missing; reported.
+    /// A string without its closing quote, already reported.
     OpenText,
     LParen,
     RParen,
@@ -49,7 +49,7 @@ pub(crate) enum Kind {
     End,
 }
 
-/// What other languages write, the token that stands for it here, and how that is written.
+/// Spellings of other languages: the text, the token that replaces it, and the help.
 const FOREIGN: &[(&str, Kind, &str)] = &[
     ("\\+", Kind::Bang, NEGATION),
     ("=\\=", Kind::NotEqual, "inequality is written `!=`"),
@@ -71,7 +71,7 @@ const FOREIGN: &[(&str, Kind, &str)] = &[
     ("\u{2190}", Kind::If, IMPLICATION),
 ];
 
-/// The words of the C preprocessor: what begins with `#` and another word is a comment in other languages.
+/// Preprocessor directives of C. A `#` before any other word begins a comment in other languages.
 const PREPROCESSOR: &[&str] = &[
     "include", "define", "undef", "if", "ifdef", "ifndef", "elif", "else", "endif", "error", "warning", "line",
     "pragma",
@@ -83,17 +83,17 @@ pub(crate) const CONJUNCTION: &str = "literals are separated by commas, which me
 pub(crate) const DISJUNCTION: &str = "alternatives are separated by `;`";
 pub(crate) const IMPLICATION: &str = "head and body are separated by `:-`";
 
-/// A token: what it is and its bytes.
+/// A token: its kind and its byte range.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Token {
     pub kind: Kind,
     pub start: u32,
     pub end: u32,
-    /// Whether no other token stands before it on its line.
+    /// Whether the token is the first one on its line.
     pub first_on_line: bool,
 }
 
-/// A line of doc comment, without the slashes, and the number of the token that follows it.
+/// A line of a doc comment without the slashes, and the index of the token that follows it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DocLine {
     pub before: u32,
@@ -101,7 +101,7 @@ pub(crate) struct DocLine {
     pub end: u32,
 }
 
-/// A comment of any kind, with its slashes, and the number of the token that follows it.
+/// A comment of any kind with its delimiters, and the index of the token that follows it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Comment {
     pub before: u32,
@@ -111,10 +111,10 @@ pub(crate) struct Comment {
 
 #[derive(Debug)]
 pub(crate) struct Lexed {
-    /// The last one is [`Kind::End`].
+    /// The tokens; the last one is [`Kind::End`].
     pub tokens: Vec<Token>,
     pub docs: Vec<DocLine>,
-    /// All comments, doc comments too: what a formatter must keep.
+    /// All comments, including doc comments: the formatter keeps them.
     pub comments: Vec<Comment>,
 }
 
@@ -126,7 +126,7 @@ pub(crate) fn is_name_part(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'?'
 }
 
-/// Whether a text can be the name of a predicate or a type.
+/// Returns whether the text can be the name of a predicate or a type.
 pub fn is_name(text: &str) -> bool {
     let mut bytes = text.bytes();
     text.len() <= MAX_NAME_BYTES
@@ -135,7 +135,7 @@ pub fn is_name(text: &str) -> bool {
         && !matches!(text, "_" | "Not" | "not")
 }
 
-/// `text` must be shorter than 4 GiB.
+/// Splits `text`, which must be shorter than 4 GiB, into tokens.
 pub(crate) fn lex(source: SourceId, text: &str, faults: &mut Faults) -> Lexed {
     let mut lexer = Lexer {
         source,
@@ -165,7 +165,7 @@ struct Lexer<'a> {
     bytes: &'a [u8],
     at: usize,
     fresh_line: bool,
-    /// Where comments of other languages begin.
+    /// The start of each comment in the notation of another language.
     foreign_comments: Vec<Span>,
     lexed: Lexed,
     faults: &'a mut Faults,
@@ -229,7 +229,7 @@ impl Lexer<'_> {
     fn line_comment(&mut self) {
         let length = self.count_while(self.at, |byte| byte != b'\n');
         let end = self.at + length;
-        // As in Rust, `///` documents and `////` is a ruler.
+        // As in Rust, `///` begins a doc comment and `////` does not.
         if self.peek(2) == Some(b'/') && self.peek(3) != Some(b'/') {
             let narrow = |byte: usize| u32::try_from(byte).unwrap_or(u32::MAX);
             self.lexed.docs.push(DocLine {
@@ -252,7 +252,7 @@ impl Lexer<'_> {
             }
             None => {
                 self.faults.push(
-                    Diagnostic::new(Code::SYNTAX, "comment without an end")
+                    Diagnostic::new(Code::SYNTAX, "unclosed comment")
                         .at(self.span(self.at, self.at + 2), "this `/*` has no `*/`"),
                 );
                 self.at = self.bytes.len();
@@ -271,9 +271,9 @@ impl Lexer<'_> {
             }
         }
         self.faults.push(
-            Diagnostic::new(Code::SYNTAX, "text without a closing quote")
+            Diagnostic::new(Code::SYNTAX, "string without a closing quote")
                 .at(self.span(self.at, self.at + 1), "it begins here")
-                .note("a text ends on the line it begins; write a line break as `\\n`"),
+                .note("a string ends on the line where it begins; write a line break as `\\n`"),
         );
         self.push(Kind::OpenText, length);
     }
@@ -299,14 +299,12 @@ impl Lexer<'_> {
         self.faults.push(
             Diagnostic::new(Code::SYNTAX, "not a number")
                 .at(self.span(self.at, self.at + length), "")
-                .help(
-                    "a number is written in decimal, or as `0x` or `0b` and digits; a name does not begin with a digit",
-                ),
+                .help("write a number in decimal, or with the prefix `0x` or `0b`; a name cannot begin with a digit"),
         );
         self.push(Kind::Faulty, length);
     }
 
-    /// The length of a floating-point number: digits, and a fraction or an exponent or both.
+    /// Returns the length of a floating-point number: digits with a fraction, an exponent or both.
     fn float(&self) -> Option<usize> {
         let digits = |from: usize| self.count_while(self.at + from, |byte| byte.is_ascii_digit());
         let whole = digits(0);
@@ -342,13 +340,14 @@ impl Lexer<'_> {
         self.push(kind, length);
     }
 
-    /// Reports a spelling of other languages and goes on with what it stands for. `None` if there is none here.
+    /// Reports a spelling of another language and emits the token that replaces it. `None` if there is no such spelling
+    /// here.
     fn foreign(&mut self) -> Option<()> {
         let rest = &self.bytes[self.at..];
         let (written, kind, help) = FOREIGN
             .iter()
             .find(|(written, ..)| rest.starts_with(written.as_bytes()))?;
-        // `T<>` is a lattice of Soufflé's, which the parser knows.
+        // `T<>` is a lattice in Soufflé, which the parser reports.
         if *written == "<>" && matches!(rest.get(2), Some(b')' | b',')) {
             return None;
         }
@@ -360,7 +359,7 @@ impl Lexer<'_> {
         Some(())
     }
 
-    /// Skips a comment as other languages have it, where nothing else can be meant. Whether there was one.
+    /// Skips a comment in the notation of another language, where nothing else can begin. Returns whether it found one.
     fn foreign_comment(&mut self) -> bool {
         let rest = &self.text[self.at..];
         let after_item = (self.lexed.tokens.last()).is_none_or(|token| token.kind == Kind::Dot);
@@ -381,7 +380,7 @@ impl Lexer<'_> {
         true
     }
 
-    /// One fault for all of them: who writes one writes many.
+    /// Reports all comments in foreign notation as one fault, because a file that has one has many.
     fn report_foreign_comments(&mut self) {
         let Some((&first, others)) = self.foreign_comments.split_first() else {
             return;
@@ -431,7 +430,7 @@ impl Lexer<'_> {
         self.push(kind, length);
     }
 
-    /// Reports a run of characters that begin no token as one fault.
+    /// Reports a run of characters that begin no token, as one fault.
     fn strange_characters(&mut self) {
         let start = self.at;
         let strange = |byte: u8| {
@@ -450,10 +449,10 @@ impl Lexer<'_> {
         let mut fault = Diagnostic::new(Code::SYNTAX, message).at(self.span(start, start + length), "");
         fault = match first {
             '\'' | '\u{2018}' | '\u{2019}' | '\u{201c}' | '\u{201d}' => {
-                fault.help("texts are written in double quotes: `\"...\"`")
+                fault.help("write strings in double quotes: `\"...\"`")
             }
             _ if first.is_alphabetic() => fault.help(
-                "names are made of the letters a-z and A-Z, digits, `_` and `?`; other letters stand in texts only",
+                "names consist of the letters a-z and A-Z, digits, `_` and `?`; only strings may contain other letters",
             ),
             _ => fault,
         };

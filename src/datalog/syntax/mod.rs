@@ -1,9 +1,10 @@
-//! From text to syntax tree and back.
+//! Syntax: from text to syntax tree and back.
 //!
-//! The stages, each in its own file or folder: `lexer` (text to tokens), `parser` (tokens to [`ast`]), `include` (the files of a program
-//! as one list of items). [`print`](fn@print) writes a tree as text; [`format`](fn@format) lays a text out and keeps its comments.
+//! Each stage has a file or folder: `lexer` (text to tokens), `parser` (tokens to [`ast`]) and `include` (the files of
+//! a program to one list of items). [`print`](fn@print) writes a tree as text. [`format`](fn@format) changes the layout
+//! of a text and keeps its comments.
 //!
-//! This room does not resolve names, and it reads no files: the caller passes a function that does.
+//! This module resolves no names and reads no files: the caller passes a function that reads.
 
 pub mod ast;
 mod formatter;
@@ -20,16 +21,16 @@ pub use lexer::is_name;
 pub use parser::DIRECTIVES;
 pub use printer::{print, quoted};
 
-/// What [`parse`] gives.
+/// The result of [`parse`].
 #[derive(Clone, Debug)]
 pub struct Parsed {
-    /// The tree of all that could be understood.
+    /// The tree of everything that the parser understood.
     pub file: ast::File,
-    /// The faults of the text.
+    /// The faults of the source.
     pub diagnostics: Vec<Diagnostic>,
 }
 
-/// Parses one text of `sources`, looking up no name and following no `.include`.
+/// Parses one source. Resolves no names and follows no `.include`.
 pub fn parse(sources: &Sources, id: SourceId) -> Parsed {
     let mut faults = Faults::default();
     let file = include::parse_one(sources, id, &mut faults);

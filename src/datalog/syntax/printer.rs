@@ -1,4 +1,4 @@
-//! A syntax tree as text that parses to the same tree.
+//! The printer: from a syntax tree to text that parses to the same tree.
 
 use std::fmt::{self, Display, Write};
 
@@ -6,8 +6,8 @@ use crate::datalog::syntax::ast::Comparison;
 use crate::datalog::syntax::ast::{Atom, Clause, File, Item, Literal, Term, TermKind, TypeDefinition};
 use crate::datalog::syntax::functor::Functor;
 
-/// The text of a tree. Ordinary comments and spacing are not in the tree and so not in the text. A declaration that was
-/// reported as faulty is left out.
+/// Returns the text of a syntax tree. The tree contains neither ordinary comments nor spacing, so the text has none of
+/// them. The printer omits declarations that the parser reported as faulty.
 pub fn print(file: &File) -> String {
     file.to_string()
 }
@@ -110,7 +110,7 @@ impl Display for Clause {
     }
 }
 
-/// Literals that all hold.
+/// Writes a conjunction.
 fn write_all(f: &mut fmt::Formatter<'_>, literals: &[Literal]) -> fmt::Result {
     if literals.is_empty() {
         return f.write_str("true");
@@ -184,13 +184,13 @@ impl Display for Term {
 
 fn write_functor(f: &mut fmt::Formatter<'_>, functor: Functor, arguments: &[Term]) -> fmt::Result {
     match (functor.precedence(), arguments) {
-        // Else it would be read as the number.
+        // Without parentheses it would parse as a negative number.
         (_, [number])
             if functor == Functor::Negate && matches!(number.kind, TermKind::Number(_) | TermKind::Float(_)) =>
         {
             write!(f, "-({number})")
         }
-        // A sign before a sign needs no parentheses, which would nest deeper than what was read.
+        // A sign before a sign needs no parentheses, which would deepen the nesting.
         (Some(_), [operand]) if is_prefixed(operand) => write!(f, "{} {operand}", functor.name()),
         (Some(own), [operand]) => {
             let space = if functor == Functor::Negate { "" } else { " " };
@@ -224,12 +224,12 @@ fn write_functor(f: &mut fmt::Formatter<'_>, functor: Functor, arguments: &[Term
     }
 }
 
-/// Whether the term begins with an operator before its only operand.
+/// Returns whether the term begins with a prefix operator.
 fn is_prefixed(term: &Term) -> bool {
     matches!(&term.kind, TermKind::Functor(functor, arguments) if arguments.len() == 1 && functor.precedence().is_some())
 }
 
-/// An operand of something that binds so tightly; in parentheses if it binds less.
+/// An operand of an operator with the given precedence; parenthesized if it binds less tightly.
 struct Operand<'a>(&'a Term, u8);
 
 impl Display for Operand<'_> {
@@ -237,7 +237,7 @@ impl Display for Operand<'_> {
         let Operand(term, tightness) = self;
         let own = match &term.kind {
             TermKind::Functor(functor, _) => functor.precedence().unwrap_or(u8::MAX),
-            // As its minus sign does.
+            // A negative number binds like its minus sign.
             TermKind::Number(..0) => 10,
             TermKind::Float(text) if text.starts_with('-') => 10,
             TermKind::Aggregate(_) => 0,
@@ -282,12 +282,12 @@ fn separated<T>(
     Ok(())
 }
 
-/// A text as it is written in rules: in double quotes, with escapes.
+/// Returns a string as rule files write it: in double quotes, with escapes.
 pub fn quoted(text: &str) -> String {
     Quoted(text).to_string()
 }
 
-/// A text constant, quoted and escaped.
+/// A string constant, quoted and escaped.
 struct Quoted<'a>(&'a str);
 
 impl Display for Quoted<'_> {
@@ -307,7 +307,7 @@ impl Display for Quoted<'_> {
     }
 }
 
-/// A doc comment, a line for each line of its text.
+/// A doc comment, one line for each line of its text.
 struct Doc<'a>(&'a str);
 
 impl Display for Doc<'_> {

@@ -1,12 +1,14 @@
-//! How large a scene a difference needs.
+//! An upper bound on the size of a scene that shows a difference.
 //!
-//! Let a fact about the entities in question (the *roots*) hold on one side only. Keep the roots, and for every derived fact about the
-//! roots that is true a way in which it is derived: the entities of that way are its *witnesses*. All that is said of those that are
-//! left is still so, since what is not derived says "for all", which fewer entities cannot break; and constraints say "for all" too.
-//! So if there is a difference, there is one with the roots and the witnesses alone.
+//! Suppose that only one side derives a fact about the entities in question (the *roots*). Keep the roots. For every
+//! true derived fact about the roots, keep one of its derivations; the entities of that derivation are its *witnesses*.
+//! Removing all other entities preserves the difference: false derived facts stay false, because they are universal
+//! statements, and fewer entities cannot break those. The same holds for constraints. So if there is a difference,
+//! there is one with just the roots and the witnesses.
 //!
-//! That fails where "for all" depends on "there is" (a derived predicate about others than the roots that must not hold), where the
-//! way of a fact may be arbitrarily long (recursion), and where values have an order or a size (numbers, `<`).
+//! The argument fails in three cases: a universal statement depends on an existential one (a negated derived predicate
+//! over other entities than the roots); a derivation may be arbitrarily long (recursion); values have an order or a
+//! size (numbers, `<`).
 
 use crate::datalog::analysis::diff::ground::variables;
 use crate::datalog::analysis::diff::{Individual, Output, Side};
@@ -16,7 +18,7 @@ use crate::datalog::value::Value;
 use indexmap::IndexSet;
 use std::collections::{BTreeSet, HashMap};
 
-/// Of all outputs together, so many facts about roots are taken apart; of later outputs no bound is known.
+/// Maximum number of facts about roots for all outputs together. Beyond it, later outputs have no bound.
 pub(super) const FACTS_MAX: usize = 200_000;
 
 /// An argument of a fact about the roots.
@@ -29,30 +31,30 @@ enum Root {
 
 type RootFact = (RelId, Vec<Root>);
 
-/// What [`Side::cost`] is known to be.
+/// Cache of [`Side::cost`].
 #[derive(Default)]
 struct Costs {
     known: HashMap<(RelId, bool), usize>,
-    /// A chain of predicates was too long to follow.
+    /// Whether a chain of predicates exceeded `DEPTH_MAX`.
     too_deep: bool,
 }
 
-/// About one output so many facts about roots are taken apart.
+/// Maximum number of facts about roots for one output.
 const FACTS_OF_OUTPUT_MAX: usize = 1_000;
 
-/// Longer chains of predicates are not followed.
+/// Maximum length of a chain of predicates.
 const DEPTH_MAX: usize = 64;
 
-/// An argument of a fact about the roots, in words that mean the same on both sides.
+/// An argument of a fact about the roots, in a form that both sides share.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Told {
+enum SharedRoot {
     Column(usize),
     Constant(Individual),
 }
 
-/// The number of entities that suffice to show a difference in the output of that name; `None` if no number is known to. Outputs
-/// in `equal` are the same on both sides wherever those are, so their witnesses count once. There is no `room` left if it would have
-/// taken too long.
+/// Returns the number of entities that suffice to show a difference in the output; `None` if no bound is known. The
+/// predicates in `equal` have equal rows on both sides unless an earlier output differs, so the witnesses of their
+/// facts count once. A computation that exceeds its limit sets `room` to 0.
 pub(super) fn entities(
     sides: [&Side<'_>; 2],
     output: &Output,
@@ -61,7 +63,7 @@ pub(super) fn entities(
 ) -> Option<usize> {
     let arity = output.columns.len();
     let mut total = arity;
-    let mut kept: BTreeSet<(&str, Vec<Told>)> = BTreeSet::new();
+    let mut kept: BTreeSet<(&str, Vec<SharedRoot>)> = BTreeSet::new();
     for (side, relation) in sides.into_iter().zip(output.ids) {
         let mut costs = Costs::default();
         let mut facts: IndexSet<RootFact> = [(relation, (0..arity).map(Root::Column).collect())].into();
@@ -75,10 +77,10 @@ pub(super) fn entities(
             }
             let witnesses = witnesses?;
             let name = side.rules.relations[relation.index()].name.as_str();
-            let known = equal.contains(name) && kept.contains(&(name, side.told(relation, &row)));
+            let known = equal.contains(name) && kept.contains(&(name, side.shared(relation, &row)));
             if !known {
                 total = total.checked_add(witnesses)?;
-                kept.insert((name, side.told(relation, &row)));
+                kept.insert((name, side.shared(relation, &row)));
             }
         }
     }
@@ -86,16 +88,17 @@ pub(super) fn entities(
 }
 
 impl Side<'_> {
-    fn told(&self, relation: RelId, row: &[Root]) -> Vec<Told> {
+    fn shared(&self, relation: RelId, row: &[Root]) -> Vec<SharedRoot> {
         let columns = &self.rules.relations[relation.index()].columns;
         let one = |(root, column): (&Root, &crate::datalog::check::Column)| match *root {
-            Root::Column(column) => Told::Column(column),
-            Root::Constant(value) => Told::Constant(self.individual(value, column.base)),
+            Root::Column(column) => SharedRoot::Column(column),
+            Root::Constant(value) => SharedRoot::Constant(self.individual(value, column.base)),
         };
         row.iter().zip(columns).map(one).collect()
     }
 
-    /// Witnesses of a fact about the roots, those of other such facts not counted; these are added to `facts`.
+    /// Returns the number of witnesses of a fact about the roots. Adds the facts about the roots that it rests on to
+    /// `facts`, without counting their witnesses.
     fn witnesses(
         &self,
         relation: RelId,
@@ -111,7 +114,7 @@ impl Side<'_> {
             failing = failing.checked_add(none)?;
             for (positive, atom) in local {
                 needed = needed.checked_add(self.cost(atom.relation, positive, 0, costs)?)?;
-                // Where the fact does not hold, this literal may be what fails, for any values.
+                // If the fact does not hold, this literal may be the failing one, for any values.
                 if self.cost(atom.relation, !positive, 0, costs)? > 0 {
                     return None;
                 }
@@ -121,7 +124,7 @@ impl Side<'_> {
         Some(most.max(failing))
     }
 
-    /// Witnesses that any fact of the predicate needs to hold, or to fail.
+    /// Returns the number of witnesses that any fact of the predicate needs to hold, or to fail.
     fn cost(&self, relation: RelId, holds: bool, depth: usize, costs: &mut Costs) -> Option<usize> {
         if let Some(&known) = costs.known.get(&(relation, holds)) {
             return Some(known);
@@ -158,7 +161,8 @@ impl Side<'_> {
         Some(total)
     }
 
-    /// The clauses of a derived predicate, none for others; `None` if it is recursive.
+    /// Returns the clauses of a derived predicate, none for others; `None` if it is recursive or has columns other than
+    /// symbols.
     fn derivations(&self, relation: RelId) -> Option<Vec<&Clause>> {
         let declared = &self.rules.relations[relation.index()];
         if declared.columns.iter().any(|column| column.base != BaseType::Symbol) {
@@ -171,7 +175,7 @@ impl Side<'_> {
         (!self.rules.strata[stratum].recursive).then(|| self.clauses[relation.index()].clone())
     }
 
-    /// That a clause asks for no order of values.
+    /// Returns `Some` if the clause does not depend on an order of values.
     fn plain(&self, clause: &Clause) -> Option<()> {
         let numbers = |atom: &Atom| {
             let columns = &self.rules.relations[atom.relation.index()].columns;
@@ -187,8 +191,9 @@ impl Side<'_> {
         plain.then_some(())
     }
 
-    /// Witnesses for the `_` of a clause: that its atoms hold, and that its negated atoms fail. The latter must be about the head
-    /// only, or there would be others for each value of a variable.
+    /// Returns the numbers of witnesses for the `_` of a clause: for its atoms to hold, and for its negated atoms to
+    /// fail. A negated atom with `_` may only have variables of the head; otherwise each value of another variable
+    /// could need a witness.
     fn wildcards(&self, clause: &Clause) -> Option<(usize, usize)> {
         let head: Vec<usize> = clause.head.terms.iter().filter_map(variable).collect();
         let (mut some, mut none) = (0, 0);
@@ -223,8 +228,8 @@ impl Side<'_> {
         self.rules.relations[atom.relation.index()].derived
     }
 
-    /// How many other variables a clause has when its head is about the roots, and the derived atoms about others. Those about the
-    /// roots are added to `facts`.
+    /// Returns the number of variables outside the head, and the derived atoms that contain some of them. Adds the
+    /// derived atoms over roots alone to `facts`.
     #[allow(clippy::type_complexity)]
     fn split<'c>(
         &self,

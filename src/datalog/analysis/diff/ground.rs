@@ -1,7 +1,8 @@
-//! Two programs over a handful of individuals, as one propositional circuit.
+//! Grounding: two programs over a fixed set of individuals, as one propositional circuit.
 //!
-//! Every base fact is a variable that both programs share; every derived fact that the question needs is a gate. Equal gates are one, so
-//! two clauses that differ in names and order cost nothing, and rules that are written alike are seen to be equal at once.
+//! Every base fact is a variable that both programs share. Every derived fact that the condition needs is a gate. Equal
+//! gates are shared, so clauses that differ only in names and order cost nothing, and equal rules are equivalent by
+//! construction.
 
 use crate::datalog::analysis::diff::sat::{Lit, Solver};
 use crate::datalog::analysis::diff::{Individual, Side};
@@ -10,7 +11,7 @@ use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::value::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-/// The circuit would be larger than allowed.
+/// The circuit would exceed its limits.
 pub(super) struct TooLarge;
 
 /// The rows of a scope.
@@ -18,13 +19,13 @@ pub(super) struct TooLarge;
 pub(super) enum ScopeRows {
     /// Every entity sees every other and itself.
     Full,
-    /// Every entity sees itself; other rows may be any.
+    /// Every entity sees itself; the other rows vary.
     Selves,
-    /// Any rows, like those of another predicate.
+    /// All rows vary, like those of another predicate.
     Free,
 }
 
-/// A base predicate by its position in [`super::Question::base`], and the individuals of a row.
+/// A base predicate, by its position among the shared ones, with the individuals of a row.
 pub(super) type BaseFact = (usize, Vec<usize>);
 
 pub(super) struct Circuit<'a> {
@@ -33,24 +34,25 @@ pub(super) struct Circuit<'a> {
     view: ScopeRows,
     pub(super) solver: Solver,
     yes: Lit,
-    /// Conjunctions by their sorted inputs; only asked, never walked.
+    /// The conjunctions by their sorted inputs. Lookup only, never iterated.
     gates: HashMap<Vec<Lit>, Lit>,
     pub(super) atoms: BTreeMap<BaseFact, Lit>,
-    /// The same in the order in which they were asked for.
+    /// The same facts in the order of their first use.
     asked: Vec<BaseFact>,
-    /// Derived facts by side, predicate, row and, in a recursive stratum, round; only asked, never walked.
+    /// The derived facts by side, predicate, row and, in a recursive stratum, round. Lookup only, never iterated.
     derived: HashMap<(usize, RelId, Vec<usize>, usize), Lit>,
-    /// Recursive strata by side whose rounds are taken apart.
+    /// The unrolled recursive strata, by side.
     unrolled: BTreeSet<(usize, usize)>,
-    /// By side: where constants stand among the individuals.
+    /// The positions of constants among the individuals, by side.
     places: [HashMap<(BaseType, Value), Option<usize>>; 2],
-    /// How many more literals, and rows of literals with `_`, may be looked at.
+    /// The number of literals, and rows of literals with `_`, that may still be instantiated.
     pub(super) room: usize,
-    /// How many derived facts are being taken apart, each for the one before.
+    /// The number of derived facts being expanded, each for the one before.
     depth: usize,
 }
 
-/// Longer chains of derived facts, and clauses with more variables, are not looked at: both are walked by recursion.
+/// Maximum length of a chain of derived facts, and maximum number of variables in a clause. The expansion recurses over
+/// both.
 const DEPTH_MAX: usize = 64;
 
 impl<'a> Circuit<'a> {
@@ -113,19 +115,19 @@ impl<'a> Circuit<'a> {
         self.any(vec![left, right])
     }
 
-    /// Whether the gate is known to be false.
+    /// Returns whether the gate is known to be false.
     pub(super) fn is_no(&self, lit: Lit) -> bool {
         lit == !self.yes
     }
 
     // --- facts
 
-    /// Whether the row of a predicate holds on one side.
+    /// Returns the gate for a row of a predicate on one side.
     pub(super) fn fact(&mut self, side: usize, relation: RelId, row: &[usize]) -> Result<Lit, TooLarge> {
         self.holds(side, relation, row, None)
     }
 
-    /// `round`: of the recursive stratum that is being unrolled, which round is asked for.
+    /// `round`: the recursive stratum that is being unrolled, and the requested round.
     fn holds(
         &mut self,
         side: usize,
@@ -173,7 +175,7 @@ impl<'a> Circuit<'a> {
         Ok(gate)
     }
 
-    /// The facts of the first rounds of a recursive stratum, round by round, so that none waits for more than the one before.
+    /// Expands the first rounds of a recursive stratum in order, so that each depends only on the previous one.
     fn unroll(&mut self, side: usize, stratum: usize, rounds: usize) -> Result<(), TooLarge> {
         let sides = self.sides;
         let rules = sides[side].rules;
@@ -196,7 +198,8 @@ impl<'a> Circuit<'a> {
         Ok(())
     }
 
-    /// As many rounds as the stratum has possible facts: each but the last adds one.
+    /// Returns the number of possible facts of the stratum, which bounds the rounds: each round but the last adds a
+    /// fact.
     fn rounds(&self, side: usize, stratum: usize) -> Result<usize, TooLarge> {
         let rules = self.sides[side].rules;
         let mut count = 0_usize;
@@ -244,7 +247,7 @@ impl<'a> Circuit<'a> {
 
     // --- clauses
 
-    /// The conjunctions by which a clause derives the row, one for each value of its other variables.
+    /// Appends the conjunctions by which a clause derives the row, one for each assignment of its other variables.
     fn ways(
         &mut self,
         side: usize,
@@ -272,7 +275,7 @@ impl<'a> Circuit<'a> {
                 }
             }
         }
-        // Variables in the order in which literals of the body need them, with the literals that are then ready.
+        // The variables in the order of the body, with the literals that each one completes.
         let mut order: Vec<usize> = Vec::new();
         let mut ready: Vec<Vec<&'a Literal>> = vec![Vec::new()];
         for literal in &clause.body {
@@ -302,7 +305,7 @@ impl<'a> Circuit<'a> {
         self.choose(&mut search, 0, ways)
     }
 
-    /// Adds the literals that are ready at this depth and goes through the values of the next variable.
+    /// Adds the literals that are ready at this depth, then iterates over the values of the next variable.
     fn choose(&mut self, search: &mut Search<'a>, depth: usize, ways: &mut Vec<Lit>) -> Result<(), TooLarge> {
         let mark = search.inputs.len();
         for index in 0..search.ready[depth].len() {
@@ -342,12 +345,12 @@ impl<'a> Circuit<'a> {
                 };
                 Ok(if holds { self.yes } else { !self.yes })
             }
-            // Rules that have them are compared by trial.
+            // `trial` compares rules with such literals.
             Literal::Compute { .. } | Literal::Aggregate { .. } => Ok(!self.yes),
         }
     }
 
-    /// Some row matches the atom; its `_` may be anything.
+    /// Returns the gate for "some row matches the atom"; `_` matches any value.
     fn some(&mut self, search: &Search<'a>, atom: &'a Atom) -> Result<Lit, TooLarge> {
         let columns = &self.sides[search.side].rules.relations[atom.relation.index()].columns;
         let mut rows: Vec<Vec<usize>> = vec![Vec::new()];
@@ -387,7 +390,7 @@ impl<'a> Circuit<'a> {
             Comparison::LessEqual => order.is_le(),
             Comparison::Greater => order.is_gt(),
             Comparison::GreaterEqual => order.is_ge(),
-            // Rules that have them are compared by trial.
+            // `trial` compares rules with such literals.
             Comparison::Match | Comparison::NotMatch | Comparison::Contains | Comparison::NotContains => false,
         }
     }
@@ -403,7 +406,7 @@ impl<'a> Circuit<'a> {
         }
     }
 
-    /// What a variable is made of, by the first place that tells.
+    /// Returns the base type of a variable, from its first occurrence.
     fn base_of(&self, side: usize, clause: &Clause, variable: usize) -> BaseType {
         let is = |term: &Term| matches!(term, Term::Variable(other) if other.index() == variable);
         for literal in &clause.body {
@@ -426,7 +429,7 @@ impl<'a> Circuit<'a> {
 
     // --- constraints
 
-    /// Keeps to what both sides constraint, as far as the facts in question go.
+    /// Adds the constraints of both sides to the circuit, for all facts in it.
     pub(super) fn constraints(&mut self) -> Result<(), TooLarge> {
         let mut done = 0;
         let mut queue: Vec<BaseFact> = self.atoms.keys().cloned().collect();
@@ -454,7 +457,7 @@ impl<'a> Circuit<'a> {
                     self.solver.add(&clause);
                 }
             }
-            // What was asked for just now: all before is in the queue.
+            // The facts added in this step; all earlier ones are in the queue.
             let mut more = self.asked.split_off(queue.len());
             more.sort_unstable();
             queue.extend(more.iter().cloned());
@@ -464,7 +467,7 @@ impl<'a> Circuit<'a> {
     }
 }
 
-/// A clause being taken apart.
+/// A clause during expansion.
 struct Search<'a> {
     side: usize,
     round: Option<(usize, usize)>,
@@ -475,7 +478,7 @@ struct Search<'a> {
     inputs: Vec<Lit>,
 }
 
-/// The variables of a literal.
+/// Returns the variables of a literal.
 pub(super) fn variables(literal: &Literal) -> impl Iterator<Item = usize> + '_ {
     literal.terms().filter_map(|term| match term {
         Term::Variable(variable) => Some(variable.index()),

@@ -1,15 +1,18 @@
-//! Do two sets of rules mean the same?
+//! Equivalence of two rule sets.
 //!
-//! [`diff`] looks for the smallest scene, entities first and then facts, in which an output is derived on one side only. For scenes of
-//! one size that is a question of propositional logic: `ground` writes both programs as one circuit over the possible base facts, `sat`
-//! searches it completely. `bound` says how large a scene a difference may need; if none is found up to that size, the two are *proved*
-//! equal. A scene that is found is evaluated by [`crate::datalog::naive`] on both sides before anybody is told.
+//! [`diff`] searches for a minimal scene (entities first, then facts) in which only one side derives some output. For
+//! scenes of a fixed size this is a question of propositional logic: `ground` translates both programs into one circuit
+//! over the possible base facts, and `sat` searches it exhaustively. `bound` computes how large a scene a difference
+//! may need. If there is no difference up to that size, this *proves* the two rule sets equivalent. Before `diff`
+//! reports a scene, [`crate::datalog::naive`] evaluates it on both sides.
 //!
-//! Rules with expressions, aggregates, floats or unsigned numbers have no such circuit. For them `trial` evaluates scene after scene within
-//! a bound, first those that a circuit of the other clauses suggests; it finds differences and proves nothing.
+//! Rules with expressions, aggregates, floats or unsigned numbers have no such circuit. For them `trial` evaluates one
+//! scene after another within a bound, first those that a circuit of the other clauses suggests. It finds differences
+//! but proves nothing.
 //!
-//! A *scope* (a predicate that guards, see `.scope`) is first taken as complete: everybody sees everybody. Only if that shows no
-//! difference may its rows be chosen like those of any predicate. Each of the two searches may use half of the effort.
+//! The search first assumes every *scope* (a guard predicate, see `.scope`) to be complete: every entity sees every
+//! other. Only if that shows no difference may the rows of scopes vary like those of any predicate. Each of the two
+//! searches gets half of the budget.
 
 mod bound;
 mod ground;
@@ -27,16 +30,16 @@ use ground::{BaseFact, Circuit, ScopeRows, TooLarge};
 use sat::{Lit, Outcome};
 use std::collections::{BTreeSet, HashMap, HashSet};
 
-/// What to compare and how far to look.
+/// The predicates to compare, and the limits of the search.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The predicates to compare; all outputs if empty.
     pub predicates: Vec<String>,
-    /// Scenes with more entities are not looked at.
+    /// The maximum number of entities in a scene.
     pub entities_max: usize,
-    /// How many dead ends the search may meet; it bounds the time without a clock.
+    /// The maximum number of conflicts in the SAT search, which bounds the time without a clock.
     pub conflicts_max: u64,
-    /// How many literals of scenes of all sizes together may be looked at; it bounds time and memory.
+    /// The maximum number of literals instantiated for scenes of all sizes together, which bounds time and memory.
     pub literals_max: usize,
     /// Whether every entity of a scene sees itself in every scope.
     pub self_sight: bool,
@@ -54,79 +57,80 @@ impl Default for Options {
     }
 }
 
-/// The answer.
+/// The result of a comparison.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Equivalence {
-    /// They derive the same in every scene, of whatever size. A difference would show with at most `entities` entities, and does not.
+    /// Both sides derive the same rows in every scene of any size. A difference would show with at most `entities`
+    /// entities, and does not.
     Equivalent {
-        /// The size that was enough to look at.
+        /// The size that the search had to cover.
         entities: usize,
     },
-    /// No difference was found in scenes of at most `entities` entities, and larger ones may have one.
+    /// The search found no difference in scenes of at most `entities` entities; larger scenes may show one.
     NoneFound {
-        /// The size up to which every scene was looked at; `None` if not even the smallest could be.
+        /// The size up to which the search was exhaustive; `None` if not even for the smallest.
         entities: Option<usize>,
-        /// The size up to which looking would be a proof, if one is known.
+        /// The size up to which an exhaustive search would be a proof, if known.
         proof: Option<usize>,
-        /// What was given up. Nothing if only [`Options::entities_max`] ended the search.
+        /// The limits that ended the search; empty if only [`Options::entities_max`] did.
         cut: Vec<Cut>,
     },
-    /// No difference was found by evaluating scenes one by one; others may show one. The values were those that the rules name, their
-    /// neighbours and a few small ones.
+    /// Trying scenes one by one found no difference; other scenes may show one. The values were those that the rules
+    /// name, their neighbors, and a few small ones.
     NoneTried {
-        /// All scenes of at most so many facts were tried, if any were.
+        /// The number of facts up to which the search tried every scene; `None` if for no number.
         facts: Option<usize>,
-        /// And of at most so many entities.
+        /// The number of entities in these scenes.
         entities: usize,
-        /// How many scenes were tried, with larger ones that were drawn at random.
+        /// The number of scenes tried, including larger random ones.
         scenes: u64,
     },
-    /// They differ in this scene.
+    /// The two sides differ in this scene.
     Different(Difference),
 }
 
-/// Why a search ended early.
+/// The reason why a search ended early.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Cut {
-    /// It met as many dead ends as [`Options::conflicts_max`] allows.
+    /// The search reached [`Options::conflicts_max`].
     Effort,
-    /// The next larger scenes have too many possible facts, or facts have too many ways to be derived.
+    /// The next larger scenes have too many possible facts or derivations.
     Size,
-    /// Finding out how many entities a proof needs would have taken too long.
+    /// The computation of the size for a proof exceeded its limit.
     Proof,
 }
 
-/// A scene and what each side derives in it.
+/// A scene with the rows that each side derives in it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Difference {
-    /// The names of entities and constants that occur, the one in question first.
+    /// The names of the entities and constants that occur; those of the differing row come first.
     pub entities: Vec<String>,
-    /// What holds, by predicate; rows of a complete scope are left out.
+    /// The facts of the scene, by predicate, without the rows of complete scopes.
     pub facts: Vec<(String, Vec<Vec<String>>)>,
     /// The scopes in which every entity sees every other and itself.
     pub everybody_sees: Vec<String>,
     /// The output rows derived on each side.
     pub derived: [Vec<(String, Vec<String>)>; 2],
-    /// Whether fewer facts about as many entities are known not to suffice.
+    /// Whether the search proved that no scene with as many entities and fewer facts shows a difference.
     pub smallest: bool,
 }
 
-/// One of the two programs, made ready.
+/// One of the two programs, prepared for the search.
 pub(crate) struct Side<'a> {
     rules: &'a Rules,
-    /// By [`RelId`]: its clauses, facts included.
+    /// The clauses, including facts, by [`RelId`].
     clauses: Vec<Vec<&'a Clause>>,
-    /// By [`RelId`].
+    /// The strata, by [`RelId`].
     stratum: Vec<Option<usize>>,
-    /// By [`RelId`]: the position among the shared base predicates.
+    /// The positions among the shared base predicates, by [`RelId`].
     base: Vec<Option<usize>>,
-    /// The facts in the text, of predicates without rules; rows of positions in the individuals.
+    /// The facts in the text for predicates without rules; the rows contain positions of individuals.
     facts: HashSet<(RelId, Vec<usize>)>,
-    /// Base predicates that guard.
+    /// The base predicates that serve as guards.
     scopes: BTreeSet<RelId>,
 }
 
-/// A value. Workspace are ordered as texts, numbers as numbers.
+/// A value. Strings compare as text, numbers as numbers.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) enum Individual {
     Text(String),
@@ -167,24 +171,24 @@ struct Output {
     ids: [RelId; 2],
 }
 
-/// More literals than this are not looked at for scenes of one size.
+/// Maximum number of literals instantiated for scenes of one size.
 const ROOM: usize = 3_000_000;
 
-/// Scenes from a circuit of rules that have clauses without one.
+/// Maximum number of scenes taken from the circuit of rules with clauses that have none.
 const MODELS_MAX: usize = 4;
 
-/// Compares two sets of rules.
+/// Compares two rule sets.
 ///
 /// # Errors
-/// If a rule set is too large to be planned; if a predicate does not fit: it has other columns on the other side, is given on one side and
-/// derived on the other, or is to be compared and is not declared on both.
+/// If a rule set exceeds the limits of planning. If a base predicate has different columns on the two sides, or is
+/// input on one side and derived on the other. If a predicate to compare is not declared on both sides.
 pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalence, Vec<Diagnostic>> {
     let base = shared_base(left, right)?;
     let outputs = outputs(left, right, options)?;
     let rules = [left, right];
     let sides = rules.map(|rules| side(rules, &base));
     let sides = [&sides[0], &sides[1]];
-    let mut effort = Left {
+    let mut effort = Remaining {
         conflicts: options.conflicts_max,
         room: options.literals_max,
     };
@@ -194,12 +198,12 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
         false => ScopeRows::Free,
     };
     let views: &[ScopeRows] = if scoped { &[ScopeRows::Full, open] } else { &[open] };
-    if !rules.into_iter().all(speaks) {
+    if !rules.into_iter().all(has_circuit) {
         let models = models(sides, &outputs, options.entities_max, views[0], &mut effort);
         return trial::search(rules, &base, &outputs, options, &models);
     }
 
-    // In the order of evaluation, so that an output's bound can use that earlier ones are equal.
+    // In evaluation order, so that the bound of an output can use the equality of earlier ones.
     let mut order: Vec<&Output> = outputs.iter().collect();
     order.sort_by_key(|output| sides[0].stratum[output.ids[0].index()]);
     let mut equal = BTreeSet::new();
@@ -220,8 +224,8 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
         cut.insert(Cut::Proof);
     }
     for (&view, views) in views.iter().zip((1..=views.len()).rev()) {
-        // A view that needs too much leaves the others their share.
-        let mut share = Left {
+        // Each view gets an equal share, so that an expensive one leaves enough for the others.
+        let mut share = Remaining {
             conflicts: effort.conflicts / views as u64,
             room: effort.room / views,
         };
@@ -229,7 +233,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
         effort.room -= share.room;
         for entities in 0..=last {
             match search(sides, &outputs, entities, view, &mut share) {
-                Ok(Some(model)) => return Ok(Equivalence::Different(tell(sides, &base, &outputs, view, &model))),
+                Ok(Some(model)) => return Ok(Equivalence::Different(describe(sides, &base, &outputs, view, &model))),
                 Ok(None) => {}
                 Err(why) => {
                     cut.insert(why);
@@ -251,28 +255,29 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     })
 }
 
-/// Scenes of various sizes that would show a difference if no clause with an expression, an aggregate or a test of texts ever fired. Another
-/// search may begin with them.
+/// Returns scenes of various sizes that would show a difference if no clause outside the circuit ever fired: one with
+/// an expression, an aggregate or a string test. They are starting points for `trial`.
 fn models(
     sides: [&Side<'_>; 2],
     outputs: &[Output],
     entities_max: usize,
     view: ScopeRows,
-    effort: &mut Left,
+    effort: &mut Remaining,
 ) -> Vec<Model> {
     let found = (0..=entities_max).map(|entities| search(sides, outputs, entities, view, effort));
     let found = found.map_while(Result::ok).flatten();
     found.take(MODELS_MAX).collect()
 }
 
-/// Whether the rules have neither expressions nor aggregates, and no columns of floats or unsigned numbers.
-fn speaks(rules: &Rules) -> bool {
+/// Returns whether a circuit can represent the rules: without expressions, aggregates, and columns of floats or
+/// unsigned numbers.
+fn has_circuit(rules: &Rules) -> bool {
     let mut columns = rules.relations.iter().flat_map(|relation| &relation.columns);
     let wide = |base: BaseType| matches!(base, BaseType::Float | BaseType::Unsigned);
     rules.clauses.iter().all(within_theory) && !columns.any(|column| wide(column.base))
 }
 
-// --- what the two have in common
+// --- the shared predicates
 
 /// A base predicate.
 struct Base {
@@ -300,7 +305,7 @@ fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>
                         "`{}` is input on one side and derived on the other",
                         relation.name
                     )),
-                    (false, _) => Some(format!("`{}` has other columns on the other side", relation.name)),
+                    (false, _) => Some(format!("`{}` has different columns on the two sides", relation.name)),
                 };
                 if let Some(message) = message {
                     faults.push(
@@ -321,7 +326,8 @@ fn shared_base(left: &Rules, right: &Rules) -> Result<Vec<Base>, Vec<Diagnostic>
     if faults.is_empty() { Ok(base) } else { Err(faults) }
 }
 
-/// The base predicates that decide about the outputs: those that their clauses read, and those that constraints then ask for.
+/// Returns the base predicates that affect the outputs: those that their clauses read, and those that constraints
+/// imply.
 fn relevant(rules: [&Rules; 2], base: &[Base], outputs: &[Output]) -> BTreeSet<usize> {
     let mut relevant = BTreeSet::new();
     for (side, rules) in rules.into_iter().enumerate() {
@@ -369,13 +375,16 @@ fn outputs(left: &Rules, right: &Rules, options: &Options) -> Result<Vec<Output>
     for name in names {
         let (Some(&a), Some(&b)) = (in_left.get(name), in_right.get(name)) else {
             let message = format!("`{name}` is not declared on both sides");
-            faults.push(Diagnostic::new(Code::RULE_MISMATCH, message).help("name what to compare with --predicates"));
+            faults.push(
+                Diagnostic::new(Code::RULE_MISMATCH, message)
+                    .help("choose the predicates to compare with `--predicates`"),
+            );
             continue;
         };
         let [x, y] = [(left, a), (right, b)].map(|(rules, id)| &rules.relations[id.index()]);
         let columns: Vec<BaseType> = x.columns.iter().map(|column| column.base).collect();
         if !y.columns.iter().map(|column| column.base).eq(columns.iter().copied()) {
-            let message = format!("`{name}` has other columns on the other side");
+            let message = format!("`{name}` has different columns on the two sides");
             faults.push(
                 Diagnostic::new(Code::RULE_MISMATCH, message)
                     .at(x.span, "")
@@ -434,18 +443,18 @@ fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
 
 // --- scenes of one size
 
-/// What the search may still do: it is bounded by numbers, not by time.
-struct Left {
-    /// Dead ends.
+/// The remaining budget of the search. It counts work instead of time.
+struct Remaining {
+    /// Conflicts in the SAT search.
     conflicts: u64,
-    /// Literals to look at.
+    /// Literals to instantiate.
     room: usize,
 }
 
-/// A scene in numbers.
+/// A scene, as indexes.
 struct Model {
     individuals: Vec<Individual>,
-    /// How many of the individuals are entities.
+    /// The number of individuals that are entities.
     entities: usize,
     /// The output row that differs.
     row: Vec<usize>,
@@ -454,16 +463,16 @@ struct Model {
     smallest: bool,
 }
 
-/// A scene of that size that shows a difference, if there is one.
+/// Searches for a scene of that size that shows a difference.
 ///
 /// # Errors
-/// Why that could not be settled.
+/// The limit that the search reached.
 fn search(
     sides: [&Side<'_>; 2],
     outputs: &[Output],
     entities: usize,
     view: ScopeRows,
-    effort: &mut Left,
+    effort: &mut Remaining,
 ) -> Result<Option<Model>, Cut> {
     let individuals = individuals(sides, entities);
     let [left, right] = sides.map(|side| Side {
@@ -509,7 +518,8 @@ fn search(
     }))
 }
 
-/// The entities, which nothing tells apart, then the constants of both sides; numbers only where there are any.
+/// Returns the interchangeable entities, then the constants of both sides. Numbers are included only if a column has
+/// them.
 fn individuals(sides: [&Side<'_>; 2], entities: usize) -> Vec<Individual> {
     let mut constants: BTreeSet<Individual> = BTreeSet::new();
     let mut numbers = false;
@@ -586,13 +596,13 @@ fn text_facts(side: &Side<'_>, individuals: &[Individual]) -> HashSet<(RelId, Ve
     facts
 }
 
-/// Whether an output row differs.
+/// A condition under which an output row differs.
 struct Question {
     row: Vec<usize>,
     differs: Lit,
 }
 
-/// One question for each output row, rows that differ only in which entity is called what counted once.
+/// Returns one condition for each output row, up to the renaming of entities.
 fn questions(
     circuit: &mut Circuit<'_>,
     outputs: &[Output],
@@ -632,7 +642,7 @@ fn questions(
     Ok(questions)
 }
 
-/// Looks for models with fewer facts. Whether the last one found is known to have the fewest.
+/// Minimizes the number of facts of the model. Returns whether the last model is proved minimal.
 fn shrink(circuit: &mut Circuit<'_>, conflicts: &mut u64) -> bool {
     let atoms: Vec<Lit> = circuit.atoms.values().copied().collect();
     let count = |circuit: &Circuit<'_>| atoms.iter().filter(|&&lit| circuit.solver.is_true(lit)).count();
@@ -673,11 +683,11 @@ fn shrink(circuit: &mut Circuit<'_>, conflicts: &mut u64) -> bool {
     }
 }
 
-/// The scene in words, and what each side derives in it by the specification.
-fn tell(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: ScopeRows, model: &Model) -> Difference {
+/// Describes the scene, with the rows that naive evaluation derives on each side.
+fn describe(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: ScopeRows, model: &Model) -> Difference {
     let individuals = &model.individuals;
     let mut facts = model.facts.clone();
-    // A scope that is not complete has exactly the rows that are given, even if there are none.
+    // An incomplete scope has exactly the rows of the scene, even if there are none.
     let scopes = sides
         .iter()
         .flat_map(|side| side.scopes.iter().filter_map(|scope| side.base[scope.index()]));
@@ -704,16 +714,16 @@ fn tell(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: ScopeRow
             }
         }
     }
-    // Entities are all named, since the view may range over them; constants where they occur.
+    // All entities get names, since the view may range over them; constants only where they occur.
     let mut order: Vec<usize> = model.row.clone();
     order.extend((0..individuals.len()).filter(|&index| {
         let occurs = facts.iter().any(|(_, row)| row.contains(&index));
         occurs || !everybody_sees.is_empty()
     }));
-    let mut told: Vec<usize> = Vec::new();
+    let mut shown: Vec<usize> = Vec::new();
     for index in order {
-        if !told.contains(&index) && individuals[index].base() == BaseType::Symbol {
-            told.push(index);
+        if !shown.contains(&index) && individuals[index].base() == BaseType::Symbol {
+            shown.push(index);
         }
     }
     let mut by_predicate: Vec<(String, Vec<Vec<String>>)> = Vec::new();
@@ -744,8 +754,8 @@ fn tell(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: ScopeRow
         }
         for name in &everybody_sees {
             if let Some(relation) = side.rules.relation(name) {
-                for &x in &told {
-                    for &y in &told {
+                for &x in &shown {
+                    for &y in &shown {
                         rows.push((relation, vec![word(x), word(y)]));
                     }
                 }
@@ -766,7 +776,7 @@ fn tell(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: ScopeRow
         derived
     });
     Difference {
-        entities: told.iter().map(|&index| individuals[index].shown()).collect(),
+        entities: shown.iter().map(|&index| individuals[index].shown()).collect(),
         facts: by_predicate,
         everybody_sees,
         derived,

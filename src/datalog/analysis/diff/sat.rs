@@ -1,7 +1,7 @@
-//! Propositional clauses, and the search for a model of them: a wrapper of batsat.
+//! Propositional clauses and the search for a model: a wrapper of batsat.
 //!
-//! Deterministic, and bounded by a number of conflicts. A variable that nothing forces is tried as false first, so models have few
-//! true variables.
+//! The search is deterministic and bounded by a number of conflicts. It tries unforced variables as false first, so
+//! models have few true variables.
 
 use batsat::{Callbacks, ClauseKind, SolverInterface, lbool};
 
@@ -11,15 +11,15 @@ pub(super) use batsat::Lit;
 /// The result of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Outcome {
-    /// There is a model; see [`Solver::is_true`].
+    /// A model exists; see [`Solver::is_true`].
     Satisfiable,
-    /// There is none.
+    /// No model exists.
     Unsatisfiable,
-    /// The conflicts were used up.
+    /// The search reached its limit of conflicts.
     Unknown,
 }
 
-/// Stops a search after a number of conflicts: each adds one clause.
+/// Stops a search after a number of conflicts, each of which learns one clause.
 struct Bound {
     used: u64,
     most: u64,
@@ -35,10 +35,10 @@ impl Callbacks for Bound {
     }
 }
 
-/// Clauses and a search for a model of all of them.
+/// A set of clauses with a search for a model.
 pub(super) struct Solver {
     inner: batsat::Solver<Bound>,
-    /// The model of the last search that found one, by variable.
+    /// The model that the last successful search found, by variable.
     model: Vec<lbool>,
 }
 
@@ -50,23 +50,23 @@ impl Solver {
         }
     }
 
-    /// A new variable.
+    /// Creates a variable.
     pub(super) fn fresh(&mut self) -> Lit {
         Lit::new(self.inner.new_var(lbool::FALSE, true), true)
     }
 
-    /// Whether the literal is true in the model found last.
+    /// Returns whether the literal is true in the last model.
     pub(super) fn is_true(&self, lit: Lit) -> bool {
         let value = self.model.get(lit.var().idx() as usize);
         value.is_some_and(|&value| value == lbool::new(lit.sign()))
     }
 
-    /// Adds a clause: one of the literals holds.
+    /// Adds a clause: a disjunction of literals.
     pub(super) fn add(&mut self, lits: &[Lit]) {
         self.inner.add_clause_reuse(&mut lits.to_vec());
     }
 
-    /// Searches for a model in which the assumptions hold. Every conflict takes one of `conflicts`.
+    /// Searches for a model that satisfies the assumptions. Every conflict decrements `conflicts`.
     pub(super) fn solve(&mut self, assumptions: &[Lit], conflicts: &mut u64) -> Outcome {
         *self.inner.cb_mut() = Bound {
             used: 0,
@@ -91,7 +91,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// The solver against trying everything.
+        /// Compares the solver with an exhaustive search.
         #[test]
         fn finds_a_model_exactly_if_there_is_one(
             clauses in proptest::collection::vec(proptest::collection::vec((0..8_u32, any::<bool>()), 1..4), 0..40),
@@ -119,7 +119,7 @@ mod tests {
                 let bits = (0..8).map(|variable| u32::from(solver.is_true(variables[variable])) << variable).sum::<u32>();
                 prop_assert!(model(&bits));
             }
-            // Asked again without assumptions.
+            // A second search, without assumptions.
             let exists = (0..256_u32).any(|bits| clauses.iter().all(|clause| clause.iter().any(|part| holds(bits, part))));
             let outcome = solver.solve(&[], &mut 10_000);
             prop_assert_eq!(outcome, if exists { Outcome::Satisfiable } else { Outcome::Unsatisfiable });

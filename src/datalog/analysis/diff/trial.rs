@@ -1,9 +1,9 @@
-//! A bounded search for a difference: scene after scene is evaluated by both programs.
+//! A bounded search for a difference that evaluates both programs on one scene after another.
 //!
-//! For rules that `ground` cannot write as a circuit: with expressions, aggregates, floats or unsigned numbers. Of those nothing can be
-//! proved by looking at finitely many values, so the values are those that the rules name, their neighbours, and a few small ones. First
-//! every scene of no fact, of one fact, of two facts and so on is tried; then larger ones are drawn at random, and a difference that one
-//! of them shows is made smaller. Everything is counted, so the answer is the same in every run.
+//! The search serves rules that `ground` cannot translate: with expressions, aggregates, floats or unsigned numbers.
+//! Finitely many values prove nothing about these. So the search uses the values that the rules name, their neighbors,
+//! and a few small ones. It first tries every scene with no fact, one fact, two facts and so on. Then it draws larger
+//! scenes at random and shrinks one that shows a difference. All limits are counts, so the result is reproducible.
 
 use crate::datalog::analysis::constraints;
 use crate::datalog::analysis::diff::{Base, Difference, Equivalence, Model, Options, Output, relevant};
@@ -21,62 +21,62 @@ use crate::symbol::Symbol;
 use std::collections::BTreeSet;
 
 impl Purpose {
-    /// A scene in which two rule sets are compared; index: its number.
+    /// A scene that compares two rule sets; index: the number of the scene.
     pub const SCENE: Purpose = Purpose::new(6);
 }
 
-/// A scene costs as much as this many dead ends of the other search.
+/// The cost of one scene, in conflicts of the SAT search.
 const SCENE_COST: u64 = 10;
 
-/// Of all scenes, one in this many is drawn at random.
+/// The share of random scenes: one in this many.
 const RANDOM_SHARE: u64 = 5;
 
-/// Choosing facts takes at most so many steps for each scene that may be tried.
+/// Maximum number of steps to choose facts, per permitted scene.
 const STEPS: u64 = 20;
 
-/// Where more facts than this are possible, not every scene is tried.
+/// Maximum number of possible facts for an exhaustive search.
 const FACTS_MAX: usize = 20_000;
 
-/// Scenes drawn at random have at most so many entities and facts.
+/// Maximum numbers of entities and facts in a random scene.
 const RANDOM_MAX: (usize, usize) = (4, 12);
 
-/// A scene in which a side takes more than this is not compared.
+/// The limits of evaluating one scene. A scene that exceeds them is skipped.
 const LIMITS: Limits = Limits {
     rows: 20_000,
     steps: 10_000_000,
     bytes: 1 << 28,
 };
 
-/// A base fact: the position of the predicate, and the values as texts.
+/// A base fact: the position of its predicate, and its values as text.
 type Fact = (usize, Vec<String>);
 
-/// Both programs, and what scenes are made of.
+/// Both programs with the building blocks of scenes.
 struct Trial<'a> {
     sessions: [Session; 2],
     base: &'a [Base],
     outputs: &'a [Output],
-    /// By base predicate: its columns.
+    /// The columns of each base predicate.
     columns: Vec<Vec<BaseType>>,
-    /// Base predicates whose facts scenes are made of.
+    /// The base predicates whose facts vary between scenes.
     relevant: BTreeSet<usize>,
-    /// Base predicates in which everybody stands with everybody.
+    /// The base predicates that relate every entity to every other.
     scopes: Vec<usize>,
     constants: BTreeSet<(BaseType, String)>,
-    /// Whether entities could exchange their names: no rule looks at the letters of a text.
+    /// Whether entities are interchangeable, because no rule inspects the characters or the order of strings.
     nameless: bool,
     held: BTreeSet<Fact>,
     tried: u64,
     steps: u64,
 }
 
-/// How the scenes of one size came out.
+/// The result of trying the scenes of one size.
 enum Level {
     Found(Vec<Fact>),
     Nothing,
     TooMany,
 }
 
-/// Looks for a difference within the effort that the options allow, first in the scenes of the models.
+/// Searches for a difference within the limits of the options, first in the scenes of the models.
 pub(super) fn search(
     rules: [&Rules; 2],
     base: &[Base],
@@ -100,18 +100,18 @@ pub(super) fn search(
         let facts: Vec<Fact> = facts.collect();
         if trial.differs(&facts, model.entities) {
             let facts = trial.shrink(facts, model.entities);
-            return Ok(Equivalence::Different(trial.tell(rules, model.entities, &facts)));
+            return Ok(Equivalence::Different(trial.describe(rules, model.entities, &facts)));
         }
     }
     let scenes = options.conflicts_max / SCENE_COST;
     let every = scenes - scenes / RANDOM_SHARE;
-    // Of scenes with fewer facts than this, all were tried.
+    // The search has tried all scenes with fewer facts than this.
     let (mut size, mut seen_entities) = (0, 0);
     'sizes: loop {
         let entities_max = options.entities_max.min(trial.entities(size));
         for entities in 0..=entities_max {
             match trial.level(size, entities, every) {
-                Level::Found(facts) => return Ok(Equivalence::Different(trial.tell(rules, entities, &facts))),
+                Level::Found(facts) => return Ok(Equivalence::Different(trial.describe(rules, entities, &facts))),
                 Level::Nothing => {}
                 Level::TooMany => break 'sizes,
             }
@@ -125,7 +125,7 @@ pub(super) fn search(
         let facts = trial.draw(entities, &mut random);
         if trial.differs(&facts, entities) {
             let facts = trial.shrink(facts, entities);
-            return Ok(Equivalence::Different(trial.tell(rules, entities, &facts)));
+            return Ok(Equivalence::Different(trial.describe(rules, entities, &facts)));
         }
     }
     Ok(Equivalence::NoneTried {
@@ -178,7 +178,8 @@ impl<'a> Trial<'a> {
         })
     }
 
-    /// No more entities than this occur in so many facts; where there is a scope, one that occurs in no fact may matter too.
+    /// Returns the maximum number of entities that this many facts contain. With a scope, one more entity without facts
+    /// may matter.
     fn entities(&self, facts: usize) -> usize {
         let symbols = |columns: &Vec<BaseType>| columns.iter().filter(|&&base| base == BaseType::Symbol).count();
         let most = self
@@ -190,7 +191,7 @@ impl<'a> Trial<'a> {
         facts * most + usize::from(!self.scopes.is_empty())
     }
 
-    /// The names of the entities; no constant begins like them.
+    /// Returns the names of the entities, whose prefix no constant has.
     fn names(&self, entities: usize) -> Vec<String> {
         let mut prefix = "e".to_owned();
         while self.constants.iter().any(|(_, text)| text.starts_with(&prefix)) {
@@ -199,7 +200,7 @@ impl<'a> Trial<'a> {
         (0..entities).map(|number| format!("{prefix}{number}")).collect()
     }
 
-    /// The values of a column.
+    /// Returns the values of a column.
     fn values(&self, base: BaseType, names: &[String]) -> Vec<String> {
         let constants = self.constants.iter().filter(|(of, _)| *of == base);
         let constants = constants.map(|(_, text)| text.clone());
@@ -209,12 +210,12 @@ impl<'a> Trial<'a> {
         }
     }
 
-    /// The predicates whose facts are chosen.
+    /// Returns the predicates whose facts vary.
     fn open(&self) -> impl Iterator<Item = usize> {
         (self.relevant.iter().copied()).filter(|predicate| !self.scopes.contains(predicate))
     }
 
-    /// All possible facts about these entities; `None` if there are too many.
+    /// Returns all possible facts about these entities; `None` if there are too many.
     fn possible(&self, names: &[String]) -> Option<Vec<Fact>> {
         let mut possible = Vec::new();
         for predicate in self.open() {
@@ -241,13 +242,13 @@ impl<'a> Trial<'a> {
         (possible.len() <= FACTS_MAX).then_some(possible)
     }
 
-    /// All scenes of so many facts about so many entities, unless that takes the number of scenes tried past `most`.
+    /// Tries all scenes with this many facts and entities, unless the number of scenes tried would exceed `most`.
     fn level(&mut self, size: usize, entities: usize, most: u64) -> Level {
         let names = self.names(entities);
         let Some(possible) = self.possible(&names) else {
             return Level::TooMany;
         };
-        // Positions of the facts chosen, ascending; which facts come next in the order of all choices.
+        // The positions of the chosen facts, ascending. `next` is the next candidate in lexicographic order.
         let mut chosen: Vec<usize> = Vec::new();
         let mut next = 0;
         loop {
@@ -279,13 +280,13 @@ impl<'a> Trial<'a> {
         }
     }
 
-    /// Whether the scene was not tried with fewer entities.
+    /// Returns whether the scene was not tried with fewer entities.
     fn is_new(&self, facts: &[Fact], names: &[String]) -> bool {
         let used = |name: &String| facts.iter().any(|(_, row)| row.contains(name));
         !self.scopes.is_empty() || names.iter().all(used)
     }
 
-    /// A scene drawn at random: mostly of values that the rules name, some others of moderate size.
+    /// Draws a scene: mostly values that the rules name, and some others of moderate size.
     fn draw(&self, entities: usize, random: &mut impl Rng) -> Vec<Fact> {
         let names = self.names(entities);
         let open: Vec<usize> = self.open().collect();
@@ -311,7 +312,7 @@ impl<'a> Trial<'a> {
         facts.into_iter().collect()
     }
 
-    /// Leaves facts out one by one as long as a difference remains.
+    /// Removes facts one by one while a difference remains.
     fn shrink(&mut self, mut facts: Vec<Fact>, entities: usize) -> Vec<Fact> {
         let mut at = 0;
         while at < facts.len() {
@@ -327,7 +328,7 @@ impl<'a> Trial<'a> {
         facts
     }
 
-    /// With the rows of the scopes.
+    /// Returns the facts together with the rows of the scopes.
     fn complete(&self, facts: &[Fact], entities: usize) -> BTreeSet<Fact> {
         let names = self.names(entities);
         let mut all: BTreeSet<Fact> = facts.iter().cloned().collect();
@@ -340,8 +341,8 @@ impl<'a> Trial<'a> {
         all
     }
 
-    /// Whether the scene keeps the constraints of both sides and they derive different outputs. A side that derives too much shows
-    /// nothing.
+    /// Returns whether the scene satisfies the constraints of both sides and they derive different outputs. A side that
+    /// exceeds the limits shows no difference.
     fn differs(&mut self, facts: &[Fact], entities: usize) -> bool {
         self.tried += 1;
         let wanted = self.complete(facts, entities);
@@ -356,11 +357,11 @@ impl<'a> Trial<'a> {
                     continue;
                 };
                 let row = words(session, &self.columns[*predicate], row);
-                let noted = match present {
+                let pending = match present {
                     true => session.insert(relation, &row),
                     false => session.retract(relation, &row),
                 };
-                debug_assert!(noted.is_ok(), "a row of a base predicate");
+                debug_assert!(pending.is_ok(), "a row of a base predicate");
             }
             let kept = session.commit().is_ok() && constraints::violations(session).is_empty();
             answers.push(kept.then(|| answer(session, self.outputs)));
@@ -368,8 +369,8 @@ impl<'a> Trial<'a> {
         matches!(answers.as_slice(), [Some(left), Some(right)] if left != right)
     }
 
-    /// The scene in words, and what each side derives in it by the specification.
-    fn tell(&self, rules: [&Rules; 2], entities: usize, facts: &[Fact]) -> Difference {
+    /// Describes the scene, with the rows that naive evaluation derives on each side.
+    fn describe(&self, rules: [&Rules; 2], entities: usize, facts: &[Fact]) -> Difference {
         let all = self.complete(facts, entities);
         let derived = rules.map(|rules| {
             let symbols = rules.symbols.clone();
@@ -402,9 +403,9 @@ impl<'a> Trial<'a> {
             derived
         });
         let mut by_predicate: Vec<(String, Vec<Vec<String>>)> = Vec::new();
-        let mut told = facts.to_vec();
-        told.sort();
-        // The row in question first.
+        let mut ordered = facts.to_vec();
+        ordered.sort();
+        // The differing row comes first.
         let differs = |row: &&(String, Vec<String>)| derived.iter().any(|rows: &Vec<_>| !rows.contains(*row));
         let mut names = Vec::new();
         if let Some((name, row)) = derived.iter().flatten().find(differs) {
@@ -416,7 +417,7 @@ impl<'a> Trial<'a> {
         names.extend(self.names(entities));
         let mut seen = BTreeSet::new();
         names.retain(|name| seen.insert(name.clone()));
-        for (predicate, row) in told {
+        for (predicate, row) in ordered {
             let symbols = self.columns[predicate].iter().zip(&row);
             for (_, text) in symbols.filter(|(base, _)| **base == BaseType::Symbol) {
                 if !names.contains(text) {
@@ -439,7 +440,8 @@ impl<'a> Trial<'a> {
     }
 }
 
-/// Whether entities occur for the first time in the order of their names. Of scenes that differ in names only, one has them so.
+/// Returns whether the first occurrences of entities follow the order of their names. Among scenes that differ only in
+/// names, exactly one is in that order.
 fn in_order<'a>(facts: impl Iterator<Item = &'a Fact>, names: &[String]) -> bool {
     let mut used = 0;
     for text in facts.flat_map(|(_, row)| row) {
@@ -470,7 +472,7 @@ fn print(base: BaseType, value: Value) -> String {
     }
 }
 
-/// The rows of the outputs, by texts: the two sides number their symbols differently.
+/// Returns the rows of the outputs as text, because the two sides number their symbols differently.
 fn answer(session: &Session, outputs: &[Output]) -> Vec<BTreeSet<String>> {
     let rows = |output: &Output| {
         let relation = session.program().relation(&output.name)?;
@@ -479,7 +481,7 @@ fn answer(session: &Session, outputs: &[Output]) -> Vec<BTreeSet<String>> {
     outputs.iter().map(|output| rows(output).unwrap_or_default()).collect()
 }
 
-/// The constants of the rules, with the neighbours of numbers, and a few small numbers.
+/// Collects the constants of the rules, the neighbors of numbers, and a few small numbers.
 fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>) {
     let mut add = |base: BaseType, term: &Term| {
         let Term::Constant(value) = *term else { return };
@@ -529,7 +531,7 @@ fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>) {
                     ..
                 } => {
                     for (argument, position) in arguments.iter().zip(0..) {
-                        // Of `substr` only the first argument is a text.
+                        // Only the first argument of `substr` is a string.
                         let number = *functor == Functor::Substring && position > 0;
                         add(if number { BaseType::Number } else { *base }, argument);
                     }
@@ -540,7 +542,7 @@ fn named(rules: &Rules, constants: &mut BTreeSet<(BaseType, String)>) {
     }
 }
 
-/// Whether no rule looks at the letters of a text or at its place among others.
+/// Returns whether no rule inspects the characters or the order of strings.
 fn is_nameless(rules: &Rules) -> bool {
     let looks = |literal: &Literal| match literal {
         Literal::Compare { op, base, .. } => {

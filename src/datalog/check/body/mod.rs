@@ -1,12 +1,12 @@
-//! One head and one list of literals: looks their names up, takes expressions apart, finds the type of each variable, and makes
-//! sure that the body binds it.
+//! One head with one list of literals: resolves names, flattens expressions, infers the type of each variable, and
+//! checks that the body binds it.
 //!
 //! ```text
 //! A(x + 1) :- B(x, y), y * 2 < 7.     becomes    A(a) :- B(x, y), a = x + 1, b = y * 2, b < 7.
 //! ```
 //!
-//! What base type a number without a sign of its own (`1`) or an operator is of follows from where it stands, so constants of
-//! comparisons and expressions stay open until the types of all variables are known.
+//! The context determines the base type of a plain number (`1`) or an operator. So the constants of comparisons and
+//! expressions stay open until the types of all variables are known.
 
 use std::collections::{HashMap, HashSet};
 
@@ -28,15 +28,15 @@ use crate::datalog::value::Value;
 mod safety;
 mod types;
 
-/// More operators and functions in a clause are refused.
+/// Maximum number of operators and functions in one clause.
 const MAX_EXPRESSIONS: usize = 1024;
 
-/// What is known of a clause after all checks.
+/// A checked clause before the scope adds its guards.
 pub(crate) struct Body {
     pub head: Atom,
     pub body: Vec<Literal>,
     pub variables: Vec<Known>,
-    /// Whether no error was found.
+    /// Whether the clause is free of errors.
     pub sound: bool,
 }
 
@@ -46,13 +46,13 @@ pub(crate) struct Known {
     pub name: String,
     pub ty: VariableType,
     pub first: Span,
-    /// How often it occurs.
+    /// The number of occurrences.
     pub count: usize,
-    /// It is the value of an expression.
+    /// Whether it stands for the value of an expression.
     pub hidden: bool,
 }
 
-/// Checks one head and one alternative of a clause. `None` if a predicate is not known or has not as many columns.
+/// Checks one head with one alternative. `None` if a predicate is unknown or has a different number of columns.
 pub(crate) fn check(
     clause: &ast::Clause,
     head: &ast::Atom,
@@ -77,7 +77,7 @@ pub(crate) fn check(
     check.mark_direct(head, body);
     let lowered = check.head(head, clause.body.is_empty());
     if clause.body.is_empty() && (lowered.is_none() || check.variables.is_empty()) {
-        // There may be very many facts, and of this one nothing is left to ask.
+        // The early return matters because programs may contain many facts.
         let sound = check.sound;
         return lowered.map(|head| Body {
             head,
@@ -113,7 +113,7 @@ pub(crate) fn check(
         };
         literals = check.finish(&pending, &[], &mut finish);
     } else {
-        // Nobody will evaluate it; warnings are told of what is certain.
+        // No executor evaluates a faulty clause; the lints still use its complete literals.
         literals.extend(pending.iter().filter_map(|pending| check.written(pending)));
     }
     let (edges, lost, sound) = (check.edges, check.lost, check.sound);
@@ -137,7 +137,7 @@ pub(crate) fn check(
     })
 }
 
-/// Computes the expressions of a fact, if all have a value.
+/// Evaluates the expressions of a fact, if all have a value.
 fn fold(head: &mut Atom, literals: &mut Vec<Literal>, symbols: &Symbols) {
     let mut values: HashMap<VarId, Value> = HashMap::new();
     for literal in literals.iter() {
@@ -173,7 +173,7 @@ fn fold(head: &mut Atom, literals: &mut Vec<Literal>, symbols: &Symbols) {
     }
 }
 
-/// Numbers anew the variables that occur, in their old order, and gives them.
+/// Renumbers the variables that occur, keeping their order, and returns them.
 pub(crate) fn renumber<'t>(
     variables: Vec<Known>,
     heads: impl Iterator<Item = &'t mut Vec<Term>>,
@@ -210,54 +210,54 @@ pub(crate) fn renumber<'t>(
         .collect()
 }
 
-/// A column that a variable stands in.
+/// The occurrence of a variable in a column.
 #[derive(Clone, Copy)]
 struct Use {
     ty: TypeId,
     span: Span,
 }
 
-/// What is known of a variable. Variables that are compared form a group and have one type; the group is
-/// named by the variable at the end of the chain of `typed_as`.
+/// A variable during inference. Compared variables form a group with one type; its representative is the variable at
+/// the end of the `typed_as` chain (a union-find forest).
 struct Variable<'c> {
     name: Name<'c>,
     first: Span,
     count: usize,
-    /// The aggregates it is within; 0 for the clause itself.
+    /// The number of enclosing aggregates; 0 for the clause itself.
     level: usize,
-    /// `None`: it stands for the group itself.
+    /// The next variable of the chain; `None` for the representative.
     typed_as: Option<usize>,
-    /// It occurs in something that was reported, so nothing follows from what is not known of it.
+    /// Whether it occurs in a reported construct, so that further messages about it would mislead.
     excused: bool,
-    /// The narrowest column it stands in.
+    /// The narrowest type of the columns it occurs in.
     narrowest: Option<Use>,
-    /// The base type that follows from constants and expressions it is equal to, and where.
+    /// The base type implied by constants and expressions that it equals, with the place.
     base: Option<(BaseType, Span)>,
-    /// A negated atom it stands in and the column there, to suggest what could bind it.
+    /// The column of a negated atom it occurs in, to suggest an atom that binds it.
     negated: Option<(TypeId, Span)>,
-    /// The type of what it is compared with, to the same end.
+    /// The type of the other side of a comparison, for the same purpose.
     compared: Option<TypeId>,
-    /// An occurrence in an aggregate further in.
+    /// An occurrence in a nested aggregate.
     further_in: Option<Span>,
 }
 
 #[derive(Clone)]
 enum Name<'c> {
     Written(&'c str),
-    /// The expression whose value it is.
+    /// The expression whose value it holds.
     Expression(&'c ast::Term),
 }
 
-/// The type of a variable as far as it is known.
+/// The type of a variable as far as known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum VariableType {
     Unknown,
-    /// It only equals constants and expressions of this base and so fits every subtype of it.
+    /// It only equals constants and expressions of this base type, so it fits every subtype of it.
     Base(BaseType),
     Type(TypeId),
 }
 
-/// Something with a value, and where it stands.
+/// A value with its place.
 #[derive(Clone, Copy)]
 pub(crate) struct Operand {
     pub kind: OperandKind,
@@ -274,10 +274,10 @@ impl Operand {
 #[derive(Clone, Copy)]
 pub(crate) enum OperandKind {
     Variable(VarId),
-    /// `1`: of any of the numeric base types.
+    /// A plain number such as `1`, of any numeric base type.
     Whole(i64),
     Constant(Value, BaseType),
-    /// It was reported.
+    /// A value that the checker has reported.
     Nothing,
 }
 
@@ -307,18 +307,18 @@ pub(crate) enum Pending<'c> {
         op: AggregateOp,
         target: Option<Operand>,
         body: Vec<Pending<'c>>,
-        /// Of its body.
+        /// The level of the body.
         level: usize,
         span: Span,
     },
 }
 
-/// The variables of a clause or of an aggregate's body.
+/// The variables of a clause or of the body of an aggregate.
 #[derive(Default)]
 struct Level<'c> {
-    /// Only asked, never walked.
+    /// Lookup only, never iterated.
     numbers: HashMap<&'c str, VarId>,
-    /// The names that belong here, met or not.
+    /// The names that belong to this level, whether seen yet or not.
     direct: HashSet<&'c str>,
 }
 
@@ -327,14 +327,14 @@ pub(crate) struct Check<'a, 'c> {
     faults: &'a mut Faults,
     pub symbols: &'a Symbols,
     levels: Vec<Level<'c>>,
-    /// For each level what was read so far.
+    /// The literals read so far, by level.
     pending: Vec<Vec<Pending<'c>>>,
     variables: Vec<Variable<'c>>,
-    /// By variable, once [`Check::bindings`] is done.
+    /// Whether each variable is bound; empty until [`Check::bindings`] ends.
     bound: Vec<bool>,
     edges: Vec<(RelId, EdgeKind, Span)>,
     sound: bool,
-    /// Whether an atom could not be understood.
+    /// Whether an atom was unusable.
     lost: bool,
 }
 
@@ -386,7 +386,7 @@ impl<'c> Check<'_, 'c> {
         id
     }
 
-    /// A variable that stands for an expression.
+    /// Creates a variable for the value of an expression.
     fn value_of(&mut self, term: &'c ast::Term) -> VarId {
         let level = self.levels.len() - 1;
         let id = self.new_variable(Name::Expression(term), level, term.place.0);
@@ -404,7 +404,7 @@ impl<'c> Check<'_, 'c> {
     fn is_hidden(&self, index: usize) -> bool {
         match self.variables[index].name {
             Name::Expression(_) => true,
-            // See `witness`.
+            // The rewriting of `witness` makes such names.
             Name::Written(name) => name.starts_with('+'),
         }
     }
@@ -422,14 +422,14 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// A term whose value is needed; an expression is computed, into `into` if that is given.
+    /// Returns the operand for a term. An expression becomes a literal that computes it, into `into` if given.
     fn operand(&mut self, term: &'c ast::Term, into: Option<VarId>) -> Operand {
         let span = term.place.0;
         let kind = match &term.kind {
             TermKind::Variable(name) => OperandKind::Variable(self.variable(name, span)),
             TermKind::Wildcard => {
                 let fault = Diagnostic::new(Code::UNBOUND_VARIABLE, "`_` where a value is needed")
-                    .at(span, "nothing says what this is")
+                    .at(span, "nothing binds it")
                     .help("write a variable that an atom binds, or a constant");
                 self.fault(fault);
                 OperandKind::Nothing
@@ -502,7 +502,8 @@ impl<'c> Check<'_, 'c> {
                 target.insert(name);
             })
         });
-        // A name of the target and the body is the aggregate's own; any other that is known further out is meant.
+        // A name that occurs in target and body belongs to the aggregate. Any other known name refers to the outer
+        // variable.
         let known = |name: &&&str| self.levels.iter().any(|level| level.direct.contains(**name));
         let own = |name: &&&str| (body.contains(**name) && target.contains(**name)) || !known(name);
         let direct = body.union(&target).filter(own).copied().collect();
@@ -522,7 +523,7 @@ impl<'c> Check<'_, 'c> {
                 }
                 let fault = Diagnostic::new(Code::UNSUPPORTED, "alternatives in an aggregate are not supported")
                     .at(span, "")
-                    .help("define a predicate by a clause with these alternatives, and aggregate over that");
+                    .help("define a predicate with these alternatives, and aggregate over that");
                 self.fault(fault);
                 self.lost = true;
             }
@@ -542,7 +543,7 @@ impl<'c> Check<'_, 'c> {
         });
     }
 
-    /// `true` or `false` in the body of an aggregate.
+    /// Adds `true` or `false` to the body of an aggregate.
     fn always(&mut self, holds: bool, span: Span) {
         let [left, right] = [0, i64::from(!holds)].map(|number| Operand {
             kind: OperandKind::Whole(number),
@@ -556,7 +557,7 @@ impl<'c> Check<'_, 'c> {
         });
     }
 
-    /// The atom, if its predicate is known and has as many columns; if not, its variables are excused.
+    /// Resolves an atom. If its predicate is unknown or has a different number of columns, excuses its variables.
     fn atom(&mut self, atom: &'c ast::Atom) -> Option<Atom> {
         let relation = self.names.predicate(&atom.predicate);
         let fits = relation.is_some_and(|relation| self.arity(relation, atom));
@@ -581,7 +582,7 @@ impl<'c> Check<'_, 'c> {
         })
     }
 
-    /// A term of an atom: a constant gets the base type of its column.
+    /// Returns the argument of an atom. A constant takes the base type of its column.
     fn argument(&mut self, place: Option<(RelId, usize)>, term: &'c ast::Term) -> Term {
         if term.kind == TermKind::Wildcard {
             return Term::Wildcard;
@@ -617,7 +618,7 @@ impl<'c> Check<'_, 'c> {
         Term::Constant(Value(0))
     }
 
-    /// The word of a constant in a place of a base type; one that does not fit is reported.
+    /// Returns the word of a constant of the given base type, and reports one out of range.
     fn value(&mut self, operand: Operand, base: BaseType) -> Value {
         let number = match operand.kind {
             OperandKind::Constant(value, _) => return value,
@@ -632,8 +633,8 @@ impl<'c> Check<'_, 'c> {
         };
         value.unwrap_or_else(|| {
             let range = match base {
-                BaseType::Unsigned => format!("unsigned numbers go from 0 to {}", u32::MAX),
-                _ => format!("numbers go from {} to {}", i32::MIN, i32::MAX),
+                BaseType::Unsigned => format!("unsigned numbers range from 0 to {}", u32::MAX),
+                _ => format!("numbers range from {} to {}", i32::MIN, i32::MAX),
             };
             let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "number out of range")
                 .at(operand.span, "")
@@ -674,7 +675,7 @@ impl<'c> Check<'_, 'c> {
         for term in &atom.terms {
             if term.kind == TermKind::Wildcard {
                 let fault = Diagnostic::new(Code::UNBOUND_VARIABLE, "`_` in a head")
-                    .at(term.place.0, "nothing says what this is")
+                    .at(term.place.0, "nothing binds it")
                     .help(if fact {
                         "write a constant"
                     } else {
@@ -724,7 +725,7 @@ impl<'c> Check<'_, 'c> {
                 };
                 let is_variable = |term: &ast::Term| matches!(term.kind, TermKind::Variable(_));
                 if *op == Comparison::Equal {
-                    // `_ = max x : { ... }`: whatever it is, if it is anything.
+                    // `_ = max x : { ... }` only requires that the maximum exists.
                     for (any, value) in [(left, right), (right, left)] {
                         if any.kind == TermKind::Wildcard && matches!(value.kind, TermKind::Aggregate(_)) {
                             self.operand(value, None);
@@ -753,7 +754,7 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// A rule for a predicate whose facts come from outside.
+    /// Reports a rule for an `.input` predicate.
     fn derivable(&mut self, relation: RelId, clause: &ast::Clause, head: &ast::Atom) {
         if clause.body.is_empty() {
             return;
@@ -763,11 +764,11 @@ impl<'c> Check<'_, 'c> {
             let (code, help) = match self.names.inputs {
                 Edb::Fixed => (
                     Code::DERIVED_INPUT,
-                    "derive another predicate, with one clause that takes over what is given",
+                    "derive another predicate, with one clause that copies the input",
                 ),
                 Edb::Extensible => (
                     Code::EXTENDED_INPUT,
-                    "to tell them apart, derive another predicate, with one clause that takes over what is given",
+                    "to distinguish them, derive another predicate, with one clause that copies the input",
                 ),
             };
             let fault = Diagnostic::new(code, format!("`{name}` is input and also derived"))
@@ -778,7 +779,7 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// Remembers which variables stand outside of all aggregates: that must be known when the first aggregate is read.
+    /// Records the variables that occur outside of all aggregates, before the first aggregate is read.
     fn mark_direct(&mut self, head: &'c ast::Atom, body: &[&'c ast::Literal]) {
         let mut mark = |name| {
             self.levels[0].direct.insert(name);
@@ -802,7 +803,7 @@ impl<'c> Check<'_, 'c> {
 
     // --- the checked literals
 
-    /// A literal as the engine gets it; `None` for an aggregate, see `Check::finish`.
+    /// Returns the finished literal; `None` for an aggregate, see `Check::finish`.
     pub fn written(&mut self, pending: &Pending<'c>) -> Option<Literal> {
         Some(match pending {
             Pending::Atom { negated, atom, .. } if *negated => Literal::Negative(atom.clone()),
@@ -863,7 +864,7 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// Within how many aggregates a variable lives; `None` for one that was made later.
+    /// Returns the level of a variable; `None` for one that the checker added later.
     pub fn level(&self, id: VarId) -> Option<usize> {
         self.variables.get(id.index()).map(|variable| variable.level)
     }

@@ -16,7 +16,8 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// Marks what a literal of a level binds, given what is bound so far. What an aggregate's body binds stays within.
+    /// Marks the variables of a level that a literal binds, given those bound so far. The body of an aggregate binds no
+    /// outer variable.
     fn bind(&mut self, pending: &Pending<'c>, level: usize) -> bool {
         let mut binds: Vec<VarId> = Vec::new();
         let mut changed = false;
@@ -73,7 +74,7 @@ impl<'c> Check<'_, 'c> {
         changed
     }
 
-    /// Every variable of literals and of an aggregate's target.
+    /// Calls `each` with every variable of the literals and of an aggregate's target.
     fn each_variable(&self, pending: &[Pending<'c>], target: Option<Operand>, each: &mut dyn FnMut(VarId, &Self)) {
         let operand = |operand: Operand, each: &mut dyn FnMut(VarId, &Self)| {
             if let OperandKind::Variable(id) = operand.kind {
@@ -111,7 +112,7 @@ impl<'c> Check<'_, 'c> {
     pub(super) fn bindings(&mut self, head: &ast::Atom, is_fact: bool, pending: &[Pending<'c>]) {
         self.bound = vec![false; self.variables.len()];
         self.bind_all(pending);
-        // First the causes: what is computed from an unbound variable is not told besides.
+        // Report the causes first, not the values computed from them.
         let mut computed = vec![false; self.variables.len()];
         mark_computed(pending, &mut computed);
         self.report_unbound(head, is_fact, |index| !computed[index]);
@@ -143,7 +144,7 @@ impl<'c> Check<'_, 'c> {
                 continue;
             }
             if self.is_hidden(index) {
-                // It is computed from what was reported itself.
+                // Its operands include a reported variable.
                 self.sound = false;
                 continue;
             }
@@ -152,7 +153,7 @@ impl<'c> Check<'_, 'c> {
                 .at(self.variables[index].first, "");
             if is_fact {
                 fault = fault
-                    .note("a fact has no variables; a name without quotes is one")
+                    .note("a fact has no variables; a name without quotes is a variable")
                     .help(format!("write the constant in quotes: `\"{name}\"`"));
             } else {
                 if let Some((_, span)) = self.variables[index].negated
@@ -161,12 +162,10 @@ impl<'c> Check<'_, 'c> {
                     fault = fault.also(span, "a negated atom binds nothing");
                 }
                 if let Some(span) = self.variables[index].further_in {
-                    fault = fault.also(span, "what stands in an aggregate binds nothing outside of it");
+                    fault = fault.also(span, "an aggregate binds nothing outside of it");
                 }
                 fault = match self.binder(index, head, &name) {
-                    Some(binder) => fault.help(format!(
-                        "add a positive atom that says what `{name}` is, such as `{binder}`"
-                    )),
+                    Some(binder) => fault.help(format!("add a positive atom that binds `{name}`, such as `{binder}`")),
                     None => fault.help(format!("add a positive atom with `{name}` to the body")),
                 };
             }
@@ -174,7 +173,7 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// An atom that could bind the variable: over a declared predicate, with few columns, one of which has its type.
+    /// Suggests an atom that could bind the variable: over a predicate with few columns, one of which has its type.
     fn binder(&self, index: usize, head: &ast::Atom, name: &str) -> Option<String> {
         let Variable { negated, compared, .. } = self.variables[index];
         let wanted = negated.map(|(ty, _)| ty).or(compared).or_else(|| {
@@ -189,7 +188,7 @@ impl<'c> Check<'_, 'c> {
                 .iter()
                 .position(|ty| ty.is_some_and(|ty| self.names.is_subtype(ty, wanted)));
             let Some(place) = place else { continue };
-            // Of predicates with as many columns an input one is better: it surely has rows.
+            // Among predicates of equal arity, prefer an input one, which surely has rows.
             let rank = 2 * columns.len() + usize::from(!relation.input);
             if relation.name != head.predicate.text
                 && !relation.hidden

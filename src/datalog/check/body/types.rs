@@ -1,4 +1,4 @@
-//! The type of each variable: the columns it stands in, what it is compared with, and the expressions it is part of.
+//! Type inference: from the columns of each variable, its comparisons and the expressions around it.
 
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Atom, Term, VarId};
@@ -17,7 +17,7 @@ impl<'c> Check<'_, 'c> {
         at
     }
 
-    /// A further column that a variable, or a group, stands in.
+    /// Adds a column that a variable or group occurs in.
     pub(super) fn narrow(&mut self, variable: usize, further: Use) {
         let Some(known) = self.variables[variable].narrowest else {
             self.variables[variable].narrowest = Some(further);
@@ -52,7 +52,7 @@ impl<'c> Check<'_, 'c> {
         self.fault(fault);
     }
 
-    /// Makes a group of variables that are compared, and of what an aggregate selects or adds up and its result.
+    /// Unites compared variables, and the result of `min`, `max` or `sum` with its target.
     pub(super) fn join_compared(&mut self, pending: &[Pending<'c>]) {
         for pending in pending {
             match pending {
@@ -91,7 +91,7 @@ impl<'c> Check<'_, 'c> {
                 Some(meet) if meet == first.ty => Some(first),
                 Some(meet) => Some(Use { ty: meet, ..second }),
                 None => {
-                    // Different base types are told where those are looked at.
+                    // `check_tie` reports different base types.
                     if !excused && self.names.base(first.ty) == self.names.base(second.ty) {
                         let types = [first.ty, second.ty].map(|ty| self.names.type_name(ty).to_owned());
                         self.incomparable([(left, &types[0]), (right, &types[1])], span);
@@ -101,7 +101,7 @@ impl<'c> Check<'_, 'c> {
             },
             (one, other) => one.or(other),
         };
-        // The later joins the earlier, so chains stay as short as the text makes them.
+        // The later group joins the earlier one, which keeps the chains short.
         let [into, from] = [groups[0].min(groups[1]), groups[0].max(groups[1])];
         self.variables[from].typed_as = Some(into);
         self.variables[into].excused = excused;
@@ -117,7 +117,7 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// The type of a variable about which nothing was reported.
+    /// Returns the type of a variable; `Unknown` once the checker has reported a fault about it.
     fn type_of(&self, id: VarId) -> VariableType {
         if self.variables[self.group(id.index())].excused {
             VariableType::Unknown
@@ -142,19 +142,19 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// Where the type of a variable comes from.
+    /// Returns the place that determines the type of a variable.
     fn origin(&self, id: VarId) -> Option<Span> {
         let group = &self.variables[self.group(id.index())];
         let narrowest = group.narrowest.map(|narrowest| narrowest.span);
         narrowest.or(group.base.map(|(_, span)| span))
     }
 
-    /// Finds the base types of variables and constants in comparisons and expressions, and reports what does not fit.
+    /// Infers the base types of variables and constants in comparisons and expressions, and reports mismatches.
     pub(super) fn infer(&mut self, head: Option<&Atom>, pending: &[Pending<'c>]) {
         let mut ties = Vec::new();
         self.ties(pending, &mut ties);
         self.spread(&ties);
-        // Where nothing else says what a variable is, the places that it is used in do.
+        // If nothing else determines the type of a variable, its uses in the head and in negated atoms do.
         if let Some(head) = head {
             self.hint(head);
         }
@@ -183,7 +183,7 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// A variable of the atom whose base is not known gets that of its column.
+    /// Gives variables without a base type that of their column in the atom.
     fn hint(&mut self, atom: &Atom) {
         for (column, term) in atom.terms.iter().enumerate() {
             if let (Term::Variable(id), Some(ty)) = (term, self.column(atom.relation, column)) {
@@ -196,7 +196,7 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// What the literals say of base types.
+    /// Collects the equations between base types.
     fn ties(&self, pending: &[Pending<'c>], out: &mut Vec<Tie>) {
         for pending in pending {
             match pending {
@@ -263,7 +263,7 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// Hands what is known along the ties until nothing more follows.
+    /// Propagates base types along the ties up to a fixpoint.
     fn spread(&mut self, ties: &[Tie]) {
         let mut changed = true;
         while std::mem::take(&mut changed) {
@@ -293,7 +293,7 @@ impl<'c> Check<'_, 'c> {
     fn check_tie(&mut self, tie: &Tie) {
         let known: Vec<(Operand, BaseType)> = (tie.operands.iter())
             .filter_map(|&operand| match operand.kind {
-                // A number fits every base type but one.
+                // A plain number fits every base type except `symbol`.
                 OperandKind::Whole(_) if tie.base(self) == Some(BaseType::Symbol) => Some((operand, BaseType::Number)),
                 _ => Some((operand, self.base_of(operand)?)),
             })
@@ -310,7 +310,7 @@ impl<'c> Check<'_, 'c> {
             let wanted: Vec<String> = tie.allowed.iter().map(|base| format!("`{}`", base.name())).collect();
             let what = match tie.kind {
                 TieKind::Compare => "this takes values",
-                TieKind::Functor(_) => "has to do with values",
+                TieKind::Functor(_) => "takes or returns values",
             };
             let message = match tie.kind {
                 TieKind::Compare => format!("{what} of type {}, not `{}`", wanted.join(" or "), found.name()),
@@ -324,7 +324,7 @@ impl<'c> Check<'_, 'c> {
             };
             let fault = Diagnostic::new(Code::TYPE_MISMATCH, message).at(operand.span, format!("`{}`", found.name()));
             let operand = *operand;
-            self.tell_origin(fault, operand);
+            self.report_with_origin(fault, operand);
         } else if let Some((operand, found)) = other {
             let name = match tie.kind {
                 TieKind::Compare => "=",
@@ -335,11 +335,11 @@ impl<'c> Check<'_, 'c> {
                 .at(operand.span, format!("`{}`", found.name()))
                 .also(first.span, format!("`{}`", base.name()))
                 .help("convert one of them: `to_number(x)`, `to_unsigned(x)`, `to_float(x)` or `to_string(x)`");
-            self.tell_origin(fault, operand);
+            self.report_with_origin(fault, operand);
         }
     }
 
-    fn tell_origin(&mut self, mut fault: Diagnostic, operand: Operand) {
+    fn report_with_origin(&mut self, mut fault: Diagnostic, operand: Operand) {
         if let OperandKind::Variable(id) = operand.kind {
             if let Some(origin) = self.origin(id)
                 && origin != operand.span
@@ -352,7 +352,7 @@ impl<'c> Check<'_, 'c> {
         self.fault(fault);
     }
 
-    /// Two operands, each with the name of its type.
+    /// Reports two operands of incomparable types, each with the name of its type.
     fn incomparable(&mut self, sides: [(Operand, &str); 2], span: Span) {
         let message = format!("a `{}` cannot be compared with a `{}`", sides[0].1, sides[1].1);
         let mut fault = Diagnostic::new(Code::TYPE_MISMATCH, message).at(span, "");
@@ -366,7 +366,7 @@ impl<'c> Check<'_, 'c> {
         self.fault(fault);
     }
 
-    /// Variables in heads and negated atoms must fit what stands there.
+    /// Checks that variables in the head and in negated atoms fit their columns.
     pub(super) fn types(&mut self, head: &ast::Atom, lowered: Option<&Atom>, pending: &[Pending<'c>]) {
         if let Some(lowered) = lowered {
             for column in 0..lowered.terms.len() {
@@ -401,7 +401,8 @@ impl<'c> Check<'_, 'c> {
         }
     }
 
-    /// In a head the variable must be of a subtype of the column; in a negated atom of the same base.
+    /// Reports a variable that does not fit its column. A head requires a subtype of the column, a negated atom the
+    /// same base type.
     fn fits(&mut self, atom: &Atom, column: usize, span: Span, is_head: bool) {
         let (Term::Variable(id), Some(wanted)) = (atom.terms[column], self.column(atom.relation, column)) else {
             return;
@@ -435,13 +436,13 @@ impl<'c> Check<'_, 'c> {
         )));
     }
 
-    /// The base type of an operand, when all are known.
+    /// Returns the base type of an operand after inference.
     pub fn settled_base(&self, operand: Operand) -> BaseType {
         self.base_of(operand).unwrap_or(BaseType::Number)
     }
 }
 
-/// Operands of one base type.
+/// Operands that must have the same base type.
 struct Tie {
     kind: TieKind,
     operands: Vec<Operand>,
@@ -473,7 +474,7 @@ impl Tie {
     }
 }
 
-/// The list of one base type.
+/// Returns the list of just one base type.
 fn only(base: BaseType) -> &'static [BaseType] {
     match base {
         BaseType::Symbol => &[BaseType::Symbol],

@@ -1,4 +1,4 @@
-//! Clauses and questions: heads, atoms, comparisons, and how they are joined and negated.
+//! Clauses and queries: heads, atoms, comparisons, conjunction, disjunction and negation.
 
 use crate::datalog::syntax::ast::Comparison;
 use crate::datalog::syntax::ast::{Atom, Clause, Literal, Place, TermKind};
@@ -8,7 +8,7 @@ use crate::diag::{Code, Diagnostic};
 use crate::datalog::syntax::parser::{Parse, Parser, Reported};
 
 impl Parser<'_> {
-    /// The present tokens are `?-`.
+    /// Returns whether the current tokens are `?-`.
     fn at_question(&self) -> bool {
         self.kind() == Kind::Ident && self.slice(self.token()) == "?" && self.ahead(1).kind == Kind::Minus
     }
@@ -34,7 +34,7 @@ impl Parser<'_> {
             return Err(self.expected_item(" (a head cannot be negated)"));
         }
         if self.at_question() {
-            let help = "mark a predicate as a result with `.output`, or ask it in `logicity repl`";
+            let help = "mark a predicate as output with `.output`, or enter the query in `logicity repl`";
             return Err(self.unsupported(self.span(start), "queries (`?-`) are", help));
         }
         let mut heads = vec![self.atom("the arguments of the head: `(`")?];
@@ -51,7 +51,7 @@ impl Parser<'_> {
                 self.eat(Kind::If);
                 body = self.disjunction()?;
                 if body.is_empty() {
-                    // `A(x) :- true.` is no fact.
+                    // `A(x) :- true.` is a rule, not a fact.
                     body.push(Literal::Any(vec![Vec::new()]));
                 }
                 self.full_stop("`,` or `.`", start)?;
@@ -66,10 +66,11 @@ impl Parser<'_> {
         })
     }
 
-    /// A full stop. If only that seems to be missing, the clause that began at `start` is whole and is kept.
+    /// Reads a full stop. If nothing but the full stop is missing, reports it and keeps the clause that began at
+    /// `start`.
     fn full_stop(&mut self, what: &str, start: Token) -> Parse<()> {
         let token = self.token();
-        // A line further in is more likely a literal after a forgotten comma.
+        // An indented line is more likely a literal after a missing comma.
         let next_clause = token.kind == Kind::Ident && token.first_on_line && self.indent(token) <= self.indent(start);
         if self.at_known_directive() || token.kind == Kind::End || next_clause {
             self.expected_with(what, Some("a clause ends with a full stop"));
@@ -129,7 +130,7 @@ impl Parser<'_> {
         Ok(all)
     }
 
-    /// A literal, or what stands in parentheses, perhaps negated.
+    /// A literal or a parenthesized body, optionally negated.
     fn literals(&mut self) -> Parse<Vec<Literal>> {
         let outside = self.nesting;
         let mut negated = false;
@@ -167,7 +168,7 @@ impl Parser<'_> {
         Ok(if negated { negate(all) } else { all })
     }
 
-    /// A `!` with nothing to negate, as Prolog has it.
+    /// Returns whether the current token is Prolog's cut: a `!` with nothing to negate.
     fn is_cut(&self) -> bool {
         let ends = matches!(
             self.ahead(1).kind,
@@ -187,14 +188,14 @@ impl Parser<'_> {
         self.slice(self.token()) == "NOT" && atom_follows
     }
 
-    /// The token after the `)` that closes the parenthesis so many tokens ahead, if the clause goes on until there.
+    /// Returns the token after the `)` that matches the `(` at offset `ahead`, if the clause extends that far.
     pub(super) fn after_parenthesis(&self, ahead: usize) -> Option<Token> {
         let mut depth = 0_usize;
         for (at, &token) in self.tokens.iter().enumerate().skip(self.at + ahead) {
             match token.kind {
                 Kind::LParen => depth += 1,
                 Kind::RParen => depth = depth.checked_sub(1)?,
-                // No clause ends and no body begins within parentheses.
+                // Parentheses contain neither the end of a clause nor the start of a body.
                 Kind::Dot | Kind::If | Kind::End => return None,
                 _ => {}
             }
@@ -205,7 +206,7 @@ impl Parser<'_> {
         None
     }
 
-    /// Whether what stands in the parenthesis so many tokens ahead is an operand of something.
+    /// Returns whether the parenthesis at offset `ahead` is an operand of a comparison or operator.
     pub(super) fn is_operand_in_parentheses(&self, ahead: usize) -> bool {
         self.after_parenthesis(ahead)
             .is_some_and(|after| comparison(after.kind).is_some() || self.infix(after).is_some())
@@ -250,15 +251,15 @@ impl Parser<'_> {
                 return Err(self.unsupported(
                     atom.place.0,
                     &format!("the functor `{}` is", atom.predicate.text),
-                    "an atom has no value that could be compared",
+                    "an atom has no value to compare",
                 ));
             }
             return Ok(Literal::Atom { negated: false, atom });
         };
         let (Some(right), Some(left), 0) = (atom.terms.pop(), atom.terms.pop(), atom.terms.len()) else {
             let message = format!("`{}` takes 2 arguments", atom.predicate.text);
-            let fault =
-                Diagnostic::new(Code::ARITY_MISMATCH, message).at(atom.place.0, "a pattern or part, and a text");
+            let fault = Diagnostic::new(Code::ARITY_MISMATCH, message)
+                .at(atom.place.0, "expected a pattern or part, then a string");
             self.faults.push(fault);
             return Err(Reported);
         };
@@ -266,7 +267,7 @@ impl Parser<'_> {
         Ok(Literal::Compare { op, left, right, place })
     }
 
-    /// The second part of a name with a dot, if an atom with such a name begins here.
+    /// Returns the second part of a qualified name `a.b(...)`, if one begins at the current token.
     fn component(&self) -> Option<Token> {
         let (start, dot, part) = (self.token(), self.ahead(1), self.ahead(2));
         let is_name = start.kind == Kind::Ident && dot.kind == Kind::Dot && part.kind == Kind::Ident;
@@ -297,14 +298,14 @@ impl Parser<'_> {
         Ok(Literal::Compare { op, left, right, place })
     }
 
-    /// Reports a name, just read, that is neither an atom nor compared.
+    /// Reports a name that is neither part of an atom nor of a comparison.
     fn lonely_name(&mut self, name: Token) -> Reported {
         let text = self.slice(name);
         let next = self.token();
         let help = match next.kind {
             _ if self.habit().is_some() => self.habit().unwrap_or_default().to_owned(),
             Kind::Ident | Kind::Underscore => {
-                format!("arguments stand in parentheses: `{text}({})`", self.slice(next))
+                format!("put arguments in parentheses: `{text}({})`", self.slice(next))
             }
             _ => format!("a predicate without arguments is written `{text}()`"),
         };
@@ -316,8 +317,8 @@ impl Parser<'_> {
     }
 }
 
-/// What to do without a cut.
-const CUT: &str = "all answers are wanted, and the order of clauses says nothing; to leave out what another clause covers, \
+/// Help for programs that use a cut.
+const CUT: &str = "Datalog derives all answers and ignores the order of clauses; to exclude what another clause covers, \
                    negate it: `Not(A(x))`";
 
 fn comparison(kind: Kind) -> Option<Comparison> {
@@ -332,7 +333,7 @@ fn comparison(kind: Kind) -> Option<Comparison> {
     })
 }
 
-/// What holds if not all of these do.
+/// Negates a conjunction.
 pub(crate) fn negate(mut all: Vec<Literal>) -> Vec<Literal> {
     match all.pop() {
         Some(only) if all.is_empty() => negate_one(only),

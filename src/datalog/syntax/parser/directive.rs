@@ -1,4 +1,4 @@
-//! Directives: declarations, types, marks of predicates, constraints, and what else begins with a full stop.
+//! Directives: declarations, types, marks of predicates, constraints, includes and scopes.
 
 use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::syntax::ast::{
@@ -10,7 +10,7 @@ use crate::diag::{Code, Diagnostic, did_you_mean};
 
 use crate::datalog::syntax::parser::{DIRECTIVES, FOREIGN_DIRECTIVES, MAX_NESTING, OLD_TYPES, Parse, Parser, Reported};
 
-/// What Soufflé allows after the columns of a declaration and this language reads.
+/// The qualifiers of Soufflé that the parser accepts after the columns of a declaration.
 const QUALIFIERS: &[&str] = &[
     "inline",
     "no_inline",
@@ -24,7 +24,7 @@ const QUALIFIERS: &[&str] = &[
     "printsize",
 ];
 
-/// `.decl A(x: number) output` is Soufflé's old way to write `.output A`.
+/// Returns the directive that a qualifier stands for: `.decl A(x: number) output` is an old notation for `.output A`.
 fn mark_of(qualifier: &str) -> Option<MarkKind> {
     match qualifier {
         "input" => Some(MarkKind::Input),
@@ -74,7 +74,7 @@ impl Parser<'_> {
                     words.push(self.unescape(token));
                 }
                 if words.is_empty() {
-                    return Err(self.expected("a text in quotes"));
+                    return Err(self.expected("a quoted string"));
                 }
                 Ok(Some(Item::Pragma(Pragma {
                     words,
@@ -99,7 +99,7 @@ impl Parser<'_> {
                 if let Some((_, what)) = FOREIGN_DIRECTIVES.iter().find(|(foreign, _)| *foreign == name) {
                     let verb = if what.contains('(') { "are" } else { "is" };
                     let help = match name {
-                        "limitsize" => "remove it; a query stops by itself when it derives too many rows",
+                        "limitsize" => "remove it; evaluation stops when the rules derive too many rows",
                         _ => "",
                     };
                     let reported = self.unsupported(span, &format!("{what} {verb}"), help);
@@ -141,7 +141,7 @@ impl Parser<'_> {
         }
     }
 
-    /// Skips `name ... { ... }`, the block of a component, if one follows on the same line.
+    /// Skips the block `name ... { ... }` of a component, if one begins on the same line.
     fn skip_braces(&mut self) {
         let mut ahead = 0;
         while !self.ahead(ahead).first_on_line && !matches!(self.ahead(ahead).kind, Kind::LBrace | Kind::End) {
@@ -204,7 +204,7 @@ impl Parser<'_> {
         })
     }
 
-    /// Names with or without commas between them; a name before a parenthesis begins a clause.
+    /// Commas between the names are optional; a name before a parenthesis begins a clause.
     fn constraint(&mut self, kind: ConstraintKind, dot: Token) -> Parse<Option<Item>> {
         let mut names = vec![self.name("a predicate")?];
         while self.eat(Kind::Comma) || (self.kind() == Kind::Ident && self.ahead(1).kind != Kind::LParen) {
@@ -213,7 +213,7 @@ impl Parser<'_> {
         let place = self.place_from(dot);
         let (good, wanted) = match kind {
             ConstraintKind::Disjoint => (names.len() >= 2, "two predicates or more"),
-            ConstraintKind::Implies => (names.len() == 2, "two predicates: what holds, and what then holds too"),
+            ConstraintKind::Implies => (names.len() == 2, "two predicates: the premise, then the conclusion"),
             ConstraintKind::Irreflexive | ConstraintKind::Symmetric => (true, ""),
         };
         if !good {
@@ -241,7 +241,7 @@ impl Parser<'_> {
         {
             let fault = Diagnostic::new(Code::SYNTAX, format!("`{}` is not a predicate's name", name.text))
                 .at(name.place.0, "")
-                .note("it is a comparison of texts");
+                .note("it is a comparison of strings");
             self.faults.push(fault);
         }
         let mut qualifiers = Vec::new();
@@ -297,7 +297,7 @@ impl Parser<'_> {
         }
     }
 
-    /// What Soufflé allows after the columns and this language does not: `eqrel`, `choice-domain ...`.
+    /// Reports the qualifiers of Soufflé that the language does not have: `eqrel`, `choice-domain ...`.
     fn foreign_qualifiers(&mut self) {
         let first = self.token();
         let known = matches!(
@@ -322,7 +322,7 @@ impl Parser<'_> {
         self.unsupported(span, &format!("the qualifier `{word}` is"), "remove it");
     }
 
-    /// What follows `.type`, or one of its old forms that say themselves of what base the type is.
+    /// Parses the rest of a `.type`. `old` is the base type that an old notation, such as `.number_type`, implies.
     fn type_decl(&mut self, doc: String, old: Option<BaseType>) -> Parse<TypeDecl> {
         let name = self.name("the type's name")?;
         let start = self.at - 1;

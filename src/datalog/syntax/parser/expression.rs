@@ -1,4 +1,4 @@
-//! Expressions: operators by precedence, functions, casts, aggregates, constants.
+//! Expressions: operators with precedence, functions, casts, aggregates and constants.
 
 use crate::datalog::syntax::ast::{Aggregate, Literal, Term, TermKind};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
@@ -7,11 +7,11 @@ use crate::diag::{Code, Diagnostic};
 
 use crate::datalog::syntax::parser::{Parse, Parser, Reported};
 
-/// Higher expressions are refused: an operator or function is one higher than its highest operand.
+/// Maximum height of an expression: an operator or function is one level above its highest operand.
 const MAX_HEIGHT: usize = 256;
 
 impl Parser<'_> {
-    /// The operator that stands between two operands.
+    /// Returns the binary operator that the token writes.
     pub(super) fn infix(&self, token: Token) -> Option<Functor> {
         match token.kind {
             Kind::Operator | Kind::Minus | Kind::Ident => Functor::infix(self.slice(token)),
@@ -23,7 +23,7 @@ impl Parser<'_> {
         self.expression(0).map(|(term, _)| term)
     }
 
-    /// An expression of operators that bind at least so tightly, and its height.
+    /// Parses an expression whose operators have at least the precedence `least`. Returns the term and its height.
     fn expression(&mut self, least: u8) -> Parse<(Term, usize)> {
         let start = self.token();
         let (mut left, mut height) = self.operand()?;
@@ -54,12 +54,14 @@ impl Parser<'_> {
         }
         let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "expression with too many operators")
             .at(self.span(start), "it begins here")
-            .note(format!("an expression is at most {MAX_HEIGHT} operators high"));
+            .note(format!(
+                "an expression is at most {MAX_HEIGHT} levels of operators high"
+            ));
         self.faults.push(fault);
         Err(Reported)
     }
 
-    /// Whether a term begins here that has parentheses: a function, or an aggregate of something in parentheses.
+    /// Returns whether a term with parentheses begins here: a function, or an aggregate of a parenthesized expression.
     pub(super) fn is_term_with_parentheses(&self) -> bool {
         let word = self.slice(self.token());
         let is_function = word == "as" || Functor::function(word).is_some();
@@ -91,7 +93,7 @@ impl Parser<'_> {
         }
     }
 
-    /// What operators stand between, and its height.
+    /// Parses an operand. Returns the term and its height.
     fn operand(&mut self) -> Parse<(Term, usize)> {
         let start = self.token();
         let prefix = match start.kind {
@@ -128,7 +130,7 @@ impl Parser<'_> {
             }
         }
         self.deeper()?;
-        // An operand may have a sign of its own; only `^` binds more tightly.
+        // An operand may have a sign itself; only `^` binds more tightly.
         let tighter = Functor::Power.precedence().unwrap_or(0);
         let (operand, height) = self.expression(tighter)?;
         self.nesting = outside;
@@ -174,7 +176,7 @@ impl Parser<'_> {
         }
     }
 
-    /// Reports a word before `(` that is no function.
+    /// Reports a name before `(` that is no functor.
     fn unknown_function(&mut self, name: Token) -> Reported {
         let word = self.slice(name);
         if let Some(op) = AggregateOp::ALL.into_iter().find(|op| op.name() == word) {
@@ -182,20 +184,18 @@ impl Parser<'_> {
         }
         let help = match word {
             "autoinc" => "",
-            _ => "an argument is a variable, a constant, `_` or an expression of the functors listed in the reference",
+            _ => "an argument is a variable, a constant, `_` or an expression; the reference lists the functors",
         };
         self.unsupported(self.span(name), &format!("the functor `{word}` is"), help)
     }
 
-    /// Reports `count(x)`, `sum(x : A(x))`.
+    /// Reports an aggregate in function notation: `count(x)`, `sum(x : A(x))`.
     fn applied_aggregate(&mut self, op: AggregateOp, name: Token) -> Reported {
         let word = op.name();
         let of = if op == AggregateOp::Count { "" } else { " y" };
-        let fault = Diagnostic::new(Code::SYNTAX, format!("`{word}` is no function"))
+        let fault = Diagnostic::new(Code::SYNTAX, format!("`{word}` is not a function"))
             .at(self.span(name), "")
-            .help(format!(
-                "it stands before a body of its own: `n = {word}{of} : {{ A(x, y) }}`"
-            ));
+            .help(format!("write it before a body: `n = {word}{of} : {{ A(x, y) }}`"));
         self.faults.push(fault);
         Reported
     }
@@ -218,7 +218,7 @@ impl Parser<'_> {
             Kind::Unsigned => TermKind::Unsigned(u32::try_from(self.number(token)).unwrap_or(0)),
             Kind::Float => TermKind::Float(self.slice(token).to_owned()),
             Kind::Text | Kind::OpenText => TermKind::Text(self.unescape(token)),
-            // Reported by the lexer.
+            // The lexer has reported it.
             Kind::Faulty => return Err(Reported),
             _ => return Err(self.expected("an argument: a variable, a constant, `_` or an expression")),
         };
@@ -327,7 +327,7 @@ impl Parser<'_> {
         Ok(TermKind::Aggregate(Box::new(Aggregate { op, target, body })))
     }
 
-    /// The value of a number; one that no type has is reported and becomes 0.
+    /// Returns the value of a number. A value outside the range of every type counts as 0, after a report.
     pub(super) fn number(&mut self, token: Token) -> i64 {
         let text = self.slice(token);
         let text = text.strip_suffix('u').unwrap_or(text);
@@ -340,14 +340,14 @@ impl Parser<'_> {
         for digit in digits.chars() {
             match digit.to_digit(radix) {
                 Some(digit) => value = (value * i64::from(radix) + i64::from(digit)).min(1 << 40),
-                None => return 0, // the lexer has reported it
+                None => return 0, // The lexer has reported it.
             }
         }
         if value > i64::from(u32::MAX) {
             let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "number out of range")
                 .at(self.span(token), "")
                 .note(format!(
-                    "numbers go from {} to {}, unsigned ones to {}",
+                    "numbers range from {} to {}, unsigned numbers from 0 to {}",
                     i32::MIN,
                     i32::MAX,
                     u32::MAX

@@ -1,9 +1,9 @@
-//! Tokens to a syntax tree.
+//! The parser: from tokens to a syntax tree.
 //!
-//! The parser never fails: a fault is reported, the faulty clause or directive is left out (or kept as far as it is
-//! understood, so that its name is not reported as unknown) and reading goes on at the next one. Recursion is as deep as
-//! parentheses and braces are nested, and that is bounded, as is the height of an expression: no text can exhaust the stack.
-//! Each token is looked at a bounded number of times.
+//! The parser never fails. It reports a fault, drops the faulty clause or directive, and resumes at the next one. Where
+//! it understood the declared name it keeps the item, so that no use of the name counts as unknown. The nesting of
+//! parentheses and braces and the height of expressions are bounded, so no input exhausts the stack. The parser visits
+//! each token a bounded number of times.
 
 use crate::diag::{Code, Diagnostic, Faults, SourceId, Span};
 
@@ -18,10 +18,10 @@ mod expression;
 
 pub(crate) use clause::negate;
 
-/// More negations, parentheses and braces than this around anything are refused.
+/// Maximum number of enclosing negations, parentheses and braces.
 const MAX_NESTING: usize = 64;
 
-/// The words of all directives.
+/// The names of all directives, without the dot.
 pub const DIRECTIVES: &[&str] = &[
     "decl",
     "type",
@@ -41,7 +41,7 @@ pub const DIRECTIVES: &[&str] = &[
     "symmetric",
 ];
 
-/// Soufflé's directives that this language does not have.
+/// Directives of Soufflé that this language does not have, with their descriptions.
 const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
     ("comp", "components (`.comp`)"),
     ("init", "components (`.init`)"),
@@ -51,30 +51,30 @@ const FOREIGN_DIRECTIVES: &[(&str, &str)] = &[
     ("limitsize", "`.limitsize`"),
 ];
 
-/// How older versions of Soufflé declare a type, and what it is a subtype of.
+/// Type directives of older Soufflé versions, with the supertype they imply.
 const OLD_TYPES: &[(&str, BaseType)] = &[("symbol_type", BaseType::Symbol), ("number_type", BaseType::Number)];
 
-/// The tree of one text.
+/// Parses one source.
 pub(crate) fn parse(source: SourceId, text: &str, faults: &mut Faults) -> File {
     let lexed = lexer::lex(source, text, faults);
     parse_tokens(source, text, &lexed, faults).0
 }
 
-/// The tree of a text that is lexed already, and the number of each item's first token.
+/// Parses a lexed source. Returns the tree and, for each item, the index of its first token.
 pub(crate) fn parse_tokens(source: SourceId, text: &str, lexed: &Lexed, faults: &mut Faults) -> (File, Vec<usize>) {
     let mut parser = Parser::new(source, text, lexed, faults);
     let file = parser.file();
     (file, parser.starts)
 }
 
-/// The body of a question: `?- A(x), x > 1.`; what is not in doubt, `?-` and the full stop, may be missing.
+/// Parses the body of a query: `?- A(x), x > 1.` The leading `?-` and the full stop are optional.
 pub(crate) fn parse_question(source: SourceId, text: &str, faults: &mut Faults) -> Option<(Vec<Literal>, Place)> {
     let lexed = lexer::lex(source, text, faults);
     let mut parser = Parser::new(source, text, &lexed, faults);
     parser.question().ok()
 }
 
-/// The fault has been reported; the caller leaves what it was reading.
+/// Marks a fault that the parser has reported; the caller abandons the current construct.
 struct Reported;
 
 type Parse<T> = Result<T, Reported>;
@@ -86,11 +86,11 @@ struct Parser<'a> {
     docs: &'a [DocLine],
     next_doc: usize,
     at: usize,
-    /// Where items begin.
+    /// The index of the first token of each item.
     starts: Vec<usize>,
-    /// Parentheses, braces and negations around what is being read.
+    /// The number of parentheses, braces and negations around the current token.
     nesting: usize,
-    /// What the qualifiers of the declaration just read mark its predicates as.
+    /// The marks that the qualifiers of the last declaration imply.
     marks: Vec<Item>,
     faults: &'a mut Faults,
 }
@@ -151,7 +151,7 @@ impl<'a> Parser<'a> {
         self.tokens[self.at.saturating_sub(1)]
     }
 
-    /// From the first byte of `start` to the last byte read.
+    /// Returns the place from the first byte of `start` to the last byte read.
     fn place_from(&self, start: Token) -> Place {
         Place(self.span(start).to(self.span(self.previous())))
     }
@@ -161,13 +161,13 @@ impl<'a> Parser<'a> {
         before.len() - before.rfind('\n').map_or(0, |newline| newline + 1)
     }
 
-    /// The name after a `.` that touches it.
+    /// Returns the name of the directive that begins at the current token: a `.` directly followed by a name.
     fn directive_ahead(&self) -> Option<&'a str> {
         let (dot, name) = (self.token(), self.ahead(1));
         (dot.kind == Kind::Dot && name.kind == Kind::Ident && dot.end == name.start).then(|| self.slice(name))
     }
 
-    /// Whether a directive begins here rather than a full stop ends something.
+    /// Returns whether a known directive begins at the current token, as opposed to a full stop.
     fn at_known_directive(&self) -> bool {
         self.token().first_on_line
             && self.directive_ahead().is_some_and(|name| {
@@ -196,20 +196,20 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// Something is missing before the present token.
+    /// Reports that `what` is missing before the current token.
     fn expected(&mut self, what: &str) -> Reported {
         let help = self.habit();
         self.expected_with(what, help)
     }
 
-    /// As [`Parser::expected`], with what to do.
+    /// Reports as [`Parser::expected`] does, with the given help.
     fn expected_with(&mut self, what: &str, help: Option<&str>) -> Reported {
         let token = self.token();
         if token.kind == Kind::Faulty {
             return Reported;
         }
         let message = format!("expected {what}, found {}", self.describe(token));
-        // When the line is over, the fault is where something should have followed.
+        // At the end of a line the fault belongs behind the previous token.
         let span = if self.at > 0 && (token.first_on_line || token.kind == Kind::End) {
             let end = self.previous().end as usize;
             Span::new(self.source, end..end)
@@ -224,7 +224,7 @@ impl<'a> Parser<'a> {
         Reported
     }
 
-    /// What to write instead of a present token that other languages have at such a place.
+    /// Returns the help for a spelling of another language at the current token.
     fn habit(&self) -> Option<&'static str> {
         let (token, next) = (self.token(), self.ahead(1));
         match (self.slice(token), next.kind) {
@@ -240,10 +240,10 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// Reports one of these words, so many tokens long, where `what` is expected, and goes on behind it.
+    /// Reports a foreign spelling whose help is `help` where `what` is expected, and skips it.
     fn goes_on_after(&mut self, help: &str, what: &str) -> bool {
         let token = self.token();
-        // On a line of its own a name with arguments begins a clause.
+        // A name with arguments at the start of a line begins a clause.
         let is_atom = token.first_on_line && self.ahead(1).kind == Kind::LParen;
         if self.habit() != Some(help) || is_atom {
             return false;
@@ -256,7 +256,7 @@ impl<'a> Parser<'a> {
         true
     }
 
-    /// The present token cannot begin a clause or directive.
+    /// Reports that no clause or directive can begin at the current token.
     fn expected_item(&mut self, why: &str) -> Reported {
         let token = self.token();
         if token.kind == Kind::Faulty {
@@ -300,7 +300,7 @@ impl<'a> Parser<'a> {
         file
     }
 
-    /// Skips to where the next item seems to begin.
+    /// Skips to the probable start of the next item.
     fn recover(&mut self, start: usize) {
         loop {
             let token = self.token();
@@ -327,7 +327,7 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// The doc comment that ends where the present token begins. Those before earlier tokens are dropped.
+    /// Returns the doc comment directly before the current token and drops earlier ones.
     fn doc(&mut self) -> String {
         let mut text = String::new();
         while let Some(line) = self.docs.get(self.next_doc)
@@ -441,7 +441,7 @@ impl<'a> Parser<'a> {
         Ok(names)
     }
 
-    /// One more parenthesis or brace around what follows.
+    /// Enters one more level of nesting.
     fn deeper(&mut self) -> Parse<()> {
         self.nesting += 1;
         if self.nesting <= MAX_NESTING {
@@ -450,13 +450,13 @@ impl<'a> Parser<'a> {
         let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "nested too deeply")
             .at(self.span(self.token()), "")
             .note(format!(
-                "at most {MAX_NESTING} negations, parentheses and braces may stand around anything"
+                "at most {MAX_NESTING} enclosing negations, parentheses and braces are allowed"
             ));
         self.faults.push(fault);
         Err(Reported)
     }
 
-    /// The text between the quotes with its escapes replaced.
+    /// Returns the contents of a quoted string with its escapes replaced.
     fn unescape(&mut self, token: Token) -> String {
         let quoted = self.slice(token);
         let inner = &quoted[1..quoted.len() - usize::from(token.kind == Kind::Text)];
@@ -483,7 +483,7 @@ impl<'a> Parser<'a> {
         }
         for (at, c) in bad {
             let start = token.start as usize + 1 + at;
-            let fault = Diagnostic::new(Code::SYNTAX, "unknown escape in a text")
+            let fault = Diagnostic::new(Code::SYNTAX, "unknown escape in a string")
                 .at(Span::new(self.source, start..start + 1 + c.len_utf8()), "")
                 .note("the escapes are `\\n`, `\\r`, `\\t`, `\\0`, `\\\"`, `\\'` and `\\\\`");
             self.faults.push(fault);
