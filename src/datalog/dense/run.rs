@@ -125,7 +125,8 @@ impl<const W: usize> BitState<W> {
     /// Resets the state to another universe of the same program, with empty inputs. Allocates only if this universe is
     /// larger than all earlier ones.
     ///
-    /// # Panics If `count` exceeds `64 * W`.
+    /// # Panics
+    /// If `count` exceeds `64 * W`.
     pub fn reset(&mut self, program: &Dense, count: usize) {
         assert!(count <= 64 * W, "{count} entities in sets of {}", 64 * W);
         self.count = count;
