@@ -1,4 +1,4 @@
-//! The rules and configurations that are part of the program.
+//! The built-in rules and configurations.
 
 use std::path::Path;
 
@@ -9,10 +9,10 @@ use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, read_text};
 static RULES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/rules");
 static CONFIGS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/configs");
 
-/// The endings of the files that a program or configuration can name. The folders also hold documentation.
+/// The extensions of files that a program or configuration can name. The folders also contain documentation.
 const ENDINGS: [&str; 3] = ["dl", "yaml", "jsonl"];
 
-/// The paths in the repository of all built-in files, sorted, for example `rules/vocabulary.dl`.
+/// Returns the repository paths of all built-in files, sorted, for example `rules/vocabulary.dl`.
 pub fn paths() -> Vec<String> {
     fn walk(folder: &Dir<'_>, root: &str, found: &mut Vec<String>) {
         let files = folder.files().map(|file| file.path());
@@ -30,7 +30,7 @@ pub fn paths() -> Vec<String> {
     found
 }
 
-/// The text of a built-in file by its path in the repository, for example `configs/maps/square-5x5.yaml`.
+/// Returns the text of a built-in file by its repository path, for example `configs/maps/square-5x5.yaml`.
 pub fn text(path: &str) -> Option<&'static str> {
     let (root, inside) = path.split_once('/')?;
     let folder = match root {
@@ -43,7 +43,7 @@ pub fn text(path: &str) -> Option<&'static str> {
 
 /// Reads files from disk, and built-in files under [`BUILTIN_FOLDER`].
 ///
-/// The folder `rules/` may be left out there: a rule file anywhere can include `vocabulary.dl`.
+/// Paths there may omit the folder `rules/`, so that any rule file can include `vocabulary.dl`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BuiltinFiles;
 
@@ -63,7 +63,7 @@ impl ReadFile for BuiltinFiles {
     }
 }
 
-/// Reads with a function, which serves the built-in files, and suggests these in messages.
+/// Reads files, built-in ones too, with a function. Messages suggest the built-in paths.
 #[derive(Clone, Copy, Debug)]
 pub struct ReadWith<F>(pub F);
 

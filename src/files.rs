@@ -1,34 +1,35 @@
-//! Files: the only place that reads input and writes output.
+//! File input and output; no other module of the library reads or writes files.
 //!
-//! Input is read whole, with a bound on its size, and must be UTF-8. Output is written to a temporary name in the same folder
-//! and renamed when complete, so a reader never sees half a file and a failed write leaves the old one.
+//! Input is read as a whole, is bounded in size, and must be UTF-8. Output goes to a temporary file in the same folder,
+//! which is renamed when complete. So a reader never sees a partial file, and a failed write leaves the old file
+//! intact.
 
 #[cfg(feature = "sim")]
 use std::io::Write;
 use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
 
-/// The folder, as paths name it, that holds the built-in files and nothing else.
+/// The path prefix of the built-in files; nothing else is below it.
 pub const BUILTIN_FOLDER: &str = "<builtin>";
 
-/// The largest text file that is read: 1 GiB.
+/// The maximum size of an input file: 1 GiB.
 pub const MAX_BYTES: u64 = 1 << 30;
 
-/// Why a file could not be read.
+/// The reason why a file could not be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ReadError {
-    /// There is no such file.
+    /// The file does not exist.
     NotFound,
-    /// Its bytes are not UTF-8.
+    /// The file is not UTF-8.
     NotText {
-        /// Line of the first byte that is not UTF-8, from 1.
+        /// The line of the first byte that is not UTF-8, from 1.
         line: usize,
         /// Its column in characters, from 1.
         column: usize,
     },
-    /// It is larger than [`MAX_BYTES`].
+    /// The file is larger than [`MAX_BYTES`].
     TooLarge,
-    /// Anything else; the system's words.
+    /// Any other error, with the system's message.
     Io(String),
 }
 
@@ -47,17 +48,17 @@ impl std::fmt::Display for ReadError {
 
 impl std::error::Error for ReadError {}
 
-/// How a program or a configuration reads the files that it names: the rooms that parse them do no I/O.
+/// Reads the files that a program or a configuration names. The modules that parse them do no I/O.
 ///
-/// Every function `Fn(&Path) -> Result<String, ReadError>` is one, for example [`read_text`].
+/// Every function `Fn(&Path) -> Result<String, ReadError>` implements it, for example [`read_text`].
 pub trait ReadFile {
-    /// The text of a file.
+    /// Returns the text of a file.
     ///
     /// # Errors
     /// Why the file cannot be read.
     fn read(&self, path: &Path) -> Result<String, ReadError>;
 
-    /// The paths of the files below [`BUILTIN_FOLDER`].
+    /// Returns the paths of the files below [`BUILTIN_FOLDER`], for suggestions in messages.
     fn builtin_paths(&self) -> Vec<String> {
         Vec::new()
     }
@@ -90,7 +91,7 @@ pub fn read_text(path: &Path) -> Result<String, ReadError> {
     read_from(open(path)?)
 }
 
-/// Opens what is not a folder.
+/// Opens a file. Fails if the path is a folder.
 ///
 /// # Errors
 /// Why the file cannot be read.
@@ -106,12 +107,13 @@ pub fn open(path: &Path) -> Result<std::fs::File, ReadError> {
     Ok(file)
 }
 
-/// Reads all there is as text.
+/// Reads all input as text.
 pub fn read_from(input: impl Read) -> Result<String, ReadError> {
     to_text(read_bytes(input)?)
 }
 
-/// Reads all there is as text, also what is not: each byte that is no part of a text becomes `U+FFFD`. Beside it the place of the first.
+/// Reads all input as text and replaces each invalid byte sequence by `U+FFFD`. Also returns the position of the first
+/// invalid byte.
 pub fn read_any(input: impl Read) -> Result<(String, Option<usize>), ReadError> {
     Ok(match String::from_utf8(read_bytes(input)?) {
         Ok(text) => (text, None),
@@ -135,11 +137,10 @@ fn read_bytes(input: impl Read) -> Result<Vec<u8>, ReadError> {
 /// A path and the bytes of its file.
 pub type NamedBytes = (String, Vec<u8>);
 
-/// Reads the files in the folders of a folder, each with its path `FOLDER/NAME`, in the order of paths. What lies beside the folders, and
-/// what has a name that begins with a dot, is left out.
+/// Reads the files in the subfolders of a folder, sorted by path, each with its path `FOLDER/NAME`. Skips files outside
+/// of subfolders and names that begin with a dot.
 ///
-/// # Errors
-/// The path that cannot be read, or that has too many or too large files below it, and why.
+/// The path that cannot be read and the reason: too many files, or an error of the system.
 pub fn read_folders(path: &Path, files_max: usize, bytes_max: u64) -> Result<Vec<NamedBytes>, (PathBuf, ReadError)> {
     let mut found = Vec::new();
     for folder in listed(path)?.into_iter().filter(|path| path.is_dir()) {
@@ -149,7 +150,7 @@ pub fn read_folders(path: &Path, files_max: usize, bytes_max: u64) -> Result<Vec
                 return Err(fail(ReadError::Io(format!("more than {files_max} files"))));
             }
             let handle = open(&file).map_err(fail)?;
-            // One byte more, so that whoever takes the bytes can tell that there are too many.
+            // Read one byte more, so that the caller can detect that the file is too large.
             let bytes = read_bytes(handle.take(bytes_max + 1)).map_err(fail)?;
             let inside = file.strip_prefix(path).ok().and_then(Path::to_str);
             let name = inside.ok_or_else(|| fail(ReadError::Io("its name is not UTF-8".into())))?;
@@ -159,11 +160,11 @@ pub fn read_folders(path: &Path, files_max: usize, bytes_max: u64) -> Result<Vec
     Ok(found)
 }
 
-/// What is in a folder, sorted, without names that begin with a dot.
+/// Returns the sorted contents of a folder, without names that begin with a dot.
 fn listed(path: &Path) -> Result<Vec<PathBuf>, (PathBuf, ReadError)> {
     let fail = |error: io::Error| match error.kind() {
         io::ErrorKind::NotFound => (path.to_owned(), ReadError::Io("no such folder".into())),
-        io::ErrorKind::NotADirectory => (path.to_owned(), ReadError::Io("it is no folder".into())),
+        io::ErrorKind::NotADirectory => (path.to_owned(), ReadError::Io("it is not a folder".into())),
         _ => (path.to_owned(), ReadError::Io(error.to_string())),
     };
     let entries = std::fs::read_dir(path).map_err(fail)?;
@@ -179,7 +180,7 @@ fn listed(path: &Path) -> Result<Vec<PathBuf>, (PathBuf, ReadError)> {
     Ok(paths)
 }
 
-/// The text that bytes are.
+/// Decodes UTF-8 text.
 ///
 /// # Errors
 /// [`ReadError::NotText`].
@@ -193,8 +194,8 @@ pub fn to_text(bytes: Vec<u8>) -> Result<String, ReadError> {
     })
 }
 
-/// A path without `.` and, where the text allows it, without `..`: by it two names of one file are known to be the same. The disk
-/// is not asked.
+/// Returns the path without `.` and, where possible, without `..`, so that two names of one file compare equal. Does
+/// not access the disk.
 pub fn normalise(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for component in path.components() {
@@ -209,7 +210,7 @@ pub fn normalise(path: &Path) -> PathBuf {
     out
 }
 
-/// A file being written under a temporary name; [`Output::finish`] gives it its own. Dropped unfinished, it leaves nothing.
+/// A file that is written under a temporary name. [`Output::finish`] renames it; dropping it earlier removes it.
 #[cfg(feature = "sim")]
 pub struct Output {
     file: io::BufWriter<tempfile::NamedTempFile>,
@@ -220,8 +221,8 @@ pub struct Output {
 impl Output {
     /// Begins to write the file at `path`, whose folder must exist.
     ///
-    /// # Errors
-    /// Those of the system, and `InvalidInput` if `path` is a folder, a device or the like: it would be replaced.
+    /// Errors of the system, and `InvalidInput` if `path` exists and is not a regular file, since the output would
+    /// replace it.
     pub fn create(path: &Path) -> io::Result<Output> {
         if std::fs::metadata(path).is_ok_and(|found| !found.is_file()) {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a regular file"));
@@ -237,7 +238,7 @@ impl Output {
         let mut builder = tempfile::Builder::new();
         #[cfg(unix)]
         {
-            // Temporary files are private; an output is as readable as any file its user makes.
+            // Temporary files are private; give the output the permissions of an ordinary file.
             use std::os::unix::fs::PermissionsExt;
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
@@ -247,10 +248,9 @@ impl Output {
         })
     }
 
-    /// Gives the complete file its name.
+    /// Renames the complete file to its path.
     ///
-    /// # Errors
-    /// Those of the system; then the file of that name, if there is one, is as before.
+    /// Errors of the system. Then an existing file at that path is unchanged.
     pub fn finish(self) -> io::Result<()> {
         let file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
         file.persist(&self.path).map_err(|error| error.error)?;

@@ -1,32 +1,32 @@
 //! Seeded, named random streams.
 //!
-//! Nothing here advances from one call to the next: a stream is a function of (seed, purpose, index, tick), so a draw does not
-//! depend on how many draws others made before, nor on which thread makes it. The generator is ChaCha with 8 rounds, keyed by
-//! those four numbers, whose output `rand_chacha` keeps stable across versions.
+//! A stream is a function of (seed, purpose, index, tick) and has no state between calls. So a draw depends neither on
+//! other draws nor on the thread that makes it. The generator is ChaCha with 8 rounds, keyed by these four numbers;
+//! `rand_chacha` keeps its output stable across versions.
 
 use rand::SeedableRng;
 pub use rand::{Rng, RngExt};
 use rand_chacha::ChaCha8Rng;
 
-/// What a stream is for. Streams of different purposes are independent.
+/// The purpose of a stream. Streams of different purposes are independent.
 ///
-/// Each room declares its own as constants; a test checks that no two have the same number.
+/// Each module declares its own purposes as constants; a test checks that their numbers are distinct.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Purpose(u64);
 
 impl Purpose {
-    /// The purpose with this number, which no other has.
+    /// Creates the purpose with this number, which must be unique.
     pub const fn new(number: u64) -> Purpose {
         Purpose(number)
     }
 }
 
-/// The seed of a run, from which every stream is made.
+/// The seed of a run. All streams derive from it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seed(pub u64);
 
 impl Seed {
-    /// The stream for a purpose, an index and a tick.
+    /// Returns the stream for a purpose, an index and a tick.
     pub fn stream(self, purpose: Purpose, index: u64, tick: u64) -> impl Rng + use<> {
         let mut key = [0; 32];
         for (chunk, word) in key.chunks_exact_mut(8).zip([self.0, purpose.0, index, tick]) {

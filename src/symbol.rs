@@ -1,17 +1,17 @@
-//! Interned names.
+//! Interned texts.
 //!
-//! A [`Symbol`] is a small number that stands for a text; [`Symbols`] is the table that knows both ways. Numbers are given in
-//! the order of first appearance, so they are the same in every run.
+//! A [`Symbol`] is a small number that represents a text, and [`Symbols`] is the table that maps both ways. Symbols are
+//! numbered in order of first appearance, so they are the same in every run.
 //!
-//! A table only grows, and it grows through a shared reference: rules make texts while they are evaluated. A text, once there,
-//! never moves, so [`Symbols::text`] takes no lock.
+//! A table grows through a shared reference, since rules create texts during evaluation. A text never moves, so
+//! [`Symbols::text`] takes no lock.
 
 use indexmap::IndexSet;
 use std::fmt;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
-/// An interned text; meaningful only with the [`Symbols`] that made it.
+/// An interned text, valid only with the [`Symbols`] that made it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Symbol(pub u32);
 
@@ -22,24 +22,24 @@ pub struct Symbols {
     numbers: RwLock<IndexSet<Arc<str>>>,
     /// From number to text: block b holds `FIRST_BLOCK << b` texts.
     texts: [OnceLock<Block>; BLOCKS],
-    /// How many texts there are; asked for every row that is inserted.
+    /// The number of texts; read for every inserted row.
     len: AtomicUsize,
-    /// What the texts and their places take, in bytes.
+    /// The approximate memory of all texts, in bytes.
     bytes: AtomicU64,
 }
 
 type Block = Box<[OnceLock<Arc<str>>]>;
 
-/// Workspace in the first block; a power of two.
+/// The number of texts in the first block; a power of two.
 const FIRST_BLOCK: usize = 64;
 
-/// What a text takes besides its characters: its places in both directions and its counts.
+/// The overhead of a text in bytes: its entries in both directions and its reference counts.
 const TEXT_BYTES: u64 = 64;
 
-/// So many blocks hold 2^32 texts.
+/// The number of blocks that hold 2^32 texts.
 const BLOCKS: usize = 27;
 
-/// The block of a number and its place there.
+/// Returns the block of a number and its index there.
 fn place(number: u32) -> (usize, usize) {
     let shifted = number as usize + FIRST_BLOCK;
     let block = (shifted.ilog2() - FIRST_BLOCK.ilog2()) as usize;
@@ -47,18 +47,18 @@ fn place(number: u32) -> (usize, usize) {
 }
 
 impl Symbols {
-    /// An empty table.
+    /// Creates an empty table.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// The symbol of a text, made if it is new.
+    /// Returns the symbol of a text; creates it if it is new.
     pub fn intern(&self, text: &str) -> Symbol {
         if let Some(known) = self.get(text) {
             return known;
         }
         let mut numbers = self.numbers.write().unwrap_or_else(PoisonError::into_inner);
-        // Another thread may have been faster.
+        // Another thread may have added it meanwhile.
         if let Some(index) = numbers.get_index_of(text) {
             return symbol(index);
         }
@@ -72,7 +72,7 @@ impl Symbols {
         made
     }
 
-    /// Forgets all but the first `len` symbols.
+    /// Removes all but the first `len` symbols.
     pub fn truncate(&mut self, len: usize) {
         let numbers = self.numbers.get_mut().unwrap_or_else(PoisonError::into_inner);
         for text in numbers.drain(len.min(numbers.len())..).rev() {
@@ -86,29 +86,29 @@ impl Symbols {
         }
     }
 
-    /// The symbol of a text, if it has one.
+    /// Returns the symbol of a text, or `None` if it has none.
     pub fn get(&self, text: &str) -> Option<Symbol> {
         let numbers = self.numbers.read().unwrap_or_else(PoisonError::into_inner);
         numbers.get_index_of(text).map(symbol)
     }
 
-    /// The text of a symbol; `None` if another table made it.
+    /// Returns the text of a symbol, or `None` if the table does not have it.
     pub fn text(&self, symbol: Symbol) -> Option<&str> {
         let (block, at) = place(symbol.0);
         self.texts.get(block)?.get()?.get(at)?.get().map(AsRef::as_ref)
     }
 
-    /// How many symbols there are.
+    /// Returns the number of symbols.
     pub fn len(&self) -> usize {
         self.len.load(Ordering::Acquire)
     }
 
-    /// About how much memory the table takes, in bytes: a function of the texts alone.
+    /// Returns the approximate memory of the table in bytes, a function of the texts alone.
     pub fn bytes(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed)
     }
 
-    /// Whether there are none.
+    /// Returns whether there are no symbols.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

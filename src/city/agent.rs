@@ -1,4 +1,4 @@
-//! Agents, and where they start and want to go.
+//! Agents and their placement.
 
 use crate::city::{AgentConfig, AgentKind, AgentName, AgentSet};
 use crate::city::{Cell, Heading, Places, Route, Router};
@@ -8,53 +8,53 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 impl Purpose {
-    /// First start and goal; index: agent.
+    /// An agent's first start and goal; index: agent.
     pub const PLACEMENT: Purpose = Purpose::new(2);
 }
 
-/// An agent on its way.
+/// An agent on its route.
 #[derive(Clone, Debug)]
 pub struct Agent {
-    /// What it is.
+    /// Its kind.
     pub kind: AgentKind,
     /// Its number within the kind, from 1.
     pub number: u32,
-    /// The concepts it carries, which agents that are alike share.
+    /// Its concepts, shared by equal agents.
     pub concepts: Arc<[String]>,
     /// Right of way; a smaller number goes first.
     pub priority: i32,
-    /// Where it is.
+    /// Its position.
     pub cell: Cell,
-    /// The direction of its last move; none before its first move on a route.
+    /// The direction of its last move; `None` before the first move on a route.
     pub heading: Option<Heading>,
-    /// Whether it rests at its goal.
+    /// The stage of its rest at the goal.
     pub rest: Rest,
-    /// The direction of the next step; of the last one at the goal.
+    /// The direction of the next step; at the goal, of the last one.
     ahead: Heading,
-    /// Steps to the end of the piece of the route that it is on; 0 at the goal only.
+    /// Steps to the end of the current piece of the route; 0 only at the goal.
     left: u32,
-    /// The piece of the route after that.
+    /// The index of the next piece.
     next: u32,
-    /// How many steps of the route it has gone.
+    /// Steps of the route taken so far.
     position: u32,
-    /// The way it takes. It changes only through [`Agent::set_out`].
+    /// Its route. Only [`Agent::set_out`] changes it.
     route: Route,
 }
 
-/// The stages of an agent's stay at its goal: under way, arrived, rested. In the tick after that it sets out for a new goal.
+/// The stages of an agent's rest at its goal. In the tick after the last stage it sets out for a new goal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Rest {
-    /// Under way; also in the first tick at the goal, before it stops there.
+    /// Under way, or in its first tick at the goal.
     #[default]
     UnderWay,
-    /// Has stopped at the goal for one tick.
+    /// Has rested for one tick.
     Arrived,
-    /// Has stopped for two ticks; sets out in this one.
+    /// Has rested for two ticks; sets out in the next.
     Rested,
 }
 
 impl Agent {
-    /// An agent at the start of a route.
+    /// Creates an agent at the start of a route.
     pub fn new(config: &AgentConfig, route: Route) -> Self {
         Agent::with(config.name, &config.concepts, config.priority, route)
     }
@@ -78,7 +78,7 @@ impl Agent {
         agent
     }
 
-    /// Its name, for example `Car_1`.
+    /// Returns its name, for example `Car_1`.
     pub fn name(&self) -> AgentName {
         AgentName {
             kind: self.kind,
@@ -86,7 +86,7 @@ impl Agent {
         }
     }
 
-    /// Starts a new route: the agent is put at its start, without a heading.
+    /// Moves the agent to the start of a new route and clears its heading.
     pub fn set_out(&mut self, route: Route) {
         self.cell = route.start();
         self.heading = None;
@@ -96,7 +96,7 @@ impl Agent {
         self.next_piece();
     }
 
-    /// Goes on to the next piece of the route, if there is one.
+    /// Advances to the next piece of the route, if there is one.
     fn next_piece(&mut self) {
         if let Some(piece) = self.route.piece(self.next) {
             self.ahead = piece.heading();
@@ -105,42 +105,42 @@ impl Agent {
         }
     }
 
-    /// The route.
+    /// Returns the route.
     pub fn route(&self) -> &Route {
         &self.route
     }
 
-    /// The direction of its next step; of the last one at the goal.
+    /// Returns the direction of its next step; at the goal, of the last one.
     pub fn ahead(&self) -> Heading {
         self.ahead
     }
 
-    /// How far it has come: its position among the cells of the route, from 0.
+    /// Returns its position among the cells of the route, from 0.
     pub fn position(&self) -> usize {
         self.position as usize
     }
 
-    /// Where the route starts.
+    /// Returns the first cell of the route.
     pub fn start(&self) -> Cell {
         self.route.start()
     }
 
-    /// Where the route ends.
+    /// Returns the last cell of the route.
     pub fn goal(&self) -> Cell {
         self.route.goal()
     }
 
-    /// Whether it is at its goal.
+    /// Returns whether it is at its goal.
     pub fn at_goal(&self) -> bool {
         self.left == 0
     }
 
-    /// Steps straight ahead on the route, up to the next corner, node of the road graph, or the goal.
+    /// Steps to the next corner, to the next node of the road graph, or to the goal.
     pub(super) fn straight_ahead(&self) -> usize {
         self.left as usize
     }
 
-    /// Moves along the route, at most [`Agent::straight_ahead`] steps.
+    /// Moves along the route by at most [`Agent::straight_ahead`] steps.
     pub(super) fn step(&mut self, cells: usize) {
         let cells = u32::try_from(cells).unwrap_or(u32::MAX).min(self.left);
         if cells == 0 {
@@ -156,8 +156,8 @@ impl Agent {
     }
 }
 
-/// Places a set of agents on the map: different start cells, a goal and a route for each. (In runs of the published program two
-/// agents may start in one cell; that needs given routes, see [`Agent::new`].)
+/// Places a set of agents on the map: each gets its own start cell, a goal and a route. (In runs of the published
+/// program two agents may start in one cell; to reproduce those, pass routes to [`Agent::new`].)
 ///
 /// # Errors
 /// `no-start-cell` if the region has fewer start cells than agents of a kind, `no-route` if no goal can be reached.
@@ -200,7 +200,7 @@ pub fn place_agents_until(
                 agent.kind = name.kind;
                 agent.number = name.number;
                 agent.priority = group.priority;
-                // Counting who shares them is dear, and mostly they are what they were.
+                // The atomic reference count is expensive, and the concepts usually stay the same.
                 if !Arc::ptr_eq(&agent.concepts, &group.concepts) {
                     agent.concepts = Arc::clone(&group.concepts);
                 }
@@ -214,7 +214,7 @@ pub fn place_agents_until(
     Ok(())
 }
 
-/// Where the agents of a set start.
+/// Describes the start region of a set, for messages.
 fn within(set: &AgentSet) -> String {
     set.region.map_or_else(
         || "on the whole map".to_string(),
@@ -222,13 +222,13 @@ fn within(set: &AgentSet) -> String {
     )
 }
 
-/// `no-start-cell` if there are fewer places than agents of a kind.
+/// Fails with `no-start-cell` if there are fewer start cells than agents of a kind.
 fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Diagnostic> {
-    let (wanted, there_are) = (set.count(kind), places.count(kind));
-    if wanted <= there_are {
+    let (wanted, available) = (set.count(kind), places.count(kind));
+    if wanted <= available {
         return Ok(());
     }
-    let (plural, beside) = match kind {
+    let (plural, rule) = match kind {
         AgentKind::Car => (
             "cars",
             "cars start at the kerb across from a gas station, garage or store",
@@ -236,7 +236,7 @@ fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Di
         AgentKind::Pedestrian => ("pedestrians", "pedestrians start beside a house or office"),
     };
     let message = format!(
-        "too few start cells for {plural}: {wanted} wanted, {there_are} {}",
+        "too few start cells for {plural}: {wanted} needed, {available} {}",
         within(set)
     );
     let span = set.region.map_or(set.span, |region| region.span);
@@ -247,15 +247,15 @@ fn check_room(set: &AgentSet, places: &Places, kind: AgentKind) -> Result<(), Di
     };
     Err(Diagnostic::new(Code::NO_START_CELL, message)
         .at(span, "too small for these agents")
-        .note(beside)
-        .help(format!("take a larger {larger}, or {fewer}")))
+        .note(rule)
+        .help(format!("use a larger {larger}, or {fewer}")))
 }
 
-/// `no-route`: an agent that can go nowhere from its start.
+/// Returns the `no-route` diagnostic of an agent that cannot reach any goal.
 fn nowhere(set: &AgentSet, name: AgentName, Cell { row, col }: Cell) -> Diagnostic {
     let goal = match name.kind {
-        AgentKind::Car => "a car needs another kerb cell to go to",
-        AgentKind::Pedestrian => "a pedestrian goes to a house or office in another block",
+        AgentKind::Car => "a car needs another kerb cell as its goal",
+        AgentKind::Pedestrian => "a pedestrian needs a house or office in another block as its goal",
     };
     let (span, near, larger) = match (set.trip, set.region) {
         (Some(trip), _) => (
@@ -268,12 +268,12 @@ fn nowhere(set: &AgentSet, name: AgentName, Cell { row, col }: Cell) -> Diagnost
     };
     let message = format!("{name} has nowhere to go from [{row}, {col}]{near} {}", within(set));
     Diagnostic::new(Code::NO_ROUTE, message)
-        .at(span, "no goal that can be reached")
-        .help(format!("{goal}: take a larger {larger}"))
+        .at(span, "no reachable goal")
+        .help(format!("{goal}: use a larger {larger}"))
 }
 
-/// A list of the numbers below a count, from which numbers are taken; the last one moves to where one was taken. What was not
-/// moved is not stored.
+/// A set of the numbers below `count` from which numbers are drawn. The last number of the list replaces the one taken;
+/// the map stores only moved numbers.
 struct Free {
     count: usize,
     moved: BTreeMap<usize, usize>,
@@ -287,7 +287,7 @@ impl Free {
         }
     }
 
-    /// Takes the number at a place in the list, which is less than the count.
+    /// Takes the number at an index of the list, which is less than `count`.
     fn take(&mut self, place: usize) -> usize {
         self.count -= 1;
         let last = self.moved.remove(&self.count).unwrap_or(self.count);

@@ -1,10 +1,10 @@
-//! The codes of messages about maps and routes.
+//! Diagnostic codes of maps and routes.
 
 crate::diagnostic_codes! {
-    /// A map that cannot be generated.
+    /// The map cannot be generated.
     INVALID_MAP = "invalid-map", Error;
-    /// More agents than cells they could start from, or none at all.
+    /// The agents need more start cells than the region has.
     NO_START_CELL = "no-start-cell", Error;
-    /// A goal that cannot be reached.
+    /// An agent cannot reach any goal.
     NO_ROUTE = "no-route", Error;
 }

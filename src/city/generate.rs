@@ -1,7 +1,7 @@
 //! Generates a map from its configuration.
 //!
-//! A city of n x m blocks has n + 1 streets across and m + 1 streets down, so that streets also run along all four edges of
-//! the world. Where two streets meet is an intersection, except at the four corners of the world.
+//! A city of n x m blocks has n + 1 horizontal and m + 1 vertical streets, so that streets also run along all four
+//! edges of the world. Two streets meet at an intersection, except at the four corners of the world.
 
 use crate::city::{Building, Buildings, MapConfig, Widths};
 use crate::city::{CityMap, Layout};
@@ -10,21 +10,21 @@ use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
 
 impl Purpose {
-    /// Building types of a generated map; index: block.
+    /// The building types of a generated map; index: block.
     pub const BUILDINGS: Purpose = Purpose::new(1);
 }
 
-/// The longest side of a map in cells.
+/// The maximum length of a side, in cells.
 const MAX_SIDE: u64 = 1 << 20;
-/// The most blocks of a map, whose buildings take 4 bytes each.
+/// The maximum number of blocks. The buildings of a block take 4 bytes.
 const MAX_BLOCKS: u64 = 1 << 20;
 
 impl CityMap {
     /// Generates the map of a configuration. Equal configurations give equal maps, whatever the seed of the run.
     ///
-    /// # Errors
-    /// `limit-exceeded` if it would have more than 2^20 rows, columns or blocks (found before anything is allocated), `invalid-map`
-    /// for widths that leave no room, a table of buildings of the wrong shape, or weights that cannot be drawn from.
+    /// `limit-exceeded` if the map would have more than 2^20 rows, columns or blocks; the function checks this before
+    /// it allocates memory. `invalid-map` for widths that leave no room, a table of buildings of the wrong shape, or
+    /// unusable weights.
     pub fn generate(config: &MapConfig) -> Result<CityMap, Diagnostic> {
         let layout = check_layout(&config.blocks, &config.widths)?;
         let buildings = choose_buildings(&config.buildings, &config.blocks)?;
@@ -32,7 +32,7 @@ impl CityMap {
     }
 }
 
-/// The layout, if the sizes make sense.
+/// Returns the layout if the sizes are valid.
 fn check_layout(blocks: &Located<[u32; 2]>, widths: &Located<Widths>) -> Result<Layout, Diagnostic> {
     let invalid = |message: String, label: &str, help: &str| {
         Err(Diagnostic::new(Code::INVALID_MAP, message)
@@ -52,17 +52,17 @@ fn check_layout(blocks: &Located<[u32; 2]>, widths: &Located<Widths>) -> Result<
     } = widths.value;
     if street < 3 {
         return invalid(
-            format!("a traffic street of {street} cells has no room for two lanes"),
+            format!("a traffic street of {street} cells is too narrow for two lanes"),
             "too narrow",
-            "a traffic street takes at least 3 cells: a lane, the mid line and another lane",
+            "a traffic street needs at least 3 cells: two lanes and the mid line",
         );
     }
     if street.is_multiple_of(2) {
         return invalid(
-            format!("a traffic street of {street} cells has no middle"),
-            "the street must be an odd number of cells wide",
+            format!("a traffic street of {street} cells has no middle cell"),
+            "the width must be odd",
             &format!(
-                "the mid line is a cell wide and both sides are equal: take {} or {}",
+                "the mid line is one cell wide and both sides are equal: use {} or {}",
                 street - 1,
                 street.saturating_add(1)
             ),
@@ -71,9 +71,9 @@ fn check_layout(blocks: &Located<[u32; 2]>, widths: &Located<Widths>) -> Result<
     if sidewalk == 0 || building == 0 {
         let part = if sidewalk == 0 { "sidewalk" } else { "building" };
         return invalid(
-            format!("a {part} of no width"),
+            format!("the {part} has no width"),
             "must be at least 1",
-            "pedestrians walk between street and building, and start and arrive beside buildings: give both at least 1 cell",
+            "pedestrians walk between street and building, and start beside buildings: both need at least 1 cell",
         );
     }
     let [street, sidewalk, building, inner_sidewalk] = [street, sidewalk, building, inner_sidewalk].map(u64::from);
@@ -90,13 +90,13 @@ fn check_layout(blocks: &Located<[u32; 2]>, widths: &Located<Widths>) -> Result<
         .at(blocks.span, "this many blocks")
         .also(widths.span, "of this size")
         .help(format!(
-            "a map may have up to {MAX_SIDE} rows, {MAX_SIDE} columns and {MAX_BLOCKS} blocks: take fewer or smaller blocks"
+            "the limits are {MAX_SIDE} rows, {MAX_SIDE} columns and {MAX_BLOCKS} blocks: use fewer or smaller blocks"
         )));
     }
     Ok(Layout::new(blocks.value, widths.value))
 }
 
-/// The four buildings of each block, row by row, as the blocks are.
+/// Returns the four buildings of each block, row by row; the blocks are in row order too.
 fn choose_buildings(
     buildings: &Located<Buildings>,
     blocks: &Located<[u32; 2]>,
@@ -119,7 +119,7 @@ fn choose_buildings(
             }
             match table.iter().position(|row| row.len() != cols) {
                 Some(row) => wrong(format!(
-                    "row {} of the buildings has {} of them",
+                    "row {} has {} buildings",
                     row + 1,
                     table[row].len()
                 )),
@@ -138,9 +138,9 @@ fn choose_buildings(
             if weights.iter().any(|&(_, weight)| weight.is_nan() || weight < 0.0) || !(total > 0.0 && total.is_finite())
             {
                 return Err(
-                    Diagnostic::new(Code::INVALID_MAP, "weights that no building can be drawn from")
+                    Diagnostic::new(Code::INVALID_MAP, "the weights of the buildings are unusable")
                         .at(buildings.span, "here")
-                        .help("give numbers that are not negative and not all zero; they need not sum to one"),
+                        .help("give non-negative numbers that are not all zero; they need not sum to one"),
                 );
             }
             let blocks = 1..=(block_rows * block_cols) as u64;
@@ -154,7 +154,7 @@ fn choose_buildings(
     }
 }
 
-/// The building type at a point of the line on which the weights are laid end to end.
+/// Returns the building type at a point of the line on which the weights are laid end to end.
 fn draw(weights: &[(Building, f64)], point: f64) -> Building {
     let mut end = 0.0;
     let mut last = weights[0].0;
@@ -200,14 +200,14 @@ pub(super) mod tests {
         Buildings::Random { seed: 7, weights }
     }
 
-    /// A map with the widths of the paper's and random buildings.
+    /// Generates a map with the paper's widths and random buildings.
     pub(in crate::city) fn square(blocks: [u32; 2]) -> CityMap {
         let weights = [(Building::House, 1.0), (Building::Store, 1.0)];
         generate(blocks, WIDTHS, random(&weights)).expect("a valid configuration")
     }
 
     #[test]
-    fn impossible_maps_are_told() {
+    fn impossible_maps_are_rejected() {
         let houses = || random(&[(Building::House, 1.0)]);
         let widths = |change: fn(&mut Widths)| {
             let mut widths = WIDTHS;
@@ -258,7 +258,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn every_building_is_drawn_for_itself() {
+    fn buildings_are_drawn_independently() {
         let map = square([20, 20]);
         let all = map.buildings();
         let houses = all

@@ -12,25 +12,25 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// A cell.
+    /// Creates a cell.
     pub const fn new(row: i32, col: i32) -> Self {
         Cell { row, col }
     }
 
-    /// The cell `cells` further in the direction of `heading`; where coordinates end, the last one.
+    /// Returns the cell `cells` further in the direction of `heading`; saturates at the ends of the coordinates.
     pub fn ahead(self, heading: Heading, cells: i32) -> Cell {
         let (dr, dc) = heading.delta();
         let add = |at: i32, step: i32| at.saturating_add(step.saturating_mul(cells));
         Cell::new(add(self.row, dr), add(self.col, dc))
     }
 
-    /// The way from another cell: (rows, columns), which both fit 33 bits.
+    /// Returns the offset from another cell: (rows, columns), each of at most 33 bits.
     pub fn offset_from(self, other: Cell) -> (i64, i64) {
         let difference = |a: i32, b: i32| i64::from(a) - i64::from(b);
         (difference(self.row, other.row), difference(self.col, other.col))
     }
 
-    /// Euclidean distance in cells: the square root of a whole number, which is exact on any map.
+    /// Returns the Euclidean distance in cells, the square root of an integer that is exact on any map.
     #[allow(clippy::cast_precision_loss)]
     pub fn distance(self, other: Cell) -> f64 {
         let (dr, dc) = self.offset_from(other);
@@ -53,10 +53,10 @@ pub enum Heading {
 }
 
 impl Heading {
-    /// All four.
+    /// All four headings.
     pub const ALL: [Heading; 4] = [Heading::Left, Heading::Right, Heading::Up, Heading::Down];
 
-    /// The other way.
+    /// Returns the opposite direction.
     pub const fn opposite(self) -> Heading {
         match self {
             Heading::Left => Heading::Right,
@@ -66,7 +66,7 @@ impl Heading {
         }
     }
 
-    /// The step of one cell, (rows, columns).
+    /// Returns the step of one cell: (rows, columns).
     pub const fn delta(self) -> (i32, i32) {
         match self {
             Heading::Left => (0, -1),
@@ -76,7 +76,7 @@ impl Heading {
         }
     }
 
-    /// Its name in scenes and traces.
+    /// Returns its name in scenes and traces.
     pub const fn name(self) -> &'static str {
         match self {
             Heading::Left => "Left",
@@ -86,12 +86,13 @@ impl Heading {
         }
     }
 
-    /// The heading of that name.
+    /// Returns the heading with this name.
     pub fn from_name(name: &str) -> Option<Heading> {
         Heading::ALL.into_iter().find(|heading| heading.name() == name)
     }
 
-    /// The direction from one cell to another in the same row or column; `None` if they are equal or on no common line.
+    /// Returns the direction from one cell to another in the same row or column. `None` if they are equal or not in
+    /// line.
     pub fn between(from: Cell, to: Cell) -> Option<Heading> {
         match (to.row.cmp(&from.row), to.col.cmp(&from.col)) {
             (Ordering::Equal, Ordering::Less) => Some(Heading::Left),

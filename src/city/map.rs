@@ -6,21 +6,21 @@ use crate::diag::{Code, Diagnostic};
 use ndarray::Array3;
 use std::ops::Range;
 
-/// What the ground of a cell is.
+/// The ground of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
 pub enum Ground {
-    /// No street: a building or the gap between buildings.
+    /// A building or the gap between buildings.
     Other,
     /// Walking street.
     Walking,
     /// Traffic street.
     Traffic,
-    /// Both: where a walking street crosses a traffic street.
+    /// A crossing of a walking street and a traffic street.
     Crossing,
 }
 
-/// Names of the static layers of [`CityMap::semantic`], in order.
+/// The names of the static layers of [`CityMap::semantic`], in order.
 pub const STATIC_LAYERS: [&str; 8] = [
     "walking street",
     "traffic street",
@@ -32,11 +32,13 @@ pub const STATIC_LAYERS: [&str; 8] = [
     "gas station",
 ];
 
-/// The most values of a [`CityMap::semantic`]: 1 GiB of them.
+/// The maximum number of values of a [`CityMap::semantic`]: 1 GiB in total.
 pub const SEMANTIC_MAX: usize = 1 << 28;
 
-/// Where everything lies on a map of equal blocks. Both axes follow the same pattern: street 0, block 0, street 1, block 1, ...,
-/// the last street. An axis is meant wherever only one number is given.
+/// The geometry of a map of equal blocks.
+///
+/// Both axes follow the same pattern: street 0, block 0, street 1, block 1, ..., the last street. Functions with a
+/// single coordinate apply to either axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
     blocks: [i32; 2],
@@ -47,7 +49,7 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// A layout whose size has been checked: all of its measures are small.
+    /// Creates a layout of checked, small measures.
     pub(super) fn new(blocks: [u32; 2], widths: Widths) -> Self {
         let cells = |count: u32| i32::try_from(count).expect("a checked layout is at most 2^20 cells long");
         Layout {
@@ -59,91 +61,91 @@ impl Layout {
         }
     }
 
-    /// Rows and columns of blocks.
+    /// Returns the number of rows and columns of blocks.
     pub fn blocks(&self) -> [i32; 2] {
         self.blocks
     }
 
-    /// Whether a street runs between blocks. Only such streets have crossings, and lines where cars wait.
+    /// Returns whether a street runs between blocks. Only such streets have crossings and lines where cars wait.
     pub fn has_inner_streets(&self) -> bool {
         self.blocks.iter().any(|&blocks| blocks > 1)
     }
 
-    /// Rows of cells.
+    /// Returns the number of rows of cells.
     pub fn rows(&self) -> i32 {
         self.street_start(self.blocks[0]) + self.street
     }
 
-    /// Columns of cells.
+    /// Returns the number of columns of cells.
     pub fn cols(&self) -> i32 {
         self.street_start(self.blocks[1]) + self.street
     }
 
-    /// Width of the sidewalk between street and building, in cells.
+    /// Returns the width of the sidewalk between street and building, in cells.
     pub fn sidewalk(&self) -> i32 {
         self.sidewalk
     }
 
-    /// Cells from a lane to the mid line of its street: a quarter of the street.
+    /// Returns the number of cells from a lane to the mid line of its street: a quarter of the street.
     pub fn lane_offset(&self) -> i32 {
         ((self.street - 1) / 4).max(1)
     }
 
-    /// Side of a block in cells, sidewalks included.
+    /// Returns the side of a block in cells, sidewalks included.
     pub fn block_side(&self) -> i32 {
         2 * self.sidewalk + 2 * self.building + self.inner_sidewalk
     }
 
-    /// Cells from one street to the next.
+    /// Returns the distance from one street to the next, in cells.
     pub fn period(&self) -> i32 {
         self.street + self.block_side()
     }
 
-    /// First cell of a street.
+    /// Returns the first cell of a street.
     pub fn street_start(&self, street: i32) -> i32 {
         street * self.period()
     }
 
-    /// The cells across a street.
+    /// Returns the cells across a street.
     pub fn street_span(&self, street: i32) -> Range<i32> {
         self.street_start(street)..self.street_start(street) + self.street
     }
 
-    /// The mid line of a street.
+    /// Returns the mid line of a street.
     pub fn mid_line(&self, street: i32) -> i32 {
         self.street_start(street) + self.street / 2
     }
 
-    /// First cell of a block.
+    /// Returns the first cell of a block.
     pub fn block_start(&self, block: i32) -> i32 {
         self.street_start(block) + self.street
     }
 
-    /// The cells of a block without its outer sidewalks.
+    /// Returns the cells of a block without its outer sidewalks.
     pub fn built_span(&self, block: i32) -> Range<i32> {
         let start = self.block_start(block) + self.sidewalk;
         start..start + 2 * self.building + self.inner_sidewalk
     }
 
-    /// The cells of the first (0) or second (1) building of a block.
+    /// Returns the cells of the first (0) or second (1) building of a block.
     pub fn building_span(&self, block: i32, which: i32) -> Range<i32> {
         let start = self.built_span(block).start + which * (self.building + self.inner_sidewalk);
         start..start + self.building
     }
 
-    /// The cells of the sidewalk between the buildings of a block.
+    /// Returns the cells of the sidewalk between the buildings of a block.
     pub fn inner_span(&self, block: i32) -> Range<i32> {
         self.building_span(block, 0).end..self.building_span(block, 1).start
     }
 
-    /// The cells of an intersection with this street: the street and the sidewalks along it. At the edges of the world the span
-    /// reaches beyond it.
+    /// Returns the cells of an intersection on this street: the street and the sidewalks along it. At the edges of the
+    /// world the span extends beyond it.
     pub fn intersection_span(&self, street: i32) -> Range<i32> {
         let span = self.street_span(street);
         span.start - self.sidewalk..span.end + self.sidewalk
     }
 
-    /// Row and column of the block that a cell belongs to, sidewalks included; `None` on streets and off the map.
+    /// Returns row and column of the block that contains a cell, sidewalks included; `None` on streets and off the map.
     pub fn block_place(&self, cell: Cell) -> Option<[i32; 2]> {
         let along = |at: i32, blocks: i32| {
             let block = at.div_euclid(self.period());
@@ -152,34 +154,34 @@ impl Layout {
         Some([along(cell.row, self.blocks[0])?, along(cell.col, self.blocks[1])?])
     }
 
-    /// The number of that block: from 1, row by row.
+    /// Returns the number of the block that contains a cell, from 1, row by row; `None` as in [`Layout::block_place`].
     pub fn block_at(&self, cell: Cell) -> Option<u32> {
         let [row, col] = self.block_place(cell)?;
         u32::try_from(row * self.blocks[1] + col + 1).ok()
     }
 }
 
-/// What a coordinate is on its axis, in bits: its [`Zone`], and the two below.
+/// The class of a coordinate on its axis, in bits: its [`Zone`] and the two flags below.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Part(u8);
 
 /// The nearest street runs along an edge of the world.
 const AT_EDGE: u8 = 1 << 4;
-/// On a lane, seen across the street.
+/// The coordinate across the street is that of a lane.
 const ON_LANE: u8 = 1 << 5;
-/// The bits on which it depends what is in a cell.
+/// The bits that determine the content of a cell.
 const ZONE_AND_EDGE: u8 = AT_EDGE | 0xf;
 
-/// The zones of an axis. Before and after mean: towards 0 and away from it, seen from the mid line of the nearest street.
+/// The zones of an axis. Before and after are relative to the mid line of the nearest street, before being closer to 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub(super) enum Zone {
-    /// In a building of the block's first row or column of them.
+    /// A building in the block's first row or column.
     FirstBuilding,
     /// The sidewalk between buildings.
     Inner,
     SecondBuilding,
-    /// The outermost cell of an intersection: there lanes begin and end.
+    /// The outermost cell of an intersection, where lanes begin and end.
     LineBefore,
     /// The sidewalk along a street, without the line.
     SidewalkBefore,
@@ -212,7 +214,7 @@ impl Zone {
         matches!(self, Zone::FirstBuilding | Zone::SecondBuilding)
     }
 
-    /// Between the sidewalks of a block.
+    /// Whether the zone lies between the outer sidewalks of a block.
     pub(super) const fn in_block(self) -> bool {
         self.in_building() || matches!(self, Zone::Inner)
     }
@@ -231,8 +233,8 @@ impl Zone {
 }
 
 impl Layout {
-    /// The zone of a coordinate on the map, and the street nearest to it; in a block the block, which has the number of the street
-    /// before it.
+    /// Returns the zone of a coordinate and the nearest street; inside a block, the block, whose number is that of the
+    /// street before it.
     pub(super) fn zone(&self, at: i32) -> (Zone, i32) {
         let number = at.div_euclid(self.period());
         let middle = self.mid_line(number);
@@ -261,7 +263,7 @@ impl Layout {
         (zone, number + i32::from(at >= built.end))
     }
 
-    /// What each coordinate of an axis with that many blocks is.
+    /// Returns the class of each coordinate of an axis with this number of blocks.
     fn parts(&self, blocks: i32) -> Box<[Part]> {
         let size = self.street_start(blocks) + self.street;
         let part = |at| {
@@ -274,7 +276,7 @@ impl Layout {
     }
 }
 
-/// What is in a cell, as far as its two zones tell: a [`Ground`] in the lower two bits, and flags.
+/// The content of a cell as its two zones determine it: a [`Ground`] in the lower two bits, and flags.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Square(u8);
 
@@ -285,7 +287,8 @@ const MID_LINE: u8 = 1 << 5;
 const BUILDING: u8 = 1 << 6;
 
 impl Square {
-    /// What is where a row and a column of these zones meet; the flags say whether their streets run along an edge of the world.
+    /// Returns the content of a cell with these zones. The flags say whether the nearest streets run along an edge of
+    /// the world.
     fn of((row, row_at_edge): (Zone, bool), (col, col_at_edge): (Zone, bool)) -> Square {
         // A walking street crosses every traffic street that does not run along an edge.
         let crosses = |street: Zone, at_edge: bool, other: Zone| {
@@ -309,10 +312,11 @@ impl Square {
         if building {
             flags |= BUILDING;
         }
-        // The corners of the world are no intersections.
+        // The corners of the world are not intersections.
         let at_corner = row_at_edge && col_at_edge;
         if !row.in_block() && !col.in_block() && !at_corner {
-            // A street along an edge is a through road: its cars have no line to wait at, the cars of the stem have.
+            // A street along an edge is a through road: its cars have no line to wait at. The cars on the stem have
+            // one.
             let outline = row.on_line() && !col_at_edge || col.on_line() && !row_at_edge;
             // Cars keep right: those that go down or left use the cells before the mid line.
             let down = row == Zone::LineBefore && col.before_mid_line() && !col_at_edge;
@@ -327,7 +331,7 @@ impl Square {
         Square(ground as u8 | flags)
     }
 
-    /// The squares of all parts: the one of `row` and `col` is at `row << 5 | col`.
+    /// Returns the table of squares; the entry of `row` and `col` is at `row << 5 | col`.
     fn table() -> Box<[Square; 1 << 10]> {
         let mut table = Box::new([Square(0); 1 << 10]);
         for row in Zone::ALL {
@@ -347,27 +351,27 @@ impl Square {
     }
 }
 
-/// Where a cell lies with respect to intersections.
+/// The relation of a cell to intersections.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Junction(u8);
 
 impl Junction {
-    /// Whether cars are *At* an intersection here: on its entrance line.
+    /// Returns whether cars are *At* an intersection here: on its entrance line.
     pub const fn car_is_at(self) -> bool {
         self.0 & CAR_AT != 0
     }
 
-    /// Whether pedestrians are *At* an intersection here: on its outline, of which the entrance line is a part.
+    /// Returns whether pedestrians are *At* an intersection here: on its outline, which includes the entrance line.
     pub const fn pedestrian_is_at(self) -> bool {
         self.0 & PEDESTRIAN_AT != 0
     }
 
-    /// Whether agents are *In* an intersection here.
+    /// Returns whether agents are *In* an intersection here.
     pub const fn is_inside(self) -> bool {
         self.0 & INSIDE != 0
     }
 
-    /// Whether agents of a kind are *At* an intersection here.
+    /// Returns whether agents of a kind are *At* an intersection here.
     pub const fn is_at(self, kind: AgentKind) -> bool {
         match kind {
             AgentKind::Car => self.car_is_at(),
@@ -376,22 +380,23 @@ impl Junction {
     }
 }
 
-/// A generated map. Nothing is stored for a cell: what is there follows from its row, its column, and the buildings of its block.
+/// A generated map. It stores nothing per cell: the content of a cell follows from its row, its column, and the
+/// buildings of its block.
 #[derive(Clone, Debug)]
 pub struct CityMap {
-    /// Name of the map.
+    /// The name of the map.
     pub name: String,
-    /// Where streets, blocks and intersections lie.
+    /// The positions of streets, blocks and intersections.
     pub layout: Layout,
     rows: Box<[Part]>,
     cols: Box<[Part]>,
     squares: Box<[Square; 1 << 10]>,
-    /// The four buildings of each block, row by row, as the blocks are.
+    /// The four buildings of each block, row by row; the blocks are in row order too.
     buildings: Vec<[Building; 4]>,
 }
 
 impl CityMap {
-    /// The map of a layout with these buildings: four for each block, row by row, as the blocks are.
+    /// Creates the map of a layout with four buildings for each block, row by row; the blocks are in row order too.
     pub(super) fn new(name: String, layout: Layout, buildings: Vec<[Building; 4]>) -> Self {
         let [block_rows, block_cols] = layout.blocks();
         CityMap {
@@ -404,22 +409,22 @@ impl CityMap {
         }
     }
 
-    /// Rows of cells.
+    /// Returns the number of rows of cells.
     pub fn rows(&self) -> i32 {
         self.layout.rows()
     }
 
-    /// Columns of cells.
+    /// Returns the number of columns of cells.
     pub fn cols(&self) -> i32 {
         self.layout.cols()
     }
 
-    /// Whether the cell is on the map.
+    /// Returns whether the cell is on the map.
     pub fn contains(&self, cell: Cell) -> bool {
         (0..self.rows()).contains(&cell.row) && (0..self.cols()).contains(&cell.col)
     }
 
-    /// What the row and the column of a cell are; `None` off the map.
+    /// The classes of a cell's row and column; `None` off the map.
     fn parts(&self, cell: Cell) -> Option<(Part, Part)> {
         let row = self.rows.get(usize::try_from(cell.row).ok()?)?;
         let col = self.cols.get(usize::try_from(cell.col).ok()?)?;
@@ -432,27 +437,27 @@ impl CityMap {
         Some(self.squares[index(row) << 5 | index(col)])
     }
 
-    /// The ground of a cell; `None` off the map.
+    /// Returns the ground of a cell; `None` off the map.
     pub fn ground_at(&self, cell: Cell) -> Option<Ground> {
         self.square(cell).map(Square::ground)
     }
 
-    /// Whether cars may be on this cell.
+    /// Returns whether cars may be on this cell.
     pub fn is_drivable(&self, cell: Cell) -> bool {
         matches!(self.ground_at(cell), Some(Ground::Traffic | Ground::Crossing))
     }
 
-    /// Whether pedestrians may be on this cell.
+    /// Returns whether pedestrians may be on this cell.
     pub fn is_walkable(&self, cell: Cell) -> bool {
         matches!(self.ground_at(cell), Some(Ground::Walking | Ground::Crossing))
     }
 
-    /// Whether the mid line of a traffic street runs here.
+    /// Returns whether the mid line of a traffic street runs through this cell.
     pub fn is_mid_line(&self, cell: Cell) -> bool {
         self.square(cell).is_some_and(|square| square.0 & MID_LINE != 0)
     }
 
-    /// Whether a lane starts or ends here: a node of the road graph.
+    /// Returns whether a lane starts or ends here, so that the cell is a node of the road graph.
     pub fn is_lane_node(&self, cell: Cell) -> bool {
         let is_line = |part: Part| {
             let zone = part.0 & 0xf;
@@ -462,7 +467,7 @@ impl CityMap {
         (self.parts(cell)).is_some_and(|(row, col)| across(row, col) || across(col, row))
     }
 
-    /// The building that stands here, if any. Its block is [`Layout::block_at`].
+    /// Returns the building on this cell, if any. [`Layout::block_at`] returns its block.
     pub fn building_at(&self, cell: Cell) -> Option<Building> {
         if self.square(cell)?.0 & BUILDING == 0 {
             return None;
@@ -474,14 +479,14 @@ impl CityMap {
         Some(self.buildings[number as usize][2 * second(cell.row) + second(cell.col)])
     }
 
-    /// The four buildings of each block, row by row, as the blocks are.
+    /// Returns the four buildings of each block, row by row; the blocks are in row order too.
     pub fn buildings(&self) -> &[[Building; 4]] {
         &self.buildings
     }
 
-    /// The layered semantic map of the paper, W x H x (B + N), of shape (rows, columns, 8 + number of agents). Each value is 0
-    /// or 1. Layers 0 to 7 are the static ones of [`STATIC_LAYERS`], of which a cell has at most one; layer 8 + i is 1 in the
-    /// cell of agent i and 0 elsewhere (0 everywhere for an agent off the map).
+    /// Returns the layered semantic map of the paper, W x H x (B + N), of shape (rows, columns, 8 + number of agents).
+    /// Each value is 0 or 1. Layers 0 to 7 are the static ones of [`STATIC_LAYERS`]; a cell has at most one of them.
+    /// Layer 8 + i is 1 in the cell of agent i and 0 elsewhere (0 everywhere for an agent off the map).
     ///
     /// # Errors
     /// `limit-exceeded` for more than [`SEMANTIC_MAX`] values.
@@ -493,7 +498,7 @@ impl CityMap {
         if values.is_none_or(|values| values > SEMANTIC_MAX) {
             let (rows, cols, layers) = shape;
             let message = format!("a semantic map of {rows} x {cols} cells and {layers} layers takes too much memory");
-            let limit = format!("the limit is {SEMANTIC_MAX} values; take a smaller map or fewer agents");
+            let limit = format!("the limit is {SEMANTIC_MAX} values; use a smaller map or fewer agents");
             return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).help(limit));
         }
         let mut layers = Array3::zeros(shape);
@@ -522,7 +527,7 @@ impl CityMap {
         Ok(layers)
     }
 
-    /// Where a cell lies with respect to intersections; nowhere off the map. Two bytes and an entry of a small table are looked up.
+    /// Returns the relation of a cell to intersections; none off the map. Takes constant time.
     pub fn junction(&self, cell: Cell) -> Junction {
         Junction(
             self.square(cell)
@@ -530,17 +535,17 @@ impl CityMap {
         )
     }
 
-    /// The intersection an agent of this kind is *At* on this cell, if any.
+    /// Returns the intersection that an agent of this kind is *At* on this cell, if any.
     pub fn at_intersection(&self, kind: AgentKind, cell: Cell) -> Option<u32> {
         (self.junction(cell).is_at(kind)).then(|| self.intersection_near(cell))
     }
 
-    /// The intersection that the cell is inside of, if any.
+    /// Returns the intersection that contains the cell, if any.
     pub fn in_intersection(&self, cell: Cell) -> Option<u32> {
         (self.junction(cell).is_inside()).then(|| self.intersection_near(cell))
     }
 
-    /// The number of the nearest intersection: from 1, row by row, the corners of the world left out.
+    /// The number of the nearest intersection, from 1, row by row, without the corners of the world.
     fn intersection_near(&self, cell: Cell) -> u32 {
         let [row, col] = [cell.row, cell.col].map(|at| self.layout.zone(at).1);
         let [block_rows, block_cols] = self.layout.blocks();

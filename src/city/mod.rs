@@ -1,9 +1,10 @@
-//! A world without logic: the map and how it is generated, roads and routes, agents, how they move and how far they see.
+//! The city without its rules: maps and their generation, roads and routes, agents, movement, and fields of view.
 //!
-//! [`CityMap::generate`] makes a map, [`Router`] plans on it, [`place_agents`] puts [`Agent`]s there and [`advance`] moves one
-//! by what somebody else decided. Coordinates are (row, column) from 0, distances are in cells, time is in ticks.
+//! [`CityMap::generate`] makes a map, [`Router`] plans routes on it, [`place_agents`] places [`Agent`]s, and
+//! [`advance`] moves an agent according to a given action. Coordinates are (row, column) from 0, distances are in
+//! cells, and time is in ticks.
 //!
-//! This module refuses to know what a rule or a predicate is.
+//! This module does not depend on rules or predicates.
 
 mod agent;
 mod codes;

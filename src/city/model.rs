@@ -1,6 +1,6 @@
-//! What maps and agents are made of, as configurations describe them.
+//! The configuration of maps and agents.
 //!
-//! The serialized form holds the content without file names and places, so that equal content has equal hashes.
+//! The serialized form omits file names and places, so that equal content has equal hashes.
 
 use crate::diag::{Located, Span};
 use serde::ser::SerializeStruct;
@@ -8,27 +8,27 @@ use serde::{Serialize, Serializer};
 use std::fmt;
 use std::sync::Arc;
 
-/// Written as the value alone, so that equal content is written alike wherever it stands.
+/// Serializes the value without its place, so that equal content has equal form.
 impl<T: Serialize> Serialize for Located<T> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         self.value.serialize(serializer)
     }
 }
 
-/// What an agent is.
+/// The kind of an agent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub enum AgentKind {
-    /// Drives on traffic streets.
+    /// A car, which drives on traffic streets.
     Car,
-    /// Walks on walking streets and crossings.
+    /// A pedestrian, who walks on walking streets and crossings.
     Pedestrian,
 }
 
 impl AgentKind {
-    /// Both.
+    /// Both kinds.
     pub const ALL: [AgentKind; 2] = [AgentKind::Car, AgentKind::Pedestrian];
 
-    /// Its name in configurations, scenes and traces: `Car` or `Pedestrian`.
+    /// Returns its name in configurations, scenes and traces: `Car` or `Pedestrian`.
     pub const fn name(self) -> &'static str {
         match self {
             AgentKind::Car => "Car",
@@ -40,20 +40,20 @@ impl AgentKind {
 /// A kind of building.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub enum Building {
-    /// H
+    /// A house; letter H in map files.
     House,
-    /// O
+    /// An office; letter O.
     Office,
-    /// A
+    /// A garage; letter A.
     Garage,
-    /// S
+    /// A store; letter S.
     Store,
-    /// G
+    /// A gas station; letter G.
     GasStation,
 }
 
 impl Building {
-    /// All five.
+    /// All five kinds.
     pub const ALL: [Building; 5] = [
         Building::House,
         Building::Office,
@@ -73,33 +73,33 @@ pub struct MapConfig {
     pub blocks: Located<[u32; 2]>,
     /// Widths in cells.
     pub widths: Located<Widths>,
-    /// What stands where.
+    /// The buildings.
     pub buildings: Located<Buildings>,
 }
 
 /// Widths of the parts of a map, in cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Widths {
-    /// A traffic street with both its lanes; odd, since the mid line is a cell wide.
+    /// A traffic street with both lanes; odd, since the mid line is one cell wide.
     pub street: u32,
     /// The sidewalk between street and building.
     pub sidewalk: u32,
-    /// A building (square).
+    /// A side of a building, which is square.
     pub building: u32,
     /// The sidewalk between the buildings of a block.
     pub inner_sidewalk: u32,
 }
 
-/// What stands where on a map.
+/// The buildings of a map.
 #[derive(Clone, Debug, Serialize)]
 pub enum Buildings {
-    /// One row of buildings after another (two rows and two columns a block).
+    /// Given rows of buildings; each block has two rows and two columns.
     Fixed(Vec<Vec<Building>>),
     /// Drawn independently with these weights.
     Random {
-        /// Seed of the draw, apart from the seed of a run.
+        /// Seed of the draw, independent of the seed of a run.
         seed: u64,
-        /// Weight of each building type, not negative, not all zero; they need not sum to one.
+        /// Weight of each building type, non-negative and not all zero; the weights need not sum to one.
         weights: Vec<(Building, f64)>,
     },
 }
@@ -107,19 +107,19 @@ pub enum Buildings {
 /// The train, validation and test sets of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub enum Split {
-    /// `train`
+    /// The training set, `train`.
     Train,
-    /// `val`
+    /// The validation set, `val`.
     Val,
-    /// `test`
+    /// The test set, `test`.
     Test,
 }
 
 impl Split {
-    /// All three.
+    /// All three splits.
     pub const ALL: [Split; 3] = [Split::Train, Split::Val, Split::Test];
 
-    /// Its name.
+    /// Returns its name in configurations: `train`, `val` or `test`.
     pub const fn name(self) -> &'static str {
         match self {
             Split::Train => "train",
@@ -129,10 +129,10 @@ impl Split {
     }
 }
 
-/// The name of an agent, as it is written: `Car_1`, `Pedestrian_3`, ...
+/// The name of an agent, displayed as `Car_1`, `Pedestrian_3`, ...
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct AgentName {
-    /// What it is.
+    /// Its kind.
     pub kind: AgentKind,
     /// Its number within the kind, from 1.
     pub number: u32,
@@ -144,12 +144,12 @@ impl fmt::Display for AgentName {
     }
 }
 
-/// An entry of an agent set: agents that are alike.
+/// An entry of an agent set: a number of equal agents.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AgentGroup {
-    /// How many, at least 1.
+    /// The number of agents, at least 1.
     pub count: u32,
-    /// The concepts of each, for example `ambulance`; each is defined by a predicate of the scenario.
+    /// The concepts of each agent, for example `ambulance`; a predicate of the scenario defines each concept.
     pub concepts: Arc<[String]>,
     /// Right of way; a smaller number goes first.
     pub priority: i32,
@@ -160,7 +160,7 @@ pub struct AgentGroup {
 pub struct AgentConfig {
     /// Its name.
     pub name: AgentName,
-    /// Its concepts, which all agents of its entry share.
+    /// Its concepts, shared by all agents of its entry.
     pub concepts: Arc<[String]>,
     /// Right of way; a smaller number goes first.
     pub priority: i32,
@@ -173,34 +173,34 @@ pub struct AgentSet {
     pub cars: Vec<AgentGroup>,
     /// The entries of pedestrians.
     pub pedestrians: Vec<AgentGroup>,
-    /// How many times all of them are there, at least 1.
+    /// The number of repetitions of all entries, at least 1.
     pub repeat: u32,
     /// Starts and goals lie in rows and columns below this; `None` for the whole map.
     pub region: Option<Located<u32>>,
-    /// A goal lies at most so many rows and columns from where the agent is; `None` for anywhere.
+    /// The maximum distance of a goal in rows and in columns; `None` for no limit.
     pub trip: Option<Located<u32>>,
-    /// Where the set is defined.
+    /// The place of its definition.
     pub span: Span,
 }
 
 impl AgentSet {
-    /// How many agents of a kind there are.
+    /// Returns the number of agents of a kind.
     pub fn count(&self, kind: AgentKind) -> usize {
         let once: usize = self.groups(kind).iter().map(|group| group.count as usize).sum();
         once * self.repeat as usize
     }
 
-    /// How many agents there are.
+    /// Returns the number of agents.
     pub fn len(&self) -> usize {
         AgentKind::ALL.iter().map(|&kind| self.count(kind)).sum()
     }
 
-    /// Whether there is no agent.
+    /// Returns whether there are no agents.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// All entries.
+    /// Returns all entries.
     pub fn entries(&self) -> impl Iterator<Item = &AgentGroup> {
         self.cars.iter().chain(&self.pedestrians)
     }
@@ -212,12 +212,12 @@ impl AgentSet {
         }
     }
 
-    /// The agents in list order: first car, which is the ego of a task, all pedestrians, the other cars.
+    /// Returns the agents in list order: the first car (the ego of a task), all pedestrians, the other cars.
     pub fn agents(&self) -> impl Iterator<Item = AgentConfig> + '_ {
         self.members().map(AgentConfig::of)
     }
 
-    /// The same: the name of each and its entry.
+    /// Returns the name and the entry of each agent, in list order.
     pub fn members(&self) -> impl Iterator<Item = (AgentName, &AgentGroup)> {
         self.listed(self.repeat)
     }
@@ -245,7 +245,8 @@ impl AgentConfig {
     }
 }
 
-/// Written as the list of agents that is repeated, so that it does not matter how entries count them.
+/// Serializes the list of agents once, with the number of repetitions, so that the grouping into entries does not
+/// matter.
 impl Serialize for AgentSet {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut set = serializer.serialize_struct("AgentSet", 4)?;
@@ -280,24 +281,24 @@ impl Serialize for AgentConfig {
     }
 }
 
-/// A speed a decision asks for.
+/// An action: the speed that an agent chooses for a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub enum Action {
-    /// Cars: 1 cell a tick.
+    /// Cars: 1 cell per tick.
     Slow,
-    /// Cars: 2 cells a tick; pedestrians: 1.
+    /// Cars: 2 cells per tick; pedestrians: 1.
     Normal,
-    /// Cars: 3 cells a tick.
+    /// Cars: 3 cells per tick.
     Fast,
     /// No move.
     Stop,
 }
 
 impl Action {
-    /// All four, in the order of their published indices.
+    /// All four actions, in the order of their published indices.
     pub const ALL: [Action; 4] = [Action::Slow, Action::Normal, Action::Fast, Action::Stop];
 
-    /// Its name, which is also the name of its predicate.
+    /// Returns its name, which is also the name of its predicate.
     pub const fn name(self) -> &'static str {
         match self {
             Action::Slow => "Slow",
@@ -308,20 +309,22 @@ impl Action {
     }
 }
 
-/// How agents choose a route.
+/// The algorithm by which agents choose routes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum Routing {
-    /// Cars: least length, where each turn and U-turn costs 30 cells more (the paper). Pedestrians: a shortest way.
+    /// Cars: the least length, where each turn and U-turn costs 30 cells more (the paper). Pedestrians: a shortest
+    /// path.
     Weighted,
-    /// The ways of the published program, cell by cell. Cars: fewest nodes of the road graph. Pedestrians: the shortest way that its A* finds.
+    /// The routes of the published program, cell by cell. Cars: the fewest nodes of the road graph. Pedestrians: the
+    /// shortest path that its A* search finds.
     Hops,
 }
 
 impl Routing {
-    /// Both.
+    /// Both algorithms.
     pub const ALL: [Routing; 2] = [Routing::Weighted, Routing::Hops];
 
-    /// Its name: `weighted` or `hops`.
+    /// Returns its name: `weighted` or `hops`.
     pub const fn name(self) -> &'static str {
         match self {
             Routing::Weighted => "weighted",

@@ -1,21 +1,22 @@
-//! From a decision to a move.
+//! Movement: turns an action into a move.
 
 use crate::city::{Action, AgentKind};
 use crate::city::{Agent, Cell, Places, Rest, Router};
 use crate::rng::{Purpose, RngExt, Seed};
 
 impl Purpose {
-    /// New goals; index: agent.
+    /// An agent's new goal; index: agent.
     pub const GOAL: Purpose = Purpose::new(3);
 
-    /// A choice among several possible moves; index: agent.
+    /// The choice among several possible moves; index: agent.
     pub const MOVE: Purpose = Purpose::new(4);
 }
 
-/// Most cells a car moves in one tick.
+/// The maximum number of cells that a car moves in one tick.
 const CAR_REACH: usize = 3;
 
-/// How many cells agents of a kind move in one tick at a speed. `None` for the speeds pedestrians do not have.
+/// Returns the number of cells that agents of a kind move in one tick at a speed. `None` for speeds that pedestrians do
+/// not have.
 pub const fn speed_cells(kind: AgentKind, speed: Action) -> Option<usize> {
     match (kind, speed) {
         (_, Action::Stop) => Some(0),
@@ -26,8 +27,10 @@ pub const fn speed_cells(kind: AgentKind, speed: Action) -> Option<usize> {
     }
 }
 
-/// How many cells an agent can move: every number from 1 to the result. A move is straight, and jumps over no node of the road
-/// graph, so that cars always land on the lines where intersections begin and end. 0 at the goal.
+/// Returns the maximum number of cells that an agent can move; all smaller positive numbers are possible too.
+///
+/// A move is straight and stops at every node of the road graph, so that cars always land on the lines where
+/// intersections begin and end. 0 at the goal.
 pub fn possible_cells(agent: &Agent) -> usize {
     let reach = match agent.kind {
         AgentKind::Car => CAR_REACH,
@@ -36,38 +39,38 @@ pub fn possible_cells(agent: &Agent) -> usize {
     agent.straight_ahead().min(reach)
 }
 
-/// Why an agent moved as it did.
+/// The reason for an agent's move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum MoveReason {
-    /// It was decided so.
+    /// The move follows the decision.
     Decided,
-    /// The route allowed no other move.
+    /// The route allows no other move.
     OnlyMove,
-    /// Several moves were possible, none of the decided speed: one was drawn.
+    /// The route allows several moves, but not the decided one, so the move is drawn at random.
     Drawn,
-    /// It rests at its goal, or has nowhere to go from there.
+    /// The agent rests at its goal or cannot reach another.
     Resting,
 }
 
-/// What an agent did in a tick.
+/// The move of an agent in a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Moved {
-    /// Where it was.
+    /// The cell before the move.
     pub from: Cell,
-    /// Where it is now.
+    /// The cell after the move.
     pub to: Cell,
-    /// Why.
+    /// The reason.
     pub reason: MoveReason,
-    /// Whether it set out for a new goal.
+    /// Whether the agent set out for a new goal.
     pub replanned: bool,
 }
 
-/// What agents move in.
+/// The surroundings in which agents move.
 #[derive(Clone, Copy, Debug)]
 pub struct Surroundings<'a> {
-    /// Plans new routes.
+    /// The router that plans new routes.
     pub router: &'a Router,
-    /// Where new goals are.
+    /// The candidates for new goals.
     pub places: &'a Places,
     /// The seed of the run.
     pub seed: Seed,
@@ -75,14 +78,13 @@ pub struct Surroundings<'a> {
     pub tick: u64,
 }
 
-/// Moves an agent for one tick by what was decided for it. `index` is its place in the list of agents, which names its random
-/// streams.
+/// Moves an agent for one tick according to its decided action. `index` is its position in the list of agents and
+/// selects its random streams.
 ///
-/// An agent at its goal stops there for two ticks, whatever was decided; in the third it draws a new goal, forgets its heading
-/// and follows the decision of that tick on the new route. If there is no new goal that it can reach, it stays and tries again in the next
-/// tick.
-// Inline, so that what it returns goes to its place in parts: it is larger than a register, and put together first it would be read
-// again before it is written.
+/// An agent at its goal rests for two ticks, whatever the decision. In the third it draws a new goal, clears its
+/// heading and follows the decision of that tick on the new route. If it can reach no other goal, it stays and tries
+/// again in the next tick.
+// Inlined so that the compiler writes the result, which is larger than a register, in place.
 #[inline]
 pub fn advance(agent: &mut Agent, index: usize, decided: Action, surroundings: &Surroundings<'_>) -> Moved {
     let from = agent.cell;
@@ -121,9 +123,8 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Action, surroundings: &
     }
 }
 
-// Apart, so that the many moves that draw nothing are short.
 
-/// Sets out for a new goal. Whether there is one that can be reached.
+/// Sets out for a new goal; returns whether there is a reachable one. Not inlined, to keep the common moves short.
 #[inline(never)]
 fn replan(agent: &mut Agent, index: usize, surroundings: &Surroundings<'_>) -> bool {
     let mut stream = (surroundings.seed).stream(Purpose::GOAL, index as u64, surroundings.tick);
@@ -138,8 +139,8 @@ fn draw_cells(most: usize, index: usize, surroundings: &Surroundings<'_>) -> usi
     stream.random_range(1..=most)
 }
 
-/// How many cells to move: as decided if the route allows it, else the only possible move, else what `draw` draws from 1 to the
-/// number it is given.
+/// Returns the number of cells to move: the decided number if the route allows it, else the only possible one, else the
+/// result of `draw`, which chooses from 1 to its argument.
 fn choose(agent: &Agent, decided: Action, draw: impl FnOnce(usize) -> usize) -> (usize, MoveReason) {
     if decided == Action::Stop {
         return (0, MoveReason::Decided);
@@ -159,7 +160,7 @@ mod tests {
     use crate::city::{AgentConfig, AgentName, Routing};
     use std::sync::Arc;
 
-    /// A car that leaves the kerb, stops at the node where its lane ends, and turns right behind it.
+    /// A car that leaves the kerb, stops at the node at the end of its lane, and turns right behind it.
     fn car() -> Agent {
         let router = Router::new(Arc::new(square([2, 2])), Routing::Weighted);
         let goal = Cell::new(64, 46);

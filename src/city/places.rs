@@ -1,8 +1,8 @@
-//! Where agents start and arrive, counted and drawn without listing them.
+//! The cells where agents start and arrive, counted and drawn without listing them.
 //!
-//! Which cells of a block are places depends on its four buildings only, so there are sixteen patterns for each kind of agent. A
-//! pattern is cut into bands of equal rows; with the number of places in every band of every row of blocks, the place of a
-//! given number is found by its place among those.
+//! The places of a block depend on its four buildings only, so each kind of agent has sixteen patterns. A pattern
+//! consists of bands of equal rows. The number of places in each band of each row of blocks determines the place with a
+//! given number.
 
 use crate::city::{AgentKind, Building};
 use crate::city::{Cell, CityMap, Layout, NoRoute, Route, Router};
@@ -10,38 +10,39 @@ use crate::rng::{Rng, RngExt};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// How often a goal that cannot be reached is drawn again.
+/// The maximum number of goals drawn until one is reachable.
 const GOAL_DRAWS: usize = 16;
 
 /// The cells where agents start and arrive in a region of the map, numbered from 0 row by row.
 ///
-/// Pedestrians: cells of the walking street that touch a house or an office, corners included. Cars: the kerb cells of a traffic
-/// street straight across the sidewalk from a gas station, garage or store.
+/// Pedestrians: cells of the walking street that touch a house or an office, corners included. Cars: kerb cells of a
+/// traffic street directly across the sidewalk from a gas station, garage or store.
 #[derive(Clone, Debug)]
 pub struct Places {
     map: Arc<CityMap>,
     patterns: [Pattern; 2],
-    /// Which of its four buildings agents start at, as a set of bits, for each kind and each block.
+    /// For each kind and each block: the bit set of the buildings where agents start.
     starts: [Box<[u8]>; 2],
-    /// The places in the region, for each kind.
+    /// The places in the region, by kind.
     all: [Numbering; 2],
-    /// How many rows and columns away a goal may be.
+    /// The maximum distance of a goal in rows and columns.
     trip: Option<i32>,
 }
 
-/// Rows and columns of cells.
+/// A rectangle of cells.
 #[derive(Clone, Debug, Default)]
 struct Extent {
     rows: Range<i32>,
     cols: Range<i32>,
 }
 
-/// The places of a block by its buildings, in cells from its first row and column; kerbs are one before and one behind the block.
+/// The places of a block by its buildings, in cells from its first row and column. Kerbs are one cell outside of the
+/// block.
 #[derive(Clone, Debug)]
 struct Pattern {
-    /// Rows of cells in which the places of a block lie in the same columns, from the top.
+    /// Ranges of rows with places in the same columns, from the top.
     bands: Vec<Range<i32>>,
-    /// For each set of buildings and each band, the columns from the left, and how many these are.
+    /// For each set of buildings and each band: the columns from the left, and their number.
     cols: Vec<(Vec<Range<i32>>, usize)>,
 }
 
@@ -53,16 +54,16 @@ struct Numbering {
     count: usize,
 }
 
-/// Rows of the map that hold equally many places in the same columns.
+/// A range of rows with equal places.
 #[derive(Clone, Debug)]
 struct Band {
     rows: Range<i32>,
     block_row: i32,
-    /// Its place in [`Pattern::bands`].
+    /// Its position in [`Pattern::bands`].
     band: usize,
-    /// Places in each of the rows.
+    /// Places per row.
     in_row: usize,
-    /// Places in the rows above.
+    /// Places in all rows above.
     before: usize,
 }
 
@@ -76,7 +77,7 @@ fn overlap(a: &Range<i32>, b: &Range<i32>) -> Range<i32> {
     a.start.max(b.start)..a.end.min(b.end)
 }
 
-/// Where the buildings of a block are on an axis, from its first cell.
+/// The positions of a block's buildings on an axis, from its first cell.
 struct BlockAxis {
     buildings: [Range<i32>; 2],
     side: i32,
@@ -92,7 +93,7 @@ impl BlockAxis {
         }
     }
 
-    /// The block and its kerbs, cut where something begins or ends: within a part all coordinates are alike.
+    /// The block and its kerbs, split into ranges of equivalent coordinates.
     fn parts(&self) -> Vec<Range<i32>> {
         let mut lines = vec![-1, 0, self.side, self.side + 1];
         for span in &self.buildings {
@@ -103,22 +104,22 @@ impl BlockAxis {
         lines.windows(2).map(|pair| pair[0]..pair[1]).collect()
     }
 
-    /// The building that a coordinate is in.
+    /// The building that contains a coordinate.
     fn within(&self, at: i32) -> Option<usize> {
         self.buildings.iter().position(|span| span.contains(&at))
     }
 
-    /// The building on whose side of the block a kerb is.
+    /// The building on the side of a kerb.
     fn kerb(&self, at: i32) -> Option<usize> {
         [-1, self.side].into_iter().position(|kerb| kerb == at)
     }
 
-    /// Whether a coordinate is in a building or next to it.
+    /// Whether a coordinate is in a building or adjacent to it.
     fn touches(&self, at: i32, which: usize) -> bool {
         (self.buildings[which].start - 1..=self.buildings[which].end).contains(&at)
     }
 
-    /// Whether agents of a kind start at a cell, if they do so at this set of buildings.
+    /// Whether agents of a kind start at a cell, given the set of buildings where they start.
     fn is_place(&self, kind: AgentKind, set: u8, row: i32, col: i32) -> bool {
         let has = |row: usize, col: usize| set >> (2 * row + col) & 1 == 1;
         match kind {
@@ -158,7 +159,7 @@ impl Pattern {
     }
 }
 
-/// Which of four buildings agents of a kind start at, as a set of bits.
+/// The bit set of the four buildings where agents of a kind start.
 fn starts(kind: AgentKind, buildings: [Building; 4]) -> u8 {
     let is_start = |building| match kind {
         AgentKind::Car => matches!(building, Building::GasStation | Building::Garage | Building::Store),
@@ -167,9 +168,10 @@ fn starts(kind: AgentKind, buildings: [Building; 4]) -> u8 {
     (0..4).filter(|&at| is_start(buildings[at])).map(|at| 1 << at).sum()
 }
 
-/// The rows of blocks, or columns, whose places, kerbs before and behind included, can be within these rows or columns of cells.
+/// The rows (or columns) of blocks whose places, kerbs included, can lie in this range of cells.
 fn blocks_near(layout: &Layout, cells: &Range<i32>, blocks: i32) -> Range<i32> {
-    // The kerb behind a block is the first cell of the next street, the kerb before it the last cell of its own.
+    // The kerb after a block is the first cell of the next street; the kerb before it is the last cell of its own
+    // street.
     let period = layout.period();
     let first = (cells.start - 1).div_euclid(period);
     let end = (cells.end - layout.block_start(0)).div_euclid(period) + 1;
@@ -232,21 +234,21 @@ impl Numbering {
 }
 
 impl Selection<'_> {
-    /// The columns in each row of a band of a block, whether they are in the extent or not, from the block's first; and how many.
+    /// The columns of each row of a band of a block, from the block's first, and their number. Ignores the extent.
     fn cols(&self, block_row: i32, block_col: i32, band: usize) -> &(Vec<Range<i32>>, usize) {
         let block = block_row * self.of.map.layout.blocks()[1] + block_col;
         let set = usize::from(self.of.starts[block as usize]);
         &self.of.pattern.cols[set * self.of.pattern.bands.len() + band]
     }
 
-    /// The columns of those that are in the extent.
+    /// The columns on the map of the places in the extent.
     fn runs(&self, block_row: i32, block_col: i32, band: usize) -> impl Iterator<Item = Range<i32>> {
         let first = self.of.map.layout.block_start(block_col);
         (self.cols(block_row, block_col, band).0.iter())
             .map(move |cols| overlap(&(first + cols.start..first + cols.end), &self.numbering.extent.cols))
     }
 
-    /// How many places in each row of a band of a block are in the extent.
+    /// The number of places in the extent, per row of a band of a block.
     fn in_block(&self, block_row: i32, block_col: i32, band: usize) -> usize {
         let first = self.of.map.layout.block_start(block_col) - 1;
         let extent = &self.numbering.extent.cols;
@@ -264,7 +266,7 @@ impl Selection<'_> {
         )
     }
 
-    /// The place of a number below the count.
+    /// The place with a number below the count.
     fn nth(&self, number: usize) -> Option<Cell> {
         let bands = &self.numbering.bands;
         let band = bands[..bands.partition_point(|band| band.before <= number)]
@@ -274,7 +276,7 @@ impl Selection<'_> {
         self.in_band(band, inside / band.in_row, inside % band.in_row, None)
     }
 
-    /// The place of a number in a row of a band, where the places of one block do not count.
+    /// The place with a number in a row of a band, without the places of one block.
     fn in_band(&self, band: &Band, row: usize, mut number: usize, without: Option<i32>) -> Option<Cell> {
         for block_col in self.blocks_across().filter(|&block_col| Some(block_col) != without) {
             let count = self.in_block(band.block_row, block_col, band.band);
@@ -287,7 +289,7 @@ impl Selection<'_> {
         None
     }
 
-    /// The number of a cell; `None` if it is no place in the extent.
+    /// The number of a cell; `None` if it is not a place in the extent.
     fn number(&self, cell: Cell) -> Option<usize> {
         let bands = &self.numbering.bands;
         let band = bands[..bands.partition_point(|band| band.rows.start <= cell.row)].last()?;
@@ -296,7 +298,7 @@ impl Selection<'_> {
         }
         let mut number = band.before + (cell.row - band.rows.start) as usize * band.in_row;
         for block_col in self.blocks_across() {
-            // Its places begin with the kerb before it.
+            // The kerb before the block is its first place.
             if cell.col > self.of.map.layout.block_start(block_col) + self.of.map.layout.block_side() {
                 number += self.in_block(band.block_row, block_col, band.band);
                 continue;
@@ -312,7 +314,7 @@ impl Selection<'_> {
         None
     }
 
-    /// The places that an agent at `start` may go to; `None` if there is none.
+    /// The possible goals of an agent at `start`; `None` if there are none.
     fn goals(&self, start: Cell) -> Option<Goals<'_>> {
         let home = match self.of.kind {
             AgentKind::Car => None,
@@ -341,23 +343,23 @@ impl Selection<'_> {
     }
 }
 
-/// The places that an agent may go to, numbered in the same order.
+/// The possible goals of an agent, numbered in order of place.
 struct Goals<'p> {
     selection: Selection<'p>,
     count: usize,
     without: Without,
 }
 
-/// What an agent does not go to.
+/// The places excluded as goals.
 enum Without {
-    /// The place where it is, if it is one.
+    /// The agent's own place, if it is at one.
     Place(Option<usize>),
-    /// Its own block.
+    /// The agent's own block.
     Block {
-        /// The bands of the block's row.
+        /// The bands of its row of blocks.
         bands: Range<usize>,
         block_col: i32,
-        /// Its places.
+        /// The number of its places.
         own: usize,
     },
 }
@@ -392,8 +394,8 @@ impl Goals<'_> {
 }
 
 impl Places {
-    /// The places within the first `region` rows and columns; `None` for the whole map. A goal is drawn from those that are at
-    /// most `trip` rows and columns away; `None` for all of them.
+    /// Returns the places within the first `region` rows and columns; `None` for the whole map. Goals are at most
+    /// `trip` rows and columns away; `None` for no limit.
     pub fn new(router: &Router, region: Option<u32>, trip: Option<u32>) -> Self {
         let map = router.map();
         let cells = |cells: u32| i32::try_from(cells).unwrap_or(i32::MAX);
@@ -435,26 +437,25 @@ impl Places {
         }
     }
 
-    /// How many places there are for agents of a kind.
+    /// Returns the number of places for agents of a kind.
     pub fn count(&self, kind: AgentKind) -> usize {
         self.all[kind as usize].count
     }
 
-    /// The place of that number for agents of a kind; `None` if there are not so many.
+    /// Returns the place with this number for agents of a kind, or `None` if the number is too large.
     pub fn nth(&self, kind: AgentKind, number: usize) -> Option<Cell> {
         (number < self.count(kind)).then(|| self.all(kind).nth(number))?
     }
 
-    /// Whether agents of a kind start and arrive here.
+    /// Returns whether agents of a kind start and arrive here.
     pub fn contains(&self, kind: AgentKind, cell: Cell) -> bool {
         self.all(kind).number(cell).is_some()
     }
 
-    /// Draws a goal for an agent at `start` and plans the way: for a car any place but the start, for a pedestrian a place in
-    /// another block (so it keeps more than 3 cells away from the buildings of its own). Draws again, a bounded number of times, if there
-    /// is no way.
+    /// Draws a goal for an agent at `start` and plans a route to it. The goal of a car is any place but the start. The
+    /// goal of a pedestrian is in another block, so it is more than 3 cells away from the buildings of its own. If a
+    /// goal cannot be reached, it draws again, up to 16 times in all.
     ///
-    /// # Errors
     /// If there is no such place, or none of those drawn can be reached.
     pub fn draw_route(
         &self,
@@ -478,7 +479,7 @@ impl Places {
         Err(failure)
     }
 
-    /// The places within a trip, if trips are limited.
+    /// The places within a trip's distance, if trips are limited.
     fn near(&self, kind: AgentKind, start: Cell) -> Option<Numbering> {
         let trip = self.trip?;
         let around = |at: i32| at.saturating_sub(trip)..at.saturating_add(trip).saturating_add(1);
@@ -490,7 +491,7 @@ impl Places {
         Some(Numbering::new(self.of(kind), extent))
     }
 
-    /// The goals that [`Places::draw_route`] draws from, row by row.
+    /// Returns the goals from which [`Places::draw_route`] draws, row by row.
     pub fn goals(&self, kind: AgentKind, start: Cell) -> Vec<Cell> {
         let near = self.near(kind, start);
         let selection = self.selection(kind, near.as_ref());

@@ -1,13 +1,14 @@
-//! The road graph and ways by car; the [`Router`].
+//! The road graph, routes of cars, and the [`Router`].
 //!
-//! Cars drive on a graph of lanes: each side of each street between two intersections is a lane with a start node and an end node,
-//! and at every intersection each lane that ends there is connected to each lane that starts there, be it straight on, by a turn or
-//! by a U-turn. A car gets from its start to the end node of the lane on its own side, and reaches its goal from the start node
-//! of the goal's lane. So a goal a little ahead in the same lane takes a trip around, as in the published program.
+//! Cars drive on a graph of lanes. Each side of each street between two intersections is a lane with a start node and
+//! an end node. At an intersection, each lane that ends there is connected to each lane that starts there: straight on,
+//! by a turn or by a U-turn. A car drives from its start to the end node of the lane on its own side, and reaches its
+//! goal from the start node of the goal's lane. So a goal just ahead in the same lane requires a detour, as in the
+//! published program.
 //!
-//! The graph is the same wherever one stands, so nothing of it is stored. Ways are looked for in a part of the map around start and goal:
-//! a best way never leaves their bounding box by more than a block. Parts of [`PART`] x [`PART`] blocks are all alike, and what
-//! was found for two lanes of one is remembered for all.
+//! The graph is regular, so the program does not store it. It searches for routes in a part of the map around start and
+//! goal: a best route leaves their bounding box by at most one block. All parts of [`PART`] x [`PART`] blocks are
+//! equal, so the route found between two lanes of one part is cached for all.
 
 use crate::city::map::Zone;
 use crate::city::route::{Way, steps};
@@ -21,50 +22,50 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// What a turn or U-turn costs over its length, in cells.
+/// The cost of a turn or U-turn in addition to its length, in cells.
 const TURN_COST: u32 = 30;
-/// Rows and columns of blocks of the part of a map in which ways are remembered. A smaller map is a part as a whole.
+/// Rows and columns of blocks of the part in which routes are cached. A smaller map is one part.
 const PART: i32 = 8;
 
-/// Why there is no route.
+/// The reason why there is no route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoRoute {
-    /// Agents of this kind cannot start there: a pedestrian outside of walking streets and crossings, a car that is not beside a
-    /// lane (on the mid line, in an intersection, off the street).
+    /// Agents of this kind cannot start there: a pedestrian outside of walking streets and crossings, or a car that is
+    /// not beside a lane (on the mid line, in an intersection, off the street).
     Start,
-    /// They cannot arrive there, for the same reasons.
+    /// Agents of this kind cannot arrive there, for the same reasons.
     Goal,
     /// Start and goal are not connected.
     Unconnected,
-    /// A pedestrian's way of [`Routing::Hops`] is searched for, and this search would look at more than 2^20 cells.
+    /// The search for a pedestrian's route with [`Routing::Hops`] would visit more than 2^20 cells.
     TooFar,
 }
 
 /// A side of a street between two intersections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lane {
-    /// Where cars enter it: on the outline of the intersection behind.
+    /// The cell where cars enter it, on the outline of the intersection behind.
     pub start: Cell,
-    /// Where cars leave it: on the outline of the intersection ahead.
+    /// The cell where cars leave it, on the outline of the intersection ahead.
     pub end: Cell,
     /// The direction of travel.
     pub heading: Heading,
 }
 
 impl Lane {
-    /// Its length in cells: steps from start to end.
+    /// Returns its length in cells: the steps from start to end.
     pub fn length(&self) -> u32 {
         steps(self.start, self.end)
     }
 }
 
-/// A lane by its place on a grid of streets and blocks.
+/// A lane by its position on the grid of streets and blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct LanePlace {
     heading: Heading,
-    /// The street it is a side of.
+    /// The street whose side it is.
     street: i32,
-    /// The block it runs along: a column of blocks for a lane that goes left or right, else a row.
+    /// The block along which it runs: the column of a horizontal lane, the row of a vertical one.
     block: i32,
 }
 
@@ -73,7 +74,7 @@ impl LanePlace {
         matches!(self.heading, Heading::Left | Heading::Right)
     }
 
-    /// The streets that cross at its end, [across, down].
+    /// The streets that meet at its end, [horizontal, vertical].
     fn end(self) -> [i32; 2] {
         match self.heading {
             Heading::Left => [self.street, self.block],
@@ -83,7 +84,7 @@ impl LanePlace {
         }
     }
 
-    /// The lane that starts with a heading where two streets cross, if the map goes on there.
+    /// The lane that starts with a heading at an intersection, if it is on the map.
     fn starting([across, down]: [i32; 2], heading: Heading) -> LanePlace {
         let (street, block) = match heading {
             Heading::Left => (across, down - 1),
@@ -94,7 +95,7 @@ impl LanePlace {
         LanePlace { heading, street, block }
     }
 
-    /// The lane that ends with a heading where two streets cross, if the map goes on there.
+    /// The lane that ends with a heading at an intersection, if it is on the map.
     fn ending([across, down]: [i32; 2], heading: Heading) -> LanePlace {
         let (street, block) = match heading {
             Heading::Left => (across, down),
@@ -105,14 +106,14 @@ impl LanePlace {
         LanePlace { heading, street, block }
     }
 
-    /// The streets that cross at its start, [across, down].
+    /// The streets that meet at its start, [horizontal, vertical].
     fn start(self) -> [i32; 2] {
         let [across, down] = self.end();
         let (rows, cols) = self.heading.delta();
         [across - rows, down - cols]
     }
 
-    /// The nearest and the farthest street at its ends, in rows and columns.
+    /// The range of the streets at its ends, in rows and columns.
     fn extent(self) -> [Range<i32>; 2] {
         let ends = [self.start(), self.end()];
         [0, 1].map(|axis| ends[0][axis].min(ends[1][axis])..ends[0][axis].max(ends[1][axis]))
@@ -131,7 +132,7 @@ impl LanePlace {
         }
     }
 
-    /// The lane itself.
+    /// The lane at this position.
     fn lane(self, layout: &Layout) -> Lane {
         let (middle, offset) = (layout.mid_line(self.street), layout.lane_offset());
         let (low, high) = layout.lane_ends(self.block);
@@ -160,19 +161,19 @@ impl LanePlace {
 /// A node of the road graph: the start or the end of a lane, by its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum Node {
-    /// Where the car is.
+    /// The start of the car.
     Origin,
     Start(u32),
     End(u32),
-    /// Where the car wants to go.
+    /// The goal of the car.
     Destination,
 }
 
-/// The road graph of a map, or of a part of one: so many rows and columns of blocks, with the streets around them.
+/// The road graph of a map or of a part of it: `blocks` rows and columns of blocks with the streets around them.
 ///
-/// Lanes are numbered street by street, horizontal streets first, then block by block, the left-going or down-going lane first. That
-/// is the order in which searches meet them. It decides among ways of equal length, and with fewest hops it does so as the
-/// published program.
+/// Lanes are numbered street by street, horizontal streets first, then block by block, the left-going or down-going
+/// lane first. Searches visit lanes in this order, so it breaks ties between equal routes. For fewest hops it breaks
+/// them as the published program does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Roads {
     layout: Layout,
@@ -184,12 +185,12 @@ impl Roads {
         2 * (self.blocks[0] + 1) * self.blocks[1]
     }
 
-    /// How many lanes there are.
+    /// The number of lanes.
     fn lanes(&self) -> u32 {
         (self.horizontal_lanes() + 2 * (self.blocks[1] + 1) * self.blocks[0]).unsigned_abs()
     }
 
-    /// The number of a lane; `None` if there is none.
+    /// The number of a lane; `None` if it is not on the map.
     fn number(&self, lane: LanePlace) -> Option<u32> {
         let [streets, blocks] = if lane.is_horizontal() {
             self.blocks
@@ -245,7 +246,7 @@ impl Roads {
         previous.into_iter().flatten()
     }
 
-    /// The lanes of a best way after the first, up to the last. This is the definition; the search is slow.
+    /// The lanes of a best route after the first, up to the last. This function defines the result; the search is slow.
     fn search(&self, routing: Routing, first: u32, last: u32) -> Option<Vec<u32>> {
         let nodes = match routing {
             Routing::Weighted => self.lightest(first, last),
@@ -254,7 +255,7 @@ impl Roads {
         Some(entered(&nodes?))
     }
 
-    /// The nodes of a route of least length and turns.
+    /// The nodes of a route with the least sum of length and turn costs.
     fn lightest(&self, first: u32, last: u32) -> Option<Vec<Node>> {
         let successors = |&node: &Node| {
             (self.after(node, first, last).into_iter())
@@ -264,15 +265,15 @@ impl Roads {
         dijkstra(&Node::Origin, successors, |&node| node == Node::Destination).map(|(nodes, _)| nodes)
     }
 
-    /// The nodes of a route with the fewest of them. Searching from both ends, the smaller frontier first, is what makes the
-    /// choice among equals that of the published program.
+    /// The nodes of a route with the fewest nodes. The bidirectional search expands the smaller frontier first, which
+    /// breaks ties as the published program does.
     fn fewest_hops(&self, first: u32, last: u32) -> Option<Vec<Node>> {
         let after = |&node: &Node| self.after(node, first, last);
         let before = |&node: &Node| self.before(node, first, last);
         bfs_bidirectional(&Node::Origin, &Node::Destination, after, before)
     }
 
-    /// Where one can go from a node, on the way from one lane to another.
+    /// The successors of a node on a route from one lane to another.
     fn after(&self, node: Node, first: u32, last: u32) -> Vec<Node> {
         match node {
             Node::Origin => vec![Node::End(first)],
@@ -283,7 +284,7 @@ impl Roads {
         }
     }
 
-    /// The converse of [`Roads::after`].
+    /// The predecessors of a node: the converse of [`Roads::after`].
     fn before(&self, node: Node, first: u32, last: u32) -> Vec<Node> {
         match node {
             Node::Origin => Vec::new(),
@@ -294,7 +295,7 @@ impl Roads {
         }
     }
 
-    /// The weight of an edge in cells. The first and the last edge are the same for all routes between two places.
+    /// The weight of an edge in cells. The first and the last edge are common to all routes between two places.
     fn weight(&self, from: Node, to: Node) -> u32 {
         match (from, to) {
             (Node::Start(lane), Node::End(_)) => self.lane(lane).length(),
@@ -306,11 +307,12 @@ impl Roads {
         }
     }
 
-    /// As good a way as [`Roads::search`] finds, by looking mostly at what leads to the goal; among equals it may choose another.
+    /// Finds a route of equal cost as [`Roads::search`] by A*; it may break ties differently.
     fn guided(&self, routing: Routing, first: u32, last: u32) -> Option<Vec<u32>> {
         let target = self.lane(last);
         let [across, down] = self.place(last).start();
-        // What is still to go from the end of a lane, at least. Turns and lengths each attain their least on some way.
+        // A lower bound on the cost from the end of a lane. Some route attains the minimum of turns, and some route the
+        // minimum of length.
         let from_end = |lane: u32| {
             let [row, col] = self.place(lane).end();
             match routing {
@@ -340,7 +342,7 @@ impl Roads {
     }
 }
 
-/// The lanes whose start a way passes.
+/// The lanes that a route enters.
 fn entered(nodes: &[Node]) -> Vec<u32> {
     let lane = |node: &Node| match node {
         Node::Start(lane) => Some(*lane),
@@ -349,8 +351,8 @@ fn entered(nodes: &[Node]) -> Vec<u32> {
     nodes.iter().filter_map(lane).collect()
 }
 
-/// The least number of turns on a way that begins with one heading, covers a difference of rows and columns, and ends with another
-/// heading: the needed directions are taken in one order or the other.
+/// The least number of turns on a route that begins with one heading, covers a difference of rows and columns, and ends
+/// with another heading. The route takes the two directions in either order.
 fn least_turns(first: Heading, [rows, cols]: [i32; 2], last: Heading) -> u32 {
     let vertical = if rows < 0 { Heading::Up } else { Heading::Down };
     let horizontal = if cols < 0 { Heading::Left } else { Heading::Right };
@@ -363,12 +365,13 @@ fn least_turns(first: Heading, [rows, cols]: [i32; 2], last: Heading) -> u32 {
     }
 }
 
-/// The headings of the lanes that a way enters, two bits each, over their number; 0 is none. It holds up to 29 of them.
+/// The headings of the lanes that a route enters, two bits each, with their number in the high bits; 0 means none. It
+/// holds up to 29 headings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Turns(u64);
 
 impl Turns {
-    /// Where the number stands.
+    /// The position of the number.
     const COUNT: u32 = 58;
 
     fn new(headings: &[Heading]) -> Option<Turns> {
@@ -391,15 +394,15 @@ pub struct Router {
     routing: Routing,
     /// The roads of the whole map.
     roads: Roads,
-    /// Those of a part of it.
+    /// The roads of a part.
     part: Roads,
-    /// For each pair of lanes of a part, [`Turns`] from one to the other; 0 where nobody asked yet. What stands there is a function of the
-    /// pair, so threads may write it at the same time.
+    /// For each pair of lanes of a part: the cached [`Turns`], or 0. The value is a function of the pair, so that
+    /// threads may write it concurrently.
     known: Box<[AtomicU64]>,
 }
 
 impl Router {
-    /// A router of a map. It takes 0.7 MB at most, whatever the map.
+    /// Creates a router for a map. It takes at most 0.7 MB for any map.
     pub fn new(map: Arc<CityMap>, routing: Routing) -> Self {
         let layout = map.layout;
         let roads = |blocks| Roads { layout, blocks };
@@ -414,33 +417,33 @@ impl Router {
         }
     }
 
-    /// The map.
+    /// Returns the map.
     pub fn map(&self) -> &Arc<CityMap> {
         &self.map
     }
 
-    /// How agents choose their route.
+    /// Returns the algorithm by which agents choose routes.
     pub fn routing(&self) -> Routing {
         self.routing
     }
 
-    /// The lanes: street by street, horizontal streets first, then block by block, the left-going or down-going lane first.
+    /// Returns the lanes: street by street, horizontal streets first, then block by block, the left-going or down-going
+    /// lane first.
     pub fn lanes(&self) -> impl ExactSizeIterator<Item = Lane> {
         (0..self.roads.lanes()).map(|number| self.roads.lane(number))
     }
 
-    /// The connections between lanes: a pair of lane numbers for each end node and start node that are connected.
+    /// Returns the connections between lanes: the pairs of lane numbers whose end node and start node are connected.
     pub fn connectors(&self) -> impl Iterator<Item = (usize, usize)> {
         (0..self.roads.lanes()).flat_map(|from| self.roads.next(from).map(move |to| (from as usize, to as usize)))
     }
 
-    /// Plans a route. The same question always gets the same answer. If an agent is already at its goal, the route is that cell.
+    /// Plans a route; equal arguments give equal routes. If the agent is at its goal, the route is that cell.
     ///
-    /// A car starts and arrives anywhere beside a lane: on a street between two intersections, their outlines included, on
-    /// either side of the mid line. A pedestrian takes a shortest way over walking streets and crossings.
+    /// A car can start and arrive anywhere beside a lane: on a street between two intersections, their outlines
+    /// included, on either side of the mid line. A pedestrian takes a shortest path over walking streets and crossings.
     ///
-    /// # Errors
-    /// If the agent can't be at the start or at the goal, or cannot get from one to the other.
+    /// If the agent cannot be at the start or at the goal, or cannot get from one to the other.
     pub fn plan(&self, kind: AgentKind, start: Cell, goal: Cell) -> Result<Route, NoRoute> {
         let mut way = Way::new(&self.map, kind, start);
         match kind {
@@ -461,8 +464,8 @@ impl Router {
         Ok(way.finish())
     }
 
-    /// A given way as a route; repeated cells are left out. `None` if it is empty, leaves the map, or has neighbours that differ by
-    /// more than a step.
+    /// Returns given cells as a route, without consecutive repetitions. `None` if there are none, one is off the map,
+    /// or consecutive cells differ by more than one step.
     pub fn follow(&self, kind: AgentKind, cells: impl IntoIterator<Item = Cell>) -> Option<Route> {
         let mut cells = cells.into_iter();
         let start = cells.next().filter(|&cell| self.map.contains(cell))?;
@@ -476,7 +479,7 @@ impl Router {
         Some(way.finish())
     }
 
-    /// A way by car.
+    /// Plans the route of a car.
     fn drive(&self, way: &mut Way<'_>, goal: Cell) -> Result<(), NoRoute> {
         let layout = &self.map.layout;
         let start = way.at();
@@ -493,7 +496,7 @@ impl Router {
                 way.straight(at.lane(layout).end);
             }
             at = LanePlace::starting(at.end(), heading);
-            // Straight on to the line of the new lane, then along it.
+            // Go straight to the line of the new lane, then along it.
             way.bend(at.lane(layout).start, at.is_horizontal());
         };
         match self.turns(first, last).ok_or(NoRoute::Unconnected)? {
@@ -504,13 +507,13 @@ impl Router {
         Ok(())
     }
 
-    /// The headings of the lanes that a best way from a lane to another enters after the first.
+    /// The headings of the lanes that a best route between two lanes enters after the first.
     fn turns(&self, first: LanePlace, last: LanePlace) -> Option<Found> {
         let [one, other] = [first.extent(), last.extent()];
         let box_of = |axis: usize| one[axis].start.min(other[axis].start)..one[axis].end.max(other[axis].end);
         let around = [box_of(0), box_of(1)];
         let part = self.part.blocks;
-        // With a block to each side, or all that there is.
+        // The part must include a block on each side, or the whole map.
         let fits = |axis: usize| part[axis] == self.roads.blocks[axis] || around[axis].len() as i32 + 2 <= part[axis];
         if !(fits(0) && fits(1)) {
             let low = [0, 1].map(|axis| (around[axis].start - 1).max(0));
@@ -571,20 +574,20 @@ impl Router {
     }
 }
 
-/// The headings of the lanes that a way enters.
+/// The headings of the lanes that a route enters.
 enum Found {
     Known(Turns),
     Long(Vec<Heading>),
 }
 
-/// Whether a car that leaves for a node goes along the column first: the shorter leg comes first, and equal ones start with it. A
-/// car that arrives does the same backwards.
+/// Whether a car that drives to a node goes along the column first: the shorter leg comes first, and in a tie the
+/// column. An arriving car does the reverse.
 fn rows_first_out(place: Cell, node: Cell) -> bool {
     (node.row - place.row).abs() <= (node.col - place.col).abs()
 }
 
 impl Layout {
-    /// First and last cell of the lanes along a block: the outlines of the two intersections.
+    /// Returns the first and last cell of the lanes along a block: the outlines of the two intersections.
     pub fn lane_ends(&self, block: i32) -> (i32, i32) {
         let built = self.built_span(block);
         (built.start - 1, built.end)

@@ -1,12 +1,12 @@
-//! Routes: ways over the map, held as straight pieces.
+//! Routes, stored as straight pieces.
 
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
 
-/// A way from a start to a goal.
+/// A route from a start to a goal.
 ///
-/// It is cut into straight pieces where a move must end: at corners and at nodes of the road graph. So who goes along one needs
-/// to know the heading and the length of the piece it is on, and nothing else until that ends.
+/// It is split into straight pieces where a move must end: at corners and at nodes of the road graph. So an agent needs
+/// only the heading and the length of its current piece.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Route {
     start: Cell,
@@ -30,7 +30,7 @@ impl Piece {
         Heading::ALL[(self.0 & 3) as usize]
     }
 
-    /// Its length in cells.
+    /// The number of steps.
     pub(super) fn steps(self) -> u32 {
         self.0 >> 3
     }
@@ -41,22 +41,22 @@ impl Piece {
 }
 
 impl Route {
-    /// The first cell.
+    /// Returns the first cell.
     pub fn start(&self) -> Cell {
         self.start
     }
 
-    /// The last cell.
+    /// Returns the last cell.
     pub fn goal(&self) -> Cell {
         self.goal
     }
 
-    /// Number of steps from the start to the goal, in cells.
+    /// Returns the number of steps from the start to the goal, in cells.
     pub fn steps(&self) -> usize {
         self.steps as usize
     }
 
-    /// The cells from the start to the goal, both included. Neighbours differ by one step.
+    /// Returns the cells from the start to the goal, both included. Consecutive cells differ by one step.
     pub fn cells(&self) -> impl Iterator<Item = Cell> + Clone + '_ {
         let mut at = self.start;
         let steps = (self.pieces.iter()).flat_map(|piece| (0..piece.steps()).map(move |_| piece.heading()));
@@ -66,7 +66,8 @@ impl Route {
         }))
     }
 
-    /// The nodes of the road graph that it passes, in order; a car jumps over none of them. None for the routes of pedestrians.
+    /// Returns the nodes of the road graph on the route, in order; cars stop at each of them. The routes of pedestrians
+    /// have none.
     pub fn nodes(&self) -> impl Iterator<Item = Cell> + '_ {
         let mut at = self.start;
         let ends = self.pieces.iter().filter_map(move |piece| {
@@ -76,12 +77,12 @@ impl Route {
         self.starts_at_node.then_some(self.start).into_iter().chain(ends)
     }
 
-    /// A piece by its place on the way, from 0.
+    /// The piece with this index.
     pub(super) fn piece(&self, index: u32) -> Option<Piece> {
         self.pieces.get(index as usize).copied()
     }
 
-    /// Bytes it takes beside its own size.
+    /// Returns the bytes that it allocates on the heap.
     pub fn heap_bytes(&self) -> usize {
         std::mem::size_of_val(&*self.pieces)
     }
@@ -97,12 +98,12 @@ pub(super) struct Way<'m> {
     steps: u32,
 }
 
-/// The pieces so far. Nearly all routes have few of them: these are kept where the way is, so that a route takes memory once, and no more
-/// than it needs.
+/// The pieces so far. Most routes have few pieces, which stay on the stack, so that each route allocates once and
+/// exactly.
 struct Pieces {
     few: [Piece; Pieces::FEW],
     count: usize,
-    /// All of them, if they are more.
+    /// All pieces, if there are more than [`Pieces::FEW`].
     many: Vec<Piece>,
 }
 
@@ -138,7 +139,7 @@ impl Pieces {
 }
 
 impl<'m> Way<'m> {
-    /// A way of a single cell.
+    /// Creates a route of a single cell.
     pub(super) fn new(map: &'m CityMap, kind: AgentKind, start: Cell) -> Self {
         Way {
             map,
@@ -163,7 +164,7 @@ impl<'m> Way<'m> {
         self.kind == AgentKind::Car && self.map.is_lane_node(cell)
     }
 
-    /// Goes to a cell in the same row or column. There must be no node of the road graph strictly between.
+    /// Continues to a cell in the same row or column. There must be no node of the road graph strictly between.
     pub(super) fn straight(&mut self, to: Cell) {
         let Some(heading) = Heading::between(self.at, to) else {
             return;
@@ -180,7 +181,7 @@ impl<'m> Way<'m> {
         self.steps += steps;
     }
 
-    /// Goes to a cell by at most one bend.
+    /// Continues to a cell with at most one bend.
     pub(super) fn bend(&mut self, to: Cell, rows_first: bool) {
         let from = self.at;
         self.straight(if rows_first {
@@ -202,7 +203,7 @@ impl<'m> Way<'m> {
     }
 }
 
-/// Steps between two cells if nothing is in the way.
+/// The number of steps between two cells without obstacles.
 pub(super) fn steps(from: Cell, to: Cell) -> u32 {
     from.row.abs_diff(to.row) + from.col.abs_diff(to.col)
 }

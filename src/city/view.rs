@@ -1,18 +1,18 @@
-//! What an agent sees.
+//! Fields of view.
 
 use crate::city::{Cell, CityMap, Heading};
 
 /// The rectangle of cells in a field of view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FieldOfView {
-    /// Its upper left cell.
+    /// The upper left cell.
     pub first: Cell,
-    /// Its lower right cell, which belongs to it.
+    /// The lower right cell, included.
     pub last: Cell,
 }
 
 impl FieldOfView {
-    /// What is at most so many cells [up, down, left, right] of a cell.
+    /// Returns the cells at most `up`, `down`, `left` and `right` cells away from `at`.
     pub fn around(at: Cell, [up, down, left, right]: [i32; 4]) -> FieldOfView {
         FieldOfView {
             first: Cell::new(at.row.saturating_sub(up), at.col.saturating_sub(left)),
@@ -20,15 +20,17 @@ impl FieldOfView {
         }
     }
 
-    /// Whether the cell is in view.
+    /// Returns whether the cell is in view.
     pub fn contains(&self, cell: Cell) -> bool {
         (self.first.row..=self.last.row).contains(&cell.row) && (self.first.col..=self.last.col).contains(&cell.col)
     }
 }
 
-/// How many cells a field of view reaches [up, down, left, right] of an agent. It reaches `half_width` cells to both sides of the way
-/// and ahead, and hardly behind: 1 cell for an agent that goes left or up, 2 cells for one that goes right or down (the published
-/// program's rectangles, half open after a shift by one). Without a heading it reaches `half_width` cells to all sides.
+/// Returns the extent of a field of view [up, down, left, right] of an agent, in cells.
+///
+/// It extends `half_width` cells ahead and to both sides, and a little behind: 1 cell for an agent that goes left or
+/// up, 2 cells for one that goes right or down. These are the published program's rectangles, half-open after a shift
+/// by one. Without a heading it extends `half_width` cells to all sides.
 pub fn view_reach(heading: Option<Heading>, half_width: u32) -> [i32; 4] {
     let ahead = i32::try_from(half_width).unwrap_or(i32::MAX);
     match heading {
@@ -40,7 +42,7 @@ pub fn view_reach(heading: Option<Heading>, half_width: u32) -> [i32; 4] {
     }
 }
 
-/// The field of view of an agent, see [`view_reach`]. It ends where the world ends.
+/// Returns the field of view of an agent, clipped to the map; see [`view_reach`].
 pub fn field_of_view(at: Cell, heading: Option<Heading>, half_width: u32, map: &CityMap) -> FieldOfView {
     let FieldOfView { first, last } = FieldOfView::around(at, view_reach(heading, half_width));
     FieldOfView {

@@ -1,10 +1,10 @@
-//! Ways on foot: found without a search, and the published ones.
+//! Routes of pedestrians: a direct construction, and the search of the published program.
 //!
-//! The sidewalks along the streets of a row of blocks form two *bands*, one above and one below the blocks, that run across
-//! the whole map, since crossings join them over every street on their way. It is the same with columns of blocks. All other
-//! cells that one can walk on are between the buildings of a block, in the two inner sidewalks that cross in its middle. So a
-//! way leaves the buildings by one of the four ends of the inner sidewalks, and changes from band to band where these cross:
-//! there are few candidates, and the shortest of them is a shortest way.
+//! The sidewalks along the streets of a row of blocks form two *bands*, one above and one below the blocks. Crossings
+//! connect them over every street, so a band spans the whole map. Columns of blocks have bands too. All other walkable
+//! cells are between the buildings of a block, in two inner sidewalks that cross in its center. So a route leaves a
+//! block by one of the four ends of its inner sidewalks and changes between bands where they cross. There are few
+//! candidates, and the shortest of them is a shortest path.
 
 use crate::city::map::Zone;
 use crate::city::roads::NoRoute;
@@ -14,25 +14,25 @@ use crate::rng::{Purpose, Rng, RngExt, Seed};
 use std::collections::HashMap;
 
 impl Purpose {
-    /// Which of the shortest ways pedestrians take; index: the start, tick: the goal.
+    /// The choice among shortest paths; index: the start, tick: the goal.
     pub const WALK: Purpose = Purpose::new(16);
 }
 
-/// The corners of a way, in order; the end is not told.
+/// The corners of a path, without its end.
 #[derive(Clone, Copy)]
 struct Corners {
     steps: u32,
     corners: [Cell; 2],
 }
 
-/// Goes from where the way is, on foot, to a goal. One must be able to walk on both.
+/// Continues the route to a goal on foot. Its current cell and the goal must be walkable.
 pub(super) fn walk(layout: &Layout, goal: Cell, way: &mut Way<'_>) {
     let start = way.at();
     let (from, to) = (Spot::new(layout, start), Spot::new(layout, goal));
     if let (Some(block), Some(other)) = (from.block, to.block)
         && block == other
     {
-        // Along the inner sidewalk to where the other crosses it.
+        // Go along the inner sidewalk to the crossing with the other one.
         return way.bend(goal, !from.row_is_inner);
     }
     let mut best: Option<(u32, [Cell; 6])> = None;
@@ -55,7 +55,7 @@ pub(super) fn walk(layout: &Layout, goal: Cell, way: &mut Way<'_>) {
     line.stroll(layout, way);
 }
 
-/// A shortest way as few straight legs.
+/// A shortest path with few straight legs.
 struct Line {
     /// The start, the corners, the end.
     points: [Cell; Line::MOST],
@@ -72,7 +72,7 @@ impl Line {
         }
     }
 
-    /// Goes on to a cell in the same row or column.
+    /// Continues to a cell in the same row or column.
     fn push(&mut self, to: Cell) {
         let last = self.points[self.count - 1];
         let Some(heading) = Heading::between(last, to) else {
@@ -86,17 +86,20 @@ impl Line {
         }
     }
 
-    /// Walks along, but not in straight lines. At a corner, steps in the new direction are due and steps in the old one no longer: as many as
-    /// the sidewalks beside it are wide are done early, on the leg before the corner, and late, on the leg behind it, a step here and a step
-    /// there. The length stays the same.
+    /// Walks along the path with random sidesteps.
     ///
-    /// Going straight, all would cross streets on the very line where an intersection begins: at it, but never in it. Like this they are at
-    /// and in intersections as often as those who go the published way. Where steps aside are taken is drawn for each start and goal.
+    /// A corner replaces steps in the old direction by steps in the new one. The pedestrian makes some of the new steps
+    /// early, on the leg before the corner, and some of the old ones late, on the leg behind it. Their number is
+    /// limited by the width of the sidewalk. The length stays the same.
+    ///
+    /// Straight paths would cross streets on the line where an intersection begins: *At* it, but never *In* it. With
+    /// sidesteps, pedestrians are at and in intersections as often as those of the published program. The sidesteps are
+    /// drawn for each pair of start and goal.
     fn stroll(&self, layout: &Layout, way: &mut Way<'_>) {
         let points = &self.points[..self.count];
         let number = |cell: Cell| u64::from(cell.row.cast_unsigned()) << 32 | u64::from(cell.col.cast_unsigned());
         let mut stream = Seed(0).stream(Purpose::WALK, number(points[0]), number(points[self.count - 1]));
-        // How much of the next leg is done early, and what of the last one is left, in its direction.
+        // Steps of the next leg made early, and the rest of the last leg with its direction.
         let (mut early, mut left) = (0, None);
         for (place, leg) in points.windows(2).enumerate() {
             let (from, to) = (leg[0], leg[1]);
@@ -118,15 +121,15 @@ impl Line {
     }
 }
 
-/// Of a leg of a [`Line`].
+/// The heading of a leg of a [`Line`].
 fn heading_of(from: Cell, to: Cell) -> Heading {
     Heading::between(from, to).expect("two points of a line that follow each other differ in one coordinate")
 }
 
-/// The most steps aside for one side of a corner.
+/// The maximum number of sidesteps on one side of a corner.
 const ASIDE_MAX: u32 = 8;
 
-/// Steps aside that a leg has, in order.
+/// The sidesteps of a leg, in order.
 #[derive(Default)]
 struct Aside {
     steps: [Option<Heading>; 2 * ASIDE_MAX as usize],
@@ -141,7 +144,7 @@ impl Aside {
         }
     }
 
-    /// Goes so many steps ahead, with the steps aside anywhere between.
+    /// Goes `ahead` steps ahead and makes the sidesteps at random places between.
     fn go(&self, heading: Heading, ahead: u32, stream: &mut impl Rng, way: &mut Way<'_>) {
         let mut places = [0; 2 * ASIDE_MAX as usize];
         let places = &mut places[..self.count];
@@ -159,7 +162,7 @@ impl Aside {
     }
 }
 
-/// How many steps aside one can take anywhere on a straight leg. It is along a sidewalk, or there are none.
+/// The number of sidesteps possible anywhere on a straight leg along a sidewalk; 0 elsewhere.
 fn room(layout: &Layout, from: Cell, to: Cell, aside: Heading) -> u32 {
     let at = if from.row == to.row { from.row } else { from.col };
     let (zone, street) = layout.zone(at);
@@ -177,12 +180,12 @@ fn room(layout: &Layout, from: Cell, to: Cell, aside: Heading) -> u32 {
     room.cast_unsigned().min(ASIDE_MAX)
 }
 
-/// A cell that one can walk on.
+/// A walkable cell.
 struct Spot {
     cell: Cell,
-    /// Whether its row is one of the inner sidewalk of its block.
+    /// Whether its row belongs to the inner sidewalk of its block.
     row_is_inner: bool,
-    /// The block between whose buildings it is, if it is in no band.
+    /// The block that contains it between its buildings; `None` in a band.
     block: Option<[i32; 2]>,
 }
 
@@ -197,12 +200,12 @@ impl Spot {
         }
     }
 
-    /// How many ways there are to the bands.
+    /// The number of ways to the bands.
     fn ways(&self) -> usize {
         if self.block.is_some() { 4 } else { 1 }
     }
 
-    /// The ways to the bands; all are the same if there is only one.
+    /// The ways to the bands; all four are equal if there is only one.
     fn exits(&self, layout: &Layout) -> [Exit; 4] {
         let cell = self.cell;
         let Some([block_row, block_col]) = self.block else {
@@ -226,10 +229,10 @@ impl Spot {
 #[derive(Clone, Copy)]
 struct Exit {
     corner: Cell,
-    /// Its end: the first cell that is in a band.
+    /// Its end: the first cell in a band.
     cell: Cell,
     steps: u32,
-    /// The bands that this is in, of rows and of columns.
+    /// The bands that contain its end, of rows and of columns.
     bands: [Option<Band>; 2],
 }
 
@@ -237,7 +240,7 @@ struct Exit {
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Band {
     street: i32,
-    /// On which side of the street it is.
+    /// Whether it lies after the street.
     after: bool,
 }
 
@@ -257,7 +260,7 @@ impl Exit {
     }
 }
 
-/// A shortest way between two cells of bands.
+/// Returns a shortest path between two cells of bands.
 fn between(layout: &Layout, from: &Exit, to: &Exit) -> Corners {
     let ([from_row, from_col], [to_row, to_col]) = (from.bands, to.bands);
     let (from, to) = (from.cell, to.cell);
@@ -271,7 +274,7 @@ fn between(layout: &Layout, from: &Exit, to: &Exit) -> Corners {
     if from_col.is_some() && (to_row.is_some() || from_col == to_col) {
         return bend(Cell::new(to.row, from.col));
     }
-    // Two bands side by side: the way needs one that crosses them, or the inner sidewalk of a block that lies between.
+    // For parallel bands the path needs a band that crosses them, or the inner sidewalk of a block between them.
     let same_blocks = |one: Option<Band>, other: Option<Band>| {
         one.zip(other).is_some_and(|(one, other)| {
             let (first, second) = if one.after { (one, other) } else { (other, one) };
@@ -279,7 +282,7 @@ fn between(layout: &Layout, from: &Exit, to: &Exit) -> Corners {
         })
     };
     let corners = if from_row.is_some() {
-        // Going up one keeps right in the higher columns.
+        // A pedestrian who goes up keeps right in the higher columns.
         let keep_high = to.row < from.row;
         let col = passage(layout, [from.col, to.col], keep_high, same_blocks(from_row, to_row));
         [Cell::new(from.row, col), Cell::new(to.row, col)]
@@ -295,9 +298,9 @@ fn between(layout: &Layout, from: &Exit, to: &Exit) -> Corners {
     }
 }
 
-/// Where to cross on the way from one coordinate to another, of which the first is in no band: at one between them if there is one,
-/// else where the detour is least. Inner sidewalks count if `through_blocks`. Of a band's equal cells the highest or lowest is taken, so
-/// that those who walk the other way are not in the way.
+/// Returns the coordinate at which to cross from one coordinate, which is in no band, to another. It prefers one
+/// between them, else the one with the least detour. Inner sidewalks count if `through_blocks`. Of equal cells of a
+/// band it returns the highest or the lowest, so that pedestrians in opposite directions keep apart.
 fn passage(layout: &Layout, [from, to]: [i32; 2], keep_high: bool, through_blocks: bool) -> i32 {
     let (zone, number) = layout.zone(from);
     let gap = if zone.in_street() {
@@ -332,26 +335,28 @@ fn passage(layout: &Layout, [from, to]: [i32; 2], keep_high: bool, through_block
     best
 }
 
-/// The coordinate in the inner sidewalk of a block that is nearest to another one.
+/// The coordinate of the block's inner sidewalk that is nearest to another one.
 fn nearest_inner(layout: &Layout, block: i32, at: i32) -> i32 {
     let inner = layout.inner_span(block);
     at.clamp(inner.start, inner.end - 1)
 }
 
-/// What the published program thinks a step onto a cell costs that one cannot walk on.
+/// The cost of a step onto an unwalkable cell in the published program.
 const WALL: u32 = 1000;
 
-/// The most cells that a search looks at. They take some 70 MB.
+/// The maximum number of cells that a search visits; they take about 70 MB.
 const CELLS_MAX: usize = 1 << 20;
 
-/// The way of the published program: the one of the shortest that A* finds, whose heuristic is the number of steps if nothing were in the way.
+/// Searches for the path of the published program: the shortest path that its A* search finds. The heuristic is the
+/// number of steps without obstacles.
 ///
-/// Among ways of equal length the order of the open list decides: it is a binary heap, and a cell's neighbours come to it upper, left, right,
-/// lower. Cells that one cannot walk on take part in that order, though nothing goes through them.
+/// The order of the open list breaks ties between paths of equal length. It is a binary heap, and the neighbors of a
+/// cell enter it in the order up, left, right, down. Unwalkable cells take part in that order, but no path continues
+/// from them.
 pub(super) fn search(map: &CityMap, goal: Cell, way: &mut Way<'_>) -> Result<(), NoRoute> {
     const NEIGHBOURS: [Heading; 4] = [Heading::Up, Heading::Left, Heading::Right, Heading::Down];
     let start = way.at();
-    // The steps to a cell, and the one before it.
+    // By cell: the cost of reaching it, and the cell before it.
     let mut reached = HashMap::from([(start, (0, start))]);
     let mut open = OpenList::default();
     open.push(0, start);
@@ -387,12 +392,11 @@ pub(super) fn search(map: &CityMap, goal: Cell, way: &mut Way<'_>) -> Result<(),
     Ok(())
 }
 
-/// The open list of A*: a binary heap of cells, the least estimate first. Of equal estimates the one comes first that the heaps of C++ and
-/// Python would give, whose way of closing the gap at the top differs from that of Rust: down to a leaf first, and then the last one rises
-/// from there.
+/// The open list of A*: a binary heap of cells, the least estimate first. It breaks ties as the heaps of C++ and Python
+/// do. Unlike Rust's heap, these close the gap at the top down to a leaf, and then sift the last element up from there.
 #[derive(Default)]
 struct OpenList {
-    /// Estimates of whole ways, each with the cell that the way goes through.
+    /// Estimates of complete paths, each with its cell.
     heap: Vec<(u32, Cell)>,
 }
 

@@ -1,18 +1,18 @@
-//! The codes of messages about configurations.
+//! Diagnostic codes of configurations.
 
 crate::diagnostic_codes! {
     /// The text is not YAML.
     YAML_SYNTAX = "yaml-syntax", Error;
-    /// A key that has no meaning here.
+    /// The mapping does not have this key.
     UNKNOWN_KEY = "unknown-key", Error;
-    /// A key given twice.
+    /// The mapping has the key twice.
     DUPLICATE_KEY = "duplicate-key", Error;
-    /// A required key that is absent.
+    /// A required key is missing.
     MISSING_KEY = "missing-key", Error;
-    /// A value of the wrong type or outside its range.
+    /// A value has the wrong type or is outside of its range.
     INVALID_VALUE = "invalid-value", Error;
-    /// A file that a configuration refers to and that cannot be read.
+    /// A file that a configuration names cannot be read.
     MISSING_FILE = "missing-file", Error;
-    /// A split that the configuration does not have.
+    /// The configuration does not have the split.
     UNKNOWN_SPLIT = "unknown-split", Error;
 }

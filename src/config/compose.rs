@@ -1,12 +1,17 @@
-//! One tree from many files.
+//! Composes one tree from many files.
 //!
 //! ```text
-//! path --read, or built in--> text --yaml--> tree --parts and `base` put in--> tree without references --read--> typed
+//! path --read, or built in--> text --yaml--> tree --insert parts and `base`--> tree without references --read--> typed
 //! ```
 //!
-//! Three rules, the same everywhere. A part is a path or is written in place. `base: path` starts from another file: mappings
-//! merge key by key, any other value replaces what the base has, and nothing (`~`) removes it. A path is relative to the file
-//! that holds it; what is not on disk is looked for among the built-in files. What the keys mean is not known here.
+//! Three rules apply everywhere:
+//!
+//! - A part is a path or is written in place.
+//! - `base: path` starts from another file. Mappings merge key by key, any other value replaces that of the base, and
+//!   null (`~`) removes it.
+//! - A path is relative to the file that contains it. If it is not on disk, the composer searches the built-in files.
+//!
+//! This module does not know what the keys mean.
 
 use crate::config::yaml;
 use crate::config::yaml::{Node, Value};
@@ -15,17 +20,17 @@ use crate::files::{BUILTIN_FOLDER, ReadError, ReadFile, normalise};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// How many files may build on each other.
+/// The maximum depth of files that build on each other.
 const MAX_CHAIN: usize = 16;
 
-/// How a file is read: its text, or why not.
+/// Reads a file: returns its text, or the reason why it cannot.
 pub type Read<'a> = &'a dyn ReadFile;
 
 pub(super) struct Composer<'a> {
     pub faults: Vec<Diagnostic>,
     sources: &'a mut Sources,
     read: Read<'a>,
-    /// The path of every text read.
+    /// The path of each text read.
     files: Vec<(SourceId, PathBuf)>,
     nodes_left: usize,
 }
@@ -41,7 +46,8 @@ impl<'a> Composer<'a> {
         }
     }
 
-    /// The tree of a file that the user named. A bare name such as `expert` means the file of this name in `folder`.
+    /// Returns the tree of a file that the user named. A bare name such as `expert` means the file with this name in
+    /// `folder`.
     pub fn root(&mut self, path: &Path, folder: &str, parts: &[&str]) -> Option<Node> {
         let mut found = self.find(path, path);
         if matches!(found, Err(ReadError::NotFound)) && path.extension().is_none() && path.components().count() == 1 {
@@ -64,19 +70,19 @@ impl<'a> Composer<'a> {
         }
     }
 
-    /// Where the file is that a value names.
+    /// Returns the path of the existing file that a value names.
     pub fn locate(&mut self, node: &Node) -> Option<PathBuf> {
         self.refer(node).map(|(path, _)| path)
     }
 
-    /// The path of the file that a value names, whether or not there is one.
+    /// Returns the path of the file that a value names; the file need not exist.
     pub fn name_file(&mut self, node: &Node) -> Option<PathBuf> {
         let reference = super::read::text(node, "the path of a file", &mut self.faults)?;
         let folder = self.path_of(node).parent().unwrap_or(Path::new(""));
         Some(normalise(&folder.join(reference)))
     }
 
-    /// The name of the file a tree came from, without its extension.
+    /// Returns the name of the file that a tree came from, without its extension.
     pub fn name_of(&self, node: &Node) -> String {
         let stem = self.path_of(node).file_stem().unwrap_or_default();
         stem.to_string_lossy().into_owned()
@@ -95,7 +101,7 @@ impl<'a> Composer<'a> {
             Err(error) => {
                 let mut fault = unreadable(&path, &error).at(node.span, "");
                 if error == ReadError::NotFound {
-                    fault = fault.note("a path is relative to the file that names it; it is no built-in file either");
+                    fault = fault.note("a path is relative to the file that names it; there is no such built-in file either");
                 }
                 self.faults.push(fault);
                 None
@@ -103,9 +109,8 @@ impl<'a> Composer<'a> {
         }
     }
 
-    /// Looks on disk first, then among the built-in files: under the full path, then under the path as it is written.
-    /// A built-in file is in a folder of its own and so refers to built-in files only; what it means does not depend on the
-    /// current folder.
+    /// Searches the disk first, then the built-in files: under the full path, then under the path as written. Built-in
+    /// files refer to built-in files only, so their meaning does not depend on the current folder.
     fn find(&self, path: &Path, written: &Path) -> Result<(PathBuf, String), ReadError> {
         if !path.starts_with(BUILTIN_FOLDER) {
             match self.read.read(path) {
@@ -116,7 +121,7 @@ impl<'a> Composer<'a> {
         for path in [normalise(path), normalise(written)] {
             let inside = path.strip_prefix(BUILTIN_FOLDER).unwrap_or(&path);
             let builtin = Path::new(BUILTIN_FOLDER).join(inside);
-            // Joining an absolute path would leave the folder.
+            // An absolute path would leave the folder.
             if inside.is_relative()
                 && let Ok(text) = self.read.read(&builtin)
             {
@@ -126,7 +131,8 @@ impl<'a> Composer<'a> {
         Err(ReadError::NotFound)
     }
 
-    /// The tree of one file, its parts and its base put in. `chain` holds the files that wait for this one.
+    /// Returns the tree of one file with its parts and its base inserted. `chain` lists the files that wait for this
+    /// one.
     fn file(&mut self, path: PathBuf, text: String, parts: &[&str], chain: &mut Vec<PathBuf>) -> Option<Node> {
         if text.len() > yaml::MAX_BYTES {
             let (length, limit) = (text.len(), yaml::MAX_BYTES);
@@ -149,8 +155,8 @@ impl<'a> Composer<'a> {
         (!matches!(node.value, Value::Absent)).then_some(node)
     }
 
-    /// Replaces a path by the tree of its file, and puts the base into a part written in place. A part that cannot be had
-    /// becomes absent; its fault is told already.
+    /// Replaces a path by the tree of its file, and inserts the base into a part written in place. A part that cannot
+    /// be loaded becomes absent; its diagnostic has been pushed.
     fn part(&mut self, part: &mut Node, chain: &mut Vec<PathBuf>) {
         match &part.value {
             Value::Map(_) => self.base(part, &[], chain),
@@ -181,7 +187,7 @@ impl<'a> Composer<'a> {
         self.file(path, text, parts, chain)
     }
 
-    /// Takes the key `base` out and puts what it names under the other keys.
+    /// Removes the key `base` and merges the other keys over the file that it names.
     fn base(&mut self, node: &mut Node, parts: &[&str], chain: &mut Vec<PathBuf>) {
         let Value::Map(entries) = &mut node.value else { return };
         let Some(at) = entries.iter().position(|(key, _)| key.text == "base") else {
@@ -219,7 +225,7 @@ fn merge(base: &mut Node, over: Node) {
                 }
             }
             kept.retain(|(_, node)| !node.is_null());
-            // A key that is missing is told where the user wrote last.
+            // A missing key is reported in the file that overrides the others.
             base.span = over.span;
         }
         (_, value) => *base = Node { value, ..over },

@@ -1,7 +1,7 @@
-//! Typed configurations from composed trees: what each key means and which values it takes.
+//! Reads typed configurations from composed trees: the meaning and the range of each key.
 //!
-//! `configs/README.md` tells the same to users, key by key. Whether a city can be built from the values, for example whether a
-//! street has room for its lanes, is asked of the city.
+//! `configs/README.md` documents the keys for users. The city checks whether the values are consistent, for example
+//! whether a street has room for its lanes.
 
 use crate::city::{Action, AgentGroup, AgentKind, AgentSet, Building, Buildings, MapConfig, Routing, Split, Widths};
 use crate::config::compose::{Composer, Read};
@@ -14,21 +14,21 @@ use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// The most base predicates of a scenario.
+/// The maximum number of base predicates of a scenario.
 const MAX_PREDICATES: usize = 1000;
-/// The most agents of a split before they are repeated, with the concepts they carry.
+/// The maximum number of agents of a split before repetition, plus the concepts that they carry.
 const MAX_AGENTS: u32 = 1_000_000;
-/// The most agents of a split.
+/// The maximum number of agents of a split.
 const MAX_REPEATED: u32 = 10_000_000;
-/// The most blocks in a row or column of a map.
+/// The maximum number of blocks in a row or column of a map.
 const MAX_BLOCKS: u32 = 1000;
-/// The widest part of a map in cells.
+/// The maximum width of a part of a map, in cells.
 const MAX_WIDTH: u32 = 1000;
-/// The largest half-width of the field of view in cells.
+/// The maximum half-width of the field of view, in cells.
 const MAX_VIEW: u32 = 10_000;
-/// The longest run in ticks.
+/// The maximum length of a run, in ticks.
 const MAX_TICKS: u32 = 1_000_000_000;
-/// The largest region in cells.
+/// The maximum size of a region, in cells.
 const MAX_REGION: u32 = 1_000_000;
 
 /// Buildings with their names and letters in a map file.
@@ -39,13 +39,15 @@ const BUILDINGS: [(&str, char, Building); 5] = [
     ("Store", 'S', Building::Store),
     ("GasStation", 'G', Building::GasStation),
 ];
-/// The name of the field of view in the rules; always there, so no configuration defines it.
+/// The predicate of the field of view. It is always defined, so configurations cannot define it.
 const SEES: &str = "Sees";
 
-/// Loads a run configuration with every file it is composed of. A bare name such as `expert` means `configs/expert.yaml`.
+/// Loads a run configuration composed of all its files. A bare name such as `expert` means `configs/expert.yaml`.
 ///
-/// Files are read through `read`; what it does not find is looked for among the built-in files. Every text read is added to
-/// `sources`. On failure all faults of all files are told at once.
+/// It reads files through `read`, and built-in files where `read` finds none. It adds each text to `sources`.
+///
+/// # Errors
+/// All faults of all files.
 pub fn load_scenario(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<Scenario, Vec<Diagnostic>> {
     let mut composer = Composer::new(sources, read);
     let scenario = composer
@@ -54,9 +56,11 @@ pub fn load_scenario(sources: &mut Sources, path: &Path, read: Read<'_>) -> Resu
     finish(scenario, composer.faults)
 }
 
-/// Loads a map file. A bare name such as `square-5x5` means `configs/maps/square-5x5.yaml`.
+/// Loads a map file. A bare name such as `square-5x5` means `configs/maps/square-5x5.yaml`. Otherwise like
+/// [`load_scenario`].
 ///
-/// Like [`load_scenario`] in all else.
+/// # Errors
+/// All faults of all files.
 pub fn load_map(sources: &mut Sources, path: &Path, read: Read<'_>) -> Result<MapConfig, Vec<Diagnostic>> {
     let mut composer = Composer::new(sources, read);
     let map = composer
@@ -115,7 +119,7 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
     let task_node = fields.optional("task");
     let task = task_node.map(|node| task::path(composer, node, predicates.as_ref()));
     let faults = &mut composer.faults;
-    let usual = "`base: configs/common.yaml` gives what is usual for every key but `rules` and `agents`";
+    let usual = "`base: configs/common.yaml` has defaults for all keys except `rules` and `agents`";
     fields.close_with(Some(usual), faults);
     let mut scenario = Scenario {
         name: composer.name_of(tree),
@@ -134,7 +138,7 @@ fn scenario(composer: &mut Composer<'_>, tree: &Node) -> Option<Scenario> {
     Some(scenario)
 }
 
-/// The JSON form of the scenario leaves out file names and places, and its keys stand in the order of the types.
+/// Hashes the JSON form of the scenario, which omits file names and places. Its keys are in the order of the types.
 fn hash(scenario: &Scenario) -> String {
     let json = serde_json::to_vec(scenario).expect("a scenario holds no map with keys that are not text");
     format!("{:x}", Sha256::digest(json))
@@ -226,7 +230,7 @@ fn building_row(node: &Node, wanted: Option<usize>, faults: &mut Vec<Diagnostic>
     for (byte, letter) in row.char_indices().filter(|(_, letter)| !letter.is_whitespace()) {
         let Some((_, _, building)) = BUILDINGS.iter().find(|(_, known, _)| *known == letter) else {
             let letters = BUILDINGS.map(|(name, letter, _)| format!("{letter} {name}")).join(", ");
-            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("`{letter}` is no letter of a building"));
+            let fault = Diagnostic::new(Code::INVALID_VALUE, format!("`{letter}` does not denote a building"));
             let span = inside(node, row, byte..byte + letter.len_utf8());
             faults.push(fault.at(span, "").note(format!("the letters are: {letters}")));
             return None;
@@ -246,7 +250,7 @@ fn building_row(node: &Node, wanted: Option<usize>, faults: &mut Vec<Diagnostic>
     }
 }
 
-/// The place of a part of a scalar; the whole scalar if it is quoted, and so perhaps written otherwise than it reads.
+/// Returns the place of a part of a scalar, or the whole scalar if it is quoted and may contain escapes.
 fn inside(node: &Node, text: &str, part: std::ops::Range<usize>) -> Span {
     let start = node.span.range().start;
     match &node.value {
@@ -281,10 +285,10 @@ fn random_buildings(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Buildin
     })
 }
 
-/// The base predicates, and where each concept comes from.
+/// The base predicates of a configuration.
 pub(super) struct Predicates {
     used: Vec<PredicateConfig>,
-    /// All that are defined, used or not.
+    /// All definitions, used or not.
     defined: Vec<PredicateConfig>,
 }
 
@@ -307,9 +311,9 @@ fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
     let mut defined = Vec::new();
     for (key, node) in entries.iter().filter(|(_, node)| !node.is_null()) {
         let fault = if key.text == SEES {
-            Some(format!("`{SEES}` is always there and is the field of view"))
+            Some(format!("`{SEES}` is predefined: it is the field of view"))
         } else if Action::ALL.iter().any(|speed| speed.name() == key.text) {
-            Some(format!("`{}` is an action, rules derive it", key.text))
+            Some(format!("`{}` is an action, which rules derive", key.text))
         } else if !is_name(&key.text) {
             let message = "expected the name of a predicate (letters, digits and `_`, no digit first)";
             Some(format!("{message}, found `{}`", key.text))
@@ -330,7 +334,7 @@ fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
         None => Some(defined.clone()),
         Some(node) => selected(node, &defined, faults),
     };
-    // A definition that failed would make every use of it a second fault.
+    // A failed definition would make each use of it a second fault.
     if faults.len() > before {
         return None;
     }
@@ -345,7 +349,7 @@ fn predicates(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Predicates> {
     Some(Predicates { used, defined })
 }
 
-/// The predicates that `use` names, in its order.
+/// Returns the predicates that `use` names, in its order.
 fn selected(node: &Node, defined: &[PredicateConfig], faults: &mut Vec<Diagnostic>) -> Option<Vec<PredicateConfig>> {
     let mut used: Vec<PredicateConfig> = Vec::new();
     for item in list(node, "names of predicates", faults)? {
@@ -373,7 +377,7 @@ fn selected(node: &Node, defined: &[PredicateConfig], faults: &mut Vec<Diagnosti
                 let mut fault = Diagnostic::new(Code::INVALID_VALUE, format!("no predicate `{wanted}` is defined"));
                 let names = defined.iter().map(|predicate| predicate.name.value.as_str());
                 if wanted == SEES {
-                    fault = fault.help(format!("remove it: `{SEES}` is always there"));
+                    fault = fault.help(format!("remove it: `{SEES}` is predefined"));
                 } else if let Some(near) = did_you_mean(wanted, names) {
                     fault = fault.help(format!("did you mean `{near}`?"));
                 }
@@ -424,7 +428,7 @@ fn definition(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
             if let Some(fault) = faults.last_mut() {
                 fault
                     .notes
-                    .push("what is inherited through `base` counts; `key: ~` removes it".into());
+                    .push("keys inherited through `base` count; `key: ~` removes one".into());
             }
             None
         }
@@ -499,7 +503,7 @@ fn colliding(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<Definition> {
     })
 }
 
-/// The region of each split, in the order of [`Split::ALL`].
+/// Returns the region of each split, in the order of [`Split::ALL`].
 fn regions(node: &Node, faults: &mut Vec<Diagnostic>) -> [Option<Located<u32>>; 3] {
     let region = |node: &Node, faults: &mut Vec<Diagnostic>| {
         let value = integer(node, 1..=MAX_REGION, faults)?;
@@ -544,7 +548,7 @@ fn splits(
     (faults.len() == before).then_some(splits)
 }
 
-/// Which concepts agents can carry.
+/// The concepts that agents can carry.
 pub(super) struct Concepts<'p> {
     used: HashMap<&'p str, Vec<AgentKind>>,
     predicates: &'p Predicates,
@@ -574,7 +578,7 @@ impl<'p> Concepts<'p> {
             let predicate = &unused.name.value;
             Diagnostic::new(
                 Code::INVALID_VALUE,
-                format!("no predicate in use tells whether an agent is `{concept}`"),
+                format!("no predicate in use defines the concept `{concept}`"),
             )
             .at(span, "")
             .help(format!("add `{predicate}` to the predicates' `use`"))
@@ -649,14 +653,14 @@ fn agents(
         && set.len() > MAX_REPEATED as usize
     {
         let message = format!("{} agents in a split, the limit is {MAX_REPEATED}", set.len());
-        faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(node.span, "too often"));
+        faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(node.span, "too many repetitions"));
         return None;
     }
     Some(set)
 }
 
-/// The agents of one entry of an agent list. `room` is what is left of [`MAX_AGENTS`]; a concept that an agent carries
-/// takes as much room as an agent.
+/// Reads one entry of an agent list. `room` is what remains of [`MAX_AGENTS`]; a carried concept counts as much as an
+/// agent.
 fn group(
     node: &Node,
     kind: AgentKind,
@@ -687,7 +691,7 @@ fn group(
         .ok()
         .and_then(|each| each.checked_mul(count));
     let Some(left) = needed.and_then(|needed| room.checked_sub(needed)) else {
-        let message = format!("more than {MAX_AGENTS} agents and concepts they carry in a split");
+        let message = format!("a split has more than {MAX_AGENTS} agents and carried concepts");
         faults.push(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(node.span, "too many here"));
         return None;
     };
@@ -699,7 +703,7 @@ fn group(
     })
 }
 
-/// The concepts of one entry of an agent list.
+/// Reads the concepts of one entry of an agent list.
 pub(super) fn carried(
     node: &Node,
     kind: AgentKind,

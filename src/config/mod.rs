@@ -1,13 +1,12 @@
-//! YAML to typed configuration.
+//! Loads typed configurations from YAML.
 //!
 //! ```text
 //! path --compose--> one tree of all files --load--> Scenario, MapConfig
 //! ```
 //!
-//! Reach for [`load_scenario`] to run a city, for [`load_map`] if only the map is wanted, and for [`load_tree`] if the caller interprets the
-//! keys. None touches a disk: files come
-//! through a function of the caller and, where it finds none, from those built into the program. This module knows neither
-//! what a rule says nor whether a map has room for its agents.
+//! Use [`load_scenario`] to run a city, [`load_map`] for a map alone, and [`load_tree`] if the caller interprets the
+//! keys. None of them accesses the disk: the caller passes a function that reads files, and the built-in files serve
+//! where it finds none. This module does not know what rules say or whether a map has room for its agents.
 
 mod codes;
 mod compose;

@@ -1,6 +1,6 @@
-//! The typed form of every configuration file. `configs/README.md` documents the same for users.
+//! The typed form of all configuration files. `configs/README.md` documents them for users.
 //!
-//! The serialised form holds the content without file names and places. It is what [`Scenario::hash`] is taken of.
+//! The serialized form omits file names and places. [`Scenario::hash`] is its hash.
 
 use crate::city::{Action, AgentKind, AgentSet, MapConfig, Routing, Split};
 use crate::diag::{Located, Span};
@@ -8,23 +8,23 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// How a base predicate is computed from the state of the city.
+/// The definition of a base predicate: how it follows from the state of the city.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum Definition {
     /// Unary: the agent is of this kind.
     Kind(AgentKind),
     /// Unary: the agent is of this kind and carries this concept.
     Concept {
-        /// Which agents can carry it.
+        /// The kind of agents that can carry it.
         of: AgentKind,
         /// Its name in agent sets and scenes.
         concept: String,
     },
-    /// Unary: a car is on an entrance line or a pedestrian on an outline of an intersection.
+    /// Unary: a car on an entrance line, or a pedestrian on the outline, of an intersection.
     AtIntersection,
     /// Unary: the agent is inside an intersection.
     InIntersection,
-    /// Binary: Euclidean distance d in cells within the bounds that are given.
+    /// Binary: the Euclidean distance d in cells is within the given bounds.
     Distance {
         /// d > above.
         above: Option<f64>,
@@ -37,21 +37,21 @@ pub enum Definition {
     },
     /// Binary: the first has the smaller priority number.
     HigherPriority,
-    /// Binary: the first lies left of the second, seen along the second's heading.
+    /// Binary: the first is left of the second, relative to the second's heading.
     LeftOf,
-    /// Binary: the first lies right of the second, seen along the second's heading.
+    /// Binary: the first is right of the second, relative to the second's heading.
     RightOf,
     /// Binary: the first is about to run into the second.
     Colliding {
-        /// Greatest distance in cells if the first is a car.
+        /// The maximum distance in cells if the first is a car.
         car_range: f64,
-        /// Greatest distance in cells if the first is a pedestrian.
+        /// The maximum distance in cells if the first is a pedestrian.
         pedestrian_range: f64,
-        /// The angle between the first's heading and the way to the second is smaller than this, in radians.
+        /// The exclusive maximum angle, in radians, between the first's heading and the direction to the second.
         angle: f64,
-        /// Probability that a pedestrian notices.
+        /// The probability that the predicate holds if the first is a pedestrian.
         pedestrian_chance: f64,
-        /// Probability if both are in one cell.
+        /// The probability if both are in one cell.
         same_cell_chance: f64,
     },
     /// Binary, and the only reflexive one: the second is in the field of view of the first.
@@ -68,35 +68,35 @@ pub struct PredicateConfig {
 }
 
 impl Definition {
-    /// Whether it depends on what an agent is, and not on where anybody is.
+    /// Returns whether it depends only on what an agent is, not on positions.
     pub fn is_steady(&self) -> bool {
         matches!(self, Definition::Kind(_) | Definition::Concept { .. })
     }
 }
 
-/// How derived action predicates become one action.
+/// How the derived actions of an agent become one.
 #[derive(Clone, Debug, Serialize)]
 pub struct ActionsConfig {
-    /// If several actions are derived, the first of this list is taken. Each of the four exactly once.
+    /// The order of precedence if several actions are derived. It contains each of the four once.
     pub priority: Vec<Action>,
     /// The action if none is derived.
     pub default: Action,
 }
 
-/// How violations of rules are added up.
+/// How the costs of violated rules add up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum ViolationsPer {
-    /// Once for each action of which a clause is violated (the published program): the greatest cost of its violated clauses.
+    /// The greatest cost of the violated clauses of each action, once per action (the published program).
     Action,
-    /// Once for each violated clause (the formula of the paper).
+    /// The cost of each violated clause (the formula of the paper).
     Clause,
 }
 
 impl ViolationsPer {
-    /// Both.
+    /// Both ways.
     pub const ALL: [ViolationsPer; 2] = [ViolationsPer::Action, ViolationsPer::Clause];
 
-    /// Its name: `action` or `clause`.
+    /// Returns its name: `action` or `clause`.
     pub const fn name(self) -> &'static str {
         match self {
             ViolationsPer::Action => "action",
@@ -105,56 +105,57 @@ impl ViolationsPer {
     }
 }
 
-/// What a step of Safe Path Following is worth. The numbers are rewards: what costs is negative.
+/// The rewards of a step of Safe Path Following; costs are negative.
 #[derive(Clone, Debug, Serialize)]
 pub struct RewardConfig {
-    /// For each action, in the order of [`Action::ALL`]; divided by four times the cells of the route.
+    /// For each action, in the order of [`Action::ALL`]; divided by four times the number of cells of the route.
     pub actions: [f64; 4],
-    /// For a violation, not divided.
+    /// For a violation; not divided.
     pub violation: f64,
-    /// How violations are added up.
+    /// How the costs of violations add up.
     pub violations_per: ViolationsPer,
-    /// For violations of clauses with these labels instead of `violation`.
+    /// For violations of clauses with these labels, instead of `violation`.
     pub clauses: Vec<(Located<String>, f64)>,
-    /// For reaching the horizon without having arrived.
+    /// For reaching the horizon before the goal.
     pub overtime: f64,
 }
 
-/// What the ego is drawn to be when an episode begins.
+/// The random properties of the ego, drawn when an episode begins.
 #[derive(Clone, Debug, Serialize)]
 pub struct EgoConfig {
-    /// Its priority is uniform from 1 to this number; by split, in the order of [`Split::ALL`].
+    /// The maximum of its priority, which is uniform from 1; by split, in the order of [`Split::ALL`].
     pub priority: [u32; 3],
-    /// What concepts it carries, and with what weight; weights are not negative, not all zero, and need not sum to one.
+    /// Its possible sets of concepts and their weights. Weights are non-negative and not all zero; they need not sum to
+    /// one.
     pub concepts: Vec<(f64, Arc<[String]>)>,
 }
 
-/// Safe Path Following in this scenario (`configs/tasks/*.yaml`).
+/// The configuration of Safe Path Following (`configs/tasks/*.yaml`).
 #[derive(Clone, Debug, Serialize)]
 pub struct SpfConfig {
-    /// How many entities the ego observes, itself included; 1 to 64.
+    /// The number of entities that the ego observes, itself included; 1 to 64.
     pub entities: u32,
-    /// Rows of the `state` observation, one for each agent, the ego included; 1 to 1024.
+    /// The rows of the `state` observation, one per agent, the ego included; 1 to 1024.
     pub state_agents: u32,
     /// Whether the observation ends with the length of the route.
     pub route_length: bool,
-    /// An episode that is drawn has at most so many steps.
+    /// The maximum number of steps of a randomly drawn episode.
     pub horizon: u32,
-    /// A recorded episode has at most so many times the oracle's steps.
+    /// The maximum number of steps of a recorded episode, as a multiple of the oracle's steps.
     pub patience: u32,
-    /// What steps are worth.
+    /// The rewards.
     pub reward: RewardConfig,
-    /// What the ego is drawn to be; `None` if it is as the agent set says.
+    /// The random properties of the ego; `None` to use the agent set.
     pub ego: Option<EgoConfig>,
-    /// The file of recorded episodes of a split.
+    /// The files of recorded episodes, in the order of [`Split::ALL`].
     #[serde(skip)]
     pub episodes: [Option<Located<PathBuf>>; 3],
-    /// Where the task is configured.
+    /// The place of its configuration.
     #[serde(skip)]
     pub span: Span,
 }
 
-/// A run configuration (`configs/*.yaml`) with every file it is composed of.
+/// A run configuration (`configs/*.yaml`) composed of all its files.
 #[derive(Clone, Debug, Serialize)]
 pub struct Scenario {
     /// The name of the file without its extension.
@@ -167,26 +168,27 @@ pub struct Scenario {
     pub rules: Located<PathBuf>,
     /// The agent sets, at least one.
     pub splits: Vec<(Split, AgentSet)>,
-    /// The base predicates, in the order of the observation; last comes `Sees`, which no observation holds.
+    /// The base predicates, in the order of the observation. The last one is `Sees`, which observations omit.
     pub predicates: Vec<PredicateConfig>,
     /// How derived actions become one.
     pub actions: ActionsConfig,
-    /// How agents choose a route.
+    /// The algorithm by which agents choose routes.
     pub routing: Routing,
-    /// Half-width of the field of view in cells.
+    /// The half-width of the field of view, in cells.
     pub view: u32,
-    /// Length of a run in ticks unless the command line says otherwise.
+    /// The length of a run in ticks; the command line can override it.
     pub ticks: u32,
-    /// Safe Path Following, if the configuration has it.
+    /// Safe Path Following, if configured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub task: Option<SpfConfig>,
-    /// SHA-256 of the configuration with all its parts, in hexadecimal: equal for equal content, whatever the file names.
+    /// The SHA-256 of the configuration with all its parts, in hexadecimal. Equal content has equal hashes, whatever
+    /// the file names.
     #[serde(skip)]
     pub hash: String,
 }
 
 impl Scenario {
-    /// The agents of a split, if the configuration has it.
+    /// Returns the agents of a split, if configured.
     pub fn agent_set(&self, split: Split) -> Option<&AgentSet> {
         self.splits
             .iter()

@@ -1,22 +1,22 @@
-//! Reads typed values from a tree and collects every fault instead of stopping at the first.
+//! Reads typed values from a tree and collects all faults instead of stopping at the first.
 //!
-//! A function here returns `None` after it has pushed a fault. The caller goes on with the other keys, so that one run tells
-//! all that is wrong. What a configuration consists of is not known here.
+//! A function returns `None` after it has pushed a fault. The caller continues with the other keys, so that one run
+//! reports all faults. This module does not know the contents of configurations.
 
 use crate::config::yaml::{Key, Node, Value};
 use crate::diag::{Code, Diagnostic, Span, did_you_mean};
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
-/// Says that a value is not what was expected.
+/// Reports that a value is not what was expected.
 pub(super) fn invalid(node: &Node, expected: impl Display, faults: &mut Vec<Diagnostic>) {
     let message = format!("expected {expected}, found {}", node.describe());
     faults.push(Diagnostic::new(Code::INVALID_VALUE, message).at(node.span, ""));
 }
 
-/// A mapping whose keys are asked for one by one.
+/// A mapping that the caller reads key by key.
 pub(super) struct Fields<'n> {
-    /// What the mapping is, with its article: `a map`.
+    /// The name of the mapping in messages, with its article: `a map`.
     what: &'static str,
     span: Span,
     entries: &'n [(Key, Node)],
@@ -35,7 +35,7 @@ impl<'n> Fields<'n> {
         })
     }
 
-    /// The value of a key; a key with nothing behind it counts as absent.
+    /// Returns the value of a key; a null value counts as absent.
     pub fn optional(&mut self, key: &'static str) -> Option<&'n Node> {
         self.allowed.push(key);
         let (_, node) = self.find(key)?;
@@ -58,7 +58,7 @@ impl<'n> Fields<'n> {
         None
     }
 
-    /// [`Fields::close_with`] no help.
+    /// [`Fields::close_with`] without help.
     pub fn close(self, faults: &mut Vec<Diagnostic>) {
         self.close_with(None, faults);
     }
@@ -67,7 +67,7 @@ impl<'n> Fields<'n> {
         self.entries.iter().find(|(given, _)| given.text == key)
     }
 
-    /// Says which required keys are missing and which keys were never asked for. The help goes with missing keys.
+    /// Reports missing required keys, with the help, and unknown keys.
     pub fn close_with(self, help: Option<&str>, faults: &mut Vec<Diagnostic>) {
         let quoted: Vec<_> = self.missing.iter().map(|key| format!("`{key}`")).collect();
         let quoted = quoted.join(", ");
@@ -88,7 +88,7 @@ impl<'n> Fields<'n> {
                 format!("unknown key `{}` in {}", key.text, self.what),
             )
             .at(key.span, "")
-            .note(format!("keys allowed here: {}", self.allowed.join(", ")));
+            .note(format!("allowed keys: {}", self.allowed.join(", ")));
             if let Some(near) = did_you_mean(&key.text, self.allowed.iter().copied()) {
                 fault = fault.help(format!("did you mean `{near}`?"));
             }
@@ -97,7 +97,7 @@ impl<'n> Fields<'n> {
     }
 }
 
-/// The entries of a mapping whose keys are free.
+/// Returns the entries of a mapping with arbitrary keys.
 pub(super) fn entries<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n [(Key, Node)]> {
     match &node.value {
         Value::Map(entries) => Some(entries),
@@ -128,7 +128,7 @@ pub(super) fn text<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>)
     }
 }
 
-/// A word that can be written in a rule file and a scene: letters, digits and `_`, no digit first.
+/// Reads a word that is valid in rule files and scenes: letters, digits and `_`, no digit first.
 pub(super) fn name<'n>(node: &'n Node, what: &str, faults: &mut Vec<Diagnostic>) -> Option<&'n str> {
     let text = text(node, what, faults)?;
     if is_name(text) {
@@ -147,7 +147,7 @@ pub(super) fn is_name(text: &str) -> bool {
         && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
 }
 
-/// One of a few words; case does not matter.
+/// Reads one of a few words, ignoring case.
 pub(super) fn choice<T: Copy>(node: &Node, choices: &[(&str, T)], faults: &mut Vec<Diagnostic>) -> Option<T> {
     let words = || choices.iter().map(|&(word, _)| word);
     let list = || words().map(|word| format!("`{word}`")).collect::<Vec<_>>().join(", ");
@@ -168,7 +168,7 @@ pub(super) fn choice<T: Copy>(node: &Node, choices: &[(&str, T)], faults: &mut V
     found.map(|&(_, value)| value)
 }
 
-/// A whole number within a range.
+/// Reads an integer within a range.
 pub(super) fn integer<T>(node: &Node, range: RangeInclusive<T>, faults: &mut Vec<Diagnostic>) -> Option<T>
 where
     T: std::str::FromStr + PartialOrd + Display + Copy,
@@ -187,7 +187,7 @@ where
     value
 }
 
-/// A finite number within a range; `what` says it in words.
+/// Reads a finite number within a range; `what` describes it in messages.
 pub(super) fn number(node: &Node, range: RangeInclusive<f64>, what: &str, faults: &mut Vec<Diagnostic>) -> Option<f64> {
     let value = match &node.value {
         Value::Scalar { text, plain: true } => text.parse().ok().filter(|value| range.contains(value)),

@@ -1,4 +1,4 @@
-//! The task of a run configuration: Safe Path Following.
+//! Reads the task of a run configuration: Safe Path Following.
 
 use crate::city::{Action, AgentKind, Split};
 use crate::config::compose::Composer;
@@ -9,18 +9,18 @@ use crate::config::yaml::{Node, Value};
 use crate::diag::{Diagnostic, Located};
 use std::sync::Arc;
 
-/// The most entities that are observed.
+/// The maximum number of observed entities.
 const MAX_ENTITIES: u32 = 64;
-/// The most rows of the `state` observation.
+/// The maximum number of rows of the `state` observation.
 const MAX_STATE_AGENTS: u32 = 1024;
-/// The longest episode in steps.
+/// The maximum length of an episode, in steps.
 const MAX_HORIZON: u32 = 1_000_000;
-/// The most times the oracle's steps.
+/// The maximum multiple of the oracle's steps.
 const MAX_PATIENCE: u32 = 1000;
-/// The greatest reward, to either side.
+/// The maximum absolute value of a reward.
 const MAX_REWARD: f64 = 1e6;
 
-/// The task of Safe Path Following.
+/// Reads the configuration of Safe Path Following.
 pub(super) fn path(composer: &mut Composer<'_>, node: &Node, predicates: Option<&Predicates>) -> Option<SpfConfig> {
     let mut fields = Fields::open(node, "a task", &mut composer.faults)?;
     fields.optional("base");
@@ -35,7 +35,7 @@ pub(super) fn path(composer: &mut Composer<'_>, node: &Node, predicates: Option<
     let route_length = (fields.required("route_length", faults)).and_then(|node| yes_or_no(node, faults));
     let reward_of = fields.required("reward", faults).and_then(|node| reward(node, faults));
     let ego_of = fields.optional("ego").map(|node| ego(node, predicates, faults));
-    let usual = "`base: configs/tasks/common.yaml` gives what is usual";
+    let usual = "`base: configs/tasks/common.yaml` has defaults";
     fields.close_with(Some(usual), faults);
     Some(SpfConfig {
         entities: entities?,
@@ -102,13 +102,13 @@ fn reward(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<RewardConfig> {
 }
 
 fn ego(node: &Node, predicates: Option<&Predicates>, faults: &mut Vec<Diagnostic>) -> Option<EgoConfig> {
-    let mut fields = Fields::open(node, "what the ego is", faults)?;
+    let mut fields = Fields::open(node, "the ego", faults)?;
     let priority = (fields.required("priority", faults)).and_then(|node| by_split(node, faults));
     let known = predicates.map(Concepts::new);
     let concepts = fields.required("concepts", faults).and_then(|node| {
-        let items = list(node, "what the ego can be", faults)?;
+        let items = list(node, "variants of the ego", faults)?;
         let weighted = |item: &Node| {
-            let mut fields = Fields::open(item, "what the ego can be", faults)?;
+            let mut fields = Fields::open(item, "a variant of the ego", faults)?;
             let weight = (fields.required("weight", faults))
                 .and_then(|node| number(node, 0.0..=1e9, "a weight from 0 to 1e9", faults));
             let concepts = (fields.optional("concepts")).map_or(Some(Vec::new()), |node| {
@@ -132,7 +132,7 @@ fn ego(node: &Node, predicates: Option<&Predicates>, faults: &mut Vec<Diagnostic
     })
 }
 
-/// One number, or one for each split; a split without one has none to draw from, which is refused.
+/// Reads one number, or one for each split; all splits are required.
 fn by_split(node: &Node, faults: &mut Vec<Diagnostic>) -> Option<[u32; 3]> {
     let most = i32::MAX.cast_unsigned();
     if !matches!(node.value, Value::Map(_)) {

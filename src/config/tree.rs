@@ -1,4 +1,4 @@
-//! Configuration files whose keys another program interprets, such as those of training in Python.
+//! Configuration files whose keys the caller interprets, such as those of training in Python.
 
 use crate::config::compose::{Composer, Read};
 use crate::config::load::finish;
@@ -10,9 +10,11 @@ use std::path::Path;
 /// A configuration file with its `base` merged in.
 pub struct Tree(Node);
 
-/// Loads a configuration file without interpreting its keys. A bare name such as `dqn-easy` means `dqn-easy.yaml` in `folder`.
+/// Loads a configuration file without interpreting its keys. A bare name such as `dqn-easy` means `dqn-easy.yaml` in
+/// `folder`. Otherwise like [`load_scenario`](super::load_scenario).
 ///
-/// Like [`load_scenario`](super::load_scenario) in all else.
+/// # Errors
+/// All faults of all files.
 pub fn load_tree(sources: &mut Sources, path: &Path, folder: &str, read: Read<'_>) -> Result<Tree, Vec<Diagnostic>> {
     let mut composer = Composer::new(sources, read);
     let tree = composer.root(path, folder, &[]).map(Tree);
@@ -20,13 +22,15 @@ pub fn load_tree(sources: &mut Sources, path: &Path, folder: &str, read: Read<'_
 }
 
 impl Tree {
-    /// The values as JSON. Plain scalars follow the core schema of YAML 1.2; numbers that JSON lacks become text.
+    /// Returns the values as JSON. Plain scalars follow the core schema of YAML 1.2; numbers that JSON cannot represent
+    /// become text.
     pub fn to_json(&self) -> Json {
         to_json(&self.0)
     }
 
-    /// A diagnostic at the value that `path` leads to: keys of mappings and positions in lists, from the root. An unknown key is marked
-    /// itself, and where the path ends early, the last value on it.
+    /// Returns a diagnostic at the value that `path` leads to. The path consists of keys of mappings and positions in
+    /// lists, from the root. For an unknown key the place is the key. If the path ends early, the place is its last
+    /// existing value.
     pub fn fault(&self, path: &[&str], code: Code, message: impl Into<String>) -> Diagnostic {
         let mut span = self.0.span;
         let mut node = &self.0;
@@ -68,7 +72,7 @@ fn to_json(node: &Node) -> Json {
     }
 }
 
-/// A scalar without quotes.
+/// Converts a scalar without quotes.
 fn plain(text: &str) -> Json {
     match text {
         "true" | "True" | "TRUE" => return Json::Bool(true),

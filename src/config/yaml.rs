@@ -1,32 +1,33 @@
-//! YAML text to a tree that knows where everything stands.
+//! Parses YAML text to a tree with the place of each value.
 //!
 //! ```text
-//! text --events of the YAML crate--> Node (spans, duplicate keys told, aliases expanded, size bounded)
+//! text --events of the YAML crate--> Node (spans, duplicate keys reported, aliases expanded, size bounded)
 //! ```
 //!
-//! The tree is built from parse events and not through serde, because serde stops at the first fault and its errors know
-//! one place at most. What a key means is not known here.
+//! The parser builds the tree from events rather than through serde, because serde stops at the first fault and its
+//! errors have at most one place. This module does not know what the keys mean.
 
 use crate::diag::{Code, Diagnostic, SourceId, Sources, Span};
 use serde_yaml::granit_parser::{ErrorKind, Event, Parser, ScalarStyle, Span as Mark, StructureStyle};
 use std::collections::HashMap;
 use std::ops::Range;
 
-/// The largest configuration file in bytes. A map of 1000 x 1000 blocks with every building given is half of it. The caller
-/// asks, so that a larger text is never looked through.
+/// The maximum size of a configuration file, in bytes. A map of 1000 x 1000 blocks with all buildings given takes half
+/// of it. The caller checks the size before it adds the text.
 pub(super) const MAX_BYTES: usize = 8 << 20;
-/// The deepest nesting of lists and mappings.
+/// The maximum nesting of lists and mappings.
 pub(super) const MAX_DEPTH: usize = 64;
-/// The most values in a configuration with all its parts, after aliases are expanded.
+/// The maximum number of values in a configuration with all its parts, after alias expansion.
 pub(super) const MAX_NODES: usize = 200_000;
 
-/// A YAML value and where it stands.
+/// A YAML value and its place.
 #[derive(Clone, Debug)]
 pub(super) struct Node {
-    /// A scalar; the key of a block collection, or its own first key; the first line of a collection in brackets.
+    /// The scalar; for a block collection its key, or else its own first key; for a collection in brackets its first
+    /// line.
     pub span: Span,
     pub value: Value,
-    /// Whether this mapping came from a file of its own, so that it replaces what it overrides instead of merging with it.
+    /// Whether this mapping came from a separate file, so that it replaces what it overrides instead of merging.
     pub whole: bool,
 }
 
@@ -34,12 +35,12 @@ pub(super) struct Node {
 pub(super) enum Value {
     Scalar {
         text: String,
-        /// Without quotes: `5` is a number and `~` is nothing, `"5"` and `"~"` are text.
+        /// Without quotes: `5` is a number and `~` is null, but `"5"` and `"~"` are text.
         plain: bool,
     },
     List(Vec<Node>),
     Map(Vec<(Key, Node)>),
-    /// What a reference names could not be had; the fault is told already.
+    /// The reference could not be loaded; its diagnostic has been pushed.
     Absent,
 }
 
@@ -60,7 +61,7 @@ impl Node {
         matches!(&self.value, Value::Scalar { text, plain: true } if matches!(text.as_str(), "" | "~" | "null" | "Null" | "NULL"))
     }
 
-    /// What a message calls this value.
+    /// Describes this value in messages.
     pub fn describe(&self) -> String {
         const SHOWN: usize = 40;
         match &self.value {
@@ -84,31 +85,31 @@ impl Node {
     }
 }
 
-/// A collection whose end has not been met.
+/// A collection whose end has not been parsed.
 struct Open {
     node: Node,
     block: bool,
     anchor: usize,
-    /// In a mapping, the key that waits for its value; `None` in it if the key was no text.
+    /// In a mapping: the key that waits for its value; the inner `None` if the key is not text.
     key: Option<Option<Key>>,
 }
 
-/// What an alias stands for.
+/// The value of an alias.
 struct Anchored {
     node: Node,
     extent: Extent,
 }
 
-/// How large a value is.
+/// The size of a value.
 #[derive(Clone, Copy, Default)]
 struct Extent {
-    /// Values, itself included.
+    /// The number of values, itself included.
     nodes: usize,
-    /// Lists and mappings inside each other, itself included.
+    /// The nesting of lists and mappings, itself included.
     depth: usize,
 }
 
-/// Whether parsing can go on; if not, the fault that stops it.
+/// The result of a parsing step: the error is the fault that stops the parser.
 type Progress = Result<(), Box<Diagnostic>>;
 
 struct Builder<'a> {
@@ -121,8 +122,8 @@ struct Builder<'a> {
     faults: &'a mut Vec<Diagnostic>,
 }
 
-/// Parses one text. `None` if there is no tree to go on with; then at least one fault was pushed. Faults that leave a tree
-/// (a duplicate key) are pushed too. `nodes_left` bounds the size of all trees of one configuration.
+/// Parses one text. Returns `None` if there is no usable tree; then it has pushed at least one fault. It also pushes
+/// faults that leave a tree, such as duplicate keys. `nodes_left` bounds the size of all trees of one configuration.
 pub(super) fn parse(
     sources: &Sources,
     source: SourceId,
@@ -162,7 +163,7 @@ pub(super) fn parse(
         }
     }
     if builder.root.is_none() {
-        let fault = Diagnostic::new(Code::INVALID_VALUE, "the file is empty, a mapping of keys was expected");
+        let fault = Diagnostic::new(Code::INVALID_VALUE, "the file is empty; expected a mapping");
         builder.faults.push(fault.at(start, ""));
     }
     builder.root
@@ -174,7 +175,7 @@ fn too_deep(span: Span) -> Diagnostic {
 }
 
 impl Builder<'_> {
-    /// The character at a byte, so that a caret has something to stand under; nothing at the end of the text.
+    /// The span of the character at a byte, so that a caret has a target; empty at the end of the text.
     fn one_character(&self, byte: usize) -> Span {
         let mut start = byte.min(self.text.len());
         while !self.text.is_char_boundary(start) {
@@ -184,7 +185,7 @@ impl Builder<'_> {
         Span::new(self.source, start..start + length)
     }
 
-    /// The range of an event, cut to its first line.
+    /// The span of an event, clipped to its first line.
     fn span(&self, mark: &Mark) -> Span {
         self.first_line(mark.byte_range().unwrap_or(0..0))
     }
@@ -198,7 +199,7 @@ impl Builder<'_> {
     fn spend(&mut self, nodes: usize, span: Span) -> Progress {
         *self.nodes_left = self.nodes_left.checked_sub(nodes).ok_or_else(|| {
             let message = format!("more than {MAX_NODES} values in one configuration");
-            Box::new(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(span, "the limit is passed here"))
+            Box::new(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(span, "the limit is exceeded here"))
         })?;
         Ok(())
     }
@@ -208,7 +209,7 @@ impl Builder<'_> {
         if let Some(tag) = event.tag() {
             let fault = Diagnostic::new(
                 Code::INVALID_VALUE,
-                format!("tags such as `{}` have no meaning here", tag.original()),
+                format!("tags such as `{}` are not supported", tag.original()),
             );
             let tag_span = mark.tag_span().map_or(span, |mark| self.span(&mark));
             self.faults.push(fault.at(tag_span, "remove it"));
@@ -236,7 +237,7 @@ impl Builder<'_> {
             }
             Event::Alias(anchor) => {
                 let Some(Anchored { node, extent }) = self.anchors.get(&anchor) else {
-                    let fault = Diagnostic::new(Code::YAML_SYNTAX, "an alias stands inside what it refers to");
+                    let fault = Diagnostic::new(Code::YAML_SYNTAX, "an alias is inside the value that it refers to");
                     return Err(Box::new(fault.at(span, "")));
                 };
                 if self.open.len() + extent.depth > MAX_DEPTH {
@@ -247,7 +248,7 @@ impl Builder<'_> {
                 self.finished(node, 0)?;
             }
             Event::DocumentStart(..) if self.root.is_some() => {
-                let fault = Diagnostic::new(Code::YAML_SYNTAX, "a second document in one file");
+                let fault = Diagnostic::new(Code::YAML_SYNTAX, "the file has a second document");
                 return Err(Box::new(fault.at(span, "the file must end before this")));
             }
             _ => {}
@@ -271,7 +272,7 @@ impl Builder<'_> {
         }
         let parent_key = self.open.last().and_then(|parent| parent.key.as_ref()?.as_ref());
         node.span = match (&node.value, parent_key) {
-            // The event of the start covers only the bracket.
+            // The start event covers only the bracket.
             _ if !block => self.first_line(node.span.range().start..end.byte_range().map_or(0, |range| range.end)),
             (_, Some(key)) => key.span,
             (Value::Map(entries), None) => entries.first().map_or(node.span, |(key, _)| key.span),
@@ -280,7 +281,7 @@ impl Builder<'_> {
         self.finished(node, anchor)
     }
 
-    /// Puts a complete value into the collection it belongs to.
+    /// Adds a complete value to its collection.
     fn finished(&mut self, node: Node, anchor: usize) -> Progress {
         if anchor != 0 {
             let extent = extent(&node);
@@ -315,7 +316,7 @@ impl Builder<'_> {
     }
 }
 
-/// Tells every key given twice and keeps the first.
+/// Reports duplicate keys and keeps the first of each.
 fn drop_duplicates(entries: &mut Vec<(Key, Node)>, faults: &mut Vec<Diagnostic>) {
     let mut first: HashMap<String, Span> = HashMap::new();
     entries.retain(|(key, _)| match first.get(&key.text) {

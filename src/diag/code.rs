@@ -1,12 +1,12 @@
-//! The stable names of messages.
+//! Stable codes of messages.
 
 use super::Severity;
 
-/// The stable name of a message, and whether it is an error or a warning.
+/// The stable name and the severity of a message.
 ///
-/// The name is part of the public interface and never changes its meaning. Each room declares its own codes with
-/// [`diagnostic_codes!`](crate::diagnostic_codes). Each code has a fixture in `tests/fixtures/diagnostics/` and a section in
-/// `rules/README.md` or `configs/README.md`; a test checks that both exist.
+/// The name is part of the public interface and never changes its meaning. Each module with messages declares its codes
+/// with [`diagnostic_codes!`](crate::diagnostic_codes). Each code has a fixture in `tests/fixtures/diagnostics/` and a
+/// section in `rules/README.md` or `configs/README.md`; a test checks that both exist.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Code {
     name: &'static str,
@@ -14,23 +14,23 @@ pub struct Code {
 }
 
 impl Code {
-    /// A code with this name and severity.
+    /// Creates a code.
     pub const fn new(name: &'static str, severity: Severity) -> Code {
         Code { name, severity }
     }
 
-    /// The name shown to users, for example `unknown-predicate`.
+    /// Returns the name shown to users, for example `unknown-predicate`.
     pub fn name(self) -> &'static str {
         self.name
     }
 
-    /// Whether the message is an error or a warning.
+    /// Returns the severity.
     pub fn severity(self) -> Severity {
         self.severity
     }
 }
 
-/// Declares the codes of a room as constants of [`Code`](crate::diag::Code), and the list of them as `CODES`.
+/// Declares the codes of a module as constants of [`Code`](crate::diag::Code), and their list as `CODES`.
 #[macro_export]
 #[doc(hidden)]
 macro_rules! diagnostic_codes {
@@ -40,7 +40,7 @@ macro_rules! diagnostic_codes {
                 $crate::diag::Code::new($name, $crate::diag::Severity::$severity);)*
         }
 
-        /// The codes of the messages of this room.
+        /// The codes of this module's messages.
         pub const CODES: &[$crate::diag::Code] = &[$($crate::diag::Code::$constant,)*];
     };
 }
@@ -48,7 +48,7 @@ macro_rules! diagnostic_codes {
 crate::diagnostic_codes! {
     /// The bytes of a file are not UTF-8 text.
     NOT_TEXT = "not-text", Error;
-    /// A size or count in the input is beyond what the program accepts.
+    /// A size or count in the input exceeds a limit of the program.
     LIMIT_EXCEEDED = "limit-exceeded", Error;
     /// The caller cancelled the work before it was done.
     CANCELLED = "cancelled", Error;

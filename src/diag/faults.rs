@@ -1,11 +1,12 @@
-//! Collects what is found.
+//! Collects diagnostics.
 
 use crate::diag::{Code, Diagnostic, Severity};
 
-/// More errors, and more warnings, of one input than this are not kept: a file of noise must not fill the memory or the screen.
+/// The maximum number of errors, and of warnings, kept for one input. A file of noise must not fill the memory or the
+/// screen.
 pub const MAX_FAULTS: usize = 100;
 
-/// The faults of one input found so far.
+/// The diagnostics of one input so far.
 #[derive(Clone, Debug, Default)]
 pub struct Faults {
     errors: Vec<Diagnostic>,
@@ -14,7 +15,7 @@ pub struct Faults {
 }
 
 impl Faults {
-    /// Adds a fault.
+    /// Adds a diagnostic; drops it if there are [`MAX_FAULTS`] of its severity.
     pub fn push(&mut self, fault: Diagnostic) {
         let list = match fault.severity() {
             Severity::Error => &mut self.errors,
@@ -27,17 +28,17 @@ impl Faults {
         }
     }
 
-    /// Whether there is an error among them.
+    /// Returns whether there is an error.
     pub fn failed(&self) -> bool {
         !self.errors.is_empty()
     }
 
-    /// Whether no further error will be kept, so that there is no use in looking on.
+    /// Returns whether further errors would be dropped, so that the caller can stop.
     pub fn full(&self) -> bool {
         self.errors.len() >= MAX_FAULTS
     }
 
-    /// All of them in the order of the text.
+    /// Returns the diagnostics in text order, without duplicates.
     pub fn finish(self) -> Vec<Diagnostic> {
         let full = self.full();
         let mut list = self.errors;
@@ -49,10 +50,10 @@ impl Faults {
                 .map(|label| (label.span.source, label.span.start, label.span.end))
         };
         list.sort_by(|a, b| (place(a), a.code, &a.message).cmp(&(place(b), b.code, &b.message)));
-        // A clause with alternatives or several heads is looked at several times.
+        // The checker visits a clause with alternatives or several heads several times.
         list.dedup();
         if full {
-            // Whoever collects may have stopped here, so how many more there are is not known.
+            // The caller may have stopped here, so the number of further errors is unknown.
             list.push(Diagnostic::new(
                 Code::LIMIT_EXCEEDED,
                 format!("{MAX_FAULTS} errors; further ones are not shown"),

@@ -1,10 +1,10 @@
-//! Diagnostics: the one type in which every fault in a user's file is told.
+//! Diagnostics: one type for every fault in a user's input.
 //!
-//! A parser or checker *speaks at the fault* (it pushes a [`Diagnostic`] with spans into a list and goes on) and somebody
-//! else *draws elsewhere* ([`render()`] for a terminal, [`to_json`] for machines). A [`Diagnostic`] passes through no stages:
-//! it is complete when it is made, and it refers to text through a [`Span`] into [`Sources`].
+//! A parser or checker pushes a [`Diagnostic`] with spans into a list and continues. The caller draws the list later:
+//! [`render()`] for a terminal, [`to_json`] for machines. A [`Diagnostic`] is complete when it is made, and it refers
+//! to text through a [`Span`] into [`Sources`].
 //!
-//! This module refuses to know what a rule, a configuration or a city is.
+//! This module does not depend on rules, configurations or cities.
 
 mod code;
 mod faults;
@@ -16,43 +16,43 @@ pub use faults::{Faults, MAX_FAULTS};
 pub use render::{render, to_json};
 pub use source::{Located, Position, SourceId, Sources, Span};
 
-/// How bad a [`Diagnostic`] is.
+/// The severity of a [`Diagnostic`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Severity {
     /// The input cannot be used.
     Error,
-    /// The input can be used; something in it is probably not meant.
+    /// The input can be used, but something in it is probably a mistake.
     Warning,
 }
 
-/// A place in a source and what to say about it.
+/// A place in a source with a message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Label {
     /// The place.
     pub span: Span,
-    /// What to say there; may be empty for the primary label.
+    /// The message; may be empty for the primary label.
     pub message: String,
 }
 
-/// One fault: what is wrong, where, what else is involved and what to do about it.
+/// One fault: what is wrong, where, what else is involved, and how to fix it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Diagnostic {
     /// The stable name of the message.
     pub code: Code,
     /// One line, lower case, no full stop.
     pub message: String,
-    /// Where the fault is. Absent only when it has no place in any text.
+    /// The place of the fault; absent only if the fault has no place in any text.
     pub primary: Option<Label>,
-    /// Other places involved.
+    /// Other places that are involved.
     pub secondary: Vec<Label>,
-    /// Facts that explain.
+    /// Explanations.
     pub notes: Vec<String>,
-    /// What to do.
+    /// Suggested fixes.
     pub help: Vec<String>,
 }
 
 impl Diagnostic {
-    /// A diagnostic without a place yet; see [`Diagnostic::at`].
+    /// Creates a diagnostic without a place; see [`Diagnostic::at`].
     pub fn new(code: Code, message: impl Into<String>) -> Self {
         Diagnostic {
             code,
@@ -69,7 +69,7 @@ impl Diagnostic {
         Diagnostic::new(Code::CANCELLED, "the work was cancelled")
     }
 
-    /// Sets the primary place and what to say there.
+    /// Sets the primary place and its message.
     pub fn at(mut self, span: Span, message: impl Into<String>) -> Self {
         self.primary = Some(Label {
             span,
@@ -78,7 +78,7 @@ impl Diagnostic {
         self
     }
 
-    /// Adds a secondary place.
+    /// Adds a secondary place with a message.
     pub fn also(mut self, span: Span, message: impl Into<String>) -> Self {
         self.secondary.push(Label {
             span,
@@ -87,35 +87,35 @@ impl Diagnostic {
         self
     }
 
-    /// Adds a fact that explains.
+    /// Adds an explanation.
     pub fn note(mut self, note: impl Into<String>) -> Self {
         self.notes.push(note.into());
         self
     }
 
-    /// Adds what to do.
+    /// Adds a suggested fix.
     pub fn help(mut self, help: impl Into<String>) -> Self {
         self.help.push(help.into());
         self
     }
 
-    /// Error or warning; it follows from the code.
+    /// Returns the severity, which depends on the code alone.
     pub fn severity(&self) -> Severity {
         self.code.severity()
     }
 
-    /// Whether this makes the input unusable.
+    /// Returns whether this is an error, which makes the input unusable.
     pub fn is_error(&self) -> bool {
         self.severity() == Severity::Error
     }
 }
 
-/// The candidate most like `name`, if any is near enough to be a likely typing error. Ties go to the earlier candidate.
+/// Returns the candidate closest to `name` if it is close enough for a typing error. Ties go to the earlier candidate.
 pub fn did_you_mean<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let lower = name.to_lowercase();
     let mut best: Option<(usize, &str)> = None;
     for candidate in candidates {
-        // Comparing takes time in the product of the lengths; nobody mistypes a name as long as this.
+        // The comparison takes time proportional to the product of the lengths, so skip long names.
         if name.len().max(candidate.len()) > 100 {
             continue;
         }

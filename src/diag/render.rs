@@ -1,17 +1,17 @@
-//! Draws diagnostics: for a terminal, and as JSON.
+//! Renders diagnostics for a terminal and as JSON.
 
 use crate::diag::{Diagnostic, Label, Severity, SourceId, Sources, Span};
 use annotate_snippets::{Annotation, AnnotationKind, Group, Level, Origin, Renderer, Snippet};
 use serde_json::{Value, json};
 use std::ops::RangeInclusive;
 
-/// A line with more bytes is named, not shown.
+/// The maximum length in bytes of a source line to show. For a longer line the output has only its place.
 const MAX_LINE: usize = 2000;
 
-/// Places with more lines between them are shown apart.
+/// Places with more lines between them are shown in separate excerpts.
 const MAX_GAP: usize = 200;
 
-/// Draws diagnostics as text with source lines and carets, one blank line between them. `colour` adds terminal styles.
+/// Renders diagnostics as text with source lines and carets, separated by blank lines. `colour` adds terminal styles.
 pub fn render(diagnostics: &[Diagnostic], sources: &Sources, colour: bool) -> String {
     let renderer = if colour { Renderer::styled() } else { Renderer::plain() };
     let mut out = String::new();
@@ -59,7 +59,7 @@ fn render_one(diagnostic: &Diagnostic, sources: &Sources, renderer: &Renderer) -
         let start = sources.line_range(*source, *lines.start()).start;
         let end = sources.line_range(*source, *lines.end()).end;
         let text = &sources.text(*source)[start..end];
-        // A carriage return before a line feed belongs to the end of the line.
+        // A carriage return before a line feed is part of the line break.
         let snippet = Snippet::source(text.replace('\r', " "))
             .line_start(sources.first_line(*source) + lines.start())
             .path(name);
@@ -75,15 +75,15 @@ fn render_one(diagnostic: &Diagnostic, sources: &Sources, renderer: &Renderer) -
     renderer.render(&[group])
 }
 
-/// Labels of one source that stand near each other, and the lines, counted from 0, from the first of them to the last.
+/// Nearby labels of one source, and the range of their lines, counted from 0.
 struct Excerpt<'a> {
     source: SourceId,
     lines: RangeInclusive<usize>,
     labels: Vec<(AnnotationKind, &'a Label)>,
 }
 
-/// What to show: only lines near labels, so that the time to draw does not depend on the size of the text. The excerpt with the
-/// first label, which is the primary one, leads; the others follow by source, in the order of the text.
+/// Groups labels into excerpts that contain only nearby lines, so that rendering time does not depend on the size of
+/// the text. The excerpt with the first (primary) label comes first; the others follow in order of source and text.
 fn excerpts<'a>(labels: impl Iterator<Item = (AnnotationKind, &'a Label)>, sources: &Sources) -> Vec<Excerpt<'a>> {
     let mut labels: Vec<_> = labels.collect();
     let Some(&(_, first)) = labels.first() else {
@@ -95,7 +95,7 @@ fn excerpts<'a>(labels: impl Iterator<Item = (AnnotationKind, &'a Label)>, sourc
         let (source, bytes) = (label.span.source, label.span.range());
         let start = sources.line_index(source, bytes.start.min(sources.text(source).len()));
         let end = sources.line_index(source, bytes.end.min(sources.text(source).len()));
-        // Of a label over more lines than that, only where it begins is shown.
+        // For a label that spans more lines, show only its beginning.
         let end = if end.saturating_sub(start) > MAX_GAP {
             start
         } else {
@@ -118,7 +118,7 @@ fn excerpts<'a>(labels: impl Iterator<Item = (AnnotationKind, &'a Label)>, sourc
     found
 }
 
-/// A label, in a part of the text that begins at byte `offset`.
+/// Places a label in a part of the text that begins at byte `offset`.
 fn annotation<'a>(kind: AnnotationKind, label: &'a Label, text: &str, offset: usize) -> Annotation<'a> {
     let inside = |byte: usize| byte.saturating_sub(offset).min(text.len());
     let (mut start, mut end) = (inside(label.span.range().start), inside(label.span.range().end));
@@ -137,15 +137,15 @@ fn annotation<'a>(kind: AnnotationKind, label: &'a Label, text: &str, offset: us
     }
 }
 
-/// Text from a user's file may hold control characters; they must not reach a terminal.
+/// Replaces control characters, which a user's text may contain and which must not reach a terminal.
 fn printable(text: &str) -> String {
     text.chars()
         .map(|c| if c.is_control() && c != '\n' { '\u{fffd}' } else { c })
         .collect()
 }
 
-/// Diagnostics as a JSON array. Each has `code`, `severity`, `message`, `labels` (the primary one first, with `file`, `line`,
-/// `column`, `end_line`, `end_column`, `message`, `primary`), `notes` and `help`.
+/// Returns diagnostics as a JSON array. Each has `code`, `severity`, `message`, `labels`, `notes` and `help`. Each
+/// label has `file`, `line`, `column`, `end_line`, `end_column`, `message` and `primary`; the primary one comes first.
 pub fn to_json(diagnostics: &[Diagnostic], sources: &Sources) -> Value {
     let label = |label: &Label, primary: bool| {
         let Span { source, end, .. } = label.span;

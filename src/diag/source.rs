@@ -1,8 +1,8 @@
-//! Source texts and places in them.
+//! Source texts and positions in them.
 
 use std::ops::Range;
 
-/// Names one text of a [`Sources`].
+/// The id of a text in [`Sources`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SourceId(u32);
 
@@ -18,7 +18,7 @@ pub struct Span {
 }
 
 impl Span {
-    /// A span over `range` of `source`.
+    /// Creates a span over `range` of `source`.
     pub fn new(source: SourceId, range: Range<usize>) -> Self {
         let clamp = |byte: usize| u32::try_from(byte).unwrap_or(u32::MAX);
         Span {
@@ -28,7 +28,7 @@ impl Span {
         }
     }
 
-    /// The smallest span that covers both. Both must lie in one source; if not, `self` is returned.
+    /// Returns the smallest span that covers both, or `self` if they lie in different sources.
     pub fn to(self, other: Span) -> Span {
         if self.source != other.source {
             return self;
@@ -40,13 +40,13 @@ impl Span {
         }
     }
 
-    /// The bytes.
+    /// Returns the byte range.
     pub fn range(self) -> Range<usize> {
         self.start as usize..self.end as usize
     }
 }
 
-/// A line and a column, both counted from 1; columns count characters.
+/// A line and a column, both counted from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Position {
     /// Line, from 1.
@@ -63,19 +63,19 @@ struct Source {
     line_starts: Vec<u32>,
 }
 
-/// Every text that was read, under the name the user knows it by.
+/// The source texts, each under the name that the user knows.
 #[derive(Clone, Debug, Default)]
 pub struct Sources {
     list: Vec<Source>,
 }
 
 impl Sources {
-    /// No texts yet.
+    /// Creates an empty collection.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds a text. The name is shown in messages; for a file, the path as the user gave it.
+    /// Adds a text. Messages show the name; for a file, pass the path as the user gave it.
     pub fn add(&mut self, name: impl Into<String>, text: impl Into<String>) -> SourceId {
         self.add_from(name, text, 1)
     }
@@ -99,22 +99,22 @@ impl Sources {
         SourceId(u32::try_from(self.list.len() - 1).expect("fewer than 2^32 sources"))
     }
 
-    /// The ids of all texts, in the order they were added.
+    /// Returns the ids of all texts in order of addition.
     pub fn ids(&self) -> impl Iterator<Item = SourceId> + use<> {
         (0..u32::try_from(self.list.len()).expect("fewer than 2^32 sources")).map(SourceId)
     }
 
-    /// The name of a text.
+    /// Returns the name of a text.
     pub fn name(&self, id: SourceId) -> &str {
         &self.list[id.0 as usize].name
     }
 
-    /// The whole text.
+    /// Returns a text.
     pub fn text(&self, id: SourceId) -> &str {
         &self.list[id.0 as usize].text
     }
 
-    /// The text a span covers; a span that leaves the text or cuts a character is cut to what there is.
+    /// Returns the text that a span covers. Clips spans to the text and to character boundaries.
     pub fn slice(&self, span: Span) -> &str {
         let text = self.text(span.source);
         let start = floor_char(text, span.start as usize);
@@ -122,17 +122,17 @@ impl Sources {
         &text[start..end]
     }
 
-    /// The number of the first line of a text: 1 unless it is a part of a longer one.
+    /// Returns the number of a text's first line: 1 unless the text is a part of a longer one.
     pub fn first_line(&self, id: SourceId) -> usize {
         self.list[id.0 as usize].first_line
     }
 
-    /// Where a span begins.
+    /// Returns the position where a span begins.
     pub fn position(&self, span: Span) -> Position {
         self.position_of(span.source, span.start as usize)
     }
 
-    /// The position of a byte.
+    /// Returns the position of a byte.
     pub fn position_of(&self, id: SourceId, byte: usize) -> Position {
         let source = &self.list[id.0 as usize];
         let byte = floor_char(&source.text, byte);
@@ -144,20 +144,20 @@ impl Sources {
         }
     }
 
-    /// The line that a byte is in, counted from 0 in this text.
+    /// The index of the line that contains a byte, from 0.
     pub(super) fn line_index(&self, id: SourceId, byte: usize) -> usize {
         let starts = &self.list[id.0 as usize].line_starts;
         starts.partition_point(|&start| start as usize <= byte) - 1
     }
 
-    /// The bytes of a line, counted from 0 in this text, without its line break.
+    /// The bytes of the line with this index, from 0, without its line break.
     pub(super) fn line_range(&self, id: SourceId, index: usize) -> Range<usize> {
         let Source { text, line_starts, .. } = &self.list[id.0 as usize];
         let start = line_starts[index] as usize;
         start..line_starts.get(index + 1).map_or(text.len(), |&next| next as usize - 1)
     }
 
-    /// `name:line:column` of where a span begins.
+    /// Returns `name:line:column` of the place where a span begins.
     pub fn locate(&self, span: Span) -> String {
         let Position { line, column } = self.position(span);
         format!("{}:{line}:{column}", self.name(span.source))
@@ -173,12 +173,12 @@ fn floor_char(text: &str, byte: usize) -> usize {
     byte
 }
 
-/// A value and where it stands in its file.
+/// A value and its place in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Located<T> {
     /// The value.
     pub value: T,
-    /// Where it stands.
+    /// The place.
     pub span: Span,
 }
 

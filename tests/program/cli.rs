@@ -1195,7 +1195,7 @@ fn cities_that_cannot_be_are_told() {
     fails(
         &logicity(["run", &config(repeated)]),
         1,
-        &["no-start-cell", "take a larger map, or a smaller `repeat`"],
+        &["no-start-cell", "use a larger map, or a smaller `repeat`"],
     );
     let map = "blocks: [30, 30]\nwidths: {street: 11, sidewalk: 5, building: 10, inner_sidewalk: 5}\n\
                buildings: {random: {seed: 1, weights: {House: 1, Garage: 1}}}\n";

@@ -1,4 +1,4 @@
-//! Which strata the dense executor can take.
+//! Decides which strata the dense executor can evaluate.
 
 use crate::datalog::check::{Atom, Literal, RelId, Rules, Stratum, Term};
 use crate::datalog::dense::program::Dense;
@@ -6,48 +6,48 @@ use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::diag::Span;
 use std::fmt;
 
-/// Which executor each stratum gets.
+/// The executor of each stratum.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Choice {
-    /// By position of the stratum: why it cannot be dense; `None` if it can.
+    /// By position of the stratum: why it needs the relational executor; `None` if it is dense.
     pub relational: Vec<Option<Unsupported>>,
 }
 
 impl Choice {
-    /// Whether the stratum is for the dense executor.
+    /// Returns whether the dense executor evaluates the stratum.
     pub fn is_dense(&self, stratum: usize) -> bool {
         self.relational[stratum].is_none()
     }
 
-    /// Whether all strata are.
+    /// Returns whether the dense executor evaluates all strata.
     pub fn all_dense(&self) -> bool {
         self.relational.iter().all(Option::is_none)
     }
 }
 
-/// Why a stratum cannot be dense.
+/// The reason why the dense executor cannot evaluate a stratum.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Unsupported {
-    /// It depends on itself.
+    /// The stratum is recursive.
     Recursive,
-    /// The predicate has no column, or more than two.
+    /// The predicate has no columns, or more than two.
     Columns(RelId),
-    /// A column of the predicate does not hold symbols.
+    /// The predicate has a column that does not hold symbols.
     NotSymbols(RelId),
-    /// A clause names a particular entity, here.
+    /// A clause contains a constant at this place.
     Constant(Span),
-    /// A clause computes or compares values, here.
+    /// A clause computes, aggregates or compares values at this place.
     Computes(Span),
-    /// A negated atom has no variable, here.
+    /// The negated atom at this place has no variable.
     NoVariable(Span),
-    /// A clause has too many variables, here.
+    /// The clause at this place has too many variables.
     Variables(Span),
-    /// A stratum that is not dense reads this predicate of it. (Dense strata come last.)
+    /// A relational stratum reads this predicate of it. Relational strata run before dense ones.
     ReadBy(RelId),
 }
 
 impl Unsupported {
-    /// In words, to go after "because".
+    /// Returns the reason as a clause to follow "because".
     pub fn show(&self, rules: &Rules) -> String {
         let name = |relation: &RelId| {
             let relation = &rules.relations[relation.index()];
@@ -72,7 +72,7 @@ impl Unsupported {
         }
     }
 
-    /// The place that shows it, if it is not a whole predicate.
+    /// Returns the place of the reason, or `None` if it concerns a whole predicate or stratum.
     pub fn span(&self) -> Option<Span> {
         match self {
             Unsupported::Constant(span)
@@ -91,8 +91,10 @@ impl fmt::Display for Choice {
     }
 }
 
-/// Chooses the executor of every stratum. A stratum is dense if it can be and no stratum that cannot be depends on it; so the
-/// relational executor runs first, and the dense one after it.
+/// Chooses the executor of every stratum.
+///
+/// A stratum is dense if the dense executor supports it and no relational stratum depends on it. So the relational
+/// executor can run first.
 pub fn choose(rules: &Rules) -> Choice {
     let mut relational: Vec<Option<Unsupported>> =
         (rules.strata.iter()).map(|stratum| obstacle(rules, stratum)).collect();
@@ -102,7 +104,7 @@ pub fn choose(rules: &Rules) -> Choice {
             home[relation.index()] = Some(position);
         }
     }
-    // A stratum comes after all it reads.
+    // Strata are in dependency order.
     for position in (0..rules.strata.len()).rev() {
         if relational[position].is_none() {
             continue;
@@ -120,7 +122,7 @@ pub fn choose(rules: &Rules) -> Choice {
     Choice { relational }
 }
 
-/// What keeps a stratum from being dense, if anything in itself does.
+/// Returns the reason in the stratum itself why it cannot be dense, if any.
 fn obstacle(rules: &Rules, stratum: &Stratum) -> Option<Unsupported> {
     if stratum.recursive {
         return Some(Unsupported::Recursive);

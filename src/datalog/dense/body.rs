@@ -1,19 +1,19 @@
-//! Clauses as what they ask of variables, and the searches for those that only have to exist.
+//! The conditions of a clause on its variables, and searches for existential variables.
 
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Term};
 use crate::datalog::dense::program::Argument;
 use crate::datalog::syntax::ast::Comparison;
 use std::collections::BTreeMap;
 
-/// A variable of a body: 0 is the head's first.
+/// A variable of a body; 0 is the head's first.
 pub(super) type Var = usize;
 
-/// What can be said of one variable.
+/// A condition on one variable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Property {
     Holds(RelId),
     Diagonal(RelId),
-    /// The predicate relates something to it; it is in this column.
+    /// The predicate relates some entity to it; it is in this column.
     Related(RelId, Argument),
 }
 
@@ -27,15 +27,15 @@ pub(super) enum Lit {
 
 /// A body over numbered variables.
 pub(super) struct Body {
-    /// Beginning with the head's.
+    /// The number of variables, the head's first.
     variables: usize,
     pub literals: Vec<Lit>,
-    /// The head has two columns; the second is variable 1.
+    /// Whether the head has two columns; the second is variable 1.
     pair: bool,
 }
 
 impl Body {
-    /// `None` if it never holds.
+    /// Translates a body; `None` if it never holds.
     pub fn new(clause: &Clause) -> Option<Body> {
         let mut numbers: BTreeMap<u32, Var> = BTreeMap::new();
         let mut variables = 0;
@@ -102,8 +102,8 @@ impl Body {
         })
     }
 
-    /// The variables besides the head's first, in groups that no literal connects but through that one. If the head has two
-    /// columns, the first group has the second variable, first.
+    /// Returns the connected components of the variables other than the head's first; connections through that one do
+    /// not count. If the head has two columns, the first component begins with its second variable.
     pub fn groups(&self) -> Vec<Vec<Var>> {
         let mut group: Vec<Var> = (0..self.variables).collect();
         for literal in &self.literals {
@@ -124,14 +124,15 @@ impl Body {
             .collect()
     }
 
-    /// Whether the predicate relates the head's first variable to all others, and nothing is asked of all entities.
+    /// Whether the predicate relates the head's first variable to all others, and no condition quantifies over all
+    /// entities.
     pub fn is_guarded_by(&self, guard: RelId) -> bool {
         let asks_all = |literal: &Lit| matches!(literal, Lit::Is(Property::Related(..), ..));
         let guarded = |var| self.literals.contains(&Lit::Pair(guard, 0, var, true));
         (1..self.variables).all(guarded) && !self.literals.iter().any(asks_all)
     }
 
-    /// The groups that only have to exist.
+    /// Returns the groups of existential variables.
     pub fn conditions(&self) -> Vec<Vec<Var>> {
         self.groups().split_off(usize::from(self.pair))
     }
@@ -146,27 +147,27 @@ fn about(relation: RelId, terms: &[Var], holds: bool) -> Lit {
     }
 }
 
-/// A search for values of the variables of one group: one step for each variable.
+/// A search for values of the variables of one group: one step per variable.
 pub(super) type Search = Vec<Seek>;
 
 /// A step of a search.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Seek {
     pub properties: Vec<(Property, bool)>,
-    /// Ends in the bound variable and whether it holds.
+    /// (relation, position of the bound variable, whether it holds).
     pub relations: Vec<(Relates, usize, bool)>,
 }
 
-/// How a value can stand to a bound variable.
+/// A relation between a value and a bound variable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Relates {
-    /// The value is in this column of the predicate.
+    /// The predicate relates them; the value is in this column.
     By(RelId, Argument),
     Same,
 }
 
 impl Body {
-    /// What is said of one variable alone.
+    /// Returns the conditions on one variable alone.
     pub fn properties(&self, var: Var) -> Vec<(Property, bool)> {
         let of = |literal: &Lit| match *literal {
             Lit::Is(property, of, holds) if of == var => Some((property, holds)),
@@ -175,7 +176,7 @@ impl Body {
         self.literals.iter().filter_map(of).collect()
     }
 
-    /// What relates `var` to a variable that is bound; `bound` has them in order.
+    /// Returns the conditions that relate `var` to a bound variable; `bound` lists these in binding order.
     fn relations(&self, var: Var, bound: &[Var]) -> Vec<(Relates, usize, bool)> {
         let place = |of: Var| bound.iter().position(|&bound| bound == of);
         let of = |literal: &Lit| match *literal {
@@ -192,8 +193,8 @@ impl Body {
         self.literals.iter().filter_map(of).collect()
     }
 
-    /// A search for a group. It takes next the variable that most is known of, beginning with `first` if there is one.
-    /// Rows of `guards` are asked first: they leave few values.
+    /// Returns a search for a group. It begins with `first`, if given, and binds next the variable with the most known
+    /// conditions. It tests `guards` first, since they leave few values.
     pub fn search(&self, group: &[Var], first: Option<Var>, guards: &[RelId]) -> Search {
         let mut bound: Vec<Var> = vec![0];
         let mut rest = group.to_vec();

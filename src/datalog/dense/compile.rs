@@ -1,4 +1,4 @@
-//! From rules to a list of operations on sets.
+//! Compiles rules to a list of operations on sets.
 
 use crate::datalog::check::{ClauseId, Literal, RelId, Rules};
 use crate::datalog::dense::analyse::Choice;
@@ -10,8 +10,10 @@ use crate::datalog::dense::program::{
 use std::collections::{BTreeMap, BTreeSet};
 
 impl Dense {
-    /// Compiles the dense strata of a choice made by [`super::choose`] for these rules. What other strata derive is input. The
-    /// inputs that `steady` names seldom change: what follows from them alone is computed only when they do.
+    /// Compiles the strata that [`super::choose`] made dense for these rules. Predicates of other strata are inputs.
+    ///
+    /// `steady` names inputs that seldom change. Sets that depend on these alone are recomputed only when one of them
+    /// changes.
     pub fn new(rules: &Rules, choice: &Choice, counting: TrackFirings, steady: impl Fn(RelId) -> bool) -> Dense {
         let strata = || (rules.strata.iter().enumerate()).filter(|(position, _)| choice.is_dense(*position));
         let mut derived = vec![false; rules.relations.len()];
@@ -40,7 +42,7 @@ impl Dense {
     }
 }
 
-/// That entities are in a set, or that they are not.
+/// A condition: membership in a set, or in its complement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Asked {
     set: Reg,
@@ -53,14 +55,14 @@ impl Asked {
     }
 }
 
-/// When a set changes.
+/// How often a set changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Changes {
-    /// With steady inputs only.
+    /// Only when a steady input changes.
     Seldom,
-    /// From run to run.
+    /// In every run.
     Often,
-    /// Within a run: it is a predicate whose clauses are being evaluated.
+    /// Within a run: it holds a predicate whose clauses are being evaluated.
     Within,
 }
 
@@ -69,20 +71,21 @@ struct Compiler<'a> {
     counting: TrackFirings,
     /// By [`RelId`].
     derived: Vec<bool>,
-    /// Predicates that scopes ask for.
+    /// The predicates of scope guards.
     guards: Vec<RelId>,
     out: Dense,
     known_properties: BTreeMap<Property, Reg>,
-    /// How often something is asked of an entity.
+    /// The number of uses of each condition.
     uses: BTreeMap<(Property, bool), usize>,
-    /// Sets made of two others.
+    /// Known sets that combine two others.
     known_sets: BTreeMap<(Reg, Asked), Reg>,
-    /// By [`Reg`]: how seldom the set changes.
+    /// By [`Reg`]: how often the set changes.
     changes: Vec<Changes>,
-    /// Searches that several clauses make, with what each clause asks of given predicates about the head's first variable.
+    /// Searches that several clauses share. Each clause adds its conditions on the head's first variable over given
+    /// predicates.
     shared: BTreeMap<Search, Vec<Vec<(Property, bool)>>>,
     known_searches: BTreeMap<Search, Reg>,
-    /// The sets of derived predicates with one column.
+    /// The sets of derived one-column predicates.
     heads: Vec<Reg>,
 }
 
@@ -133,7 +136,7 @@ impl<'a> Compiler<'a> {
         !self.derived[relation.index()]
     }
 
-    /// Numbers the sets that the caller provides, and finds out whether the program is local.
+    /// Numbers the input sets and determines whether the program is local.
     fn find_inputs(&mut self, bodies: &[(ClauseId, Body)], steady: impl Fn(RelId) -> bool) {
         let mut given = BTreeSet::new();
         for literal in bodies.iter().flat_map(|(_, body)| &body.literals) {
@@ -166,7 +169,7 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    /// Finds the searches that several clauses make.
+    /// Finds the searches to share between clauses.
     fn find_shared(&mut self, bodies: &[(ClauseId, Body)]) {
         for (_, body) in bodies {
             let mut asked = body.properties(0);
@@ -176,7 +179,8 @@ impl<'a> Compiler<'a> {
                 self.shared.entry(search).or_default().push(asked.clone());
             }
         }
-        // Demands that need not overlap had better be small: then each leaves out those of whom its head is known.
+        // Share a search only if the demand of one clause contains that of another. Otherwise separate demands are
+        // smaller: each excludes the entities whose head is already derived.
         let within = |one: &[_], other: &[_]| one.iter().all(|asked| other.contains(asked));
         (self.shared).retain(|_, users| {
             let others = |at: usize| users[..at].iter().chain(&users[at + 1..]);
@@ -190,7 +194,7 @@ impl<'a> Compiler<'a> {
         Reg::new(self.out.set_count - 1)
     }
 
-    /// A set that is empty when a run begins.
+    /// Allocates a set that each run clears first.
     fn cleared(&mut self, changes: Changes) -> Reg {
         let set = self.set(changes);
         self.out.cleared.push(set);
@@ -213,7 +217,7 @@ impl<'a> Compiler<'a> {
         };
     }
 
-    /// The predicates so far have all their facts before the next clause.
+    /// Marks the predicates declared so far as complete.
     fn complete(&mut self) {
         for set in &self.heads {
             self.changes[set.index()] = Changes::Often;
@@ -232,7 +236,7 @@ impl<'a> Compiler<'a> {
                 false => own.push(search),
             }
         }
-        // One variable is found faster than several.
+        // Short searches first.
         own.sort_by_key(Vec::len);
 
         if let (Home::Set(dst), TrackFirings::Off) = (self.out.homes[head.index()], self.counting) {
@@ -279,7 +283,7 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    /// The set of entities for which a search that several clauses make succeeds, as far as one of them asks.
+    /// Returns the set of entities for which a shared search succeeds, among those that some clause demands.
     fn shared_search(&mut self, search: Search) -> Reg {
         if let Some(&set) = self.known_searches.get(&search) {
             return set;
@@ -307,14 +311,14 @@ impl<'a> Compiler<'a> {
         dst
     }
 
-    /// The members of both `left` and `right` for which a search succeeds.
+    /// Returns the members of both `left` and `right` for which a search succeeds.
     fn exists(&mut self, left: Reg, right: Reg, search: &Search) -> Reg {
         let dst = self.cleared(Changes::Often);
         self.add_existing(DemandOp { dst, left, right }, search);
         dst
     }
 
-    /// Adds those who are asked about and for whom a search succeeds.
+    /// Adds the demanded entities for which a search succeeds.
     fn add_existing(&mut self, demand: DemandOp, search: &Search) {
         let steps = self.steps(search);
         let op = self
@@ -328,7 +332,7 @@ impl<'a> Compiler<'a> {
         self.out.ops.push(Op::Add { dst, left, right });
     }
 
-    /// An operation of its own for a search with one step that asks a few given lists only.
+    /// Returns a specialized operation for a search with one step that tests at most three given lists.
     fn any(&self, demand: DemandOp, steps: &[SearchStep]) -> Option<Op> {
         let [SearchStep { among, tests }] = *steps else {
             return None;
@@ -347,7 +351,8 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    /// The sets of what is asked of one variable. What clauses have in common comes first, so that it is put together once.
+    /// Returns the set of each condition on one variable. The most frequent conditions come first, so that clauses
+    /// share their intersections.
     fn ask(&mut self, properties: &[(Property, bool)]) -> Vec<Asked> {
         let mut properties = properties.to_vec();
         properties.sort_by_key(|asked| std::cmp::Reverse(self.uses.get(asked).copied().unwrap_or(0)));
@@ -392,14 +397,14 @@ impl<'a> Compiler<'a> {
         set
     }
 
-    /// The set of the entities of which all is true that is asked.
+    /// Returns the set of entities that satisfy all conditions.
     fn combine(&mut self, asked: Vec<Asked>) -> Reg {
         let (left, right) = self.halves(asked);
         self.both(left, Asked::of(right))
     }
 
-    /// The same as the intersection of two sets: what seldom changes is put together apart from the rest. It need not be done again,
-    /// and the rest is what clauses tend to have in common.
+    /// Like `combine`, as two sets to intersect. The first depends on steady inputs only, so it is seldom recomputed.
+    /// The second tends to be common to several clauses.
     fn halves(&mut self, asked: Vec<Asked>) -> (Reg, Reg) {
         let seldom = |asked: &Asked| self.changes[asked.set.index()] == Changes::Seldom;
         let (mut steady, rest): (Vec<Asked>, Vec<Asked>) = asked.into_iter().partition(seldom);
@@ -420,12 +425,12 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    /// The members of a set of which all is true that is asked.
+    /// Returns the members of a set that satisfy all conditions.
     fn fold(&mut self, among: Reg, asked: &[Asked]) -> Reg {
         asked.iter().fold(among, |made, &asked| self.both(made, asked))
     }
 
-    /// The members of `left` of which is true what is asked.
+    /// Returns the members of `left` that satisfy the condition.
     fn both(&mut self, left: Reg, right: Asked) -> Reg {
         if right.holds && (right.set == left || right.set == Reg::ALL) {
             return left;

@@ -1,23 +1,23 @@
-//! Facts held as bits.
+//! Facts stored as bits.
 
 use crate::datalog::check::RelId;
 use crate::datalog::dense::program::{Argument, Dense, Input, List, Reg};
 use crate::datalog::dense::run::{BinaryFacts, BitState};
 use crate::datalog::dense::sets::{Set, and, is_empty};
 
-/// Facts of all predicates that a program reads, held as bits.
+/// The facts of all predicates that a program reads, stored as bits.
 #[derive(Clone, Debug)]
 pub struct BitFacts<const W: usize> {
     count: usize,
     inputs: Vec<Set<W>>,
-    /// For each list one block for each word of a set: the rows of the entities that have their bits in that word.
+    /// For each list, one block per word of a set: the rows of the entities whose bits are in that word.
     lists: Vec<[Set<W>; 64]>,
-    /// For each list the entities whose rows are not empty.
+    /// For each list, the entities whose rows are not empty.
     related: Vec<Set<W>>,
 }
 
 impl<const W: usize> BitFacts<W> {
-    /// No facts about `count` entities.
+    /// Makes an empty set of facts about `count` entities.
     pub fn new(program: &Dense, count: usize) -> Self {
         BitFacts {
             count,
@@ -27,10 +27,9 @@ impl<const W: usize> BitFacts<W> {
         }
     }
 
-    /// Adds a fact: its predicate and the positions of its entities. Facts that the program does not read are passed over.
+    /// Adds a fact: its predicate and the positions of its entities. Ignores predicates that the program does not read.
     ///
-    /// # Panics
-    /// If there are fewer entities.
+    /// If a position is not less than the number of entities.
     pub fn insert(&mut self, program: &Dense, relation: RelId, row: &[usize]) {
         assert!(row.iter().all(|&entity| entity < self.count), "unknown entity");
         for (&input, set) in program.inputs().iter().zip(&mut self.inputs) {
@@ -56,10 +55,9 @@ impl<const W: usize> BitFacts<W> {
         }
     }
 
-    /// Gives a frame for as many entities its inputs.
+    /// Writes the inputs of a state with the same number of entities.
     ///
-    /// # Panics
-    /// If the frame is for another number of entities.
+    /// If the state has another number of entities.
     pub fn load(&self, program: &Dense, frame: &mut BitState<W>) {
         assert_eq!(self.count, frame.count);
         let (restless, steady) = self.inputs.split_at(program.restless);
@@ -107,14 +105,14 @@ impl<const W: usize> BinaryFacts<W> for BitFacts<W> {
     }
 }
 
-/// Those of `members` for which it holds.
+/// Returns the members for which `holds` is true.
 #[inline(always)]
 fn of(members: u64, holds: impl Fn(usize) -> bool) -> u64 {
     let mut found = 0;
     let mut rest = members;
     while rest != 0 {
         let at = rest.trailing_zeros() as usize & 63;
-        // Without a branch: whether it holds is hard to guess.
+        // Branch-free, since the result is hard to predict.
         found |= u64::from(holds(at)) << at;
         rest &= rest - 1;
     }

@@ -1,9 +1,9 @@
-//! The dense executor: programs over one small universe of entities, evaluated on bit words.
+//! The dense executor: evaluates programs over a small universe of entities with bitwise operations.
 //!
-//! Reach for [`Dense`] where the same rules are asked again and again about some dozens of entities, all facts new each time, and
-//! every predicate relates at most two of them. A one-column predicate is a [`Set`]: a word with one bit for each entity. A
-//! two-column predicate is a list of sets, one for each entity. What is true of the head's first variable is decided for 64 entities at
-//! once; "there is" is a search that ends at the first witness; a negation is a mask.
+//! Use [`Dense`] to evaluate the same rules repeatedly over a few dozen entities, with new facts each time and
+//! predicates of one or two columns. A one-column predicate is a [`Set`] with one bit per entity. A two-column
+//! predicate is a list of sets, one per entity. One operation decides a property of the head's first variable for 64
+//! entities. An existential is a search that stops at the first witness, and a negation is a mask.
 //!
 //! ```text
 //! Rules --choose--> Choice (which strata) --compile--> Dense (immutable, shareable)
@@ -11,10 +11,14 @@
 //!      facts: BitState::set_input, BinaryFacts --------------> BitState::run --> BitState::set, BitState::row
 //! ```
 //!
-//! `analyse` decides which strata can be evaluated so and tells why others cannot; `body` says what a clause asks of each variable;
-//! `compile` writes that as a `program`, a short list of operations on numbered sets, in which what several clauses ask is asked once;
-//! `run` executes the list. Facts about pairs are asked of a [`BinaryFacts`], which may hold them ([`BitFacts`], in `facts`) or compute them when
-//! asked. Answers are those of [`super::naive`] if every symbol in the facts is an entity.
+//! - `analyse` decides which strata the executor supports and why it does not support others.
+//! - `body` splits a clause into conditions on its variables.
+//! - `compile` translates these to a `program`: a short list of operations on numbered sets. It shares conditions
+//!   between clauses.
+//! - `run` executes the list.
+//!
+//! Binary facts come from a [`BinaryFacts`], which can store them ([`BitFacts`], in `facts`) or compute them lazily.
+//! The answers equal those of [`super::naive`] if every symbol in the facts is an entity.
 
 mod analyse;
 mod body;

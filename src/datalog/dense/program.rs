@@ -1,15 +1,15 @@
-//! What the dense executor runs: a list of operations on numbered sets.
+//! The program of the dense executor: a list of operations on numbered sets.
 
 use crate::datalog::check::{ClauseId, RelId};
 
-/// A set of the frame.
+/// The number of a set in a [`BitState`](super::BitState).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Reg(u32);
 
 impl Reg {
     /// All entities.
     pub const ALL: Reg = Reg(0);
-    /// Those that are decided about.
+    /// The egos: the entities to decide about.
     pub const EGOS: Reg = Reg(1);
     /// The first input; the others follow.
     pub const INPUTS: Reg = Reg(2);
@@ -24,7 +24,7 @@ impl Reg {
     }
 }
 
-/// A piece of one of the program's lists of steps or tests.
+/// A slice of the program's list of steps or of tests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Range {
     start: u32,
@@ -32,7 +32,7 @@ pub(super) struct Range {
 }
 
 impl Range {
-    /// Adds items to a list: they are that piece of it.
+    /// Appends items to a list and returns their range.
     pub fn extend<T>(list: &mut Vec<T>, items: Vec<T>) -> Range {
         let end = |list: &[T]| u32::try_from(list.len()).expect("fewer than 2^32 items");
         let start = end(list);
@@ -46,7 +46,8 @@ impl Range {
     }
 }
 
-/// The members of both `left` and `right` that are not in `dst` yet. Those for which a search succeeds are added to `dst`.
+/// The demand of a search: the members of both `left` and `right` that are not in `dst` yet. The operation adds those
+/// for which the search succeeds to `dst`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DemandOp {
     pub dst: Reg,
@@ -54,7 +55,7 @@ pub(super) struct DemandOp {
     pub right: Reg,
 }
 
-/// The search for a member of `among` that all lists, positions in [`Dense::lists`], relate to an entity.
+/// A search for a member of `among` that all lists relate to an entity. Lists are positions in [`Dense::lists`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Any<const N: usize> {
     pub among: Reg,
@@ -70,7 +71,7 @@ impl<const N: usize> Any<N> {
 /// One operation.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Op {
-    /// Writes the members of both.
+    /// Writes the intersection.
     Both {
         dst: Reg,
         left: Reg,
@@ -82,7 +83,7 @@ pub(super) enum Op {
         left: Reg,
         right: Reg,
     },
-    /// Adds the members of both.
+    /// Adds the intersection.
     Add {
         dst: Reg,
         left: Reg,
@@ -92,32 +93,33 @@ pub(super) enum Op {
     Any1(DemandOp, Any<1>),
     Any2(DemandOp, Any<2>),
     Any3(DemandOp, Any<3>),
-    /// The search for a value of each step.
+    /// A search for a value of each step.
     Exists(DemandOp, Range),
     Rare(Rare),
 }
 
-/// An operation that few programs have.
+/// A rarely used operation.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Rare {
-    /// Adds, to the row of each member of `demand`, the values of the first step for which the others have one.
+    /// For each member of `demand`: adds the values of the first step for which the other steps have values to its row.
     Rows { dst: usize, demand: Reg, steps: Range },
     /// Adds all rows of `from`.
     OrRows { dst: usize, from: usize },
-    /// Writes the entities that are in their own row.
+    /// Writes the entities that their own row contains.
     Diagonal { dst: Reg, rows: usize },
 }
 
-/// Finds the values of one variable, those of the steps before and of the head's first variable being bound.
+/// A step of a search: finds the values of one variable. The head's first variable and those of earlier steps are
+/// bound.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SearchStep {
-    /// Of whom all is true that is asked of it alone.
+    /// The values that satisfy the conditions on this variable alone.
     pub among: Reg,
-    /// What relates it to bound variables.
+    /// The conditions that relate it to bound variables.
     pub tests: Range,
 }
 
-/// How a value must stand to a bound variable.
+/// A condition that relates a value to a bound variable.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Test {
     pub list: Place,
@@ -126,7 +128,7 @@ pub(super) struct Test {
     pub holds: bool,
 }
 
-/// Where the row of the bound variable stands.
+/// The row of the bound variable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Place {
     /// A position in [`Dense::lists`].
@@ -137,38 +139,39 @@ pub(super) enum Place {
     Same,
 }
 
-/// A column of a predicate with two.
+/// A column of a two-column predicate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Argument {
-    /// The first.
+    /// The first column.
     First,
-    /// The second.
+    /// The second column.
     Second,
 }
 
-/// A set that the caller provides.
+/// An input set, which the caller provides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Input {
-    /// The entities of which a predicate with one column holds.
+    /// The entities of a one-column predicate.
     Unary(RelId),
-    /// The entities that a predicate with two columns relates to themselves.
+    /// The entities that a two-column predicate relates to themselves.
     Diagonal(RelId),
 }
 
-/// Rows that the caller provides: for each value of one column of the predicate, the values of the named other one.
+/// An input list, which the caller provides: for each value of one column of the predicate, the values of the named
+/// other column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct List(pub RelId, pub Argument);
 
-/// What is kept of the work of single clauses.
+/// Whether a run records what each clause derives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TrackFirings {
-    /// Nothing: a clause looks only where its predicate is not derived yet.
+    /// No. A clause then evaluates only heads that are not derived yet.
     Off,
-    /// What each clause derives.
+    /// Yes, for each clause.
     Each,
 }
 
-/// A program for the dense executor.
+/// A compiled program of the dense executor.
 #[derive(Clone, Debug)]
 pub struct Dense {
     pub(super) inputs: Vec<Input>,
@@ -177,31 +180,31 @@ pub struct Dense {
     pub(super) row_lists: usize,
     pub(super) steps: Vec<SearchStep>,
     pub(super) tests: Vec<Test>,
-    /// How many of `inputs` change often; the others follow.
+    /// The number of `inputs` that change often; these come first.
     pub(super) restless: usize,
-    /// What depends on steady inputs only.
+    /// The operations that depend on steady inputs only.
     pub(super) settling: Vec<Op>,
     pub(super) ops: Vec<Op>,
-    /// The sets that operations only add to.
+    /// The sets that operations only add to; each run clears them.
     pub(super) cleared: Vec<Reg>,
-    /// By [`RelId`]: where it is.
+    /// By [`RelId`]: the location of its facts.
     pub(super) homes: Vec<Home>,
-    /// By [`ClauseId`]: where what it derives is, if clauses are counted.
+    /// By [`ClauseId`]: the location of what it derives, if firings are tracked.
     pub(super) fired: Vec<Option<Fired>>,
     pub(super) local: bool,
     pub(super) guards: Vec<RelId>,
 }
 
-/// Where a predicate's facts are.
+/// The location of a predicate's facts.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Home {
-    /// The caller has them.
+    /// With the caller.
     Given,
     Set(Reg),
     Rows(usize),
 }
 
-/// Where a clause's own facts are.
+/// The location of what one clause derives.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Fired {
     Set(Reg),
@@ -209,27 +212,28 @@ pub(super) enum Fired {
 }
 
 impl Dense {
-    /// Variables that a search binds at a time, the head's included.
+    /// The maximum number of variables that a search binds, the head's included.
     pub(super) const VARIABLES_MAX: usize = 24;
 
-    /// The sets the caller provides, in the order of [`super::BitState::set_input`].
+    /// Returns the input sets, in the order of [`super::BitState::set_input`].
     pub fn inputs(&self) -> &[Input] {
         &self.inputs
     }
 
-    /// The rows the caller provides, see [`super::BinaryFacts`].
+    /// Returns the input lists; see [`super::BinaryFacts`].
     pub fn lists(&self) -> &[List] {
         &self.lists
     }
 
-    /// Whether derived predicates are asked only about the head's first variable. Then what is derived of one entity does not depend
-    /// on what is derived of others, and some entities can be decided about without the rest.
+    /// Returns whether the program is local: conditions on derived predicates concern only the head's first variable.
+    /// Then the results for one entity do not depend on those for others, and a run can evaluate a subset of the
+    /// entities.
     pub fn is_local(&self) -> bool {
         self.local
     }
 
-    /// Whether every clause looks only at what the predicate relates its head's first variable to. If the program is also
-    /// [local](Dense::is_local), entities that it relates to none of those that are decided about can be left out.
+    /// Returns whether every clause reads only entities that the predicate relates to its head's first variable. If the
+    /// program is also [local](Dense::is_local), a run can omit entities that the predicate relates to no ego.
     pub fn is_guarded_by(&self, relation: RelId) -> bool {
         self.guards.contains(&relation)
     }

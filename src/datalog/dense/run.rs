@@ -1,12 +1,12 @@
-//! Running a [`Dense`] program.
+//! Executes a [`Dense`] program.
 
 use crate::datalog::check::{ClauseId, RelId};
 use crate::datalog::dense::program::{Any, Argument, DemandOp, Dense, Op, Place, Range, Rare, Reg, SearchStep};
 use crate::datalog::dense::sets::{Set, and, first, has, is_empty, members, only, or, without};
 
-/// Where facts about pairs come from.
+/// A source of binary facts, which it may compute lazily.
 pub trait BinaryFacts<const W: usize> {
-    /// Those of `among` that stand in the relation of the list to entity `at`. `list` is a position in [`Dense::lists`].
+    /// Returns the members of `among` that a list relates to entity `at`. `list` is a position in [`Dense::lists`].
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W>;
 
     /// Whether to give up. What is computed from then on means nothing.
@@ -15,7 +15,7 @@ pub trait BinaryFacts<const W: usize> {
         false
     }
 
-    /// Those of `demand` to which one and the same member of `among` stands in the relations of all lists.
+    /// Returns the members of `demand` that all lists relate to one and the same member of `among`.
     #[inline]
     fn any<const N: usize>(&self, lists: [usize; N], demand: Set<W>, among: Set<W>) -> Set<W> {
         let mut found = [0; W];
@@ -35,10 +35,10 @@ pub trait BinaryFacts<const W: usize> {
     }
 }
 
-/// A program with so many sets at most runs faster.
+/// Programs with at most this number of sets run faster.
 const FEW: usize = 256;
 
-/// The sets of a frame while a program runs.
+/// The sets of a [`BitState`] during a run.
 trait Sets<const W: usize>: AsRef<[Set<W>]> {
     fn get(&self, set: Reg) -> &Set<W>;
     fn get_mut(&mut self, set: Reg) -> &mut Set<W>;
@@ -56,7 +56,7 @@ impl<const W: usize> Sets<W> for [Set<W>] {
     }
 }
 
-// As many as there are numbers of one byte, so that the number of a set need not be compared with theirs.
+// The length covers all values of one byte, so that indexing needs no bounds check.
 impl<const W: usize> Sets<W> for [Set<W>; FEW] {
     #[inline(always)]
     fn get(&self, set: Reg) -> &Set<W> {
@@ -70,7 +70,7 @@ impl<const W: usize> Sets<W> for [Set<W>; FEW] {
 }
 
 impl DemandOp {
-    /// Who is asked about.
+    /// Returns the demanded entities.
     #[inline(always)]
     fn of<const W: usize>(&self, sets: &(impl Sets<W> + ?Sized)) -> Set<W> {
         without(and(*sets.get(self.left), sets.get(self.right)), sets.get(self.dst))
@@ -95,22 +95,22 @@ fn add_any<const W: usize, const N: usize>(
     }
 }
 
-/// The sets a [`Dense`] program reads and writes, for one universe.
+/// The sets that a [`Dense`] program reads and writes, for one universe.
 #[derive(Clone, Debug)]
 pub struct BitState<const W: usize> {
     pub(super) count: usize,
     pub(super) sets: Vec<Set<W>>,
-    /// Whether a steady input has changed since what follows from it was computed.
+    /// Whether a steady input has changed since the operations that depend on it ran.
     pub(super) unsettled: bool,
-    /// Rows of derived predicates with two columns, `count` for each.
+    /// The rows of derived two-column predicates, `count` for each.
     rows: Vec<Set<W>>,
 }
 
 impl<const W: usize> BitState<W> {
-    /// For `count` entities; all inputs are empty.
+    /// Makes a state for `count` entities with empty inputs.
     ///
     /// # Panics
-    /// If a set does not hold so many.
+    /// If `count` exceeds `64 * W`.
     pub fn new(program: &Dense, count: usize) -> Self {
         let mut frame = BitState {
             count: 0,
@@ -122,15 +122,15 @@ impl<const W: usize> BitState<W> {
         frame
     }
 
-    /// Makes it one for another universe, under the same program; all inputs are empty. Allocates only if it is larger than every one
-    /// before.
+    /// Resets the state to another universe of the same program, with empty inputs. Allocates only if this universe is
+    /// larger than all earlier ones.
     ///
     /// # Panics
-    /// If a set does not hold so many.
+    /// If `count` exceeds `64 * W`.
     pub fn reset(&mut self, program: &Dense, count: usize) {
         assert!(count <= 64 * W, "{count} entities in sets of {}", 64 * W);
         self.count = count;
-        // All others are written before they are read.
+        // A run writes all other sets before it reads them.
         self.sets[Reg::INPUTS.index()..][..program.inputs.len()].fill([0; W]);
         self.rows.clear();
         self.rows.resize(program.row_lists * count, [0; W]);
@@ -139,13 +139,13 @@ impl<const W: usize> BitState<W> {
         self.sets[Reg::EGOS.index()] = first(count);
     }
 
-    /// How many entities there are.
+    /// Returns the number of entities.
     pub fn count(&self) -> usize {
         self.count
     }
 
-    /// Decides only about these entities: heads whose first argument is another are left out. Only for programs that are
-    /// [local](Dense::is_local); for others the answer would be wrong.
+    /// Restricts the run to these entities: it omits heads whose first argument is another entity. Use it only for
+    /// [local](Dense::is_local) programs; for others the answer would be wrong.
     pub fn set_egos(&mut self, egos: Set<W>) {
         let egos = and(egos, &self.sets[Reg::ALL.index()]);
         let old = &mut self.sets[Reg::EGOS.index()];
@@ -153,7 +153,7 @@ impl<const W: usize> BitState<W> {
         *old = egos;
     }
 
-    /// Sets an input: the entities of which it holds. `input` is a position in [`Dense::inputs`].
+    /// Sets an input to the entities for which it holds. `input` is a position in [`Dense::inputs`].
     pub fn set_input(&mut self, program: &Dense, input: usize, set: Set<W>) {
         let old = &mut self.sets[Reg::INPUTS.index() + input];
         self.unsettled |= input >= program.restless && *old != set;
@@ -184,25 +184,28 @@ impl<const W: usize> BitState<W> {
         execute(&program.ops);
     }
 
-    /// Of which entities a predicate with one column holds; `None` if the program does not derive it.
+    /// Returns the entities for which a one-column predicate holds, or `None` if the program does not derive it.
     pub fn set(&self, program: &Dense, relation: RelId) -> Option<&Set<W>> {
         program.set_of(relation).map(|set| &self.sets[set.index()])
     }
 
-    /// To which entities a predicate with two columns relates entity `at`; `None` if the program does not derive it.
+    /// Returns the entities to which a two-column predicate relates entity `at`, or `None` if the program does not
+    /// derive it.
     pub fn row(&self, program: &Dense, relation: RelId, at: usize) -> Option<&Set<W>> {
         let list = program.rows_of(relation)?;
         (at < self.count).then(|| &self.rows[list * self.count + at])
     }
 
-    /// The entities that a clause derives its head of, if the head has one column and clauses are counted ([`TrackFirings::Each`]).
+    /// Returns the entities for which a clause derives its one-column head, or `None` if firings are not tracked
+    /// ([`TrackFirings::Each`]).
     ///
     /// [`TrackFirings::Each`]: super::TrackFirings::Each
     pub fn fired(&self, program: &Dense, clause: ClauseId) -> Option<&Set<W>> {
         program.fired(clause).map(|set| &self.sets[set.index()])
     }
 
-    /// How many rows a clause derives; `None` if clauses are not counted, or it is not the program's.
+    /// Returns the number of rows that a clause derives, or `None` if firings are not tracked or the clause is not in
+    /// the program.
     pub fn count_fired(&self, program: &Dense, clause: ClauseId) -> Option<usize> {
         let size = |set: &Set<W>| set.iter().map(|word| word.count_ones() as usize).sum::<usize>();
         if let Some(set) = self.fired(program, clause) {
@@ -214,7 +217,7 @@ impl<const W: usize> BitState<W> {
     }
 }
 
-/// Runs operations of the program one after the other.
+/// Runs operations in order.
 fn execute<const W: usize>(
     program: &Dense,
     ops: &[Op],
@@ -249,7 +252,7 @@ fn execute<const W: usize>(
     }
 }
 
-// Apart, so that the usual operations find what they need in registers.
+// Not inlined, so that the common operations keep their values in registers.
 #[inline(never)]
 fn execute_rare<const W: usize>(
     program: &Dense,
@@ -305,7 +308,7 @@ fn search<'a, const W: usize, P>(
     }
 }
 
-/// Looks for values of variables.
+/// A search for values of variables.
 struct Search<'a, const W: usize, P> {
     program: &'a Dense,
     sets: &'a [Set<W>],
@@ -314,11 +317,11 @@ struct Search<'a, const W: usize, P> {
     pairs: &'a P,
 }
 
-/// The values of the head's first variable and of those of the steps so far.
+/// The values of the head's first variable and of the variables of earlier steps.
 type Bound = [usize; Dense::VARIABLES_MAX + 1];
 
 impl<const W: usize, P: BinaryFacts<W>> Search<'_, W, P> {
-    /// Those of `demand` for which values of all steps exist.
+    /// Returns the members of `demand` for which all steps have values.
     #[inline(never)]
     fn exists(&self, demand: Set<W>, steps: Range) -> Set<W> {
         let mut found = [0; W];
@@ -337,7 +340,7 @@ impl<const W: usize, P: BinaryFacts<W>> Search<'_, W, P> {
         found
     }
 
-    /// The values of the first step for an entity for which values of the others exist.
+    /// Returns the values of the first step for which the other steps have values.
     fn values(&self, ego: usize, steps: &[SearchStep]) -> Set<W> {
         let mut bound = [0; Dense::VARIABLES_MAX + 1];
         bound[0] = ego;
@@ -352,7 +355,7 @@ impl<const W: usize, P: BinaryFacts<W>> Search<'_, W, P> {
         set
     }
 
-    /// Whether some member of `set`, taken for step `depth`, leaves values for all further steps.
+    /// Whether some member of `set`, as the value of step `depth`, leaves values for all later steps.
     fn go_on(&self, steps: &[SearchStep], depth: usize, set: Set<W>, bound: &mut Bound) -> bool {
         let Some(next) = steps.get(depth + 1) else {
             return !is_empty(&set);
@@ -367,7 +370,7 @@ impl<const W: usize, P: BinaryFacts<W>> Search<'_, W, P> {
         })
     }
 
-    /// The values that a step leaves, given those that are bound.
+    /// Returns the values that a step allows, given the bound values.
     #[inline]
     fn narrow(&self, step: &SearchStep, bound: &Bound) -> Set<W> {
         let mut set = self.sets[step.among.index()];

@@ -1,21 +1,21 @@
-//! Sets of entities as words of bits.
+//! Sets of entities as bit words.
 
 /// A set of entities: entity `i` is bit `i % 64` of word `i / 64`. Holds up to `64 * W` entities.
 pub type Set<const W: usize> = [u64; W];
 
-/// The set with one member.
+/// Returns the set with one member.
 pub(super) fn only<const W: usize>(entity: usize) -> Set<W> {
     let mut set = [0; W];
     set[entity / 64] = 1 << (entity % 64);
     set
 }
 
-/// Whether the entity is in the set.
+/// Returns whether the entity is in the set.
 pub fn has<const W: usize>(set: &Set<W>, entity: usize) -> bool {
     set[entity / 64] >> (entity % 64) & 1 != 0
 }
 
-/// The first `count` entities.
+/// Returns the set of the first `count` entities.
 pub fn first<const W: usize>(count: usize) -> Set<W> {
     std::array::from_fn(|word| match count.saturating_sub(word * 64) {
         0 => 0,
@@ -24,7 +24,7 @@ pub fn first<const W: usize>(count: usize) -> Set<W> {
     })
 }
 
-/// The members of both.
+/// Returns the intersection.
 #[inline(always)]
 pub fn and<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
     let mut at = 0;
@@ -35,7 +35,7 @@ pub fn and<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
     left
 }
 
-/// The members of `left` that are not in `right`.
+/// Returns the members of `left` that are not in `right`.
 #[inline(always)]
 pub fn without<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
     let mut at = 0;
@@ -56,7 +56,7 @@ pub(super) fn or<const W: usize>(mut left: Set<W>, right: &Set<W>) -> Set<W> {
     left
 }
 
-/// Whether the set has no members.
+/// Returns whether the set is empty.
 #[inline(always)]
 pub fn is_empty<const W: usize>(set: &Set<W>) -> bool {
     let mut all = 0;
@@ -68,7 +68,7 @@ pub fn is_empty<const W: usize>(set: &Set<W>) -> bool {
     all == 0
 }
 
-/// The entities of a set in ascending order.
+/// Returns the entities of a set in ascending order.
 pub fn members<const W: usize>(set: &Set<W>) -> impl Iterator<Item = usize> + use<W> {
     let mut rest = *set;
     let mut word = 0;

@@ -1,7 +1,7 @@
-//! Plans follow the sizes of relations.
+//! Adaptive replanning by the sizes of relations.
 //!
-//! Before there are rows, a clause is planned by what it says alone. When a stratum is evaluated and the relations it reads have
-//! become several times larger or smaller than those it was planned for, its clauses are planned again by measured sizes.
+//! Before there are rows, the planner uses the clause alone. When a stratum is evaluated and the relations that it
+//! reads have grown or shrunk by [`FACTOR`], its clauses are replanned with measured sizes.
 
 use crate::datalog::check::RelId;
 use crate::datalog::eval::exec::{Commit, State};
@@ -9,8 +9,8 @@ use crate::datalog::plan::estimate::Size;
 use crate::datalog::plan::steps::{Aim, StratumPlan};
 use std::sync::Arc;
 
-/// The numbers of rows that a stratum's plans were made for, by position in its inputs and behind them in its members; none before
-/// there were rows.
+/// The row counts that a stratum's plans were made for: first of its inputs, then of its members. Empty for plans made
+/// before there were rows.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Basis {
     recompute: Vec<usize>,
@@ -26,22 +26,22 @@ impl Basis {
     }
 }
 
-/// Fewer rows than this are as good as this many: no order of so few costs much.
+/// Smaller relations count as having this many rows: no order of so few rows costs much.
 const ROWS_MIN: usize = 64;
 
-/// Plans are good for relations so many times as large or as small.
+/// Plans stay in use until a relation grows or shrinks by this factor.
 const FACTOR: usize = 4;
 
-/// Whether a plan for so many rows is still good for as many as there are now.
+/// Whether a plan for `planned` rows still suits `now` rows.
 fn is_good(planned: usize, now: usize) -> bool {
     let (planned, now) = (planned.max(ROWS_MIN), now.max(ROWS_MIN));
     now / FACTOR < planned && planned / FACTOR < now
 }
 
 impl<const W: usize> State<W> {
-    /// Has the clauses of a stratum planned again if its relations are no longer of the sizes they were planned for.
+    /// Replans the clauses of a stratum if the sizes of its relations have changed too much.
     pub(crate) fn adapt(&mut self, commit: &mut Commit<'_, W>, (stratum, number): (&StratumPlan, usize), aim: Aim) {
-        // When a stratum is computed from scratch, nobody knows yet how large its members will be.
+        // The sizes of the members are unknown before a computation from scratch.
         let members: &[RelId] = if aim == Aim::Maintain { &stratum.members } else { &[] };
         let relations = || stratum.inputs.iter().chain(members);
         let rows = |relation: &RelId| self.tables[relation.index()].rows.len();

@@ -1,4 +1,4 @@
-//! What a commit changed: rows that came and rows that went, by relation.
+//! The changes of a commit: the rows added and removed, by relation.
 
 use std::fmt;
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use crate::datalog::check::RelId;
 use crate::datalog::row::{Row, RowList};
 use crate::datalog::value::Value;
 
-/// Rows of one relation, sorted by their words. Cheap to clone: they may be shared with the session they come from.
+/// Rows of one relation, sorted by their words. Cheap to clone: clones share the rows, also with the session.
 #[derive(Clone)]
 pub struct Rows {
     arity: usize,
@@ -16,7 +16,7 @@ pub struct Rows {
 }
 
 impl Rows {
-    /// Of rows that have at least so many words.
+    /// Wraps rows whose first `arity` words are the columns; the rest is padding.
     pub(super) fn of<const W: usize>(arity: usize, rows: Arc<Vec<Row<W>>>) -> Self {
         Rows {
             arity,
@@ -25,22 +25,22 @@ impl Rows {
         }
     }
 
-    /// How many there are.
+    /// Returns the number of rows.
     pub fn len(&self) -> usize {
         self.len
     }
 
-    /// Whether there are none.
+    /// Returns whether there are no rows.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// The rows in order.
+    /// Returns the rows in order.
     pub fn iter(&self) -> impl Iterator<Item = &[Value]> {
         self.range(0..self.len)
     }
 
-    /// The rows at these positions; those that are not there are left out.
+    /// Returns the rows at these positions. Positions beyond the end are skipped.
     pub fn range(&self, positions: std::ops::Range<usize>) -> impl Iterator<Item = &[Value]> {
         let end = positions.end.min(self.len);
         (positions.start..end).map(|position| &self.list.row(position)[..self.arity])
@@ -67,18 +67,18 @@ impl fmt::Debug for Rows {
     }
 }
 
-/// How one relation changed.
+/// The changes of one relation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RelationChange {
     /// The relation.
     pub relation: RelId,
-    /// Rows that hold now and did not before.
+    /// The rows that the commit added.
     pub added: Rows,
-    /// Rows that held before and do not now.
+    /// The rows that the commit removed.
     pub removed: Rows,
 }
 
-/// What a commit changed, in base and derived relations.
+/// The changes of a commit in base and derived relations.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Delta {
     changes: Vec<RelationChange>,
@@ -93,18 +93,18 @@ impl Delta {
         });
     }
 
-    /// The relations that changed, in the order of their ids.
+    /// Returns the relations that changed, by id.
     pub fn changes(&self) -> &[RelationChange] {
         &self.changes
     }
 
-    /// How a relation changed, if it did.
+    /// Returns the changes of a relation, or `None` if it did not change.
     pub fn of(&self, rel: RelId) -> Option<&RelationChange> {
         let position = self.changes.binary_search_by_key(&rel, |change| change.relation).ok()?;
         Some(&self.changes[position])
     }
 
-    /// Whether nothing changed.
+    /// Returns whether nothing changed.
     pub fn is_empty(&self) -> bool {
         self.changes.is_empty()
     }

@@ -1,5 +1,5 @@
-//! The relational executor: keeps the rows of all relations, makes commits and evaluates strata. Recursive ones are for
-//! [`super::recursion`].
+//! Holds the rows of all relations, makes commits and evaluates strata. [`super::recursion`] evaluates the recursive
+//! ones.
 
 use crate::datalog::check::{ClauseId, RelId, Term};
 use crate::datalog::eval::adapt::Basis;
@@ -19,76 +19,76 @@ use crate::datalog::value::Value;
 use crate::symbol::Symbols;
 use std::sync::Arc;
 
-/// What a session keeps between commits, whatever the width of its rows.
+/// The state that a session keeps between commits, independent of the row width.
 pub(crate) trait Store: Send + Sync {
-    /// Notes that a row is to be (or not to be) there from the next commit on.
+    /// Records that the next commit inserts a row (`present`) or removes it.
     fn change(&mut self, relation: RelId, row: &[Value], present: bool);
-    /// Notes that rows are to be there, which are `arity` words each, at least one.
+    /// Records that the next commit inserts rows of `arity` words each; `arity` is at least 1.
     fn insert_all(&mut self, relation: RelId, words: &[Value], arity: usize);
-    /// Makes room for so many rows that are to be inserted.
+    /// Reserves memory for `rows` insertions.
     fn reserve(&mut self, relation: RelId, rows: usize);
-    /// How many changes of a relation are noted.
+    /// The number of pending changes of a relation.
     fn noted(&self, relation: RelId) -> usize;
-    /// Forgets all changes noted of a relation but the first ones.
+    /// Drops all but the first `len` pending changes of a relation.
     fn forget(&mut self, relation: RelId, len: usize);
-    /// Forgets the changes noted since the last commit.
+    /// Drops the changes recorded since the last commit.
     fn rollback(&mut self);
-    /// Makes the noted changes and brings what depends on them up to date. On failure everything is as before.
+    /// Makes the pending changes and updates what depends on them. A failed commit changes nothing.
     fn commit(
         &mut self,
         compiled: &Compiled,
         symbols: &Symbols,
         orders: CommitOptions<'_>,
     ) -> Result<(Delta, EvalStats), EvalError>;
-    /// Whether the row, which has the right arity, is there.
+    /// Whether the relation contains the row, which has the right arity.
     fn contains(&self, relation: RelId, row: &[Value]) -> bool;
-    /// The row at a position below `len`, padded.
+    /// The row at a position below `len`, with padding.
     fn row(&self, relation: RelId, position: usize) -> &[Value];
-    /// How many rows the relation has.
+    /// The number of rows of the relation.
     fn len(&self, relation: RelId) -> usize;
-    /// How clauses are evaluated now.
+    /// The plans in use.
     fn plans(&self) -> &Plans;
     /// The distinct rows that a clause derives.
     fn fired(&self, compiled: &Compiled, symbols: &Symbols, clause: ClauseId) -> Vec<Vec<Value>>;
 }
 
-/// How a commit is to be made.
+/// The options of a commit.
 #[derive(Clone, Copy)]
 pub(crate) struct CommitOptions<'a> {
     pub(crate) strategy: Strategy,
     pub(crate) limits: Limits,
     pub(crate) workers: &'a Workers,
-    /// Is told when a clause begins and ends.
+    /// Called when the evaluation of a clause begins and ends.
     pub(crate) watch: Option<&'a dyn Fn(EvalEvent)>,
     /// Whether to give the commit up. Asked on the calling thread.
     pub(crate) ask: CancelFn<'a>,
 }
 
-/// What a stratum may take of what is left.
+/// The resources that the limits leave for a stratum.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Quota {
-    /// Rows of its members. If these are as many as there is memory for, `narrowed`.
+    /// Maximum rows of its members. `narrowed` if memory, not the row limit, determines it.
     pub(crate) rows: usize,
     narrowed: bool,
-    /// Rows looked at.
+    /// Maximum rows scanned.
     steps: u64,
-    /// Memory for its members' rows and the indexes it needs.
+    /// Maximum bytes of its members' rows and of the indexes it needs.
     bytes: u64,
 }
 
 impl Quota {
-    /// Fails if the members of a stratum together have more rows than there is room for.
+    /// Fails if the members of the stratum together have too many rows.
     pub(crate) fn check_rows(&self, total: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<(), Failure> {
         meter.fail_if(total > self.rows, stratum, Abort::Overflow)
     }
 
-    /// Fails if the rows of the members take more memory than there is room for.
+    /// Fails if the members' rows take too much memory.
     pub(crate) fn check_bytes(&self, bytes: usize, stratum: &StratumPlan, meter: &Meter<'_>) -> Result<(), Failure> {
         meter.fail_if(bytes as u64 > self.bytes, stratum, Abort::Memory)
     }
 }
 
-/// An empty store for a program.
+/// Makes an empty store for a program.
 pub(crate) fn store(compiled: &Compiled) -> Box<dyn Store> {
     match compiled.plans.width {
         2 => Box::new(State::<2>::new(compiled)),
@@ -103,48 +103,49 @@ pub(crate) fn store(compiled: &Compiled) -> Box<dyn Store> {
 pub(crate) struct State<const W: usize> {
     /// By [`RelId`]: the rows as of the last commit.
     pub(crate) tables: Vec<Table<W>>,
-    /// By [`RelId`]: the facts in the text, for relations that no clause with a body derives. They cannot be retracted.
+    /// By [`RelId`]: the facts in the program text, for relations that no clause with a body derives. They cannot be
+    /// retracted.
     given: Vec<Vec<Row<W>>>,
-    /// By [`RelId`]: changes for the next commit.
+    /// By [`RelId`]: the changes that the next commit makes.
     noted: Vec<PendingChanges<W>>,
-    /// How clauses are evaluated, for relations of about the sizes they have.
+    /// The plans in use, made for about the current sizes of the relations.
     pub(crate) plans: Arc<Plans>,
-    /// By position of the stratum: the sizes it was planned for.
+    /// By position of the stratum: the sizes that its plans were made for.
     pub(crate) bases: Vec<Basis>,
     /// Whether a commit has succeeded.
     committed: bool,
-    /// By position of the stratum: what the last computation from scratch took.
+    /// By position of the stratum: the cost of the last computation from scratch.
     costs: Vec<Cost>,
-    /// How many rows the tables have.
+    /// The number of rows of all tables.
     rows: usize,
-    /// Each of them is in memory no more often than this.
+    /// The maximum number of copies of each row in memory.
     pub(crate) copies_max: usize,
 }
 
-/// What computing a stratum from scratch took.
+/// The cost of computing a stratum from scratch.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cost {
     rows_scanned: u64,
-    /// How many rows its inputs had.
+    /// The number of rows that its inputs had.
     inputs: u64,
 }
 
-/// A commit while it is made.
+/// A commit in progress.
 pub(crate) struct Commit<'a, const W: usize> {
     pub(crate) compiled: &'a Compiled,
-    /// How clauses are evaluated: the session's own plans.
+    /// The session's plans.
     pub(crate) plans: Arc<Plans>,
     pub(crate) symbols: &'a Symbols,
     orders: CommitOptions<'a>,
-    /// By [`RelId`]: how the relations changed so far, and what they were before.
+    /// By [`RelId`]: the change of the relation so far, and its table before the commit.
     pub(crate) changed: Vec<Option<(TableDelta<W>, Table<W>)>>,
 }
 
 impl<const W: usize> Commit<'_, W> {
-    /// All that changed. The tables as they were are dropped.
+    /// Returns all changes and drops the old tables.
     fn delta(self) -> Delta {
         let mut delta = Delta::default();
-        // Relations that the optimiser added are nobody's business.
+        // Skip relations that the optimizer added.
         let relations = self.compiled.rules.relations.iter().zip((0..).map(RelId));
         for (changed, (relation, id)) in self.changed.into_iter().zip(relations) {
             let Some((net, _)) = changed else { continue };
@@ -154,27 +155,27 @@ impl<const W: usize> Commit<'_, W> {
         delta
     }
 
-    /// How a relation changed, if it did.
+    /// The change of a relation, or `None`.
     pub(crate) fn net(&self, relation: RelId) -> Option<&TableDelta<W>> {
         self.changed[relation.index()].as_ref().map(|(net, _)| net)
     }
 }
 
-/// The clause whose evaluation was given up, and why.
+/// The clause whose evaluation was abandoned, and the reason.
 pub(crate) type Failure = (ClauseId, Abort);
 
-/// Runs plans and keeps account of it.
+/// Runs plans and counts their work.
 pub(crate) struct Meter<'a> {
     effort: JoinState,
     rules: Vec<RuleStats>,
-    /// `None`: everything is done on the calling thread.
+    /// `None` to use the calling thread alone.
     workers: Option<&'a Workers>,
     watch: Option<&'a dyn Fn(EvalEvent)>,
     ask: CancelFn<'a>,
 }
 
 impl<'a> Meter<'a> {
-    /// Nothing done yet; no more than `budget` rows may be looked at.
+    /// A meter that allows `budget` rows to be scanned.
     fn new(budget: u64, orders: CommitOptions<'a>, workers: Option<&'a Workers>) -> Self {
         let mut effort = JoinState::new(budget);
         effort.text_bytes = orders.limits.bytes;
@@ -187,7 +188,7 @@ impl<'a> Meter<'a> {
         }
     }
 
-    /// The distinct rows of an output, in order; see [`Output::take`].
+    /// Takes the distinct rows of an output, in order; see [`Output::take`].
     pub(crate) fn take<const W: usize>(&self, out: &mut Output<W>) -> Vec<Row<W>> {
         match self.workers {
             Some(workers) => out.take_by(|rows| workers.normalise(rows)),
@@ -195,7 +196,7 @@ impl<'a> Meter<'a> {
         }
     }
 
-    /// Evaluates a plan of a clause that begins with so many given rows.
+    /// Evaluates a plan of a clause. `given` is the number of changed rows that it begins with.
     pub(crate) fn run<const W: usize>(
         &mut self,
         clause: ClauseId,
@@ -205,13 +206,13 @@ impl<'a> Meter<'a> {
         out: &mut Output<W>,
     ) -> Result<(), Failure> {
         let before = (self.effort.rows_scanned, out.pushed);
-        let tell = |moment| self.watch.iter().for_each(|watch| watch(moment));
-        tell(EvalEvent::Begin(clause));
+        let notify = |event| self.watch.iter().for_each(|watch| watch(event));
+        notify(EvalEvent::Begin(clause));
         let result = match self.workers {
             Some(workers) => workers.run(plan, views, (symbols, self.ask), &mut self.effort, out),
             None => join::run(plan, views, (symbols, self.ask), &mut self.effort, out),
         };
-        tell(EvalEvent::End(clause));
+        notify(EvalEvent::End(clause));
         let position = self.rules.binary_search_by_key(&clause, |rule| rule.clause);
         let position = position.unwrap_or_else(|position| {
             let rule = RuleStats {
@@ -230,7 +231,8 @@ impl<'a> Meter<'a> {
         result.map_err(|stop| (clause, stop))
     }
 
-    /// Gives a stratum up if `failed`, at the clause that has derived most, repetitions included.
+    /// Returns an error if `failed`. It names the clause of the stratum that has derived the most rows, repetitions
+    /// included.
     fn fail_if(&self, failed: bool, stratum: &StratumPlan, stop: Abort) -> Result<(), Failure> {
         let derived = |clause: &ClauseId| {
             let position = self.rules.binary_search_by_key(clause, |rule| rule.clause);
@@ -241,7 +243,7 @@ impl<'a> Meter<'a> {
         largest.map_or(Ok(()), |clause| Err((clause, stop)))
     }
 
-    /// What was done, in so many rounds.
+    /// Returns the work done in `rounds` rounds.
     pub(crate) fn finish(self, rounds: usize) -> WorkCounts {
         WorkCounts {
             rounds,
@@ -267,7 +269,7 @@ impl<const W: usize> State<W> {
             rows: 0,
             copies_max: indexes().max().unwrap_or(0) + 1,
             costs: vec![Cost::default(); compiled.plans.strata.len()],
-            // They are inserted like any other fact, once.
+            // The first commit inserts the facts of the text like any others.
             noted: given.iter().cloned().map(PendingChanges::of).collect(),
             plans: Arc::clone(&compiled.plans),
             bases: vec![Basis::default(); compiled.plans.strata.len()],
@@ -293,8 +295,7 @@ impl<const W: usize> State<W> {
 
         let mut log = EvalStats::default();
         let mut costs = self.costs.clone();
-        // Rows derived by the strata so far, and rows looked at for them. A limit that is passed by a sum of these is passed
-        // whatever was there before.
+        // Rows derived and scanned by the strata so far. These sums alone decide whether a limit is exceeded.
         let (mut derived, mut steps) = (0, 0);
         for ((stratum, cost), number) in plans.strata.iter().zip(&mut costs).zip(0..) {
             let changes = stratum.inputs.iter().any(|&input| commit.net(input).is_some());
@@ -327,11 +328,11 @@ impl<const W: usize> State<W> {
         Ok((log, costs))
     }
 
-    /// What the limits leave for a stratum after so many rows were derived and looked at.
+    /// The resources left for a stratum after earlier strata derived and scanned this many rows.
     fn room(&self, commit: &Commit<'_, W>, stratum: &StratumPlan, (derived, steps): (usize, u64)) -> Quota {
         let limits = commit.orders.limits;
         let most = (self.rows * self.copies_max * size_of::<Row<W>>()) as u64;
-        // Adding up takes longer than many a commit.
+        // Use an upper bound where it suffices: adding up the tables takes longer than many commits.
         let held = if most <= limits.bytes / 16 {
             most
         } else {
@@ -350,7 +351,7 @@ impl<const W: usize> State<W> {
         }
     }
 
-    /// What the indexes take that a computation of the stratum from scratch has to make.
+    /// The bytes of the indexes that a computation of the stratum from scratch must build.
     fn missing_indexes(&self, plans: &Plans, stratum: &StratumPlan) -> u64 {
         let clauses = stratum.clauses.iter().map(|clause| &plans.clauses[clause.index()]);
         let all = clauses.flat_map(|clause| {
@@ -376,7 +377,7 @@ impl<const W: usize> State<W> {
         bytes.sum()
     }
 
-    /// Brings the relations of a stratum up to date in the way that looks cheaper.
+    /// Updates the relations of a stratum by the strategy with the lower estimated cost.
     fn update(
         &mut self,
         commit: &mut Commit<'_, W>,
@@ -385,14 +386,14 @@ impl<const W: usize> State<W> {
         room: Quota,
     ) -> Result<StratumStats, Failure> {
         let CommitOptions { strategy, workers, .. } = commit.orders;
-        // Symbols are numbered in the order in which they are made, so that is left to one thread.
+        // One thread must make all new symbols, since they are numbered in the order of creation.
         let several = workers.are_several() && !makes_texts(&commit.plans, stratum);
         let workers = several.then_some(workers);
         let inputs: usize = stratum.inputs.iter().map(|&input| self.len(input)).sum();
         let inputs = inputs as u64;
         let mut given_up = 0;
         if self.committed && stratum.maintainable && strategy != Strategy::Recompute {
-            // Had the inputs as many rows as now, it would have taken about this.
+            // The cost of the last computation from scratch, scaled to the current number of input rows.
             let recomputing = u128::from(cost.rows_scanned) * u128::from(inputs + 1) / u128::from(cost.inputs + 1);
             let recomputing = u64::try_from(recomputing).unwrap_or(u64::MAX);
             let maintaining = || Self::maintenance_cost(commit, stratum);
@@ -415,7 +416,8 @@ impl<const W: usize> State<W> {
                         return Ok(StratumStats::Maintained(meter.finish(rounds)));
                     }
                     Err(failure @ (_, Abort::Interrupted)) => return Err(failure),
-                    // Where it was stopped may depend on the number of threads. That it passed the budget does not.
+                    // The number of threads may decide where the evaluation stops, but not whether it exceeds the
+                    // budget.
                     Err(_) => given_up = budget,
                 }
             }
@@ -438,7 +440,7 @@ impl<const W: usize> State<W> {
             result.map(|(results, rounds)| (results, rounds, meter))
         };
         let (results, rounds, meter) = match attempt(workers) {
-            // Which limit is passed first, and where, may depend on the number of threads.
+            // The number of threads may decide which limit the evaluation exceeds first, and where.
             Err((_, stop)) if several && stop != Abort::Interrupted => attempt(None)?,
             result => result?,
         };
@@ -460,11 +462,11 @@ impl<const W: usize> State<W> {
         Ok(StratumStats::Recomputed(work))
     }
 
-    /// About how many rows maintaining the stratum looks at.
+    /// Estimates the number of rows that maintaining the stratum scans.
     fn maintenance_cost(commit: &Commit<'_, W>, stratum: &StratumPlan) -> u64 {
-        /// A changed row is looked for in some other relations, and a head that may have lost a derivation in all clauses.
+        /// The cost of a changed row: lookups in other relations, and checks of heads that may have lost a derivation.
         const ROW: u64 = 4;
-        /// Beginning with a clause costs something even for one row.
+        /// The fixed cost of evaluating a clause.
         const CLAUSE: u64 = 8;
         let clauses = stratum.clauses.iter();
         let changes = clauses.flat_map(|clause| &commit.plans.clauses[clause.index()].changes);
@@ -472,14 +474,14 @@ impl<const W: usize> State<W> {
         nets.map(|net| CLAUSE + ROW * net.len() as u64).sum()
     }
 
-    /// Puts a relation's new table in place.
+    /// Replaces a relation's table.
     fn put(&mut self, commit: &mut Commit<'_, W>, relation: RelId, net: TableDelta<W>, table: Table<W>) {
         let old = std::mem::replace(&mut self.tables[relation.index()], table);
         self.rows = self.rows + self.len(relation) - old.rows.len();
         commit.changed[relation.index()] = Some((net, old));
     }
 
-    /// The rows of the stratum's derived relations from scratch, and the number of rounds that took.
+    /// Computes the stratum's derived relations from scratch. Returns their rows and the number of rounds.
     fn evaluate(
         &self,
         commit: &Commit<'_, W>,
@@ -495,7 +497,7 @@ impl<const W: usize> State<W> {
             let Some(member) = plans.member[plan.complete.head.index()] else {
                 continue;
             };
-            // A clause over the stratum itself derives nothing before there is something.
+            // A recursive clause derives nothing until the others have derived rows.
             if plan.deltas.is_empty() {
                 views.clear();
                 views.extend(self.complete_views(plans, &plan.complete));
@@ -530,14 +532,14 @@ impl<const W: usize> State<W> {
     }
 }
 
-/// Whether a clause of the stratum makes texts.
+/// Whether a clause of the stratum creates new texts.
 fn makes_texts(plans: &Plans, stratum: &StratumPlan) -> bool {
     let clauses = stratum.clauses.iter();
     let mut steps = clauses.flat_map(|clause| &plans.clauses[clause.index()].complete.steps);
     steps.any(|step| matches!(step, Step::Compute { functor, .. } if functor.makes_text()))
 }
 
-/// A relation's indexes.
+/// The index specifications of a relation.
 pub(crate) fn specs(plans: &Plans, relation: RelId) -> Vec<&IndexSpec> {
     plans.indexes.of(relation).collect()
 }
@@ -583,7 +585,7 @@ impl<const W: usize> Store for State<W> {
     ) -> Result<(Delta, EvalStats), EvalError> {
         let mut commit = Commit {
             compiled,
-            // The commit alone holds them while it is made, so that it can change them in place.
+            // The commit is the only owner while it runs, so that it can change the plans in place.
             plans: std::mem::replace(&mut self.plans, Arc::clone(&compiled.plans)),
             symbols,
             orders,
@@ -606,7 +608,7 @@ impl<const W: usize> Store for State<W> {
                     let base = commit.plans.member[position].is_none();
                     let noted = &mut self.noted[position];
                     let new = std::mem::replace(&mut self.tables[position], old);
-                    // What was noted and is not there has become the table's.
+                    // The table took these insertions.
                     if base && noted.is_empty() {
                         noted.put_back(new.rows);
                     }
@@ -638,7 +640,7 @@ impl<const W: usize> Store for State<W> {
         let mut out = Output::new(usize::MAX);
         if self.committed {
             let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, plan).collect();
-            // What a clause derives is in its head's relation, which is within the limit: it cannot overflow.
+            // This cannot overflow: what a clause derives is in its head's relation, which is within the limit.
             let _ = join::run(plan, &views, (symbols, None), &mut JoinState::new(u64::MAX), &mut out);
         }
         let arity = compiled.rules.relations[plan.head.index()].arity();
@@ -646,7 +648,7 @@ impl<const W: usize> Store for State<W> {
     }
 }
 
-/// The row of a fact.
+/// Returns the row of a fact.
 fn constants<const W: usize>(terms: &[Term]) -> Row<W> {
     let mut row = Row::ZERO;
     for (word, term) in row.0.iter_mut().zip(terms) {

@@ -1,4 +1,4 @@
-//! Runs the steps of a plan: one pipelined nested-loop join over sorted rows, without intermediate relations.
+//! Runs a plan: a pipelined nested-loop join over sorted rows, without intermediate relations.
 
 use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
 use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
@@ -9,7 +9,7 @@ use crate::datalog::value::{Patterns, Value};
 use crate::symbol::{Symbol, Symbols};
 use std::cmp::Ordering;
 
-/// The rows a step looks at: sorted batches, mostly one; for a step that meets lists, one for each list.
+/// The rows that a step reads, as sorted batches. A leapfrog join has one batch for each list.
 #[derive(Clone, Debug)]
 pub(crate) struct RowView<'a, const W: usize> {
     pub(crate) first: Batch<'a, W>,
@@ -17,13 +17,13 @@ pub(crate) struct RowView<'a, const W: usize> {
 }
 
 impl<'a, const W: usize> RowView<'a, W> {
-    /// For a step that looks at no rows.
+    /// The view of a step that reads no rows.
     pub(crate) const NONE: Self = RowView {
         first: Batch { rows: &[], starts: &[] },
         rest: Vec::new(),
     };
 
-    /// One batch.
+    /// A view of one batch.
     pub(crate) fn of(first: Batch<'a, W>) -> Self {
         RowView {
             first,
@@ -31,7 +31,7 @@ impl<'a, const W: usize> RowView<'a, W> {
         }
     }
 
-    /// The batch for the source of a step, or those of the lists that it meets.
+    /// The view of a step; `batch` returns the rows of a source.
     #[inline]
     pub(crate) fn for_step(step: &Step, batch: impl Fn(Source) -> Batch<'a, W>) -> Self {
         match (step.source(), step) {
@@ -57,42 +57,43 @@ impl<'a, const W: usize> RowView<'a, W> {
     }
 }
 
-/// Derived rows on their way to a relation, with some or no repetitions. The memory they take is bounded: where words are dense,
-/// rows are marked in a [`SeenBitmap`] and repetitions never get in; where they are not, rows are put in order when there are many and
-/// repetitions are dropped.
+/// A buffer for derived rows. It may hold repetitions.
+///
+/// Its memory is bounded. Where words are dense, a [`SeenBitmap`] marks rows and filters repetitions. Elsewhere, the
+/// buffer sorts its rows when there are many and drops repetitions.
 #[derive(Debug)]
 pub(crate) struct Output<const W: usize> {
     rows: Vec<Row<W>>,
-    /// Rows ever pushed.
+    /// The number of rows ever pushed.
     pub(crate) pushed: u64,
-    /// Holds what is in `rows`, if there is one.
+    /// If present, contains everything in `rows`.
     seen: Option<SeenBitmap<W>>,
-    /// Whether `seen`, if there is one, holds all rows that were ever pushed.
+    /// Whether `seen`, if present, holds all rows ever pushed.
     whole: bool,
-    /// Whether rows were taken.
+    /// Whether rows have been taken.
     took: bool,
-    /// By column: the largest word of rows that were taken.
+    /// By column: the largest word of the rows taken.
     largest: [u32; W],
-    /// Whether `seen` lacks only rows that were taken, which it may be told.
+    /// Whether `seen` lacks only rows that were taken. [`Output::learn`] can add these.
     may_learn: bool,
-    /// Whether nobody else knows the rows that were taken; see [`Output::remember`].
+    /// Whether `seen` is the only record of the rows taken; see [`Output::remember`].
     remembers: bool,
-    /// If so, and `seen` was given up: the rows that had been taken before.
+    /// If so, and `seen` was dropped: the rows taken before.
     taken: Vec<Row<W>>,
-    /// New rows that `seen` keeps in place of `rows`.
+    /// The number of new rows that `seen` holds in place of `rows`.
     kept: usize,
-    /// With so many rows something is to be done about them.
+    /// The number of rows at which `act` reorganizes the buffer.
     act_at: usize,
     compact_at: usize,
     limit: usize,
 }
 
-/// Why an evaluation was given up.
+/// The reason why an evaluation was abandoned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Abort {
-    /// More distinct rows were derived than the limit allows.
+    /// The clauses derived more distinct rows than allowed.
     Overflow,
-    /// More rows were looked at than allowed.
+    /// The plans scanned more rows than allowed.
     Budget,
     /// Rows, indexes or texts take more memory than allowed.
     Memory,
@@ -103,17 +104,17 @@ pub(crate) enum Abort {
 /// Is asked now and then whether to give an evaluation up.
 pub(crate) type CancelFn<'a> = Option<&'a dyn Fn() -> bool>;
 
-/// What evaluations need besides their inputs, and how much they did.
+/// The scratch memory, counters and limits of evaluations.
 #[derive(Debug)]
 pub(crate) struct JoinState {
     slots: Vec<Value>,
-    /// Rows that scans and tests looked at.
+    /// Rows that scans and tests have visited.
     pub(crate) rows_scanned: u64,
-    /// More than this is too much.
+    /// The maximum of `rows_scanned`.
     pub(crate) budget: u64,
     /// With more rows than this it is time to see whether to go on.
     pause: u64,
-    /// More bytes of texts than this are too much.
+    /// The maximum size of all texts, in bytes.
     pub(crate) text_bytes: u64,
 }
 
@@ -121,7 +122,7 @@ impl JoinState {
     /// So many rows are looked at between two questions whether to go on: a fraction of a millisecond.
     const PAUSE: u64 = 1 << 14;
 
-    /// None yet.
+    /// A state that has scanned nothing.
     pub(crate) fn new(budget: u64) -> Self {
         JoinState {
             slots: Vec::new(),
@@ -134,16 +135,16 @@ impl JoinState {
 }
 
 impl<const W: usize> Output<W> {
-    /// Words of derived rows that are kept before repetitions are looked for: 128 MiB.
+    /// The number of buffered words (128 MiB) at which the buffer removes repetitions.
     const COMPACT_WORDS: usize = 1 << 25;
 
-    /// Rows before it is first asked whether their words are dense.
+    /// The minimum number of rows before the buffer considers a bitmap.
     const SEEN_MIN: usize = 256;
 
-    /// More than a gigabyte is never spent on bits, as much as so many rows take.
+    /// Limits a bitmap to 1 GiB, the memory of this number of rows.
     const SEEN_ROWS_MAX: u64 = (1 << 30) / size_of::<Row<W>>() as u64;
 
-    /// No rows yet; at most `limit` distinct ones are accepted.
+    /// An empty buffer that accepts at most `limit` distinct rows.
     pub(crate) fn new(limit: usize) -> Self {
         let compact_at = (Self::COMPACT_WORDS / W).min(limit.saturating_add(1));
         Output {
@@ -163,7 +164,7 @@ impl<const W: usize> Output<W> {
         }
     }
 
-    /// These distinct rows, as if they had been derived.
+    /// A buffer that holds these distinct rows.
     pub(crate) fn of(rows: Vec<Row<W>>, limit: usize) -> Self {
         Output {
             rows,
@@ -171,7 +172,7 @@ impl<const W: usize> Output<W> {
         }
     }
 
-    /// An empty output for some of the rows that are to go into this one, at most `limit` of them. It leaves out what is known here.
+    /// Makes an empty buffer for a part of the rows, at most `limit`. It filters rows that this one knows.
     pub(crate) fn fork(&self, limit: usize) -> Self {
         Output {
             seen: self.seen.as_ref().map(SeenBitmap::fork),
@@ -179,17 +180,17 @@ impl<const W: usize> Output<W> {
         }
     }
 
-    /// How many distinct rows are accepted.
+    /// The maximum number of distinct rows.
     pub(crate) fn limit(&self) -> usize {
         self.limit
     }
 
-    /// What the bits of known rows take.
+    /// The bytes of the bitmap of known rows.
     pub(crate) fn seen_bytes(&self) -> usize {
         self.seen.as_ref().map_or(0, SeenBitmap::bytes)
     }
 
-    /// Takes in what was derived into a fork.
+    /// Adds the rows of a fork.
     pub(crate) fn absorb(&mut self, mut fork: Self) -> Result<(), Abort> {
         let pushed = self.pushed + fork.pushed;
         self.pushed = pushed;
@@ -224,12 +225,12 @@ impl<const W: usize> Output<W> {
         Ok(())
     }
 
-    /// Puts the rows in order, if they are in a list.
+    /// Sorts the rows if they are in a list.
     pub(crate) fn settle(&mut self) {
         normalise(&mut self.rows);
     }
 
-    /// Whether nothing is in it.
+    /// Whether the buffer is empty.
     pub(crate) fn is_empty(&self) -> bool {
         self.rows.is_empty() && self.kept == 0
     }
@@ -260,7 +261,7 @@ impl<const W: usize> Output<W> {
         }
     }
 
-    /// Pushes rows that are like `row` but for one word, which they have from a column of the rows found.
+    /// Pushes copies of `row` in which one word is replaced by a column of the rows found.
     #[inline]
     fn push_along(&mut self, mut row: Row<W>, word: usize, found: &[Row<W>], column: usize) -> Result<(), Abort> {
         let mut rest = found;
@@ -280,7 +281,7 @@ impl<const W: usize> Output<W> {
         Ok(())
     }
 
-    /// Goes back to a plain list.
+    /// Replaces the bitmap by a plain list.
     #[cold]
     fn unmark(&mut self) {
         if let Some(mut seen) = self.seen.take() {
@@ -294,11 +295,11 @@ impl<const W: usize> Output<W> {
             self.taken = difference(&all, &self.rows);
         }
         self.remembers = false;
-        // Not before there are more rows is it asked again whether words are dense.
+        // Reconsider a bitmap only after more rows.
         self.act_at = (self.rows.len() + Self::SEEN_MIN).min(self.compact_at);
     }
 
-    /// Finds the better way to hold the rows there are.
+    /// Chooses the better representation of the rows.
     #[cold]
     fn act(&mut self) -> Result<(), Abort> {
         if self.seen.is_none() {
@@ -330,13 +331,13 @@ impl<const W: usize> Output<W> {
         Ok(())
     }
 
-    /// The distinct rows, in order. The output is empty afterwards, but rows that were in it may be left out when they are
+    /// Takes the distinct rows, in order. Afterwards the buffer is empty, but it may filter these rows when they are
     /// derived again.
     pub(crate) fn take(&mut self) -> Vec<Row<W>> {
         self.take_by(normalise)
     }
 
-    /// The same with another way to sort rows and remove repetitions.
+    /// Like `take`, with another function to sort rows and remove repetitions.
     pub(crate) fn take_by(&mut self, normalise: impl FnOnce(&mut Vec<Row<W>>)) -> Vec<Row<W>> {
         self.took |= !self.is_empty();
         self.act_at = self.compact_at.min(Self::SEEN_MIN);
@@ -351,8 +352,8 @@ impl<const W: usize> Output<W> {
         rows
     }
 
-    /// Tells it the rows that were pushed and taken before it had bits, so that it [is whole](Output::is_whole). Where that does
-    /// not succeed, it does not until there are other bits.
+    /// Adds the rows taken before there was a bitmap, so that the buffer [is whole](Output::is_whole). If a row does
+    /// not fit, the buffer is not whole until it has another bitmap.
     pub(crate) fn learn<'a>(&mut self, taken: impl Iterator<Item = &'a [Row<W>]>) {
         if let Some(seen) = self.seen.as_mut().filter(|_| self.may_learn) {
             self.may_learn = false;
@@ -361,29 +362,29 @@ impl<const W: usize> Output<W> {
         }
     }
 
-    /// The rows that were taken from it are from now on remembered nowhere else. Only while it [is whole](Output::is_whole). When it
-    /// is not any more, [`Output::forgotten`] has them.
+    /// Makes the bitmap the only record of the rows taken. The buffer must [be whole](Output::is_whole). If it drops
+    /// the bitmap later, [`Output::forgotten`] returns these rows.
     pub(crate) fn remember(&mut self) {
         self.remembers = true;
     }
 
-    /// The rows that it remembered and does not any more, in order. Once.
+    /// Takes the rows that the buffer remembered before it dropped the bitmap, in order.
     pub(crate) fn forgotten(&mut self) -> Vec<Row<W>> {
         std::mem::take(&mut self.taken)
     }
 
-    /// Whether it still knows all rows that were ever pushed.
+    /// Whether the bitmap holds all rows ever pushed.
     pub(crate) fn is_whole(&self) -> bool {
         self.whole && self.seen.is_some()
     }
 
-    /// The rows that it knows were pushed, in order: all of them if it [is whole](Output::is_whole).
+    /// The rows in the bitmap, in order: all rows ever pushed if the buffer [is whole](Output::is_whole).
     pub(crate) fn all(&self) -> Vec<Row<W>> {
         self.seen.as_ref().map(SeenBitmap::all).unwrap_or_default()
     }
 }
 
-/// Evaluates a plan. `views` has an element for each of its steps.
+/// Evaluates a plan. `views` has one element per step.
 pub(crate) fn run<const W: usize>(
     plan: &Plan,
     views: &[RowView<'_, W>],
@@ -410,14 +411,14 @@ pub(crate) fn run<const W: usize>(
     let result = join.from(0, plan.steps.len());
     (effort.rows_scanned, effort.pause) = (join.rows_scanned, join.pause);
     result?;
-    // The last scan may have been the one that was too much.
+    // The last scan may have exceeded the budget.
     if effort.rows_scanned > effort.budget {
         return Err(Abort::Budget);
     }
     Ok(())
 }
 
-/// Columns of an index and the slots that go with them.
+/// Columns of an index with their slots.
 type Columns<'a> = &'a [(u16, Slot)];
 
 struct Join<'a, const W: usize> {
@@ -430,15 +431,16 @@ struct Join<'a, const W: usize> {
     pause: u64,
     ask: CancelFn<'a>,
     text_bytes: u64,
-    /// Made when first needed.
+    /// Created on first use.
     patterns: Option<Patterns>,
-    /// What is left of the lists that the steps are meeting which are being done, and the column of the words.
+    /// The rest of each list of the active leapfrog joins, and the column of its words.
     cursors: Vec<(&'a [Row<W>], usize)>,
     out: &'a mut Output<W>,
 }
 
 impl<const W: usize> Join<'_, W> {
-    /// Does the steps from `depth` to `end` and says whether they succeeded at least once. A success of all steps derives a row.
+    /// Runs the steps from `depth` to `end` and returns whether they succeeded at least once. A success of all steps
+    /// derives a row.
     fn from(&mut self, depth: usize, end: usize) -> Result<bool, Abort> {
         let plan = self.plan;
         let mut depth = depth;
@@ -449,7 +451,7 @@ impl<const W: usize> Join<'_, W> {
             let passed = match &plan.steps[depth] {
                 step @ (Step::Scan { .. } | Step::LeapfrogJoin { .. }) => match plan.enough[depth] as usize {
                     0 => return self.branch(step, depth, (end, false)),
-                    // Within a part of which one success is enough there are only such parts, so this one ends in front of `end`.
+                    // An existential group contains only existential groups, so this one ends at or before `end`.
                     part => {
                         let passed = self.branch(step, depth, (part, true))?;
                         if part == plan.steps.len() {
@@ -505,7 +507,7 @@ impl<const W: usize> Join<'_, W> {
                     let rows = views[depth]
                         .batches()
                         .flat_map(|batch| batch.range(&words[..key.len()]));
-                    // Of rows without columns there are only as many as can be counted.
+                    // For a relation without columns only the number of rows matters.
                     let values = rows.map(|row| row.0[*column as usize]);
                     let value = op.of(*base, values, self.symbols);
                     self.fill(*to, *test, value)
@@ -542,7 +544,8 @@ impl<const W: usize> Join<'_, W> {
         }
     }
 
-    /// Does a step that may go on several times, and those behind it to `end`; only until they succeed if `once` is set.
+    /// Runs a step that may continue more than once, and the steps behind it up to `end`. With `once`, stops at the
+    /// first success.
     fn branch(&mut self, step: &Step, depth: usize, (end, once): (usize, bool)) -> Result<bool, Abort> {
         if self.rows_scanned > self.pause {
             self.pause()?;
@@ -611,8 +614,8 @@ impl<const W: usize> Join<'_, W> {
         Ok(any)
     }
 
-    /// Leapfrog: each list in turn is asked for the first word that is not less than the largest found so far; where all lists
-    /// have found the same one, it is in all. The caller drops the cursors.
+    /// The leapfrog join. Each list in turn seeks the first word not less than the largest one found so far. When all
+    /// lists have found the same word, it is in the intersection. The caller drops the cursors.
     fn meet(&mut self, (depth, end, once): (usize, usize, bool), lists: &[List], to: Slot) -> Result<bool, Abort> {
         let views = self.views;
         let base = self.cursors.len();
@@ -648,10 +651,10 @@ impl<const W: usize> Join<'_, W> {
         }
     }
 
-    /// The last scan of a plan: every row found is a row derived.
+    /// Runs the last scan of a plan: every row found derives a row.
     fn spread(&mut self, depth: usize, key: &[Value], bind: &[(u16, Slot)]) -> Result<bool, Abort> {
         let mut row = Row(self.key(&self.plan.output));
-        // (word of the row derived, column of the index)
+        // (word of the derived row, column of the index)
         let mut moves = [(0, 0); W];
         let mut count = 0;
         for (word, slot) in self.plan.output.iter().enumerate() {
@@ -680,7 +683,7 @@ impl<const W: usize> Join<'_, W> {
         Ok(any)
     }
 
-    /// Puts a value into a slot, or compares it with what is there.
+    /// Stores a value in a slot, or compares it with the slot.
     fn fill(&mut self, to: Slot, test: bool, value: Option<Value>) -> bool {
         let slot = &mut self.slots[to as usize];
         match value {
@@ -693,7 +696,7 @@ impl<const W: usize> Join<'_, W> {
         }
     }
 
-    /// As [`Join::compute`], for a functor that makes texts: there must be room for them.
+    /// Like [`Join::compute`], for a functor that creates texts. Fails if the texts take too much memory.
     #[cold]
     fn make(&self, functor: Functor, base: BaseType, arguments: &[Slot]) -> Result<Option<Value>, Abort> {
         if functor == Functor::Cat {
@@ -749,7 +752,7 @@ impl<const W: usize> Join<'_, W> {
     }
 }
 
-/// Whether a comparison holds. Numbers compare by value; symbols are equal by word and ordered by text.
+/// Whether a comparison holds. Numbers compare by value; symbols are equal by id and ordered by text.
 fn compare(symbols: &Symbols, op: Comparison, left: Value, right: Value, base: BaseType) -> bool {
     let text = |value: Value| symbols.text(Symbol(value.0)).unwrap_or_default();
     let order = || match base {
@@ -786,7 +789,7 @@ mod tests {
             (state >> 4) % below
         };
         let mut known = 0;
-        // Dense words, then larger ones, then some for which there are no bits.
+        // Dense words, then larger ones, then some that do not fit a bitmap.
         for phases in [
             &[40, 40, 300, 300, 2_000][..],
             &[3_000, 20, 100_000_000, 20, 20],
@@ -823,7 +826,7 @@ mod tests {
                 }
             }
         }
-        // Words that are dense from the beginning and stay so.
+        // Phases with words that stay dense.
         assert_eq!(known, 4);
     }
 

@@ -1,4 +1,4 @@
-//! What an evaluation may take, and what is said when that is not enough.
+//! The resource limits of an evaluation and the errors when it exceeds one.
 
 use crate::datalog::check::{Clause, ClauseId, Literal, Rules, Term};
 use crate::datalog::syntax::ast::Comparison;
@@ -6,16 +6,16 @@ use crate::diag::{Code, Diagnostic, Span};
 use std::collections::BTreeSet;
 use std::fmt;
 
-/// What a commit may take. Whether it is too much depends on the program and the facts alone: not on time, and not on the
-/// number of threads.
+/// Resource limits of a commit. Whether a commit exceeds them depends on the program and the facts alone, not on time
+/// or the number of threads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Rows of all derived relations together: by default a hundred millions.
+    /// Maximum number of rows of all derived relations together. Default: 10^8.
     pub rows: usize,
-    /// Rows that scans and tests look at: by default a hundred thousand millions, which takes some minutes.
+    /// Maximum number of rows that scans and tests visit. Default: 10^11, which takes some minutes.
     pub steps: u64,
-    /// Bytes of the rows, indexes and texts that a session holds: by default 4 GiB. While a commit is made there is a copy of
-    /// what changes, and some room for rows on their way, so that the process may need about three times as much.
+    /// Maximum size of the session's rows, indexes and texts, in bytes. Default: 4 GiB. A commit also needs a copy of
+    /// what changes and buffers for derived rows, so the process may need about three times as much.
     pub bytes: u64,
 }
 
@@ -36,10 +36,10 @@ pub enum EvalError {
     TooManyRows {
         /// The limit.
         limit: usize,
-        /// A clause of the stratum where it was passed.
+        /// A clause of the stratum that exceeded it.
         clause: ClauseId,
     },
-    /// More rows were looked at than allowed.
+    /// Scans and tests visited more rows than allowed.
     TooManySteps {
         /// The limit.
         limit: u64,
@@ -50,7 +50,7 @@ pub enum EvalError {
     TooMuchMemory {
         /// The limit, in bytes.
         limit: u64,
-        /// A clause of the stratum where it was passed.
+        /// A clause of the stratum that exceeded it.
         clause: ClauseId,
     },
     /// The caller put an end to it; see [`Session::commit_until`](crate::datalog::session::Session::commit_until).
@@ -61,7 +61,7 @@ pub enum EvalError {
 }
 
 impl EvalError {
-    /// The clause that was evaluated, or one of those evaluated together.
+    /// Returns the clause that was being evaluated, or one of several evaluated together.
     pub fn clause(&self) -> ClauseId {
         match *self {
             EvalError::TooManyRows { clause, .. }
@@ -71,7 +71,8 @@ impl EvalError {
         }
     }
 
-    /// The error at the clause, and the atoms of its body that make it large. `rules` are those of the session.
+    /// Returns a diagnostic at the clause that also points at an atom that makes its join a product. `rules` are those
+    /// of the session.
     pub fn diagnostic(&self, rules: &Rules) -> Diagnostic {
         let fault = Diagnostic::from(self.clone());
         let Some(clause) = rules.clauses.get(self.clause().index()) else {
@@ -81,7 +82,7 @@ impl EvalError {
         match unjoined(clause) {
             Some(span) => fault
                 .also(span, "shares no variable with the atoms before it")
-                .note("that makes the join large: each of its rows is combined with all rows of the others")
+                .note("the join is a Cartesian product: it combines each of its rows with all rows of the other atoms")
                 .help("add an atom that relates it to the others"),
             None => fault,
         }
@@ -92,9 +93,9 @@ impl fmt::Display for EvalError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             EvalError::TooManyRows { limit, .. } => write!(f, "the rules derive more than {limit} rows"),
-            EvalError::TooManySteps { limit, .. } => write!(f, "the rules look at more than {limit} rows"),
+            EvalError::TooManySteps { limit, .. } => write!(f, "the rules scan more than {limit} rows"),
             EvalError::TooMuchMemory { limit, .. } => {
-                // The largest unit of which it is a whole number.
+                // The largest unit that divides the limit.
                 let units = [(20, "MiB"), (10, "KiB"), (0, "bytes")].into_iter();
                 let mut fitting = units.filter(|(scale, _)| limit >> scale << scale == *limit);
                 let (scale, unit) = fitting.next().expect("it is a whole number of bytes");
@@ -107,7 +108,7 @@ impl fmt::Display for EvalError {
 
 impl std::error::Error for EvalError {}
 
-/// Without the place, for when the texts of the rules are not at hand.
+/// A diagnostic without a place, for callers that do not have the source texts.
 impl From<EvalError> for Diagnostic {
     fn from(error: EvalError) -> Self {
         let code = match error {
@@ -120,7 +121,8 @@ impl From<EvalError> for Diagnostic {
     }
 }
 
-/// The first atom that no chain of atoms and equations joins to the first one: a clause with it is a product.
+/// Returns the first atom that no chain of shared variables or equalities connects to the first atom. With such an atom
+/// the join is a Cartesian product.
 fn unjoined(clause: &Clause) -> Option<Span> {
     let variables = |literal: &Literal| -> Vec<usize> {
         let variable = |term: &Term| match term {
@@ -129,14 +131,14 @@ fn unjoined(clause: &Clause) -> Option<Span> {
         };
         literal.terms().filter_map(variable).collect()
     };
-    // By variable: one that stands for all it is joined to.
+    // By variable: the representative of the variables that it is connected to.
     let mut joined: Vec<usize> = (0..clause.variables.len()).collect();
     let positive = |literal: &&Literal| matches!(literal, Literal::Positive(_) | Literal::Guard(_));
     let found: BTreeSet<usize> = clause.body.iter().filter(positive).flat_map(&variables).collect();
     let joins = |literal: &&Literal| match literal {
         Literal::Positive(_) | Literal::Guard(_) => true,
         Literal::Compare { op, .. } => *op == Comparison::Equal,
-        // A value that is only tested is computed for every combination.
+        // A literal that only tests a computed value runs for every combination of rows.
         Literal::Compute {
             to: Term::Variable(to), ..
         } => found.contains(&to.index()),

@@ -1,15 +1,16 @@
-//! Brings a stratum up to date from what changed below it, by delete and rederive.
+//! Updates a stratum incrementally: delete and rederive (DRed).
 //!
-//! For each clause and each atom of its body that changed, in this order:
+//! For each clause and each changed atom of its body:
 //!
-//! 1. *Lose*: what the clause derived from a row that went (of a negated atom: that came), everything else as it was. Those heads
-//!    may not hold any more. If the stratum is recursive, what was derived from those may not hold either, and so on.
-//! 2. *Keep*: of those heads, the ones that some clause still derives. They hold.
-//! 3. *Gain*: what the clause derives from a row that came (of a negated atom: that went), everything else as it is now, unless
-//!    it is known. If the stratum is recursive, so does what follows from the kept and the gained.
+//! 1. *Lose*: overestimate the lost heads. These are the heads that the clause derived from a removed row (of a negated
+//!    atom: an added row), with all else as before. In a recursive stratum, heads derived from lost heads may be lost
+//!    too.
+//! 2. *Keep*: keep the lost heads that some clause still derives.
+//! 3. *Gain*: add the unknown heads that the clause derives from an added row (of a negated atom: a removed row), with
+//!    all else as it is now. In a recursive stratum, also add what follows from the kept and gained heads.
 //!
-//! No derivations are counted, so nothing is kept between commits besides the relations, clauses may stop at the first reason for
-//! a head, and a stratum can be recomputed in one commit and maintained in the next.
+//! The algorithm counts no derivations, so it stores nothing between commits besides the relations. A clause can stop
+//! at the first derivation of a head, and one commit can recompute a stratum that the next maintains.
 
 use crate::datalog::check::RelId;
 use crate::datalog::eval::exec::{Commit, Failure, Meter, Quota, State, specs};
@@ -20,12 +21,12 @@ use crate::datalog::plan::steps::{ChangePlan, Plan, Source, Step, StratumPlan, V
 use crate::datalog::row::{Batch, Row, difference, merge};
 use std::sync::Arc;
 
-/// Rows by member of a stratum.
+/// Rows, by member of a stratum.
 type ByMember<const W: usize> = Vec<Vec<Row<W>>>;
 
 impl<const W: usize> State<W> {
-    /// How the members of the stratum change, and the number of rounds it took to find out. The inputs' tables are those of
-    /// after the change, the members' those of before.
+    /// Returns the changes of the stratum's members and the number of rounds. The inputs' tables are new, the members'
+    /// tables old.
     pub(crate) fn maintain(
         &self,
         commit: &Commit<'_, W>,
@@ -37,7 +38,7 @@ impl<const W: usize> State<W> {
         let members = &stratum.members;
         let (lost, mut rounds) = self.lose(commit, stratum, meter)?;
 
-        // In a recursive stratum, what may be lost must not be the reason for anything.
+        // In a recursive stratum, a row that may be lost must not support others.
         let without = |(relation, lost): (&RelId, &Vec<Row<W>>)| {
             let net = TableDelta {
                 added: Arc::default(),
@@ -84,7 +85,7 @@ impl<const W: usize> State<W> {
         Ok((nets, rounds.max(1)))
     }
 
-    /// The rows that may not hold any more, and the number of rounds it took to find them.
+    /// Returns the rows that may be lost and the number of rounds.
     fn lose(
         &self,
         commit: &Commit<'_, W>,
@@ -96,7 +97,7 @@ impl<const W: usize> State<W> {
             Some((_, table)) => table,
             None => &self.tables[relation.index()],
         };
-        // What is lost held, so there is no need for a limit.
+        // Lost rows existed before, so they need no limit.
         let mut outputs: Vec<Output<W>> = stratum.members.iter().map(|_| Output::new(usize::MAX)).collect();
         let mut steps: Vec<RowView<'_, W>> = Vec::new();
         for &clause in &stratum.clauses {
@@ -160,7 +161,7 @@ impl<const W: usize> State<W> {
         Ok((lost.collect(), rounds))
     }
 
-    /// Of the rows that may be lost, those that no clause derives from `base` and the inputs.
+    /// Returns the rows of `lost` that no clause derives from `base` and the inputs.
     fn keep(
         &self,
         commit: &Commit<'_, W>,
@@ -188,7 +189,7 @@ impl<const W: usize> State<W> {
         Ok(gone)
     }
 
-    /// The rows that clauses derive from rows of the inputs that came, and that are not in `base`.
+    /// Returns the rows that clauses derive from added rows of the inputs and that are not in `base`.
     fn gain(
         &self,
         commit: &Commit<'_, W>,
@@ -221,15 +222,15 @@ impl<const W: usize> State<W> {
         Ok(outputs.iter_mut().map(Output::take).collect())
     }
 
-    /// The table of a relation as it is now, that of a member from `base`.
+    /// The current table of a relation; for a member, the one in `base`.
     fn now<'a>(&'a self, stratum: &StratumPlan, base: &[&'a Table<W>], relation: RelId) -> &'a Table<W> {
         let member = stratum.members.iter().position(|&member| member == relation);
         member.map_or(&self.tables[relation.index()], |member| base[member])
     }
 }
 
-/// What each step of a plan looks at: the first one at `rows`, the one that asks whether the head is known at `known`, others at
-/// what `table` says.
+/// Returns the view of each step of a plan. The first step reads `rows`, the test for known heads reads `known`, and
+/// the others read what `table` returns.
 fn views<'a, 'b: 'a, const W: usize>(
     commit: &'a Commit<'_, W>,
     plan: &'a Plan,

@@ -1,9 +1,12 @@
 //! The relational executor: commits, joins, recursion and maintenance.
 //!
-//! `exec` makes a commit, `join` runs a plan, `recursion` runs a recursive stratum to its fixpoint, and `maintain` brings a stratum up to
-//! date from a change. `adapt` has clauses planned again when the sizes of relations have changed; `seen` marks rows that were derived
-//! before; `noted` holds the changes of the next commit, `table` a relation and its indexes; `workers` are the threads; `limits` bounds what
-//! a commit may take; `delta` and `stats` say what it changed and did.
+//! - `exec` makes a commit, and `join` runs a plan.
+//! - `recursion` evaluates a recursive stratum to its fixpoint, and `maintain` updates a stratum incrementally.
+//! - `adapt` replans clauses when the sizes of relations have changed.
+//! - `table` holds a relation and its indexes, `pending` the changes of the next commit, and `seen_bitmap` marks
+//!   derived rows.
+//! - `workers` holds the threads, and `limits` bounds the resources of a commit.
+//! - `delta` and `stats` report what a commit changed and did.
 
 mod adapt;
 pub mod delta;

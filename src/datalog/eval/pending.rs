@@ -1,23 +1,23 @@
-//! Changes of a relation that the next commit makes.
+//! The pending changes of a relation, which the next commit makes.
 
 use crate::datalog::eval::table::{Table, TableDelta};
 use crate::datalog::row::{Row, normalise};
 use crate::datalog::value::Value;
 use std::sync::Arc;
 
-/// Rows that are to come or to go, in the order in which that was noted; of several changes of one row the last counts.
+/// Pending insertions and removals, in the order of the calls. The last change of a row counts.
 ///
-/// Facts mostly come by themselves and into a relation that has none. So as long as no row is to go, the rows that come are a
-/// plain list, which becomes the relation's own.
+/// Most commits only insert, and often into an empty relation. While there is no removal, the insertions are a plain
+/// list that becomes the relation's rows.
 #[derive(Debug, Default)]
 pub(crate) struct PendingChanges<const W: usize> {
     coming: Vec<Row<W>>,
-    /// All changes, if a row is to go; then `coming` is empty.
+    /// All changes if there is a removal; then `coming` is empty.
     changes: Vec<(Row<W>, bool)>,
 }
 
 impl<const W: usize> PendingChanges<W> {
-    /// These rows are to come.
+    /// The insertion of these rows.
     pub(crate) fn of(rows: Vec<Row<W>>) -> Self {
         PendingChanges {
             coming: rows,
@@ -25,7 +25,7 @@ impl<const W: usize> PendingChanges<W> {
         }
     }
 
-    /// How many changes were noted.
+    /// The number of pending changes.
     pub(crate) fn len(&self) -> usize {
         self.coming.len() + self.changes.len()
     }
@@ -39,7 +39,7 @@ impl<const W: usize> PendingChanges<W> {
         self.changes.clear();
     }
 
-    /// Notes that a row is to come or to go.
+    /// Adds an insertion (`present`) or a removal.
     #[inline]
     pub(crate) fn push(&mut self, row: Row<W>, present: bool) {
         if present && self.changes.is_empty() {
@@ -50,7 +50,7 @@ impl<const W: usize> PendingChanges<W> {
         self.changes.push((row, present));
     }
 
-    /// Notes that rows are to come, which are `arity` words each.
+    /// Adds insertions of rows with `arity` words each.
     pub(crate) fn extend(&mut self, words: &[Value], arity: usize) {
         if !self.changes.is_empty() {
             let rows = words.chunks_exact(arity).map(Row::new);
@@ -62,21 +62,21 @@ impl<const W: usize> PendingChanges<W> {
         }
     }
 
-    /// Makes room for so many rows more that are to come.
+    /// Reserves memory for `rows` more insertions.
     pub(crate) fn reserve(&mut self, rows: usize) {
         if self.changes.is_empty() {
             self.coming.reserve(rows);
         }
     }
 
-    /// Forgets all changes but the first ones.
+    /// Drops all but the first `len` changes.
     pub(crate) fn truncate(&mut self, len: usize) {
         self.coming.truncate(len);
         self.changes.truncate(len);
     }
 
-    /// What the changes add to a table and remove from it, and its rows afterwards, if it is anything. If the table is empty, the
-    /// rows are taken out of here and are to be [put back](PendingChanges::put_back) when the commit fails.
+    /// Returns the net change of a table and its new rows, or `None` if nothing changes. If the table is empty, the new
+    /// rows are taken from here. The caller must [put them back](PendingChanges::put_back) if the commit fails.
     pub(crate) fn apply(&mut self, table: &Table<W>) -> Option<(TableDelta<W>, Arc<Vec<Row<W>>>)> {
         normalise(&mut self.coming);
         settle(&mut self.changes);
@@ -92,16 +92,16 @@ impl<const W: usize> PendingChanges<W> {
         (!rows.is_empty()).then(|| (TableDelta::between(&[], &rows), rows))
     }
 
-    /// These are the rows that were taken.
+    /// Restores the rows that [`PendingChanges::apply`] took.
     pub(crate) fn put_back(&mut self, rows: Arc<Vec<Row<W>>>) {
         self.coming = Arc::unwrap_or_clone(rows);
     }
 }
 
-/// Keeps of several changes of a row the last one, in the order of rows.
+/// Sorts changes by row and keeps the last one of each row.
 fn settle<const W: usize>(changes: &mut Vec<(Row<W>, bool)>) {
     changes.sort_by_key(|(row, _)| *row);
-    // `dedup_by` keeps the first of equal elements and is given the later one first.
+    // `dedup_by` keeps the first of equal elements and passes the later one first.
     changes.dedup_by(|later, kept| {
         let same = later.0 == kept.0;
         if same {

@@ -1,8 +1,8 @@
-//! Evaluates a recursive stratum to its fixpoint, semi-naively.
+//! Semi-naive evaluation of a recursive stratum to its fixpoint.
 //!
-//! datafrog's variables do the bookkeeping, here and in [`super::maintain`]: derived rows wait in a variable, are *new* for one
-//! round, and belong to its *stable* batches afterwards. The joins are our own ([`super::join`]), since datafrog's want their
-//! number and the types of their rows at compile time.
+//! datafrog's variables do the bookkeeping, here and in [`super::maintain`]. Derived rows wait in a variable, are *new*
+//! for one round, and join its *stable* batches afterwards. The joins are in [`super::join`]: datafrog's need the
+//! number of joins and the row types at compile time.
 
 use crate::datalog::check::{ClauseId, RelId};
 use crate::datalog::eval::exec::{Commit, Failure, Meter, Quota, State};
@@ -18,8 +18,8 @@ pub(crate) use datafrog::{Iteration, Relation, Variable};
 use std::cell::Ref;
 
 impl<const W: usize> State<W> {
-    /// What follows in a recursive stratum from the rows in `outputs`, themselves included, and the number of rounds that took.
-    /// `base` are the members' rows that hold already; they are not included.
+    /// Returns the rows that follow from those in `outputs`, these included, and the number of rounds. `base` holds the
+    /// members' existing rows; the result does not repeat them.
     pub(crate) fn grow(
         &self,
         commit: &Commit<'_, W>,
@@ -76,7 +76,7 @@ impl<const W: usize> State<W> {
         Ok((recursion.complete(&outputs), rounds))
     }
 
-    /// The plans for a round of a recursive stratum, with the clause and the member whose new rows they are for.
+    /// Chooses the plans for a round, each with its clause and the member whose new rows it begins with.
     fn choose<'p>(
         &self,
         plans: &'p Plans,
@@ -110,29 +110,31 @@ impl<const W: usize> State<W> {
     }
 }
 
-/// A recursive stratum being evaluated.
+/// The state of a recursive stratum during evaluation.
 struct Recursion<'a, const W: usize> {
     iteration: Iteration,
-    /// By member: the rows that held before.
+    /// By member: the existing rows.
     base: Option<&'a [&'a Table<W>]>,
-    /// By member: the rows that came.
+    /// By member: the derived rows.
     variables: Vec<Variable<Row<W>>>,
-    /// By member: whether no plan looks at rows that came before this round.
+    /// By member: whether no plan reads rows derived before this round.
     forward: Vec<bool>,
-    /// By member: how many rows came that are not in its variable, since nobody looks at them and its output knows them.
+    /// By member: the number of derived rows that its variable omits, since no plan reads them and its output holds
+    /// them.
     left_out: Vec<usize>,
-    /// The members' rows in other orders of columns.
+    /// The secondary indexes of the members.
     grown: Vec<Grown<W>>,
 }
 
-/// An index over a relation that grows.
+/// A secondary index over a growing relation.
 struct Grown<const W: usize> {
     id: IndexId,
-    /// Position among the members.
+    /// The position among the members.
     member: usize,
-    /// Whether it was used in this round: an index that is not is given up, and made again when it is wanted.
+    /// Whether this round uses it. An unused index is dropped and rebuilt on demand.
     kept: bool,
-    /// Each at least twice as long as the next, so that a row is merged only a logarithmic number of times.
+    /// Sorted batches, each at least twice as long as the next, so that a row is merged only a logarithmic number of
+    /// times.
     stable: Vec<Vec<Row<W>>>,
     new: Vec<Row<W>>,
 }
@@ -201,12 +203,12 @@ impl<'b, const W: usize> Recursion<'b, W> {
         }
     }
 
-    /// Has rows of a member, taken from its output, come in the next round.
+    /// Adds rows of a member, taken from its output, as new rows of the next round.
     fn insert(&mut self, member: usize, elements: Vec<Row<W>>, output: &mut Output<W>) {
         let variable = &self.variables[member];
         let mut stable = variable.stable.borrow_mut();
         if self.forward[member] && output.is_whole() {
-            // Rows that are old are merged and copied again and again, and here for nobody.
+            // No plan reads the old rows, so omit them instead of merging and copying them in every round.
             output.remember();
             let mut recent = variable.recent.borrow_mut();
             self.left_out[member] += stable.iter().map(|rows| rows.len()).sum::<usize>() + recent.len();
@@ -219,7 +221,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
             });
             variable.recent.borrow_mut().elements = Vec::new();
         } else if self.forward[member] {
-            // What is inserted here may still repeat what came before; in the next round nothing does.
+            // This insertion may repeat earlier rows; from the next round on the bitmap filters them.
             let recent = variable.recent.borrow();
             output.learn(stable.iter().map(|rows| &rows[..]).chain([&recent[..]]));
         }
@@ -227,7 +229,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
         variable.insert(Relation { elements });
     }
 
-    /// Brings the indexes that this round uses up to date. Once a round.
+    /// Updates the indexes that this round uses. Call once per round.
     fn keep(&mut self, plans: &Plans, used: impl Fn(IndexId) -> bool) {
         for grown in &mut self.grown {
             let (was, is) = (grown.kept, used(grown.id));
@@ -240,7 +242,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
             let columns = &plans.indexes[grown.id].columns;
             let variable = &self.variables[grown.member];
             if self.forward[grown.member] {
-                // Only the new ones are looked at.
+                // Plans read only the new rows.
             } else if !was {
                 let stable = variable.stable.borrow();
                 grown.stable = stable.iter().map(|rows| project(rows, columns)).collect();
@@ -264,7 +266,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
             .collect()
     }
 
-    /// The rows of a member that a step looks at.
+    /// The rows of a member that a step reads.
     fn view<'a>(&'a self, held: &'a [Held<'a, W>], plans: &Plans, source: Source) -> RowView<'a, W> {
         let spec = &plans.indexes[source.index];
         let (with_old, with_new) = (source.version != Version::New, source.version != Version::Old);
@@ -289,7 +291,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
         }
     }
 
-    /// How many rows of a member a step looks at, and how their words are spread.
+    /// The shape of the rows of a member that a step reads.
     fn shape(&self, held: &[Held<'_, W>], member: usize, version: Version) -> Shape<W> {
         let (with_old, with_new) = (version != Version::New, version != Version::Old);
         let base = self.base.filter(|_| with_old).map(|base| &base[member].rows[..]);
@@ -299,7 +301,7 @@ impl<'b, const W: usize> Recursion<'b, W> {
         lists.map(Shape::of).fold(Shape::default(), Shape::with)
     }
 
-    /// The rows that came. Only when nothing is new. Where the outputs still know them all, they are read from there, so that
+    /// Returns the derived rows. Call it when no rows are new. It reads them from outputs that hold them all, so that
     /// they are not in memory twice.
     fn complete(self, outputs: &[Output<W>]) -> Vec<Vec<Row<W>>> {
         drop(self.grown);

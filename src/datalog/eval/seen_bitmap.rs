@@ -1,7 +1,7 @@
-//! Which rows have been derived, as one bit for each row that could be.
+//! A bitmap of derived rows: one bit for each possible row.
 //!
-//! Rules derive a row many times more often than once. Where the words of rows are dense, as interned symbols and small numbers
-//! are, looking at a bit is a fraction of what sorting repetitions away costs. The bits of what is new are also a sorted list.
+//! Rules often derive the same row many times. Where words are dense, as interned symbols and small numbers are,
+//! testing a bit costs much less than sorting repetitions away. The bits of new rows also form a sorted list.
 
 use crate::datalog::row::Row;
 use crate::datalog::value::Value;
@@ -9,33 +9,33 @@ use crate::datalog::value::Value;
 /// A set of rows whose words are below fixed bounds.
 #[derive(Debug)]
 pub(crate) struct SeenBitmap<const W: usize> {
-    /// By column: words are below it.
+    /// By column: the exclusive upper bound of the words.
     bounds: [u32; W],
-    /// By column: how far apart the bits of neighbours are.
+    /// By column: the distance between the bits of consecutive words.
     strides: [u64; W],
-    /// Rows that were ever added.
+    /// The bits of all rows ever added.
     known: Vec<u64>,
-    /// Rows added since the last [`SeenBitmap::drain`]; empty until there are enough to make it worth while.
+    /// The bits of rows added since the last [`SeenBitmap::drain`]; empty while new rows are kept elsewhere.
     fresh: Vec<u64>,
 }
 
-/// What became of a row.
+/// The result of adding a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Added {
-    /// It was there.
+    /// The set already had the row.
     Known,
-    /// It was not there and is now.
+    /// The row is new.
     New,
-    /// A word is too large.
+    /// A word exceeds its bound.
     Beyond,
 }
 
 impl<const W: usize> SeenBitmap<W> {
-    /// Bytes that may be spent whatever the number of rows.
+    /// The size in bytes that a set may have regardless of the number of rows.
     const BYTES_FREE: u64 = 1 << 13;
 
-    /// A set with room for these rows, for words up to the largest of others and for some more, unless it would take more memory
-    /// than so many rows do.
+    /// Makes a set of these rows. Its bounds leave room above the words of `rows` and `largest`. Returns `None` if it
+    /// would take more memory than `count` rows.
     pub(crate) fn over(rows: &[Row<W>], mut largest: [u32; W], count: u64) -> Option<Self> {
         raise(&mut largest, rows);
         let mut bounds = [1; W];
@@ -43,7 +43,7 @@ impl<const W: usize> SeenBitmap<W> {
         let mut bits = 1_u64;
         for column in (0..W).rev() {
             strides[column] = bits;
-            // A column of nothing but zeros is mostly padding.
+            // A column of zeros is probably padding.
             if largest[column] > 0 {
                 bounds[column] = largest[column].checked_add(largest[column] / 4 + 1)?;
             }
@@ -62,7 +62,8 @@ impl<const W: usize> SeenBitmap<W> {
         Some(seen)
     }
 
-    /// A set with the same bounds and the same known rows. New rows are kept as bits, which is also faster where most are known.
+    /// Makes a set with the same bounds and known rows that keeps new rows as bits. Bits are also faster where most
+    /// rows are known.
     pub(crate) fn fork(&self) -> Self {
         SeenBitmap {
             known: self.known.clone(),
@@ -71,22 +72,23 @@ impl<const W: usize> SeenBitmap<W> {
         }
     }
 
-    /// By column: the largest word for which there are bits.
+    /// By column: the largest word that fits.
     pub(crate) fn largest(&self) -> [u32; W] {
         self.bounds.map(|bound| bound - 1)
     }
 
-    /// What its bits of known rows take.
+    /// The bytes of the bits of all rows.
     pub(crate) fn bytes(&self) -> usize {
         self.known.len() * size_of::<u64>()
     }
 
-    /// Whether both have a bit for the same rows.
+    /// Whether both sets have the same bounds.
     pub(crate) fn is_like(&self, other: &Self) -> bool {
         self.bounds == other.bounds
     }
 
-    /// Adds the rows that a set like this one keeps, while new rows are kept as bits here, too. Says how many were new.
+    /// Adds the new rows of a set with the same bounds; both sets must keep new rows as bits. Returns the number of
+    /// rows that are new here.
     pub(crate) fn absorb(&mut self, other: &Self) -> usize {
         let mut new = 0;
         for ((known, fresh), other) in self.known.iter_mut().zip(&mut self.fresh).zip(&other.fresh) {
@@ -126,7 +128,7 @@ impl<const W: usize> SeenBitmap<W> {
         Added::New
     }
 
-    /// Adds a row that is not new, unless a word is too large.
+    /// Adds a row without marking it as new. Returns whether it fits.
     pub(crate) fn note(&mut self, row: &Row<W>) -> bool {
         let bit = self.bit(row);
         if let Some((word, mask)) = bit {
@@ -135,8 +137,8 @@ impl<const W: usize> SeenBitmap<W> {
         bit.is_some()
     }
 
-    /// Adds rows that are like `row` but for one word, while new rows are kept as bits. Says how many were added until one was
-    /// beyond, and how many of those were new.
+    /// Adds copies of `row` in which one word is replaced; the set must keep new rows as bits. Stops at the first word
+    /// beyond its bound. Returns the number of rows added and how many of them are new.
     #[inline]
     pub(crate) fn keep_along(
         &mut self,
@@ -168,7 +170,7 @@ impl<const W: usize> SeenBitmap<W> {
         (added, new)
     }
 
-    /// Whether so many rows are better kept as bits than in a list that has to be sorted.
+    /// Whether `rows` new rows are better kept as bits than in a list to be sorted.
     pub(crate) fn prefers_bits(&self, rows: usize) -> bool {
         rows / 4 > self.known.len() / 64
     }
@@ -178,7 +180,7 @@ impl<const W: usize> SeenBitmap<W> {
         !self.fresh.is_empty()
     }
 
-    /// From now on new rows are kept as bits. These are new, too; they have been added.
+    /// Starts to keep new rows as bits. `rows` have been added before and count as new.
     pub(crate) fn keep(&mut self, rows: &[Row<W>]) {
         self.fresh = vec![0; self.known.len()];
         for row in rows {
@@ -188,19 +190,19 @@ impl<const W: usize> SeenBitmap<W> {
         }
     }
 
-    /// The `count` rows that were kept, in order. From now on new rows are not kept.
+    /// Takes the `count` new rows, in order, and stops keeping new rows as bits.
     pub(crate) fn drain(&mut self, count: usize) -> Vec<Row<W>> {
         let fresh = std::mem::take(&mut self.fresh);
         self.listed(&fresh, count)
     }
 
-    /// All rows that were ever added, in order.
+    /// Returns all rows ever added, in order.
     pub(crate) fn all(&self) -> Vec<Row<W>> {
         let count: u32 = self.known.iter().map(|word| word.count_ones()).sum();
         self.listed(&self.known, count as usize)
     }
 
-    /// The `count` rows of a list of bits, in order.
+    /// Returns the `count` rows of a list of bits, in order.
     fn listed(&self, bits: &[u64], count: usize) -> Vec<Row<W>> {
         let mut rows = Vec::with_capacity(count);
         for (position, &word) in (0_u64..).zip(bits) {
@@ -220,7 +222,7 @@ impl<const W: usize> SeenBitmap<W> {
     }
 }
 
-/// Makes every word at least as large as those of rows are in its column.
+/// Raises `largest` to the largest word of the rows in each column.
 pub(crate) fn raise<const W: usize>(largest: &mut [u32; W], rows: &[Row<W>]) {
     for row in rows {
         for (largest, word) in largest.iter_mut().zip(&row.0) {

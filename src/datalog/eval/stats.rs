@@ -1,44 +1,44 @@
-//! What a commit did: how each stratum was brought up to date, and the work of each clause.
+//! Statistics of a commit: the strategy for each stratum and the work of each clause.
 
 use crate::datalog::check::ClauseId;
 
 /// An event of [`Session::commit_watched`](crate::datalog::Session::commit_watched).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EvalEvent {
-    /// A clause begins to be evaluated.
+    /// The evaluation of a clause begins.
     Begin(ClauseId),
-    /// It has been evaluated. There is always just one that has begun.
+    /// The evaluation of the clause ends. Evaluations do not nest.
     End(ClauseId),
 }
 
-/// How a commit brings a stratum up to date whose inputs changed. The result is the same.
+/// How a commit updates a stratum whose inputs changed. The result is the same for all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strategy {
-    /// Maintain or recompute, whatever looks cheaper. This is decided by numbers of rows: how many changed, and how many the last
-    /// computation from scratch looked at. If maintaining looks at more rows than that, it is given up and the stratum is
-    /// recomputed.
+    /// Chooses the strategy with the lower estimated cost. The estimates depend on the number of changed rows and on
+    /// the rows that the last computation from scratch scanned. If maintenance scans more rows than that, the session
+    /// abandons it and recomputes the stratum.
     #[default]
     Auto,
-    /// Always maintain, whatever it costs. Some strata cannot be maintained (those with a clause of more than 24 literals); they
+    /// Always maintains. Strata with an aggregate or with a clause of more than 24 literals cannot be maintained; they
     /// are recomputed.
     Maintain,
-    /// Always recompute.
+    /// Always recomputes.
     Recompute,
 }
 
-/// What a commit did with a stratum.
+/// The strategy that a commit used for a stratum, with its work.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum StratumStats {
-    /// Nothing: none of its inputs changed.
+    /// Skipped, since none of its inputs changed.
     Skipped,
-    /// Followed the change of its inputs.
+    /// Updated incrementally from the changes of its inputs.
     Maintained(WorkCounts),
-    /// Computed it from scratch: at the first commit, if the change is large, or if the stratum cannot be maintained.
+    /// Computed from scratch: at the first commit, if the change is large, or if the stratum cannot be maintained.
     Recomputed(WorkCounts),
 }
 
 impl StratumStats {
-    /// What was done, unless the stratum was skipped.
+    /// Returns the work, or `None` if the stratum was skipped.
     pub fn work(&self) -> Option<&WorkCounts> {
         match self {
             StratumStats::Skipped => None,
@@ -47,44 +47,45 @@ impl StratumStats {
     }
 }
 
-/// What it took to bring a stratum up to date.
+/// The work of updating a stratum.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct WorkCounts {
-    /// Rounds to a fixpoint; 1 if the stratum is not recursive.
+    /// Rounds to the fixpoint; 1 if the stratum is not recursive.
     pub rounds: usize,
-    /// What its clauses did, those that ran, in order.
+    /// The work of the clauses that ran, by id.
     pub rules: Vec<RuleStats>,
-    /// If maintaining the stratum was given up: after so many rows were looked at, as many as recomputing it would take; else 0.
-    /// They are not in `rules`.
+    /// The scan budget of abandoned maintenance, in rows, or 0. The budget is the estimated cost of recomputing the
+    /// stratum. `rules` does not include this work.
     pub given_up: u64,
 }
 
 impl WorkCounts {
-    /// Rows that scans and tests of its clauses looked at.
+    /// Returns the rows that scans and tests of its clauses visited.
     pub fn rows_scanned(&self) -> u64 {
         self.rules.iter().map(|rule| rule.rows_scanned).sum()
     }
 
-    /// Rows that its clauses derived, repetitions included.
+    /// Returns the rows that its clauses derived, repetitions included.
     pub fn derived(&self) -> u64 {
         self.rules.iter().map(|rule| rule.derived).sum()
     }
 }
 
-/// What one clause did in a commit.
+/// The work of one clause in a commit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RuleStats {
     /// The clause.
     pub clause: ClauseId,
-    /// Changed rows, and rows of its head in doubt, from which it was evaluated. 0 if it ran once over all rows.
+    /// The number of changed rows and doubtful heads that its evaluation began with. 0 if it ran once over all rows.
     pub given: u64,
-    /// Rows that its scans and tests looked at.
+    /// Rows that its scans and tests visited.
     pub rows_scanned: u64,
-    /// Rows it derived, repetitions included: of those that may go, that stay nevertheless, and that come.
+    /// Rows it derived, repetitions included. Under maintenance these include heads that may be lost, heads kept, and
+    /// heads gained.
     pub derived: u64,
 }
 
-/// What a commit did.
+/// The statistics of a commit.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct EvalStats {
     /// By position in [`Rules::strata`](crate::datalog::Rules::strata); empty before the first commit.
@@ -92,7 +93,8 @@ pub struct EvalStats {
 }
 
 impl EvalStats {
-    /// Positions in [`Rules::strata`](crate::datalog::Rules::strata) of the strata that were maintained or recomputed.
+    /// Returns the positions in [`Rules::strata`](crate::datalog::Rules::strata) of the strata that were maintained or
+    /// recomputed.
     pub fn evaluated(&self) -> impl Iterator<Item = usize> {
         let strata = self.strata.iter().enumerate();
         strata
@@ -100,7 +102,7 @@ impl EvalStats {
             .map(|(position, _)| position)
     }
 
-    /// What each clause did that ran, in the order of the strata.
+    /// Returns the work of each clause that ran, in the order of the strata.
     pub fn rules(&self) -> impl Iterator<Item = &RuleStats> {
         self.strata
             .iter()

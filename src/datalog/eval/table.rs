@@ -1,14 +1,14 @@
-//! A relation as it is kept: its rows, other orders of their columns, and how all of it is patched when rows come and go.
+//! The storage of a relation: its rows, its indexes, and incremental updates of both.
 
 use crate::datalog::plan::steps::IndexSpec;
 use crate::datalog::row::{Batch, Row, difference, gallop};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, OnceLock};
 
-/// Rows that came and rows that went, both sorted; no row is in both.
+/// The net change of a table: added and removed rows, both sorted and disjoint.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct TableDelta<const W: usize> {
-    /// Shared with the table if there was nothing before.
+    /// Shared with the table if it was empty before.
     pub(crate) added: Arc<Vec<Row<W>>>,
     pub(crate) removed: Vec<Row<W>>,
 }
@@ -22,7 +22,7 @@ impl<const W: usize> TableDelta<W> {
         self.added.len() + self.removed.len()
     }
 
-    /// From one set of rows to another.
+    /// The change from one set of rows to another.
     pub(crate) fn between(old: &[Row<W>], new: &Arc<Vec<Row<W>>>) -> Self {
         TableDelta {
             added: match old {
@@ -39,12 +39,12 @@ impl<const W: usize> TableDelta<W> {
 pub(crate) struct Table<const W: usize> {
     /// Sorted, without repetitions.
     pub(crate) rows: Arc<Vec<Row<W>>>,
-    /// By [`IndexSpec::position`]: made when first needed.
+    /// By [`IndexSpec::position`]; built on first use.
     indexes: Vec<OnceLock<Index<W>>>,
 }
 
 impl<const W: usize> Table<W> {
-    /// A table without indexes, but room for so many.
+    /// A table with `indexes` indexes, none built yet.
     pub(crate) fn new(rows: Vec<Row<W>>, indexes: usize) -> Self {
         Table {
             rows: rows.into(),
@@ -52,12 +52,12 @@ impl<const W: usize> Table<W> {
         }
     }
 
-    /// Makes room for so many indexes.
+    /// Extends the table to `indexes` indexes.
     pub(crate) fn widen(&mut self, indexes: usize) {
         self.indexes.resize_with(indexes.max(self.indexes.len()), OnceLock::new);
     }
 
-    /// The rows in the order of an index.
+    /// The rows in the order of an index, which is built if necessary.
     pub(crate) fn batch(&self, spec: &IndexSpec) -> Batch<'_, W> {
         let own = spec.position == 0;
         let index = self.indexes[spec.position].get_or_init(|| Index::build(&self.rows, &spec.columns, own));
@@ -68,7 +68,7 @@ impl<const W: usize> Table<W> {
         }
     }
 
-    /// What the rows and the indexes made so far take.
+    /// The bytes of the rows and of the indexes built so far.
     pub(crate) fn bytes(&self) -> u64 {
         let indexes = self.indexes.iter().filter_map(OnceLock::get);
         let starts = indexes.clone().map(|index| size_of_val(&index.starts[..]));
@@ -76,12 +76,12 @@ impl<const W: usize> Table<W> {
         (starts.chain(lists).sum::<usize>() + size_of_val(&self.rows[..])) as u64
     }
 
-    /// Whether the index has been made.
+    /// Whether the index has been built.
     pub(crate) fn has(&self, spec: &IndexSpec) -> bool {
         spec.position == 0 || self.indexes[spec.position].get().is_some()
     }
 
-    /// The rows in their own order, for finding some: with a directory only if there is one already.
+    /// The rows in primary order, with a directory if it has been built.
     fn known(&self) -> Batch<'_, W> {
         let starts = self.indexes.first().and_then(OnceLock::get);
         Batch {
@@ -90,7 +90,8 @@ impl<const W: usize> Table<W> {
         }
     }
 
-    /// What changes of rows add and remove, and the rows after it, if it is anything. The changes are sorted, one for each row.
+    /// Returns the net effect of the changes and the new rows, or `None` if nothing changes. The changes are sorted, at
+    /// most one per row; `true` inserts.
     pub(crate) fn update(
         &self,
         changes: impl ExactSizeIterator<Item = (Row<W>, bool)>,
@@ -126,13 +127,13 @@ impl<const W: usize> Table<W> {
         Some((TableDelta { added, removed }, rows.into()))
     }
 
-    /// The table after a change. Indexes that are in use are patched.
+    /// Returns the table after a change. Patches the indexes in use.
     pub(crate) fn patched(&self, specs: &[&IndexSpec], net: &TableDelta<W>) -> Table<W> {
         let rows = patch(self.known(), net);
         self.replaced(specs, net, rows.into())
     }
 
-    /// The same, if the rows after the change are known.
+    /// Like `patched`, if the new rows are known.
     pub(crate) fn replaced(&self, specs: &[&IndexSpec], net: &TableDelta<W>, rows: Arc<Vec<Row<W>>>) -> Table<W> {
         let indexes = self.indexes.iter().zip(specs).map(|(index, spec)| {
             let index = index.get().filter(|_| net.len() <= rows.len() / 2);
@@ -147,15 +148,15 @@ impl<const W: usize> Table<W> {
     }
 }
 
-/// A relation's rows in another order of columns, or just a directory over its own order.
+/// A relation's rows in another order of columns, or only a directory of the primary order.
 #[derive(Debug)]
 struct Index<const W: usize> {
-    /// Empty if the relation's own rows serve.
+    /// Empty for the primary index.
     rows: Vec<Row<W>>,
     starts: Vec<u32>,
-    /// Whether anybody looked at it since it was made or patched.
+    /// Whether a query used it since it was built or patched.
     used: AtomicBool,
-    /// How often it was patched without having been used.
+    /// The number of consecutive patches without use.
     idle: u8,
 }
 
@@ -163,16 +164,16 @@ impl<const W: usize> Index<W> {
     /// Below this number of rows a binary search costs no more than a directory.
     const DIRECTORY_MIN: usize = 512;
 
-    /// Whether a directory is worth its memory: it is small, or there are not many more words than rows.
+    /// Whether a directory is worth its memory: it is small, or its words are dense.
     fn dense(rows: usize, largest: usize) -> bool {
         let sparse = if largest < 1 << 16 { 32 } else { 4 };
         rows >= Self::DIRECTORY_MIN && largest / sparse <= rows && u32::try_from(rows).is_ok()
     }
 
-    /// An index that was patched so many times without having been used is given up.
+    /// An index is dropped after this number of patches without use.
     const IDLE_MAX: u8 = 4;
 
-    /// An index over `rows` by `columns`; `own` if those are in their own order.
+    /// Builds an index over `rows` by `columns`. `own` builds the primary index.
     fn build(rows: &[Row<W>], columns: &[u16], own: bool) -> Self {
         let (rows, starts) = match own {
             true => (Vec::new(), directory(rows)),
@@ -186,7 +187,8 @@ impl<const W: usize> Index<W> {
         }
     }
 
-    /// The index after a change; `None` if it is not worth it. `old` and `new` are the relation's own rows.
+    /// Returns the index after a change, or `None` if it is unused. `old` and `new` are the relation's rows in primary
+    /// order.
     fn patched(&self, old: &[Row<W>], spec: &IndexSpec, net: &TableDelta<W>, new: &[Row<W>]) -> Option<Self> {
         let idle = if self.used.load(Relaxed) { 0 } else { self.idle + 1 };
         if idle > Self::IDLE_MAX {
@@ -217,13 +219,13 @@ impl<const W: usize> Index<W> {
     }
 }
 
-/// Sorted rows with their columns in another order, sorted.
+/// Reorders the columns of sorted rows and sorts the result.
 pub(crate) fn project<const W: usize>(rows: &[Row<W>], columns: &[u16]) -> Vec<Row<W>> {
     ordered(rows, columns).0
 }
 
-/// The same with a directory, if one is worth its memory. Then words are so dense that rows are put in order by counting them: those
-/// with one first word stay as they were, which mostly is their order already.
+/// Like `project`, with a directory if it is worth its memory. Then a counting sort by the first word orders the rows.
+/// It is stable, so rows with the same first word are usually in order already.
 fn ordered<const W: usize>(rows: &[Row<W>], columns: &[u16]) -> (Vec<Row<W>>, Vec<u32>) {
     let first = columns.first().map_or(0, |&column| column as usize);
     let largest = rows.iter().map(|row| row.0[first].0).max().unwrap_or(0) as usize;
@@ -232,8 +234,8 @@ fn ordered<const W: usize>(rows: &[Row<W>], columns: &[u16]) -> (Vec<Row<W>>, Ve
         projected.sort_unstable();
         return (projected, Vec::new());
     }
-    // The number of rows of a word stands two places behind it, so that the places of the word itself and of the next one are
-    // where it begins and ends when all its rows are placed.
+    // The count of a word is stored two places after it. When all rows are placed, the entries of the word and of its
+    // successor are the bounds of its rows.
     let mut starts = vec![0_u32; largest + 3];
     for row in rows {
         starts[row.0[first].0 as usize + 2] += 1;
@@ -256,10 +258,10 @@ fn ordered<const W: usize>(rows: &[Row<W>], columns: &[u16]) -> (Vec<Row<W>>, Ve
     (projected, starts)
 }
 
-/// Finds rows one after the other, in order.
+/// Finds rows in ascending order.
 struct Finder<'a, const W: usize> {
     batch: Batch<'a, W>,
-    /// All in front of it are less than the rows found so far.
+    /// All rows before it are less than the rows found so far.
     at: usize,
 }
 
@@ -268,9 +270,9 @@ impl<'a, const W: usize> Finder<'a, W> {
         Finder { batch, at: 0 }
     }
 
-    /// Puts `at` on the first row that is not less, and says whether it is the row.
+    /// Moves `at` to the first row that is not less than `row`, and returns whether the two are equal.
     fn find(&mut self, row: &Row<W>) -> bool {
-        // Rows that begin with a larger word than any before are not in the directory; they are at its end.
+        // The directory has no entry for words larger than all earlier ones; such rows belong at the end.
         if let Some(&start) = self.batch.starts.get(row.0[0].0 as usize) {
             self.at = self.at.max(start as usize);
         }
@@ -280,7 +282,7 @@ impl<'a, const W: usize> Finder<'a, W> {
     }
 }
 
-/// Appends rows, mostly few.
+/// Appends rows; optimized for few.
 #[inline]
 fn append<const W: usize>(to: &mut Vec<Row<W>>, rows: &[Row<W>]) {
     if rows.len() < 16 {
@@ -290,7 +292,7 @@ fn append<const W: usize>(to: &mut Vec<Row<W>>, rows: &[Row<W>]) {
     }
 }
 
-/// The rows after a change.
+/// Returns the rows after a change.
 fn patch<const W: usize>(batch: Batch<'_, W>, net: &TableDelta<W>) -> Vec<Row<W>> {
     let mut rows = Vec::with_capacity((batch.rows.len() + net.added.len()).saturating_sub(net.removed.len()));
     let mut finder = Finder::new(batch);
@@ -319,7 +321,8 @@ fn patch<const W: usize>(batch: Batch<'_, W>, net: &TableDelta<W>) -> Vec<Row<W>
     rows
 }
 
-/// Direct addressing by the first word, if the words are dense enough (symbols are: they are numbered from zero).
+/// Builds a directory for direct addressing by the first word, if the words are dense. Symbols are: they are numbered
+/// from zero.
 fn directory<const W: usize>(rows: &[Row<W>]) -> Vec<u32> {
     let Some(last) = rows.last() else { return Vec::new() };
     let largest = last.0[0].0 as usize;
@@ -337,13 +340,13 @@ fn directory<const W: usize>(rows: &[Row<W>]) -> Vec<u32> {
     starts
 }
 
-/// The directory after a change; `rows` are those after it.
+/// Returns the directory after a change; `rows` are the new rows.
 fn patch_directory<const W: usize>(old: &[u32], net: &TableDelta<W>, rows: &[Row<W>]) -> Vec<u32> {
     let beyond = net.added.last().is_some_and(|row| row.0[0].0 as usize + 1 >= old.len());
     if old.is_empty() || beyond || !Index::<W>::dense(rows.len(), old.len()) {
         return directory(rows);
     }
-    // Everything behind a row that comes moves up by one, everything behind a row that goes moves down.
+    // An added row shifts all later positions up by one, a removed row shifts them down.
     let mut starts = Vec::with_capacity(old.len());
     let (mut added, mut removed) = (&net.added[..], &net.removed[..]);
     let mut shift = 0_u32;
@@ -471,7 +474,8 @@ mod tests {
                 for spec in &specs {
                     let (patched, built) = (table.batch(spec), built.batch(spec));
                     assert_eq!(patched.rows, built.rows);
-                    // A directory may go on behind the last word and may be kept a little longer.
+                    // A patched directory may have entries after the last word and may outlive the density that it
+                    // needs.
                     for word in 0..=words.min(2_000) {
                         assert_eq!(patched.range(&[Value(word)]), built.range(&[Value(word)]));
                     }
@@ -481,7 +485,7 @@ mod tests {
     }
 
     #[test]
-    fn an_index_that_nobody_uses_is_given_up() {
+    fn an_unused_index_is_dropped() {
         let specs = [spec(&[0, 1], 0), spec(&[1, 0], 1)];
         let specs: Vec<&IndexSpec> = specs.iter().collect();
         let rows = (0..100).map(|word| Row([Value(word), Value(word / 2)])).collect();

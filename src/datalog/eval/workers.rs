@@ -1,8 +1,8 @@
-//! Several threads for one plan.
+//! Evaluates one plan on several threads.
 //!
-//! The rows of a plan's first scan are cut into chunks; every thread evaluates some of them into an output of its own, and the
-//! outputs are joined. Which thread got which chunk changes neither the rows nor how many were looked at, so answers and work
-//! logs are those of one thread. What is little work stays on the calling thread.
+//! The rows of a plan's first scan are split into chunks. Each thread evaluates some chunks into its own output, and
+//! the outputs are merged. The assignment of chunks to threads affects neither the rows nor the number of rows scanned,
+//! so answers and statistics equal those of one thread. Small work stays on the calling thread.
 
 use crate::datalog::eval::join;
 use crate::datalog::eval::join::{Abort, CancelFn, JoinState, Output, RowView};
@@ -16,17 +16,18 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::Duration;
 
-/// How many threads evaluate, and what they are worth starting for.
+/// The number of threads and the work from which on they are used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Threads {
-    /// How many. With one, everything happens on the calling thread.
+    /// The number of threads. With one, the calling thread does all work.
     pub count: NonZeroUsize,
-    /// A plan that is expected to look at fewer rows than this, and a list of fewer rows to sort, stays on the calling thread.
+    /// Plans that are expected to scan fewer rows than this stay on the calling thread; so does sorting of shorter
+    /// lists.
     pub split_from: usize,
 }
 
 impl Threads {
-    /// So many, for work that takes clearly longer than waking a thread.
+    /// Uses `count` threads for work that takes clearly longer than waking a thread.
     pub fn new(count: NonZeroUsize) -> Self {
         Threads {
             count,
@@ -34,14 +35,14 @@ impl Threads {
         }
     }
 
-    /// One for each core this process may use.
+    /// Uses one thread for each core available to this process.
     pub fn all() -> Self {
         Threads::new(std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN))
     }
 }
 
 impl Default for Threads {
-    /// One.
+    /// Uses one thread.
     fn default() -> Self {
         Threads::new(NonZeroUsize::MIN)
     }
@@ -50,12 +51,12 @@ impl Default for Threads {
 /// The threads of a session.
 #[derive(Debug, Default)]
 pub(crate) struct Workers {
-    /// If there is more than one thread.
+    /// Present if there is more than one thread.
     pool: Option<rayon::ThreadPool>,
     threads: Threads,
 }
 
-/// What one thread does.
+/// The work of one thread.
 struct Hand<const W: usize> {
     out: Output<W>,
     effort: JoinState,
@@ -66,15 +67,15 @@ impl Workers {
     /// So often it is asked whether to go on.
     const PAUSE: Duration = Duration::from_millis(10);
 
-    /// Chunks for each thread, so that none waits long for the last one.
+    /// Chunks per thread. Several chunks balance the load.
     const CHUNKS: usize = 16;
 
-    /// Starts the threads. Fails if the system has none to give.
+    /// Starts the threads. Fails if the system cannot start them.
     pub(crate) fn new(threads: Threads) -> std::io::Result<Self> {
         let count = threads.count.get();
         let pool = || rayon::ThreadPoolBuilder::new().num_threads(count).build();
         let pool = (count > 1).then(pool).transpose().map_err(std::io::Error::other)?;
-        // There may be fewer than asked for: rayon has a limit.
+        // rayon may start fewer threads than requested.
         let count = pool.as_ref().map_or(1, rayon::ThreadPool::current_num_threads);
         Ok(Workers {
             pool,
@@ -85,12 +86,12 @@ impl Workers {
         })
     }
 
-    /// Whether there is more than the calling thread.
+    /// Whether there is more than one thread.
     pub(crate) fn are_several(&self) -> bool {
         self.pool.is_some()
     }
 
-    /// As [`join::run`]. If it fails, what is in `out` is not to be used.
+    /// Like [`join::run`], on all threads. If it fails, the caller must not use `out`.
     pub(crate) fn run<const W: usize>(
         &self,
         plan: &Plan,
@@ -111,7 +112,7 @@ impl Workers {
         join::run(plan, views, (symbols, ask), effort, out)
     }
 
-    /// Sorts and removes repetitions.
+    /// Sorts rows and removes repetitions.
     pub(crate) fn normalise<const W: usize>(&self, rows: &mut Vec<Row<W>>) {
         match &self.pool {
             Some(pool) if rows.len() >= self.threads.split_from => {
@@ -122,13 +123,13 @@ impl Workers {
         }
     }
 
-    /// The rows of the first scan in pieces; none if the plan is better evaluated as a whole. `copied` bytes it takes to give
-    /// each thread an output.
+    /// Splits the rows of the first scan into chunks; returns none if one thread is better. `copied` is the number of
+    /// bytes copied to give each thread an output.
     fn split<'a, const W: usize>(&self, plan: &Plan, views: &[RowView<'a, W>], copied: usize) -> Vec<&'a [Row<W>]> {
         let Some(Step::Scan { key, distinct, .. }) = plan.steps.first() else {
             return Vec::new();
         };
-        // If one success is enough, the rest of the rows is not looked at.
+        // If one success is enough, the scan stops early.
         let one_is_enough = plan.enough.first().is_some_and(|&end| end != 0);
         if one_is_enough || expected(plan, views) < (self.threads.split_from.max(copied / 8)) as f64 {
             return Vec::new();
@@ -141,7 +142,7 @@ impl Workers {
         for mut rest in ranges() {
             while let Some(last) = rest.get(..size).unwrap_or(rest).last() {
                 let mut end = size.min(rest.len());
-                // Of rows that agree in their first columns one is looked at, so they stay together.
+                // The scan visits one of the rows that agree in the first columns, so they stay together.
                 if let Some(columns @ 1..) = Some(*distinct as usize) {
                     end += gallop(&rest[end..], |row| row.0[..columns] == last.0[..columns]);
                 }
@@ -190,7 +191,7 @@ impl Workers {
                 });
             }
             drop(working);
-            // Nothing is sent; the channel closes when all are done.
+            // The channel carries no message; it closes when all threads are done.
             while let (Some(ask), Err(RecvTimeoutError::Timeout)) = (ask, done.recv_timeout(Self::PAUSE)) {
                 if ask() {
                     interrupted.store(true, Relaxed);
@@ -206,8 +207,8 @@ impl Workers {
     }
 }
 
-/// Puts together what the threads did. `None` if one of them found no room for its rows: that is no more than a hint that there
-/// are too many, since some may have been derived by several.
+/// Merges the results of the threads. `None` if a thread exceeded its share of the row limit: several threads may have
+/// derived the same rows.
 fn join_hands<const W: usize>(
     hands: Vec<Hand<W>>,
     effort: &mut JoinState,
@@ -227,7 +228,7 @@ fn join_hands<const W: usize>(
     Some(hands.into_iter().try_for_each(|hand| out.absorb(hand.out)))
 }
 
-/// About how many rows evaluating the plan looks at.
+/// Estimates the number of rows that the plan scans.
 fn expected<const W: usize>(plan: &Plan, views: &[RowView<'_, W>]) -> f64 {
     let (mut flow, mut rows_scanned) = (1.0, 0.0);
     let in_batch = |batch: &Batch<'_, W>, key: &[Slot]| {
@@ -268,7 +269,7 @@ mod tests {
     use crate::diag::Sources;
     use crate::files::ReadError;
 
-    /// Rows, rows derived, rows looked at.
+    /// Rows, number of rows derived, number of rows scanned.
     type Done = (Vec<Row<2>>, u64, u64);
 
     #[test]
@@ -285,7 +286,7 @@ mod tests {
         let program = Program::load(&mut sources, entry, &none).0.expect("it is right");
         let plans = &program.0.plans;
         let symbols = Symbols::new();
-        // Dense words, and words for which there are no bits.
+        // Dense words, and words too sparse for a bitmap.
         for step in [1, 5_000_011] {
             let mut rows: Vec<Row<2>> = (0..3_000_u32)
                 .map(|n| Row([n * n % 397, n * 7 % 401].map(|word| Value(word * step))))
@@ -306,7 +307,7 @@ mod tests {
                 let views: Vec<RowView<'_, 2>> = plan.steps.iter().map(view).collect();
                 let run = |workers: &Workers, budget: u64, limit: usize| -> Result<Done, Abort> {
                     let (mut effort, mut out) = (JoinState::new(budget), Output::new(limit));
-                    // The second time most rows are known.
+                    // In the second run most rows are known.
                     workers.run(plan, &views, (&symbols, None), &mut effort, &mut out)?;
                     workers.run(plan, &views, (&symbols, None), &mut effort, &mut out)?;
                     let pushed = out.pushed;

@@ -1,16 +1,17 @@
-//! How much work plans do, judged by the sizes of relations. All of it is a function of the rows alone, so choices are the same in
-//! every run.
+//! The cost model: estimates the work of plans from the sizes of relations. Estimates depend on the rows alone, so
+//! every run makes the same choices.
 //!
-//! Where a clause is planned for rows that are there, [`Size`] measures them and [`Flow`] follows a plan while it is made. Which
-//! of several plans a round of a recursion uses is asked so often that only a [`Shape`] is taken: it takes words for evenly spread,
-//! so that of `n` rows whose column has words between `a` and `b`, a word finds `n / (b - a + 1)`.
+//! [`Size`] measures the relations that a clause is planned for, and [`Flow`] follows a plan while the planner builds
+//! it. The choice between alternative plans in each round of a recursion uses a [`Shape`], which is cheaper to take. It
+//! assumes evenly distributed words: if a column of `n` rows has words between `a` and `b`, a word matches `n / (b - a
+//! + 1)` rows.
 
 use crate::datalog::check::VarId;
 use crate::datalog::plan::steps::{Indexes, Plan, Source, Step};
 use crate::datalog::row::{Row, gallop};
 use crate::datalog::syntax::ast::Comparison;
 
-/// How many rows there are and between which words each column lies.
+/// The number of rows and the range of words in each column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Shape<const W: usize> {
     rows: usize,
@@ -29,10 +30,10 @@ impl<const W: usize> Default for Shape<W> {
 }
 
 impl<const W: usize> Shape<W> {
-    /// Rows that are looked at; so many say enough.
+    /// The maximum number of rows sampled.
     const SAMPLE: usize = 64;
 
-    /// Of these rows.
+    /// The shape of these rows.
     pub(crate) fn of(rows: &[Row<W>]) -> Self {
         let mut shape = Shape {
             rows: rows.len(),
@@ -48,7 +49,7 @@ impl<const W: usize> Shape<W> {
         shape
     }
 
-    /// Of both.
+    /// The shape of both sets of rows together.
     pub(crate) fn with(mut self, other: Self) -> Self {
         self.rows += other.rows;
         for column in 0..W {
@@ -58,7 +59,7 @@ impl<const W: usize> Shape<W> {
         self
     }
 
-    /// How many rows have given words in these columns.
+    /// The estimated number of rows that match one word in each of these columns.
     pub(crate) fn found(&self, columns: &[u16]) -> f64 {
         let spread =
             |&column: &u16| f64::from(self.most[column as usize].saturating_sub(self.least[column as usize])) + 1.0;
@@ -66,7 +67,7 @@ impl<const W: usize> Shape<W> {
     }
 }
 
-/// The first plan, unless one of the others does clearly less.
+/// Returns the first plan, unless an alternative costs less than half as much.
 pub(crate) fn choose<'a, const W: usize>(
     first: &'a Plan,
     others: &'a [Plan],
@@ -86,13 +87,13 @@ pub(crate) fn choose<'a, const W: usize>(
     best.0
 }
 
-/// About how many rows a plan looks at.
+/// The estimated number of rows that a plan scans.
 fn effort<const W: usize>(plan: &Plan, indexes: &Indexes, shape: &dyn Fn(Source) -> Shape<W>) -> f64 {
     let found = |source: Source, key: usize| shape(source).found(&indexes[source.index].columns[..key]);
     follow(&plan.steps, &found).1
 }
 
-/// How many rows come to the end of the steps for one that comes to their beginning, and how many are looked at for it.
+/// Returns two estimates for one row that enters the steps: the rows that leave them, and the rows scanned.
 fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
     let (mut flow, mut effort) = (1.0, 0.0);
     for step in steps {
@@ -122,7 +123,7 @@ fn follow(steps: &[Step], found: &dyn Fn(Source, usize) -> f64) -> (f64, f64) {
     (flow, effort)
 }
 
-/// How many rows a relation has and how they are spread, measured on a sample.
+/// The number of rows of a relation and the distribution of words in its columns, measured on a sample.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Size {
     pub(crate) rows: usize,
@@ -130,24 +131,24 @@ pub(crate) struct Size {
     columns: Vec<Spread>,
 }
 
-/// How the words of a column are spread.
+/// The distribution of the words in a column.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Spread {
-    /// About how many different words there are.
+    /// The estimated number of distinct words.
     distinct: f64,
-    /// About how many rows have the word of a row, on average over rows: more than `rows / distinct` if some words are more
-    /// frequent than others.
+    /// The estimated number of rows that share a word with a row, averaged over rows. It exceeds `rows / distinct` if
+    /// the distribution is skewed.
     often: f64,
 }
 
 impl Size {
-    /// Rows that are looked at; so many say enough.
+    /// The maximum number of rows sampled.
     const SAMPLE: usize = 128;
 
-    /// Of sorted rows with so many columns.
+    /// Measures sorted rows with `arity` columns.
     pub(crate) fn of<const W: usize>(rows: &[Row<W>], arity: usize) -> Self {
         let count = rows.len().min(Self::SAMPLE);
-        // One row of each of so many equal parts, not always the same one: words may come in periods.
+        // Take one row from each of `count` equal parts at a scattered offset: words may be periodic.
         let at = |number: usize| {
             let (from, to) = (number * rows.len() / count, (number + 1) * rows.len() / count);
             from + (number.wrapping_mul(0x9E37_79B9) >> 7) % (to - from)
@@ -176,7 +177,7 @@ impl Size {
         }
     }
 
-    /// How words are spread of which this is a sample.
+    /// Estimates the distribution of words in `rows` rows from a sample.
     fn spread(words: &mut [u32], rows: f64) -> Spread {
         words.sort_unstable();
         let count = words.len() as f64;
@@ -194,8 +195,8 @@ impl Size {
                 often,
             };
         }
-        // Words seen once stand for others that were not seen (the guaranteed-error estimator of Charikar et al., 2000); of evenly
-        // spread words, how often two agree says how many there are.
+        // Words seen once represent unseen ones: the guaranteed-error estimator of Charikar et al. (2000). For evenly
+        // distributed words, the frequency of equal pairs in the sample gives the number of distinct words.
         let agree = pairs / (count * (count - 1.0));
         let by_single = (rows / count).sqrt() * single + (different - single);
         let by_pairs = if agree > 0.0 { 1.0 / agree } else { rows };
@@ -207,18 +208,18 @@ impl Size {
     }
 }
 
-/// How many rows begin with the same word as the one at a position.
+/// The number of rows that begin with the same word as the row at a position.
 fn same_first<const W: usize>(rows: &[Row<W>], at: usize) -> usize {
     let word = rows[at].0[0];
     let before = rows[..at].partition_point(|row| row.0[0] < word);
     at - before + gallop(&rows[at..], |row| row.0[0] == word)
 }
 
-/// A column with known words, and the variable that holds them; none for a constant.
+/// A bound column and its variable, or `None` for a constant.
 pub(crate) type Known = (u16, Option<VarId>);
 type Key = [Known];
 
-/// What is expected behind a step.
+/// The estimate after a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Reckoning {
     /// Rows that come to the next step.
@@ -227,7 +228,8 @@ pub(crate) struct Reckoning {
     effort: f64,
 }
 
-/// The rows that the steps of a plan look at, of which some parts are done only until they succeed; see [`Plan::enough`].
+/// The estimated number of rows that a plan scans if each existential group stops at its first success; see
+/// [`Plan::enough`].
 pub(crate) fn effort_of_parts(trail: &[Reckoning], enough: &[u16]) -> f64 {
     let (mut rows, mut effort, mut at) = (1.0, 0.0, 0);
     let mut before = Reckoning { rows: 1.0, effort: 0.0 };
@@ -243,23 +245,23 @@ pub(crate) fn effort_of_parts(trail: &[Reckoning], enough: &[u16]) -> f64 {
     effort
 }
 
-/// What is expected of a plan while it is made.
+/// The running estimate of a plan while the planner builds it.
 #[derive(Clone, Debug)]
 pub(crate) struct Flow {
     /// Rows that come to the next step.
     rows: f64,
     /// Rows looked at by the steps so far.
     effort: f64,
-    /// By variable: how many different words it has; 0 if nothing is known about it.
+    /// By variable: the estimated number of distinct words; 0 if unknown.
     words: Vec<f64>,
 }
 
 impl Flow {
-    /// The share of rows for which two words are equal, and for which another comparison holds: guesses.
+    /// Guessed selectivities: the fraction of rows that pass an equality, and another comparison.
     pub(crate) const EQUAL: f64 = 0.1;
     pub(crate) const COMPARED: f64 = 0.5;
 
-    /// At the beginning.
+    /// The estimate of an empty plan.
     pub(crate) fn new(variables: usize) -> Self {
         Flow {
             rows: 1.0,
@@ -268,7 +270,7 @@ impl Flow {
         }
     }
 
-    /// What is expected so far.
+    /// The estimate for the steps so far.
     pub(crate) fn reckoning(&self) -> Reckoning {
         Reckoning {
             rows: self.rows,
@@ -276,7 +278,8 @@ impl Flow {
         }
     }
 
-    /// How many rows the key finds. Of the words of a variable that has more than the column, some find nothing.
+    /// The estimated number of rows that match the key. A variable with more distinct words than the column has misses
+    /// for some of them.
     pub(crate) fn found(&self, size: &Size, key: &Key) -> f64 {
         let (mut combinations, mut misses) = (1.0, 1.0);
         for &(column, variable) in key {
@@ -289,14 +292,14 @@ impl Flow {
         rows / combinations.clamp(1.0, rows.max(1.0)) / misses
     }
 
-    /// The same, if what is asked for is as unevenly spread as what is there.
+    /// Like `found`, but assumes that the keys follow the same skewed distribution as the rows.
     pub(crate) fn found_often(&self, size: &Size, key: &Key) -> f64 {
         let rows = size.rows.max(1) as f64;
         let share = |&(column, _): &(u16, _)| size.columns[column as usize].often / rows;
         (rows * key.iter().map(share).product::<f64>()).max(self.found(size, key))
     }
 
-    /// Rows are scanned that the key finds; they bind variables.
+    /// Accounts for a scan of the rows that match the key and bind variables.
     pub(crate) fn scan(&mut self, size: &Size, key: &Key, bind: &[(u16, u16)]) {
         self.effort += self.rows;
         self.rows *= self.found(size, key);
@@ -307,25 +310,25 @@ impl Flow {
         }
     }
 
-    /// A scan that runs once passes all rows, since it has no index for its key.
+    /// Accounts for a scan that runs once: without an index for its key it visits all rows.
     pub(crate) fn passes(&mut self, size: &Size) {
         self.effort += size.rows as f64;
     }
 
-    /// It is asked whether the key finds something.
+    /// Accounts for a test that some row matches the key.
     pub(crate) fn exists(&mut self, size: &Size, key: &Key) {
         self.effort += self.rows;
         self.rows *= self.found(size, key).min(1.0);
         self.narrow(size, key);
     }
 
-    /// It is asked whether the key finds nothing.
+    /// Accounts for a test that no row matches the key.
     pub(crate) fn absent(&mut self, size: &Size, key: &Key) {
         self.effort += self.rows;
         self.rows *= 1.0 - self.found(size, key).min(0.9);
     }
 
-    /// A variable is bound to what all these have.
+    /// Accounts for a leapfrog join of these lists that binds the variable.
     pub(crate) fn meet(&mut self, lists: &[(&Size, Vec<Known>)], variable: VarId) {
         let found = lists.iter().map(|(size, key)| self.found(size, key));
         let least = found.fold(f64::INFINITY, f64::min);
@@ -335,13 +338,13 @@ impl Flow {
         self.words[variable.index()] = self.rows.max(1.0);
     }
 
-    /// A comparison lets a share of the rows pass.
+    /// Accounts for a comparison that passes a fraction of the rows.
     pub(crate) fn filter(&mut self, share: f64) {
         self.effort += self.rows;
         self.rows *= share;
     }
 
-    /// The variables of a key have no more words than its columns.
+    /// Limits the distinct words of the key's variables to those of its columns.
     fn narrow(&mut self, size: &Size, key: &Key) {
         for &(column, variable) in key {
             if let Some(variable) = variable {
@@ -359,7 +362,7 @@ mod tests {
     use crate::datalog::value::Value;
 
     #[test]
-    fn sizes_tell_what_is_unique_repeated_and_skewed() {
+    fn sizes_measure_unique_repeated_and_skewed_columns() {
         let near = |value: f64, expected: f64, factor: f64| {
             assert!(
                 (expected / factor..=expected * factor).contains(&value),
@@ -371,18 +374,18 @@ mod tests {
             rows.sort_unstable();
             Size::of(&rows, 3)
         };
-        // A key, ten words in no order, and 7.
+        // A key, eight scattered words, and the constant 7.
         let scattered = size(&|row| [row, row.wrapping_mul(2_654_435_761) >> 16 & 7, 7]);
         for (spread, (distinct, often)) in scattered.columns.iter().zip([(1e4, 1.0), (8.0, 1_250.0), (1.0, 1e4)]) {
             near(spread.distinct, distinct, 1.3);
             near(spread.often, often, 1.3);
         }
-        // Half of the rows have the same word, the others have words of their own.
+        // Half of the rows share a word; the others have distinct words.
         let skewed = size(&|row| [row / 2 * (row % 2), 3 * (row.wrapping_mul(2_654_435_761) >> 16), row]);
         near(skewed.columns[0].distinct, 5_000.0, 1.3);
         near(skewed.columns[0].often, 2_500.0, 1.3);
         near(skewed.columns[1].distinct, 1e4, 2.5);
-        // A few rows are counted.
+        // Few rows are counted exactly.
         let few: Vec<Row<2>> = (0..60).map(|row| Row([Value(row / 20), Value(row % 20)])).collect();
         let few = Size::of(&few, 2);
         let spreads = few.columns.iter().map(|spread| (spread.distinct.round(), spread.often));
@@ -398,7 +401,7 @@ mod tests {
         let mut flow = Flow::new(2);
         flow.scan(&size, &[], &[(0, 0), (1, 1)]);
         assert_eq!((flow.rows, flow.effort), (100.0, 101.0));
-        // Of 100 words, 20 are in the second column, five times each.
+        // Of the 100 words of `x`, 20 occur in the second column, five times each.
         assert_eq!(flow.found(&size, &[(1, Some(x))]).round(), 1.0);
         assert_eq!(flow.found(&size, &[(1, Some(y))]).round(), 5.0);
         assert_eq!(flow.found(&size, &[(1, None)]).round(), 5.0);
@@ -413,7 +416,7 @@ mod tests {
         let trail = [(100.0, 100.0), (1_000.0, 1_100.0), (500.0, 2_100.0), (500.0, 2_600.0)];
         let trail = trail.map(|(rows, effort)| Reckoning { rows, effort });
         assert_eq!(effort_of_parts(&trail, &[0, 0, 0, 0]), 2_600.0);
-        // The second and third step find five for each row.
+        // The second and third step together find five rows for each row.
         assert_eq!(effort_of_parts(&trail, &[0, 3, 0, 0]), 100.0 + 2_000.0 / 5.0 + 100.0);
         assert_eq!(effort_of_parts(&trail, &[0, 0, 4, 0]), 2_600.0);
     }

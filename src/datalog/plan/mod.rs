@@ -1,7 +1,7 @@
-//! Plans: in which order the literals of each clause are joined, and through which indexes.
+//! Query plans: the join order of each clause's literals and the indexes that the joins use.
 //!
-//! `steps` defines a plan, `planner` finds the order of the literals, and `estimate` judges orders by the sizes of relations. With the feature
-//! `optimizer`, `optimize` simplifies clauses before they are planned.
+//! `steps` defines a plan, `planner` orders the literals, and `estimate` compares orders by the sizes of relations.
+//! With the feature `optimizer`, `optimize` simplifies clauses before they are planned.
 
 pub(crate) mod estimate;
 #[cfg(feature = "optimizer")]
@@ -22,14 +22,14 @@ use steps::{Aim, ClausePlans, Indexes, StratumPlan};
 #[derive(Debug)]
 pub(crate) struct Compiled {
     pub(crate) rules: Rules,
-    /// Made from the text alone.
+    /// The initial plans, made before any relation has rows.
     pub(crate) plans: Arc<Plans>,
 }
 
-/// Everything about a program that does not change while it runs.
+/// The plans of all clauses, the indexes they need, and the layout of the strata.
 #[derive(Clone, Debug)]
 pub(crate) struct Plans {
-    /// By [`ClauseId`]: the clauses that were planned, which may be simpler than those of the text.
+    /// By [`ClauseId`]: the clauses as planned. The optimizer may have simplified them.
     sources: Arc<[Clause]>,
     /// By [`ClauseId`].
     pub(crate) clauses: Vec<ClausePlans>,
@@ -38,13 +38,13 @@ pub(crate) struct Plans {
     pub(crate) strata: Vec<StratumPlan>,
     /// By [`RelId`]: the position of a derived relation among the members of its stratum.
     pub(crate) member: Vec<Option<usize>>,
-    /// One of [`WIDTHS`].
+    /// The number of words in a stored row, one of [`WIDTHS`].
     pub(crate) width: usize,
 }
 
 impl Plans {
-    /// Plans all clauses. Fails only if a clause or a relation is too large to evaluate, or is not safe, which checking
-    /// excludes.
+    /// Plans all clauses. Fails if a clause or a relation exceeds a size limit. Fails for an unsafe clause too, but the
+    /// checker rejects those first.
     pub(crate) fn new(rules: &Rules) -> Result<Plans, Diagnostic> {
         let width_max = WIDTHS[WIDTHS.len() - 1];
         if let Some(wide) = rules.relations.iter().find(|relation| relation.arity() > width_max) {
@@ -94,13 +94,15 @@ impl Plans {
         })
     }
 
-    /// Plans clauses again, for relations of these sizes: for a computation from scratch, as far as it is not done in rounds, or
-    /// for maintenance. There may be more indexes afterwards; those there are stay what they are.
+    /// Replans clauses for relations of these sizes.
+    ///
+    /// [`Aim::Recompute`] replans the non-recursive evaluation from scratch, [`Aim::Maintain`] the maintenance plans.
+    /// Replanning may add indexes; existing indexes stay as they are.
     pub(crate) fn adapt(&mut self, clauses: &[ClauseId], aim: Aim, sizes: &[Option<Size>]) {
         let indexes = &mut self.indexes;
         for &id in clauses {
             let (clause, plans) = (&self.sources[id.index()], &mut self.clauses[id.index()]);
-            // What could be planned once can be planned again: which variables can be bound does not depend on the order.
+            // Replanning cannot fail: which variables can be bound does not depend on the order.
             match aim {
                 Aim::Recompute if plans.deltas.is_empty() => {
                     if let Some(plan) = plan_complete(clause, indexes, sizes) {

@@ -1,8 +1,9 @@
-//! From a clause to the steps that evaluate it.
+//! The planner: translates a clause to the steps that evaluate it.
 //!
-//! Literals are ordered greedily: tests first, then the atom that shares bound variables and adds the fewest new ones. A program
-//! is planned once, before there are any rows, and clauses are planned again when there are ([`crate::datalog::eval::adapt`]): then the atom that
-//! finds the fewest rows comes next, and where several atoms wait for the same last variable, one step *meets* them all.
+//! The planner orders literals greedily: tests first, then the atom that shares bound variables and adds the fewest new
+//! ones. It plans a program once before there are rows. [`crate::datalog::eval::adapt`] replans clauses when the sizes
+//! of relations are known. Then the atom with the fewest matching rows comes next. Where several atoms lack only the
+//! same variable, one leapfrog join can bind it.
 
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
 use crate::datalog::plan::estimate::{Flow, Known, Reckoning, Size, effort_of_parts};
@@ -11,30 +12,31 @@ use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::value::Value;
 use crate::diag::{Code, Diagnostic};
 
-/// At most this many literals in a body and this many variables in a clause: evaluation recurses once per atom, and planning
-/// takes cubic time.
+/// The maximum number of literals in a body and of variables in a clause. Evaluation recurses once per atom, and
+/// planning takes cubic time.
 pub(crate) const CLAUSE_MAX: usize = 128;
 
-/// A clause with more literals than this has no plans for maintenance, since there is one for each and planning one takes longer
-/// the more there are. Its stratum is always recomputed.
+/// A clause with more literals than this has no maintenance plans, so its stratum is always recomputed. A clause needs
+/// one such plan per literal, and planning time grows with the number of literals.
 const MAINTAINED_LITERALS_MAX: usize = 24;
 
-/// A clause with more literals than this has no alternatives.
+/// A clause with more literals than this has no alternative plans.
 const DETOUR_LITERALS_MAX: usize = 8;
 
-/// Putting a row into another order costs as much as looking at so many. Sorting costs more, but the order serves later commits.
+/// The cost of adding one row to an index, in rows scanned. Sorting costs more, but later commits reuse the index.
 const INDEX_ROW: f64 = 1.9;
 
-/// So many atoms to begin with are tried when a clause is planned by sizes: those that find the fewest rows.
+/// The number of first atoms that planning by size tries: those with the fewest matching rows.
 const STARTS_MAX: usize = 3;
 
-/// Whether the change of the clause's rows can be had from the change of its inputs. An aggregate may change with any row.
+/// Whether the clause can be maintained incrementally from the changes of its inputs. A clause with an aggregate
+/// cannot: any row may change the aggregate.
 pub(crate) fn is_maintainable(clause: &Clause) -> bool {
     let aggregates = |literal: &Literal| matches!(literal, Literal::Aggregate { .. });
     clause.body.len() <= MAINTAINED_LITERALS_MAX && !clause.body.iter().any(aggregates)
 }
 
-/// All plans of a clause. `stratum` holds the relations computed together with its head.
+/// Makes all plans of a clause. `stratum` holds the relations of the head's stratum.
 pub(crate) fn plan_clause(
     clause: &Clause,
     stratum: &[RelId],
@@ -56,7 +58,7 @@ pub(crate) fn plan_clause(
     let complete = Planner::new(clause, indexes, order).plan(First::Any, &|_| Version::Complete)?;
     let (mut deltas, mut alternatives) = (Vec::new(), Vec::new());
     for &delta in &recursive {
-        // Each derivation is found once: by the plan of its first atom that holds by a new row.
+        // Each derivation is found once: by the plan of its first atom that matches a new row.
         let version = |position: usize| match position.cmp(&delta) {
             _ if !recursive.contains(&position) => Version::Complete,
             std::cmp::Ordering::Less => Version::Old,
@@ -70,7 +72,7 @@ pub(crate) fn plan_clause(
                 matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
             if finished && clause.body.len() <= DETOUR_LITERALS_MAX {
                 let other = Planner::new(clause, indexes, order).plan(First::Literal(position), &version)?;
-                // An index over a relation that grows has to be kept up; an alternative must do without.
+                // Evaluation must update an index over a growing relation, so an alternative uses none.
                 let mut sources = other.steps.iter().flat_map(Step::sources);
                 let own = |source: Source| source.version == Version::Complete || indexes.is_own(source.index);
                 let cheap = sources.all(own) && !other.searches_new();
@@ -85,7 +87,7 @@ pub(crate) fn plan_clause(
             alternatives.push(others);
         }
     }
-    // In maintenance a recursive relation is no longer small, as it is when a computation from scratch begins.
+    // In maintenance a recursive relation is already large; in a computation from scratch it begins empty.
     let (changes, check) = match is_maintainable(clause) {
         true => plan_changes(clause, indexes, Order::Text { large: stratum })?,
         false => (Vec::new(), None),
@@ -99,7 +101,7 @@ pub(crate) fn plan_clause(
     })
 }
 
-/// The plans for maintenance.
+/// Makes the maintenance plans.
 pub(crate) fn plan_changes(
     clause: &Clause,
     indexes: &mut Indexes,
@@ -125,8 +127,8 @@ pub(crate) fn plan_changes(
     Ok((changes, Some(check)))
 }
 
-/// The plan over finished relations of known sizes that looks at the fewest rows, of those that begin with one of the atoms that
-/// find few.
+/// Returns the cheapest plan over finished relations of known sizes. It tries the [`STARTS_MAX`] first atoms with the
+/// fewest matching rows.
 pub(crate) fn plan_complete(clause: &Clause, indexes: &mut Indexes, sizes: &[Option<Size>]) -> Option<Plan> {
     let order = Order::Sizes(sizes);
     let planner = Planner::new(clause, indexes, order);
@@ -151,33 +153,33 @@ pub(crate) fn plan_complete(clause: &Clause, indexes: &mut Indexes, sizes: &[Opt
     Some(plan)
 }
 
-/// What a plan begins with.
+/// The first step of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum First {
-    /// What is best.
+    /// The planner's choice.
     Any,
     /// The atom of the literal at this position of the body.
     Literal(usize),
-    /// The same, to find heads that are not known yet. A negated atom is tested nevertheless if it has wildcards.
+    /// Like `Literal`, but skips heads that are already known. A negated atom with wildcards is tested as well.
     Change(usize),
-    /// Rows of the head.
+    /// Head rows.
     Head,
 }
 
-/// By what atoms are ordered.
+/// The criterion that orders atoms.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Order<'a> {
-    /// By what the clause says alone. Some relations are probably larger than others.
+    /// By the clause alone. The relations in `large` are probably larger than the others.
     Text { large: &'a [RelId] },
-    /// By the sizes of relations, which are known for those in the body.
+    /// By the sizes of relations. The sizes of all relations in the body are known.
     Sizes(&'a [Option<Size>]),
 }
 
-/// What comes next.
+/// The next step to place.
 enum Next {
-    /// The atom of this literal.
+    /// Scan the atom of this literal.
     Scan(usize),
-    /// The atoms of these literals, which lack no variable but this one.
+    /// Leapfrog-join the atoms of these literals. The variable is the only one that they lack.
     Meet(Vec<usize>, VarId),
 }
 
@@ -185,21 +187,21 @@ struct Planner<'a> {
     clause: &'a Clause,
     indexes: &'a mut Indexes,
     order: Order<'a>,
-    /// How many rows there are at this point of the plan.
+    /// The expected number of rows at this point of the plan.
     flow: Flow,
     slots: Vec<Value>,
     /// By variable.
     bound: Vec<bool>,
-    /// By variable: how often it occurs in the head and in what is left of the body.
+    /// By variable: the number of its occurrences in the head and in the literals still to be placed.
     uses: Vec<usize>,
-    /// Positions in the body, in the order of the text.
+    /// Positions of the literals still to be placed, in text order.
     left: Vec<usize>,
     steps: Vec<Step>,
-    /// What the orders of rows cost that the plan needs besides relations' own; nothing if sizes are not known.
+    /// The cost of the secondary indexes that the plan needs; 0 if sizes are unknown.
     ordering: f64,
-    /// By step: what is expected behind it.
+    /// By step: the estimate after it.
     trail: Vec<Reckoning>,
-    /// Whether a scan stands before, so that the next step may run many times.
+    /// Whether a scan precedes, so that the next step may run many times.
     repeated: bool,
 }
 
@@ -234,8 +236,7 @@ impl<'a> Planner<'a> {
         self.run(first, version).map(|(plan, _)| plan)
     }
 
-    /// The plan, about how many rows it will look at if sizes are known, and the positions of the literals in the order in which
-    /// it comes to them.
+    /// Returns the plan and, if sizes are known, the estimated number of rows it scans.
     fn run(mut self, first: First, version: &dyn Fn(usize) -> Version) -> Result<(Plan, f64), Diagnostic> {
         let clause = self.clause;
         let head = &clause.head;
@@ -256,7 +257,7 @@ impl<'a> Planner<'a> {
                     if let Some(atom) = atom {
                         self.scan(atom, version(position));
                     }
-                    // Another row may have the same values in the other columns.
+                    // A negated atom with wildcards stays: another row may match its other columns.
                     let open = atom.is_some_and(|atom| atom.terms.contains(&Term::Wildcard));
                     if !(open && matches!(literal, Literal::Negative(_))) {
                         self.placed(position);
@@ -266,7 +267,7 @@ impl<'a> Planner<'a> {
                 None => {}
             }
             let known = |planner: &Self| head_variables.iter().all(|variable| planner.bound[variable.index()]);
-            // Whether the head is known is asked as early as possible: mostly it is.
+            // Test as early as possible whether the head is known: it usually is.
             for tests_placed in [false, true] {
                 if matches!(first, First::Change(_)) && fresh.is_none() && known(&self) {
                     fresh = Some(self.steps.len());
@@ -300,13 +301,13 @@ impl<'a> Planner<'a> {
         Ok((plan, effort))
     }
 
-    /// Appends a step with which the flow has been reckoned.
+    /// Appends a step after the flow has accounted for it.
     fn push(&mut self, step: Step) {
         self.steps.push(step);
         self.trail.push(self.flow.reckoning());
     }
 
-    /// What to say of a clause that checking should have refused.
+    /// The diagnostic for an unsafe clause. The checker rejects such clauses first.
     fn unbound(&self) -> Diagnostic {
         let names = self.clause.variables.iter().zip(&self.bound);
         let names: Vec<String> = names
@@ -338,10 +339,10 @@ impl<'a> Planner<'a> {
         variable_of(term).is_none_or(|variable| self.bound[variable.index()])
     }
 
-    /// Places every literal that binds no variable by a scan and whose variables are bound.
+    /// Places every literal whose variables are bound and that needs no scan.
     fn place_tests(&mut self, version: &dyn Fn(usize) -> Version) {
-        // An equality may bind what an earlier literal waits for. A comparison costs less than finding a row, and a short row is
-        // found faster than a long one.
+        // Placing an equality can make an earlier literal ready, so search again after each placement. Prefer
+        // comparisons to lookups, and narrow rows to wide ones.
         let clause = self.clause;
         let cost = |position: usize| clause.body[position].atom().map_or(0, |atom| atom.terms.len());
         let ready = |planner: &Self| {
@@ -430,14 +431,14 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// Whether any value will do for a term of a literal that is still to be placed: a wildcard, or a variable that is not
-    /// bound and occurs nowhere else in what is left of the clause.
+    /// Whether any value matches a term of a literal still to be placed. The term is a wildcard, or an unbound variable
+    /// that occurs nowhere else in the rest of the clause.
     fn is_unneeded(&self, term: &Term) -> bool {
         variable_of(term).is_none_or(|variable| !self.bound[variable.index()] && self.uses[variable.index()] == 1)
             && !matches!(term, Term::Constant(_))
     }
 
-    /// Strikes a literal off what is left.
+    /// Removes a literal from those still to be placed.
     fn placed(&mut self, position: usize) {
         self.left.retain(|&other| other != position);
         for variable in self.clause.body[position].terms().filter_map(variable_of) {
@@ -445,7 +446,7 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// The source and key of a test. All columns are bound, or any value will do.
+    /// The source and key of a test. Each column is bound or matches any value.
     fn lookup(&mut self, atom: &Atom, version: Version) -> (Source, Vec<Slot>) {
         let bound = |&column: &u16| {
             let term = &atom.terms[column as usize];
@@ -460,7 +461,7 @@ impl<'a> Planner<'a> {
         (Source { index, version }, key)
     }
 
-    /// The source and key of an aggregate: an index of all columns, the bound ones first.
+    /// The source and key of an aggregate: an index of all columns that begins with the bound ones.
     fn rows(&mut self, atom: &Atom) -> (Source, Vec<Slot>) {
         let bound = |&column: &u16| atom.terms[column as usize] != Term::Wildcard;
         let known: Vec<u16> = (0..atom.terms.len() as u16).filter(bound).collect();
@@ -472,7 +473,7 @@ impl<'a> Planner<'a> {
         (Source { index, version }, key)
     }
 
-    /// The slot for a value, and whether something is there already.
+    /// The slot for a computed value, and whether it is already bound.
     fn result(&mut self, to: &Term) -> Option<(Slot, bool)> {
         let test = self.is_bound(to);
         if test {
@@ -506,8 +507,9 @@ impl<'a> Planner<'a> {
         self.push(Step::Copy { to, from });
     }
 
-    /// What to do next: scan an atom that is connected to what is bound, or meet several. If sizes are known, the atom that finds
-    /// the fewest rows; then the fewest new variables, then the most bound columns, then one that is not probably large.
+    /// Chooses the next scan or leapfrog join. It prefers atoms that share a bound variable. Then it prefers, in this
+    /// order: the fewest matching rows (if sizes are known), the fewest new variables, the most bound columns, and
+    /// relations that are not probably large.
     fn next(&self) -> Option<Next> {
         let cost = |position: usize| {
             let atom = positive(&self.clause.body[position])?;
@@ -519,7 +521,7 @@ impl<'a> Planner<'a> {
                 Order::Text { large } => (0.0, large.contains(&atom.relation)),
                 Order::Sizes(_) => (self.found(atom), false),
             };
-            // A single row may stand in front of anything.
+            // An atom that matches at most one row may come anywhere.
             let apart = known == 0 && !(matches!(self.order, Order::Sizes(_)) && found <= 1.0);
             Some((apart, found, new, std::cmp::Reverse(known), large, position))
         };
@@ -532,8 +534,8 @@ impl<'a> Planner<'a> {
         Some(self.next_meet(best).unwrap_or(Next::Scan(best)))
     }
 
-    /// Whether the atom had better be met than scanned: several atoms lack nothing but the variable that it lacks, and rows
-    /// are so skewed that whichever is scanned may have many more than are left when all have been asked.
+    /// Returns a leapfrog join in place of the scan of `best`, if several atoms lack only its variable and the join is
+    /// cheaper. With skewed rows, a scan of any one list may return many more rows than the intersection has.
     fn next_meet(&self, best: usize) -> Option<Next> {
         let Order::Sizes(sizes) = self.order else { return None };
         let [variable] = self.new_variables(positive(&self.clause.body[best])?)[..] else {
@@ -568,7 +570,7 @@ impl<'a> Planner<'a> {
         (met < scanned).then_some(Next::Meet(lists, variable))
     }
 
-    /// The variables of the atom that are not bound and needed, each once.
+    /// The unbound variables of the atom that the rest of the clause needs, without duplicates.
     fn new_variables(&self, atom: &Atom) -> Vec<VarId> {
         let needed = |term: &&Term| !self.is_bound(term) && !self.is_unneeded(term);
         let mut new: Vec<VarId> = atom.terms.iter().filter(needed).filter_map(variable_of).collect();
@@ -577,14 +579,14 @@ impl<'a> Planner<'a> {
         new
     }
 
-    /// The bound columns of an atom with their variables; none for a constant.
+    /// The bound columns of an atom with their variables, or `None` for a constant.
     fn key(&self, atom: &Atom) -> Vec<Known> {
         let known = |term: &Term| *term != Term::Wildcard && self.is_bound(term);
         let columns = (0..).zip(&atom.terms).filter(|(_, term)| known(term));
         columns.map(|(column, term)| (column, variable_of(term))).collect()
     }
 
-    /// How many rows the atom finds; none if sizes are not known.
+    /// The estimated number of rows that match the atom; 0 if sizes are unknown.
     fn found(&self, atom: &Atom) -> f64 {
         match self.order {
             Order::Sizes(sizes) => {
@@ -595,7 +597,7 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// Reckons with what is about to be placed, if sizes are known.
+    /// Updates the estimate for an atom about to be placed, if sizes are known.
     fn expect(&mut self, atom: &Atom, reckon: impl Fn(&mut Flow, &Size, &[Known])) {
         if let Order::Sizes(sizes) = self.order
             && let Some(size) = &sizes[atom.relation.index()]
@@ -605,7 +607,7 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// Appends a step that meets the atoms of these literals, which lack only the variable.
+    /// Appends a leapfrog join of the atoms of these literals, which lack only the variable.
     fn meet(&mut self, positions: &[usize], variable: VarId, version: &dyn Fn(usize) -> Version) {
         let mut lists = Vec::with_capacity(positions.len());
         for &position in positions {
@@ -681,7 +683,7 @@ impl<'a> Planner<'a> {
             for (column, _) in keys.iter_mut().chain(&mut binds).chain(&mut checks) {
                 *column = (order.iter().position(|other| other == column)).map_or(*column, |position| position as u16);
             }
-            // The key is read in the order of the index.
+            // The key follows the column order of the index.
             keys.sort_unstable_by_key(|&(column, _)| column);
             let needed = known.len() + other.len();
             if needed < order.len() {
@@ -689,8 +691,8 @@ impl<'a> Planner<'a> {
             }
             index
         } else {
-            // Run once, or with nothing known: an index would cost more than it saves. The relation's own order may still
-            // begin with known columns.
+            // A scan that runs once, or without bound columns, does not repay an index. The primary index may still
+            // begin with bound columns.
             let prefix = if version == Version::New && !self.repeated {
                 0
             } else {
@@ -713,7 +715,7 @@ impl<'a> Planner<'a> {
     }
 }
 
-/// By step: where a part of the plan ends of which one success is enough, or 0. See [`Plan::enough`].
+/// By step: the end of the existential group that begins with it, or 0. See [`Plan::enough`].
 fn enough(steps: &[Step], output: &[Slot]) -> Vec<u16> {
     let ends_at = |start: usize| {
         let mut filled = Vec::new();

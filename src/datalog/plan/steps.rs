@@ -1,22 +1,25 @@
-//! The steps of a plan: for every clause straight lists of [`Step`]s over numbered slots (the clause's variables, then its constants).
+//! The plan representation. Each plan is a straight list of [`Step`]s over numbered slots: the clause's variables, then
+//! its constants.
 //!
-//! A scan binds variables, one atom at a time; every other step tests what is already bound, and stands as early as it can.
+//! A scan binds the variables of one atom, and a leapfrog join binds one variable. Every other step tests or computes
+//! from bound slots, and the planner places it as early as possible.
 //!
-//! A clause of a recursive stratum has one plan for each of its atoms over that stratum, beginning with the newest rows of it, and
-//! *alternatives*, which reach those rows later. The sizes of relations decide in every round which one runs ([`super::estimate`]).
+//! A clause of a recursive stratum has one delta plan for each body atom over that stratum. The delta plan begins with
+//! the newest rows of that atom. *Alternatives* compute the same result but reach those rows later. In every round
+//! [`super::estimate`] chooses between them by the sizes of relations.
 //!
-//! For maintenance every clause has one plan for each of its atoms, negated ones included, beginning with the rows that changed, and one
-//! that begins with rows of the head and asks whether they can be derived.
+//! For maintenance, each clause has one plan for each body atom, negated ones included, that begins with the changed
+//! rows. One more plan begins with head rows and checks whether the clause derives them.
 
 use crate::datalog::check::{ClauseId, RelId};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 use crate::datalog::value::Value;
 
-/// A place for a value while a clause is evaluated: a variable, or after them a constant.
+/// The position of a value during evaluation: variables come first, then constants.
 pub(crate) type Slot = u16;
 
-/// Names an index of [`Indexes`].
+/// The id of an index in [`Indexes`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct IndexId(pub(crate) u32);
 
@@ -26,20 +29,21 @@ impl IndexId {
     }
 }
 
-/// An order of a relation's columns. Each index has all columns, so that it can be patched when rows come and go.
+/// An order of a relation's columns. Each index covers all columns, so that it can be patched when rows are added or
+/// removed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct IndexSpec {
     pub(crate) relation: RelId,
     pub(crate) columns: Vec<u16>,
-    /// Among the relation's indexes; 0 for its own rows.
+    /// Position among the relation's indexes; 0 is the primary index, the relation's rows in their stored order.
     pub(crate) position: usize,
 }
 
-/// The orders in which rows are wanted, each once. The first ones are the relations' own rows, by [`RelId`].
+/// The indexes that the plans use, without duplicates. The primary indexes come first, by [`RelId`].
 #[derive(Clone, Debug)]
 pub(crate) struct Indexes {
     specs: Vec<IndexSpec>,
-    /// By [`RelId`]: the indexes of a relation, its own rows first.
+    /// By [`RelId`]: the indexes of a relation, the primary index first.
     of: Vec<Vec<IndexId>>,
 }
 
@@ -52,7 +56,7 @@ impl std::ops::Index<IndexId> for Indexes {
 }
 
 impl Indexes {
-    /// The own rows of relations with so many columns.
+    /// Creates the primary indexes of relations with these arities.
     pub(crate) fn new(arities: impl Iterator<Item = usize>) -> Self {
         let own = |(arity, number)| own_rows(RelId(number), arity);
         let specs: Vec<IndexSpec> = arities.zip(0..).map(own).collect();
@@ -62,27 +66,27 @@ impl Indexes {
         }
     }
 
-    /// How many indexes each relation has, by [`RelId`].
+    /// The number of indexes of each relation, by [`RelId`].
     pub(crate) fn counts(&self) -> impl Iterator<Item = usize> {
         self.of.iter().map(Vec::len)
     }
 
-    /// The indexes of a relation, its own rows first.
+    /// The indexes of a relation, the primary index first.
     pub(crate) fn of(&self, relation: RelId) -> impl Iterator<Item = &IndexSpec> {
         self.of[relation.index()].iter().map(|&index| &self[index])
     }
 
-    /// Whether the index is a relation's own rows.
+    /// Whether this is a relation's primary index.
     pub(crate) fn is_own(&self, index: IndexId) -> bool {
         index.index() < self.of.len()
     }
 
-    /// How many there are.
+    /// The number of indexes of all relations together.
     pub(crate) fn len(&self) -> usize {
         self.specs.len()
     }
 
-    /// Takes back all but the first ones.
+    /// Removes all but the first `count` indexes.
     pub(crate) fn truncate(&mut self, count: usize) {
         self.specs.truncate(count);
         for known in &mut self.of {
@@ -90,7 +94,8 @@ impl Indexes {
         }
     }
 
-    /// An index that begins with the columns of each group in turn, within a group in some order, and its order of columns.
+    /// Returns an index that begins with the columns of the first group, then those of the second, each in any order.
+    /// Creates the index if none exists. The second value is its column order.
     pub(crate) fn prefix(&mut self, relation: RelId, groups: [&[u16]; 2]) -> (IndexId, Vec<u16>) {
         let begins = |order: &[u16]| {
             let (first, rest) = order.split_at(groups[0].len());
@@ -116,7 +121,7 @@ impl Indexes {
     }
 }
 
-/// A relation's rows in their own order.
+/// The specification of a relation's primary index.
 fn own_rows(relation: RelId, arity: usize) -> IndexSpec {
     IndexSpec {
         relation,
@@ -125,27 +130,27 @@ fn own_rows(relation: RelId, arity: usize) -> IndexSpec {
     }
 }
 
-/// Which rows of a relation are meant.
+/// The subset of a relation's rows that a step reads during semi-naive evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Version {
-    /// Those of the finished relation.
+    /// The rows of a finished relation.
     Complete,
-    /// Those known before this round and those new in it.
+    /// Old and new rows.
     All,
-    /// Those known before this round.
+    /// The rows derived before this round.
     Old,
-    /// Those new in this round.
+    /// The rows that are new in this round.
     New,
 }
 
-/// Where a step finds rows.
+/// The index and the subset of rows that a step reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Source {
     pub(crate) index: IndexId,
     pub(crate) version: Version,
 }
 
-/// The words that follow the key in the rows that begin with it, sorted.
+/// One input of a leapfrog join: the sorted words that follow the key in the rows that begin with it.
 #[derive(Clone, Debug)]
 pub(crate) struct List {
     pub(crate) source: Source,
@@ -155,34 +160,35 @@ pub(crate) struct List {
 /// One step of a plan.
 #[derive(Clone, Debug)]
 pub(crate) enum Step {
-    /// For each row that begins with the key and passes the checks, bind and go on.
+    /// For each row that begins with the key and passes the checks: bind the slots and continue.
     Scan {
         source: Source,
         key: Vec<Slot>,
         /// (column of the index, slot to fill).
         bind: Vec<(u16, Slot)>,
-        /// (column of the index, slot it must equal); done after binding.
+        /// (column of the index, slot it must equal), checked after binding.
         check: Vec<(u16, Slot)>,
-        /// If not 0, only so many columns of the index matter, the first ones: of rows that agree in them one is enough.
+        /// If not 0, only this number of leading columns matters: the scan visits one row for each combination of them.
         distinct: u16,
     },
-    /// For each word that all lists have, fill the slot with it and go on: a leapfrog join of one variable. However skewed the
-    /// rows are, it looks at no more of each list than the shortest is long.
+    /// For each word that occurs in all lists: fill the slot with it and continue. This is the leapfrog join of one
+    /// variable. It visits at most as many rows of each list as the shortest list has, however skewed the rows are.
     LeapfrogJoin { lists: Vec<List>, to: Slot },
-    /// Go on if some row begins with the key.
+    /// Continue if some row begins with the key.
     Exists { source: Source, key: Vec<Slot> },
-    /// Go on if no row begins with the key.
+    /// Continue if no row begins with the key.
     AntiJoin { source: Source, key: Vec<Slot> },
-    /// Fill a slot from another.
+    /// Copy a slot to another.
     Copy { to: Slot, from: Slot },
-    /// Go on if the comparison holds.
+    /// Continue if the comparison holds.
     Compare {
         op: Comparison,
         left: Slot,
         right: Slot,
         base: BaseType,
     },
-    /// Go on if the functor has a value: the one in the slot if that is a `test`, else fill the slot with it.
+    /// Compute a functor and continue if it has a value. A `test` requires the slot to hold that value; otherwise the
+    /// step fills the slot with it.
     Compute {
         functor: Functor,
         base: BaseType,
@@ -190,13 +196,13 @@ pub(crate) enum Step {
         to: Slot,
         test: bool,
     },
-    /// The same for the aggregate over the rows that begin with the key.
+    /// Aggregate the rows that begin with the key, with `test` as in [`Step::Compute`].
     Aggregate {
         source: Source,
         key: Vec<Slot>,
         op: AggregateOp,
         base: BaseType,
-        /// The column of the index that holds the values; 0 where rows are counted.
+        /// The column of the index that holds the aggregated values; 0 for a count.
         column: u16,
         to: Slot,
         test: bool,
@@ -204,7 +210,7 @@ pub(crate) enum Step {
 }
 
 impl Step {
-    /// Where the step finds rows, if it looks at those of a single relation.
+    /// The source of a step that reads a single relation.
     #[inline]
     pub(crate) fn source(&self) -> Option<Source> {
         match self {
@@ -216,7 +222,7 @@ impl Step {
         }
     }
 
-    /// Wherever the step finds rows.
+    /// All sources that the step reads.
     pub(crate) fn sources(&self) -> impl Iterator<Item = Source> {
         let lists: &[List] = match self {
             Step::LeapfrogJoin { lists, .. } => lists,
@@ -225,7 +231,7 @@ impl Step {
         self.source().into_iter().chain(lists.iter().map(|list| list.source))
     }
 
-    /// The slots it fills.
+    /// The slots that the step fills.
     pub(crate) fn fills(&self) -> Vec<Slot> {
         match self {
             Step::Scan { bind, .. } => bind.iter().map(|&(_, slot)| slot).collect(),
@@ -235,7 +241,7 @@ impl Step {
         }
     }
 
-    /// Whether it needs what is in a slot.
+    /// Whether the step reads a slot.
     pub(crate) fn reads(&self, slot: Slot) -> bool {
         match self {
             Step::Scan { key, check, .. } => key.contains(&slot) || check.iter().any(|&(_, other)| other == slot),
@@ -250,30 +256,30 @@ impl Step {
         }
     }
 
-    /// Whether it may go on several times.
+    /// Whether the step may continue more than once.
     pub(crate) fn branches(&self) -> bool {
         matches!(self, Step::Scan { .. } | Step::LeapfrogJoin { .. })
     }
 }
 
-/// How to evaluate a clause.
+/// A plan that evaluates a clause.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
     pub(crate) head: RelId,
-    /// Where the head's columns come from.
+    /// By column of the head: the slot that holds its value.
     pub(crate) output: Vec<Slot>,
     pub(crate) steps: Vec<Step>,
-    /// By step: where a part of the plan ends of which one success is enough, since nothing it binds is needed behind it. 0 if
-    /// none begins with the step.
+    /// By step: the end of the existential group that begins with it, or 0 if none begins there. One success of the
+    /// group is enough, since no later step reads what the group binds.
     pub(crate) enough: Vec<u16>,
-    /// What the slots hold at the beginning: zeros for variables, then the constants.
+    /// The initial slots: zeros for variables, then the constants.
     pub(crate) slots: Vec<Value>,
-    /// The step that asks whether the head row is known already; only in plans for changes.
+    /// The step that tests whether the head row is known already; only in maintenance plans.
     pub(crate) fresh: Option<usize>,
 }
 
 impl Plan {
-    /// Whether it goes through all new rows again and again.
+    /// Whether a step scans all new rows without a key.
     pub(crate) fn searches_new(&self) -> bool {
         self.steps.iter().any(
             |step| matches!(step, Step::Scan { source, key, .. } if source.version == Version::New && key.is_empty()),
@@ -284,49 +290,51 @@ impl Plan {
 /// The plans of a clause.
 #[derive(Clone, Debug)]
 pub(crate) struct ClausePlans {
-    /// Over finished relations.
+    /// The plan over finished relations.
     pub(crate) complete: Plan,
-    /// One for each atom over the clause's own recursive stratum, with the relation whose new rows it begins with.
+    /// One plan for each atom over the clause's recursive stratum, with the relation whose new rows the plan begins
+    /// with.
     pub(crate) deltas: Vec<(RelId, Plan)>,
-    /// By position in `deltas`: plans of the same answer that begin with a finished relation and come to the newest rows later.
-    /// Better when there are many new rows; which one is used is decided from the sizes in every round.
+    /// By position in `deltas`: equivalent plans that begin with a finished relation and reach the newest rows later.
+    /// They are faster when there are many new rows. Each round chooses a plan by the sizes of relations.
     pub(crate) alternatives: Vec<Vec<Plan>>,
-    /// One for each atom of the body: what follows from rows of it that came or went. None if the clause is too large.
+    /// One plan for each atom of the body: what the clause derives from added or removed rows of that atom. Empty if
+    /// the clause cannot be maintained.
     pub(crate) changes: Vec<ChangePlan>,
-    /// Begins with rows of the head: which of them the clause derives. `None` if the clause is too large.
+    /// Begins with head rows and finds those that the clause derives. `None` if the clause cannot be maintained.
     pub(crate) check: Option<Plan>,
 }
 
-/// How to evaluate a clause for rows of one of its atoms.
+/// A plan that evaluates a clause for changed rows of one atom.
 #[derive(Clone, Debug)]
 pub(crate) struct ChangePlan {
     /// The relation of the atom.
     pub(crate) over: RelId,
-    /// Whether the atom is negated, so that rows that go are what may make the clause derive more.
+    /// Whether the atom is negated. Then removed rows can make the clause derive more.
     pub(crate) negated: bool,
     pub(crate) plan: Plan,
 }
 
-/// What a stratum computes and from what.
+/// The inputs, members and clauses of a stratum.
 #[derive(Clone, Debug)]
 pub(crate) struct StratumPlan {
-    /// The derived relations; those with nothing but facts are not evaluated.
+    /// The derived relations. Relations that have only facts are not evaluated.
     pub(crate) members: Vec<RelId>,
-    /// The other relations that occur in bodies, in order.
+    /// The other relations that occur in bodies, by id.
     pub(crate) inputs: Vec<RelId>,
     /// The clauses of the members.
     pub(crate) clauses: Vec<ClauseId>,
     /// Whether a member occurs in a body.
     pub(crate) recursive: bool,
-    /// Whether all clauses have plans for maintenance. If not, the stratum is recomputed whatever changes.
+    /// Whether all clauses have maintenance plans. If not, any change recomputes the stratum.
     pub(crate) maintainable: bool,
 }
 
-/// What plans are for.
+/// The purpose of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Aim {
-    /// A computation from scratch.
+    /// Computation from scratch.
     Recompute,
-    /// Maintenance.
+    /// Incremental maintenance.
     Maintain,
 }

@@ -1,12 +1,13 @@
-//! Simpler rules that mean the same.
+//! The optimizer: replaces rules by simpler equivalent ones.
 //!
-//! `optimize` gives, for every clause, a body that holds for the same values: literals that others imply are left out, a body that
-//! contradicts itself is stopped before it looks at a row, and a clause whose rows another one derives is not evaluated. A clause keeps
-//! its id, and [`crate::datalog::session::Session::fired`] still tells what it derives. [`lints`] tells the author what was found.
+//! `optimize` removes literals that others imply. It puts a false comparison in front of a body that contradicts
+//! itself, and it drops clauses that another clause subsumes. Clauses keep their ids, and
+//! [`crate::datalog::session::Session::fired`] still reports what each derives. [`lints`] reports the findings to the
+//! author.
 //!
-//! `theory` knows what follows from a literal; `saturate` searches the forms of a body. What a body means is never looked at through
-//! derived predicates, so what holds here holds whatever the other clauses are. Constraints are used only if the caller says so. Bounded and
-//! deterministic: no clock, no hash order.
+//! `theory` derives consequences of a literal, and `saturate` searches the forms of a body. The optimizer does not
+//! expand derived predicates, so its results hold whatever the other clauses are. It uses constraints only if the
+//! caller asks. It is bounded and deterministic: it uses no clock and no hash order.
 
 mod repeated;
 mod saturate;
@@ -26,16 +27,16 @@ use saturate::Knowledge;
 use std::collections::{BTreeMap, BTreeSet};
 use theory::Constraints;
 
-/// Longer bodies are left as they are.
+/// The optimizer skips bodies with more literals than this.
 const LITERALS_MAX: usize = 64;
 
-/// Steps of the search for clauses that others subsume.
+/// The step limit of the search for subsumed clauses.
 const STEPS_MAX: usize = 10_000_000;
 
-/// Something that need not be there.
+/// A part of the rules that can be removed.
 #[derive(Clone, Debug)]
 enum Finding {
-    /// The literal at `literal` holds wherever the one at `because` does; always, if there is none.
+    /// The literal at `literal` holds whenever the one at `because` does, or always if that is `None`.
     Redundant {
         clause: ClauseId,
         literal: usize,
@@ -43,12 +44,12 @@ enum Finding {
     },
     /// The two literals never hold together.
     Contradictory { clause: ClauseId, one: usize, other: usize },
-    /// The other clause derives all that this one does.
+    /// The clause `by` derives everything that this one derives.
     Subsumed { clause: ClauseId, by: ClauseId },
 }
 
-/// Returns rules with the same predicates, clauses (by id) and answers. With `assume`, answers are the same for facts that satisfy the
-/// declared constraints.
+/// Returns equivalent rules with the same predicates and clause ids. With `assume`, they are equivalent only for facts
+/// that satisfy the declared constraints.
 pub(crate) fn optimize(rules: &Rules, assume: bool) -> Rules {
     let mut better = rules.clone();
     let constraints: Vec<Constraint> = rules
@@ -90,23 +91,23 @@ pub(crate) fn optimize(rules: &Rules, assume: bool) -> Rules {
     better
 }
 
-/// What [`lints`] gives.
+/// The result of [`lints`].
 #[derive(Clone, Debug)]
 pub struct Lints {
-    /// What could be simpler, in the order of the text.
+    /// The possible simplifications, in text order.
     pub diagnostics: Vec<Diagnostic>,
-    /// How many steps it took to look for clauses that others cover under the constraints.
+    /// Steps of the search for clauses that others subsume under the constraints.
     pub steps: usize,
-    /// What was not looked at since it would have taken too long, if anything.
+    /// The checks that hit a limit and are incomplete.
     pub unfinished: Vec<&'static str>,
 }
 
-/// What could be simpler, for the author: literals that others imply, bodies that contradict themselves, clauses that others cover
-/// under the constraints, and what is said again and again.
+/// Returns possible simplifications of the rules as warnings. They concern implied literals, contradictory bodies,
+/// clauses that others subsume under the constraints, and repeated parts of bodies.
 pub fn lints(rules: &Rules) -> Lints {
     let theory = Constraints::new(rules.constraints.iter().map(|constraint| constraint.constraint));
     let mut lints = Vec::new();
-    // Loading has told what is covered without constraints.
+    // Loading reports clauses that are subsumed without constraints.
     let found = find(rules, &theory, !rules.constraints.is_empty());
     for finding in &found.findings {
         let named = |id: ClauseId| &rules.clauses[id.index()];
@@ -135,7 +136,7 @@ pub fn lints(rules: &Rules) -> Lints {
                 } else {
                     fault
                         .at(span, format!("`{second}` never holds together with `{first}`"))
-                        .also(self::span(&clause.body[one]), "the other one")
+                        .also(self::span(&clause.body[one]), "the other literal")
                 })
             }
             Finding::Redundant {
@@ -163,7 +164,7 @@ pub fn lints(rules: &Rules) -> Lints {
     }
 }
 
-/// A part of several bodies that is worth a name.
+/// The warning about a part that several bodies share.
 fn worth_a_name(rules: &Rules, uses: &[repeated::Use]) -> Diagnostic {
     let first = &uses[0];
     let clause = &rules.clauses[first.clause];
@@ -177,12 +178,12 @@ fn worth_a_name(rules: &Rules, uses: &[repeated::Use]) -> Diagnostic {
             _ => None,
         })
         .collect();
-    let lint = Diagnostic::new(Code::REPEATED_BODY, format!("{} clauses ask for `{body}`", uses.len()))
-        .at(clause.span, "the first of them");
+    let lint = Diagnostic::new(Code::REPEATED_BODY, format!("{} clauses repeat `{body}`", uses.len()))
+        .at(clause.span, "first used here");
     let others = uses[1..].iter().map(|one| rules.clauses[one.clause].span);
-    let lint = others.fold(lint, |lint, span| lint.also(span, "the same"));
+    let lint = others.fold(lint, |lint, span| lint.also(span, "repeated here"));
     lint.help(format!(
-        "give it a name, and ask for that: `Name({}) :- {body}.`",
+        "define a predicate for it and use that: `Name({}) :- {body}.`",
         variables.join(", ")
     ))
 }
@@ -200,12 +201,12 @@ fn redundant(
     let needless = shown_literal(rules, clause, literal);
     let mut fault = Diagnostic::new(
         Code::REDUNDANT_LITERAL,
-        format!("`{needless}` says nothing that is not said already"),
+        format!("`{needless}` is redundant"),
     )
     .at(span(&clause.body[literal]), "");
     fault = match because {
         None => fault.note("it always holds"),
-        Some(other) if matches!(clause.body[other], Literal::Guard(_)) => fault.note("the scope says so"),
+        Some(other) if matches!(clause.body[other], Literal::Guard(_)) => fault.note("the scope implies it"),
         Some(other) => {
             let reason = shown_literal(rules, clause, other);
             fault.also(span(&clause.body[other]), format!("`{reason}` implies it"))
@@ -217,12 +218,12 @@ fn redundant(
         .map(|&index| shown_literal(rules, clause, index))
         .collect();
     let head = shown_atom(rules, clause, &clause.head);
-    Some(fault.help(format!("the same in fewer words: `{head} :- {}.`", body.join(", "))))
+    Some(fault.help(format!("an equivalent shorter clause: `{head} :- {}.`", body.join(", "))))
 }
 
 // --- finding
 
-/// The literals of a body with all that follows from each.
+/// The literals of a body with the consequences of each.
 struct Literals<'a> {
     theory: &'a Constraints,
     facts: Vec<Fact>,
@@ -258,7 +259,8 @@ fn is_known(clause: &Clause) -> bool {
     !clause.body.is_empty() && clause.body.len() <= LITERALS_MAX && within_theory(clause)
 }
 
-/// The positions of the literals that are needed; `None` inside if the body never holds, outside if it was not looked at.
+/// Returns the positions of the literals to keep. The inner `None` means that the body never holds, the outer that the
+/// optimizer skips the clause.
 #[allow(clippy::option_option)]
 fn simplest(clause: &Clause, theory: &Constraints) -> Option<Option<Vec<usize>>> {
     if !is_known(clause) {
@@ -268,7 +270,7 @@ fn simplest(clause: &Clause, theory: &Constraints) -> Option<Option<Vec<usize>>>
     let mut kept = saturate::simplest(literals.facts.len(), &literals);
     if let Some(kept) = &mut kept {
         kept.sort_unstable();
-        // A body that always holds is still a body.
+        // A body that always holds stays as it is: clauses with an empty body are facts.
         if kept.is_empty() {
             return None;
         }
@@ -278,7 +280,7 @@ fn simplest(clause: &Clause, theory: &Constraints) -> Option<Option<Vec<usize>>>
 
 struct Found {
     findings: Vec<Finding>,
-    /// What looking for covered clauses took.
+    /// The work of the search for subsumed clauses.
     effort: Comparing,
 }
 
@@ -302,7 +304,7 @@ fn find(rules: &Rules, theory: &Constraints, covered: bool) -> Found {
             }
             None => {
                 let pairs = (0..count).flat_map(|other| (0..=other).map(move |one| (one, other)));
-                // A literal that never holds is to blame before any pair.
+                // Prefer a literal that never holds to a pair.
                 let single = (0..count).map(|one| (one, one));
                 if let Some((one, other)) = single.chain(pairs).find(|&(one, other)| literals.exclude(one, other)) {
                     findings.push(Finding::Contradictory { clause: id, one, other });
@@ -317,7 +319,7 @@ fn find(rules: &Rules, theory: &Constraints, covered: bool) -> Found {
     Found { findings, effort }
 }
 
-/// Finds the clauses that others subsume. A clause that never fires neither subsumes nor is subsumed.
+/// Finds the clauses that others subsume. Clauses that never fire take no part.
 fn subsumed(rules: &Rules, theory: &Constraints, findings: &mut Vec<Finding>) -> Comparing {
     let contradictory = |finding: &Finding| match finding {
         Finding::Contradictory { clause, .. } => Some(*clause),
@@ -343,13 +345,13 @@ fn subsumed(rules: &Rules, theory: &Constraints, findings: &mut Vec<Finding>) ->
     budget.spent()
 }
 
-/// Whether one clause subsumes the other without constraints.
+/// Whether `by` subsumes the clause without constraints.
 fn is_subsumed(clause: &Clause, by: &Clause) -> bool {
     let [general, special] = [by, clause].map(|clause| Pattern::new(clause, &NoConstraints));
     general.subsumes(&special, &NoConstraints, &mut Budget::new(STEPS_MAX))
 }
 
-// --- words
+// --- messages
 
 fn span(literal: &Literal) -> crate::diag::Span {
     match literal {
@@ -370,7 +372,7 @@ fn shown_literal(rules: &Rules, clause: &Clause, index: usize) -> String {
             let term = |term| shown_term(rules, clause, term, *base);
             format!("{} {op} {}", term(left), term(right))
         }
-        // Clauses with them are left as they are, so nothing is said of them.
+        // The optimizer skips clauses with these literals, so no message shows them.
         Literal::Compute { .. } | Literal::Aggregate { .. } => String::new(),
     }
 }

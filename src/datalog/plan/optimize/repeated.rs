@@ -1,4 +1,4 @@
-//! Parts of bodies that are worth a name, for the author.
+//! Finds parts of bodies that several clauses share and that could become a predicate.
 //!
 //! ```text
 //! P(x) :- Car(x), Near(x, y), Walker(y), Slow(x).        Name(x, y) :- Car(x), Near(x, y), Walker(y).
@@ -10,31 +10,32 @@ use crate::datalog::check::{Clause, Literal, Rules, Term, VarId};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use std::collections::BTreeMap;
 
-/// Parts with more literals are not compared.
+/// The maximum number of literals of a part.
 const LITERALS_MAX: usize = 8;
 
-/// Orders of literals that are tried to find the one in which a part is compared.
+/// The maximum number of literal orders tried to find the canonical form of a part.
 const ORDERS_MAX: usize = 24;
 
-/// Literals that are written down to be compared.
+/// The maximum number of literals that all comparisons together encode.
 const WORDS_MAX: usize = 1_000_000;
 
-/// A literal whose variables are numbered, so that equal literals are equal values.
+/// A literal with numbered variables, so that equal literals have equal encodings.
 type Word = Vec<u64>;
 
-/// Literals of a clause that other clauses have, too.
+/// One occurrence of a shared part in a clause.
 pub(super) struct Use {
     pub(super) clause: usize,
-    /// Positions in its body.
+    /// Positions in the clause's body.
     pub(super) positions: Vec<usize>,
-    /// By number: what stands there in the clause, a variable or a wildcard.
+    /// By number: the clause's variable or wildcard.
     terms: Vec<Term>,
-    /// By number: whether the rest of the clause needs it.
+    /// By number: whether the rest of the clause uses it.
     needed: Vec<bool>,
 }
 
 impl Use {
-    /// The variables that some of the clauses need outside of the part, as this one names them; the one that its head is about first.
+    /// The variables of the part that some clause uses outside of it, by their names in this clause. The first variable
+    /// of the head comes first.
     pub(super) fn outside(&self, uses: &[Use], clause: &Clause) -> Vec<Term> {
         let needed = |number: &usize| uses.iter().any(|one| one.needed[*number]);
         let terms = (0..self.terms.len()).filter(needed).map(|number| self.terms[number]);
@@ -44,15 +45,16 @@ impl Use {
     }
 }
 
-/// A part is worth a name if it has so many literals and stands in so many clauses.
+/// The minimum number of literals in a part and of clauses that share it.
 const WORTH_A_NAME: usize = 3;
 
-/// Clauses with more written literals are not looked at.
+/// The search skips clauses with more written literals.
 const WRITTEN_MAX: usize = 10;
 
-/// Parts of bodies that stand in several clauses, those first that say most; no clause is in two. All literals of a part were written,
-/// and it joins two atoms. Under a scope it speaks of the agent that the clause is about: a predicate of its own then sees the same.
-/// Beside them whether all bodies were looked at.
+/// Returns the parts that several bodies share, largest saving first, and whether the search covered all bodies.
+///
+/// A part consists of written literals and joins at least two atoms. No clause is in two parts. In a scoped clause, the
+/// part must contain the first variable of the head, so that a separate predicate has the same scope.
 pub(super) fn repeated(rules: &Rules) -> (Vec<Vec<Use>>, bool) {
     let mut left = WORDS_MAX;
     let mut parts: BTreeMap<Vec<Word>, Vec<Use>> = BTreeMap::new();
@@ -83,7 +85,7 @@ pub(super) fn repeated(rules: &Rules) -> (Vec<Vec<Use>>, bool) {
                 let Some(agent) = agent else { continue };
                 key.push(vec![agent as u64]);
             }
-            // A predicate of its own has guards of its own.
+            // A separate predicate has its own guards.
             let guard = |position: &usize| matches!(clause.body[*position], Literal::Guard(_));
             let rest = (0..clause.body.len()).filter(|position| !positions.contains(position) && !guard(position));
             let part = Use {
@@ -117,7 +119,7 @@ fn worth_a_name(clause: &Clause, positions: &[usize]) -> bool {
         && is_joined(clause, positions)
 }
 
-/// By number: whether the head or one of these literals needs it.
+/// By number: whether the head or one of the literals `rest` uses it.
 fn needed(terms: &[Term], clause: &Clause, rest: impl Iterator<Item = usize>) -> Vec<bool> {
     let rest = rest.flat_map(|position| clause.body[position].terms());
     let outside: Vec<&Term> = clause.head.terms.iter().chain(rest).collect();
@@ -125,7 +127,7 @@ fn needed(terms: &[Term], clause: &Clause, rest: impl Iterator<Item = usize>) ->
     terms.iter().map(is_needed).collect()
 }
 
-/// Whether the literals hang together by variables, all of which its positive atoms bind.
+/// Whether shared variables connect all literals, and the positive atoms bind every variable.
 fn is_joined(clause: &Clause, positions: &[usize]) -> bool {
     let variables = |position: usize| {
         let terms = clause.body[position].terms();
@@ -147,11 +149,11 @@ fn is_joined(clause: &Clause, positions: &[usize]) -> bool {
     rest.is_empty() && reached.iter().all(|term| bound.contains(term))
 }
 
-// --- equal up to names
+// --- equality up to renaming
 
-/// The literals in an order and with numbers for variables that depend neither on their order nor on their names, and what each number
-/// stands for. Literals with many symmetries may be given several forms; then something is not shared that could be. `None` if it would
-/// take too long.
+/// Returns a canonical form of the literals and the term that each number stands for. The form does not depend on the
+/// order of the literals or on the names of variables. Highly symmetric literals may get several forms, so that the
+/// search can miss a shared part. `None` if the search exceeds its limit.
 fn canonical(literals: &[&Literal], variables: usize, left: &mut usize) -> Option<(Vec<Word>, Vec<Term>)> {
     let mut search = Naming {
         literals,
@@ -182,7 +184,7 @@ struct Naming<'a> {
 }
 
 impl Naming<'_> {
-    /// The least literal comes next; of several that look the same, each in turn.
+    /// Places the least literal next; if several have the same encoding, tries each in turn.
     fn go(&mut self, names: Names, words: &mut Vec<Word>, placed: &mut [bool]) {
         *self.left = self.left.saturating_sub(self.literals.len() - words.len());
         let next: Vec<(Word, Names, usize)> = (0..self.literals.len())
@@ -211,7 +213,7 @@ impl Naming<'_> {
     }
 }
 
-/// The literal in numbers; variables that are new get the next ones.
+/// Encodes a literal; new variables get the next numbers.
 fn word(literal: &Literal, names: &mut Names) -> Word {
     let mut term = |term: &Term, positive: bool| -> [u64; 2] {
         match *term {

@@ -1,7 +1,7 @@
-//! A body and all its simpler forms, in one e-graph.
+//! Equality saturation: a body and its simpler forms in one e-graph.
 //!
-//! A body is a node over the sorted set of its literals' classes, so that order and repetition are no matter. Rules, applied until
-//! nothing new comes:
+//! A body is a node over the sorted set of its literals' e-classes, so that order and repetition do not matter. These
+//! rules run until they add no form:
 //!
 //! ```text
 //! two literals that imply each other           are one class
@@ -10,13 +10,13 @@
 //! all(.., a, ..)      with a always true       =  all(..)
 //! ```
 //!
-//! The cheapest form is taken out: fewest literals, then those that the author wrote first. The only user of egg; its runner is not
-//! used, since that looks at the clock.
+//! Extraction prefers the fewest literals, then those written first. This is the only user of egg. It does not use
+//! egg's runner, which reads the clock.
 
 use egg::{CostFunction, EGraph, Extractor, Id, Language, define_language};
 
 define_language! {
-    /// Literals by their number, and conjunctions.
+    /// Literals, by number, and conjunctions of them.
     enum Body {
         Literal(u32),
         "all" = All(Box<[Id]>),
@@ -24,20 +24,20 @@ define_language! {
     }
 }
 
-/// What is known of literals, by number.
+/// Relations between literals, which are given by number.
 pub(super) trait Knowledge {
-    /// Whenever the first holds, the second does.
+    /// Whether `b` holds whenever `a` does.
     fn implies(&self, a: usize, b: usize) -> bool;
-    /// The two never hold together. Of one with itself: it never holds.
+    /// Whether `a` and `b` never hold together. With `a` = `b`: whether it never holds.
     fn exclude(&self, a: usize, b: usize) -> bool;
-    /// It holds always.
+    /// Whether `a` always holds.
     fn always(&self, a: usize) -> bool;
 }
 
-/// More forms than this are not looked at.
+/// The search stops when the e-graph has more nodes than this.
 const NODES_MAX: usize = 4096;
 
-/// The cheapest form of the conjunction of literals 0 to `count`; `None` if it never holds.
+/// Returns the cheapest form of the conjunction of literals 0 to `count`, or `None` if it never holds.
 pub(super) fn simplest(count: usize, knowledge: &dyn Knowledge) -> Option<Vec<usize>> {
     let mut egraph: EGraph<Body, ()> = EGraph::new(());
     let leaves: Vec<Id> = (0..count as u32)
@@ -81,7 +81,7 @@ pub(super) fn simplest(count: usize, knowledge: &dyn Knowledge) -> Option<Vec<us
     }
 }
 
-/// One step from a conjunction to simpler ones.
+/// Rewrites a conjunction by one step.
 fn simpler(egraph: &EGraph<Body, ()>, parts: &[Id], knowledge: &dyn Knowledge) -> Vec<Body> {
     let mut set: Vec<Id> = parts.iter().map(|&part| egraph.find(part)).collect();
     set.sort_unstable();
@@ -103,7 +103,8 @@ fn simpler(egraph: &EGraph<Body, ()>, parts: &[Id], knowledge: &dyn Knowledge) -
     {
         found.push(Body::Never);
     }
-    // One at a time, the last first: implication is an order on classes, so every way ends in the same form.
+    // Remove one at a time, the last first. Implication is an order on classes, so every sequence ends in the same
+    // form.
     let needless = (0..literals.len()).rev().find(|&at| {
         let implied = |&(other, &literal): &(usize, &usize)| other != at && knowledge.implies(literal, literals[at]);
         knowledge.always(literals[at]) || literals.iter().enumerate().any(|pair| implied(&pair))
@@ -115,7 +116,7 @@ fn simpler(egraph: &EGraph<Body, ()>, parts: &[Id], knowledge: &dyn Knowledge) -
     found
 }
 
-/// The number of literals, then their places.
+/// The cost of a form: the number of literals, then their positions.
 struct Fewest;
 
 impl CostFunction<Body> for Fewest {

@@ -1,10 +1,10 @@
-//! What follows from one literal, alone and under the constraints.
+//! Consequences of one literal, with and without the integrity constraints.
 
 use crate::datalog::check::subsumption::{Arg, EQUAL, Fact, GREATER, LESS, Theory};
 use crate::datalog::check::{Constraint, RelId};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The constraints, by predicate.
+/// The integrity constraints, indexed by predicate.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Constraints {
     implied: BTreeMap<RelId, Vec<RelId>>,
@@ -14,7 +14,7 @@ pub(super) struct Constraints {
     symmetric: BTreeSet<RelId>,
 }
 
-/// Of one literal at most so many consequences are drawn.
+/// The maximum number of consequences derived from one literal.
 const CLOSURE_MAX: usize = 256;
 
 impl Constraints {
@@ -37,12 +37,12 @@ impl Constraints {
         theory
     }
 
-    /// An atom that relates one thing to itself, and never may.
+    /// Whether the atom relates a term to itself through an irreflexive predicate.
     fn is_loop(&self, relation: RelId, args: &[Arg]) -> bool {
         self.irreflexive.contains(&relation) && args[0] == args[1] && args[0] != Arg::Any
     }
 
-    /// Whether no two of these facts, each with all that follows from it, can hold together; one with itself included.
+    /// Whether the two sets of facts contradict each other, or `one` contains a fact that never holds.
     pub(super) fn contradict(&self, one: &[Fact], other: &[Fact]) -> bool {
         one.iter()
             .any(|a| self.never(a) || other.iter().any(|b| excludes(a, b) || excludes(b, a)))
