@@ -1,4 +1,4 @@
-//! Traces as input: found with the configuration and rules they were made with.
+//! Reads traces, and finds the configuration and rules of their runs.
 
 use crate::cli::{Failure, load_config, load_program};
 use crate::diag::{Code, Diagnostic, Sources};
@@ -9,12 +9,12 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// A trace open for reading, past its header.
+/// An open trace, after its header.
 pub struct TraceReader {
     path: PathBuf,
     lines: BufReader<File>,
     number: usize,
-    /// Bytes of the file, and of the lines that have been read.
+    /// Size of the file, and of the lines read so far, in bytes.
     pub length: u64,
     pub read: u64,
     /// The header.
@@ -41,20 +41,20 @@ impl TraceReader {
         })
     }
 
-    /// The next tick, if there is one.
+    /// Returns the next tick, or `None` at the end.
     pub fn tick(&mut self) -> Result<Option<TraceTick>, Failure> {
         let line = next_line(&mut self.lines, &self.path, &mut self.number, &mut self.read)?;
         line.map(|line| TraceTick::read(&line).map_err(|fault| self.placed(fault)))
             .transpose()
     }
 
-    /// A fault of the line that was read last.
+    /// Returns a fault with the place of the last line read.
     pub fn placed(&self, fault: Diagnostic) -> Failure {
         placed(fault, &self.path, self.number)
     }
 
-    /// The replay under the configuration and rules of the run, or those given instead. A configuration of other content is
-    /// refused; other rules are if `strict`.
+    /// Returns the replay under the configuration and rules of the run, or under the given files. Rejects a
+    /// configuration with another hash, and other rules if `strict`.
     pub fn replay(
         &self,
         sources: &mut Sources,
@@ -65,14 +65,14 @@ impl TraceReader {
         let named = self.header.config_file.as_ref().unwrap_or(&self.header.config);
         let path = config.unwrap_or(Path::new(named));
         let scenario = load_config(sources, path)
-            .map_err(|failure| hint(failure, config, "give the configuration of the run with --config"))?;
+            .map_err(|failure| hint(failure, config, "specify the configuration of the run with --config"))?;
         let hashes = [&scenario.hash, &self.header.config_hash];
         matching("configuration", path, hashes, &self.path, "--config")?;
 
         let path = rules.unwrap_or(Path::new(&self.header.rules));
         let first_rule_file = sources.ids().count();
         let (program, _) = load_program(sources, path)
-            .map_err(|failure| hint(failure, rules, "give the rules of the run with --rules"))?;
+            .map_err(|failure| hint(failure, rules, "specify the rules of the run with --rules"))?;
         if strict {
             let files: Vec<_> = sources.ids().skip(first_rule_file).collect();
             let hashes = [&hash_sources(sources, &files), &self.header.rules_hash];
@@ -88,7 +88,7 @@ fn placed(mut fault: Diagnostic, path: &Path, number: usize) -> Failure {
     fault.into()
 }
 
-/// The next line, however many blank ones there are before it.
+/// Returns the next line that is not blank.
 fn next_line(
     lines: &mut BufReader<File>,
     path: &Path,
@@ -114,7 +114,7 @@ fn next_line(
     }
 }
 
-/// What else to do if a file that only the trace names cannot be read.
+/// Adds a hint to a failure to read a file that only the trace names.
 fn hint(failure: Failure, given: Option<&Path>, help: &str) -> Failure {
     match failure {
         Failure::Usage(message) if given.is_none() => Failure::Usage(format!("{message}\nhelp: {help}")),
@@ -128,9 +128,9 @@ fn matching(what: &str, path: &Path, [found, wanted]: [&String; 2], trace: &Path
     }
     let short = |hash: &str| hash.chars().take(12).collect::<String>();
     let is = if what == "rules" {
-        "are not those"
+        "differ from those"
     } else {
-        "is not that"
+        "differs from that"
     };
     let message = format!(
         "the {what} `{}` {is} of the run in `{}`",
@@ -138,12 +138,12 @@ fn matching(what: &str, path: &Path, [found, wanted]: [&String; 2], trace: &Path
         trace.display()
     );
     let note = format!(
-        "the hash of its content is {}..., the trace has {}...",
+        "its hash is {}..., but the trace has {}...",
         short(found),
         short(wanted)
     );
     Err(Diagnostic::new(Code::TRACE_MISMATCH, message)
         .note(note)
-        .help(format!("give the file as it was with {option}, or run again"))
+        .help(format!("specify the original file with {option}, or run again"))
         .into())
 }
