@@ -1602,11 +1602,7 @@ fn commands_of_the_python_package_name_it() {
         &["describe"],
         &["vap", "coco", "a", "b"],
     ] {
-        fails(
-            &run(arguments, b""),
-            2,
-            &["requires the Python package", "pip install"],
-        );
+        fails(&run(arguments, b""), 2, &["requires the Python package", "pip install"]);
     }
     let output = run(&["--help"], b"");
     assert!(!out(&output).contains("train"), "{}", out(&output));
