@@ -1494,7 +1494,7 @@ fn slow_icons_come_from_a_pack_or_the_fault_is_told() {
     fails(
         &output,
         2,
-        &[&broken, "not a PNG picture", "plane/1.svg", "no class `plane`"],
+        &[&broken, "not a valid PNG", "plane/1.svg", "unknown class `plane`"],
     );
     let (output, _) = sheet(&["--pack", "nowhere"], "none.png");
     fails(&output, 2, &["`nowhere`", "no such folder"]);
