@@ -229,16 +229,16 @@ def test_an_address_that_leads_nowhere_is_told(page: Callable[..., WebDriver], a
 
 def test_a_driven_car_is_marked(page: Callable[..., WebDriver], driven: list[dict]) -> None:
     browser = page(name="driven.html")
-    assert "Car_1 was driven: 39 of 40 actions were those that the rules wanted." in text(browser, "driven")
+    assert "Car_1 was driven: 39 of 40 actions agreed with the rules." in text(browser, "driven")
     assert "driven" in text(browser, "legend")
-    browser.find_element(By.XPATH, "//*[@id='driven']/button[contains(., 'broke S1')]").click()
+    browser.find_element(By.XPATH, "//*[@id='driven']/button[contains(., 'violated S1')]").click()
     assert text(browser, "tick") == "tick 39" and text(browser, "action") == "Fast"
     assert text(browser, "wanted").startswith("Stop") and "S1" in text(browser, "judged")
     shown = text(browser, "agent")
     assert "Car_2" in shown and "Why do the rules want Stop?" in shown and "Why not Fast?" in shown
     photograph(browser, "driven.png")
     browser.find_element(By.TAG_NAME, "body").send_keys(Keys.ARROW_LEFT)
-    assert text(browser, "judged") == "no clause broken"
+    assert text(browser, "judged") == "no clause violated"
     browser.find_element(By.TAG_NAME, "body").send_keys("n")
     assert "because" in text(browser, "agent") and not browser.find_elements(By.ID, "judged")
 

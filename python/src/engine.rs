@@ -313,8 +313,8 @@ impl PySession {
             let teller = loaded.teller(session);
             let fact = teller.row(relation, &pattern);
             let mut text = match (holds, why_not) {
-                (false, false) => format!("{fact} does not hold, and this is why\n"),
-                (true, true) => format!("{fact} holds, and this is why\n"),
+                (false, false) => format!("{fact} does not hold, because:\n"),
+                (true, true) => format!("{fact} holds, because:\n"),
                 _ => String::new(),
             };
             let explanation = explanation.unwrap_or_default();

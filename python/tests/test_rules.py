@@ -297,8 +297,8 @@ def test_why_a_fact_holds_and_why_not() -> None:
     not_so = held.why_not("path", ("c", None))
     assert not not_so.holds
     assert not_so.nodes[0]["because"] == "no-clause"
-    assert held.explain('path("c", _)').text == 'path("c", _) does not hold, and this is why\n' + not_so.text
-    assert held.why_not('path("a", "c")').text == 'path("a", "c") holds, and this is why\n' + why.text
+    assert held.explain('path("c", _)').text == 'path("c", _) does not hold, because:\n' + not_so.text
+    assert held.why_not('path("a", "c")').text == 'path("a", "c") holds, because:\n' + why.text
     for fact, code in [("path(1, 2)", "type-mismatch"), ("pth(_, _)", "unknown-predicate"), ("path(", "syntax")]:
         with pytest.raises(InputError) as caught:
             held.explain(fact)

@@ -219,13 +219,13 @@ def test_pictures_go_only_where_they_fit(shown: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "told"),
     [
-        (lambda whole: b"", "not a PNG picture"),
-        (lambda whole: whole[: len(whole) // 2], "not a PNG picture"),
-        (lambda whole: whole[:-6], "not a PNG picture"),
-        (lambda whole: whole[:200] + bytes([whole[200] ^ 1]) + whole[201:], "not a PNG picture"),
-        (lambda whole: png(picture(0, 11), rows=1000), "not a PNG picture"),
+        (lambda whole: b"", "not a valid PNG"),
+        (lambda whole: whole[: len(whole) // 2], "not a valid PNG"),
+        (lambda whole: whole[:-6], "not a valid PNG"),
+        (lambda whole: whole[:200] + bytes([whole[200] ^ 1]) + whole[201:], "not a valid PNG"),
+        (lambda whole: png(picture(0, 11), rows=1000), "not a valid PNG"),
         (lambda whole: png(picture(0, 11)[:512]), "1024 x 512 pixels instead of 1024 x 1024"),
-        (lambda whole: png(picture(0, 11), interlaced=1), "not a PNG picture"),
+        (lambda whole: png(picture(0, 11), interlaced=1), "not a valid PNG"),
     ],
 )
 def test_faulty_pictures_are_told(damage: Callable[[bytes], bytes], told: str, shown: Path) -> None:
@@ -647,7 +647,7 @@ def test_threads_decode_what_one_decodes(shown: Path) -> None:
     path = VapDataset(shown).picture_path(260)
     before = path.read_bytes()
     path.write_bytes(before[:1000])
-    with pytest.raises(InputError, match="not a PNG picture"):
+    with pytest.raises(InputError, match="not a valid PNG"):
         together.__getitems__(chosen)
     path.write_bytes(before)
     with pytest.raises(ValueError, match="0 threads"):

@@ -1,4 +1,4 @@
-//! `logicity bench`: how fast rules are evaluated and cities go, on this machine.
+//! `logicity bench`: measures how fast this machine evaluates rules, simulates cities and draws pictures.
 
 use crate::builtin::BuiltinFiles;
 use crate::city::{Action, AgentSet, Building, Buildings, MapConfig, Split};
@@ -22,19 +22,19 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// States on which the rules alone are timed, if they do not take more memory together than that: 256 MiB.
+/// States of the city on which `infer` evaluates the rules. Fewer if together they exceed `MOMENTS_BYTES` (256 MiB).
 const MOMENTS: usize = 64;
 const MOMENTS_BYTES: usize = 1 << 28;
-/// Ticks from one of them to the next.
+/// Ticks between two of these states.
 const BETWEEN: usize = 7;
-/// The most entities in a scene: as many as one word has bits.
+/// The most entities in a scene: the bits of one word.
 const SCENE_MAX: usize = Width::One.entities();
-/// So many ticks of a city of `scale` are timed before it is placed afresh.
+/// Ticks after which `scale` places a new city.
 const SCALE_TICKS: u32 = 50;
-/// The sizes of cities that `scale` goes through.
+/// The city sizes that `scale` measures, in agents.
 const SCALE: [u32; 4] = [1_000, 10_000, 100_000, 1_000_000];
 
-/// What is timed.
+/// The benchmarks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum What {
     Infer,
@@ -69,21 +69,22 @@ impl What {
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// infer: the rules alone, facts ready as bits (dense) or as rows that change (relational). ground: all facts that the rules can
-    /// ask for. tick: a city, placed afresh after the ticks of the configuration. env: episodes of the configuration's task
-    /// under a random policy, observations written. render: pictures as those of the visual data set, drawn, written as PNG and read, clean
-    /// and at difficulty 50, and small ones. scale: cities of 1000 agents up to --agents
+    /// The benchmark. infer: the rules alone, on facts in memory, as bits (dense) or as changing rows (relational).
+    /// ground: all facts that the rules can read. tick: a city, placed anew after the configuration's ticks. env:
+    /// episodes of the configuration's task under a random policy, with observations. render: pictures like those of
+    /// the visual data set, drawn, encoded as PNG and decoded, at difficulties 0 and 50, and smaller ones. scale:
+    /// cities of 1000 agents up to --agents
     #[arg(value_parser = one_of(&What::ALL, What::name))]
     what: What,
     /// Configuration of the city
     #[arg(long, default_value = "configs/expert.yaml")]
     config: PathBuf,
-    /// Which agent set of the configuration
+    /// Agent set of the configuration
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test", conflicts_with = "scenes")]
     split: Split,
-    /// So many agents, rounded up to whole copies of the configuration's list of agents (its `repeat` is left aside), on a map of a
-    /// size that leaves them as dense; goals lie as far away as the region of the configuration is wide. For scale the largest city,
-    /// 1000000 unless given
+    /// Scale the city to this many agents, rounded up to whole copies of the configuration's agent list (`repeat` is
+    /// ignored). The map grows so that the density stays the same; trips stay as long as the configuration's region is
+    /// wide. For scale: the largest city [default: 1000000]
     #[arg(
         long,
         value_parser = clap::value_parser!(u32).range(1..=1_000_000),
@@ -91,37 +92,37 @@ pub struct Arguments {
         conflicts_with = "scenes"
     )]
     agents: Option<u32>,
-    /// What evaluates the rules
+    /// Executor that evaluates the rules
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
-    /// For tick and scale: threads for a city of many agents, 1 unless given; 0 is one for each core
+    /// For tick and scale: number of threads, used for cities of many agents; 0 means one per core [default: 1]
     #[arg(long, value_parser = threads, allow_negative_numbers = true, conflicts_with = "scenes")]
     threads: Option<NonZeroUsize>,
-    /// How long each measurement takes, in seconds
+    /// Duration of each measurement, in seconds
     #[arg(long, value_parser = seconds, default_value = "3", allow_negative_numbers = true)]
     seconds: Duration,
     /// Seed of the city
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
-    /// For infer: evaluate these scenes, one JSON object a line as `logicity infer` takes them, instead of states of the city; `-` is
-    /// standard input. Always by the dense executor
+    /// For infer: evaluate the scenes in FILE, one JSON object per line as for `logicity infer`, instead of states of
+    /// the city; `-` means standard input. Always uses the dense executor
     #[arg(long, value_name = "FILE")]
     scenes: Option<PathBuf>,
-    /// For tick: also tell where the time goes
+    /// For tick: also print the share of time spent in each phase
     #[arg(long)]
     breakdown: bool,
-    /// One JSON object a line
+    /// Print one JSON object per line
     #[arg(long)]
     json: bool,
 }
 
-/// What is done with a picture.
+/// The step that `render` measures for each picture.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Done {
     Drawn,
-    /// Drawn and written as PNG.
+    /// Drawn and encoded as PNG.
     Written,
-    /// Read of a PNG.
+    /// Decoded from PNG.
     Read,
 }
 
@@ -136,20 +137,20 @@ impl Done {
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {
-    let seconds: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    let seconds: f64 = text.parse().map_err(|_| "expected a number".to_owned())?;
     match (0.01..=86_400.0).contains(&seconds) {
         true => Ok(Duration::from_secs_f64(seconds)),
-        false => Err("not from 0.01 to 86400".to_owned()),
+        false => Err("expected a number from 0.01 to 86400".to_owned()),
     }
 }
 
-/// What a measurement took.
+/// The cost of a repeated piece of work.
 #[derive(Clone, Copy, Debug)]
 struct Timed {
-    /// How often the work was done.
+    /// Number of repetitions.
     times: u64,
     wall: Duration,
-    /// Of all threads; `None` where the system does not tell.
+    /// CPU time of all threads; `None` if the system does not report it.
     cpu: Option<Duration>,
 }
 
@@ -164,9 +165,9 @@ impl Default for Timed {
 }
 
 impl Timed {
-    /// Does the work again and again for about so long. It is told how often to do it.
+    /// Repeats the work for about this duration. `work` gets the number of repetitions to do.
     fn run(seconds: Duration, mut work: impl FnMut(u64) -> Result<(), Failure>) -> Result<Timed, Failure> {
-        // A look at the clock costs as much as a small piece of work.
+        // Doubles the repetitions per clock reading until the reading's cost is negligible.
         let mut times = 1;
         let warm_up = Instant::now();
         loop {
@@ -187,7 +188,7 @@ impl Timed {
         Ok(timed)
     }
 
-    /// Adds work that began then, with so much CPU time used.
+    /// Adds work that began at `start`, when the process had used `cpu` CPU time.
     fn add(&mut self, times: u64, start: Instant, cpu: Option<Duration>) {
         self.times += times;
         self.wall += start.elapsed();
@@ -206,7 +207,7 @@ impl Timed {
         (cpu > 0.0).then(|| self.times as f64 / cpu)
     }
 
-    /// Nanoseconds of CPU time, or of time where that is not known, for each of so many pieces of a piece of work.
+    /// Returns the nanoseconds of CPU time, or of wall-clock time where the CPU time is unknown, per piece of `pieces`.
     fn nanoseconds(&self, pieces: usize) -> f64 {
         let per_second = self.per_cpu_second().unwrap_or_else(|| self.per_second());
         #[allow(clippy::cast_precision_loss)]
@@ -224,7 +225,7 @@ fn cpu_time() -> Option<Duration> {
     u64::try_from(micros).ok().map(Duration::from_micros)
 }
 
-/// The most memory the process has held, in bytes.
+/// Peak resident memory of the process, in bytes.
 #[cfg(unix)]
 fn peak_memory() -> Option<u64> {
     let usage = nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_SELF).ok()?;
@@ -283,7 +284,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
 }
 
-/// A city to be timed.
+/// A city under measurement.
 struct Bench<'a> {
     arguments: &'a Arguments,
     world: Arc<World>,
@@ -322,8 +323,8 @@ impl<'a> Bench<'a> {
         self.simulation.agents().len()
     }
 
-    /// Ticks of cities that are placed afresh after `length` ticks, since in time many of its agents wait for each other. Placing is not
-    /// timed.
+    /// Measures ticks. Places a new city after `length` ticks, because over time more agents block each other.
+    /// Placement is not timed.
     fn tick(&mut self, length: u32, breakdown: bool) -> Result<(), Failure> {
         let mut parts = [Duration::ZERO; Phase::ALL.len()];
         let mut timed = Timed::default();
@@ -336,7 +337,7 @@ impl<'a> Bench<'a> {
             let simulation = &mut self.simulation;
             let (start, cpu, mut done) = (Instant::now(), cpu_time(), 0);
             for tick in 0..length {
-                // To look at the clock takes a tenth of a tick of a small city.
+                // Reading the clock costs a tenth of a tick of a small city.
                 if tick % 16 == 0 && tick >= SCALE_TICKS && timed.wall + start.elapsed() > self.arguments.seconds {
                     break;
                 }
@@ -366,10 +367,10 @@ impl<'a> Bench<'a> {
                 more.push((name, json!(part.as_secs_f64() / sum.as_secs_f64().max(1e-12))));
             }
         }
-        self.tell("ticks", timed, &more)
+        self.print_result("ticks", timed, &more)
     }
 
-    /// Episodes of the task, one after another, the first car driven at random.
+    /// Measures consecutive episodes of the task in which a random policy drives the first car.
     fn env(&mut self, sources: &Sources) -> Result<(), Failure> {
         let task = Arc::new(SpfTask::new(Arc::clone(&self.world), sources)?);
         let mut observation = vec![0.0; task.observation_width()];
@@ -385,10 +386,10 @@ impl<'a> Bench<'a> {
             }
             Ok(())
         })?;
-        self.tell("steps", timed, &[])
+        self.print_result("steps", timed, &[])
     }
 
-    /// Pictures of the first 128 x 128 cells in states of the city that are some ticks apart.
+    /// Measures pictures of the first 128 x 128 cells, over states of the city that are [`BETWEEN`] ticks apart.
     fn render(&mut self) -> Result<(), Failure> {
         let names: Vec<String> = (self.simulation.agents().iter())
             .map(|agent| agent.name().to_string())
@@ -421,7 +422,7 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    /// Pictures of such a view of states of the city, at a difficulty in percent.
+    /// Measures pictures of `view` over the states `moments`, at a difficulty in percent.
     fn pictures(
         &self,
         moments: &[Vec<Agent>],
@@ -445,7 +446,7 @@ impl<'a> Bench<'a> {
             file.clear();
             write_png(picture, file).expect("a vector takes all that is written");
         };
-        // Each icon is drawn when it is first shown, which is not measured.
+        // Icons are drawn on first use; this loop keeps that out of the measurement.
         for (moment, file) in files.iter_mut().enumerate() {
             draw(moment, &mut picture);
             if what == Done::Read {
@@ -492,7 +493,7 @@ impl<'a> Bench<'a> {
         let many = self.agents();
         let width = Width::of(many).ok_or_else(|| {
             Failure::Usage(format!(
-                "the facts about {many} agents are not kept as bits all at once: the limit is {CROWD_MAX}; take fewer by --agents"
+                "the dense executor holds facts of at most {CROWD_MAX} agents, not {many}; choose fewer with --agents"
             ))
         })?;
         in_words!(width, W => self.infer_dense::<W>())
@@ -509,10 +510,11 @@ impl<'a> Bench<'a> {
             )
         })?;
         let timed = evaluate(self.arguments.seconds, &dense, &moments, count)?;
-        self.tell("evaluations", timed, &[("states", json!(moments.len()))])
+        self.print_result("evaluations", timed, &[("states", json!(moments.len()))])
     }
 
-    /// Facts about states of the city that are so many ticks apart, as `make` has them. It tells how many bytes they take.
+    /// Returns facts about states of the city that are `between` ticks apart. `make` converts them and returns their
+    /// size in bytes.
     fn moments<T>(&mut self, between: usize, make: impl Fn(Facts) -> (T, usize)) -> Result<Vec<T>, Failure> {
         let (mut moments, mut bytes) = (Vec::new(), 0);
         while moments.len() < MOMENTS {
@@ -522,7 +524,7 @@ impl<'a> Bench<'a> {
             let vocabulary = &self.world.vocabulary;
             let (moment, size) = make(self.simulation.facts(|predicate| vocabulary.is_read(predicate)));
             bytes += size;
-            // Of one state alone no evaluation would be another than the one before.
+            // A single state would make every evaluation repeat the one before.
             if bytes > MOMENTS_BYTES && moments.len() >= 2 {
                 break;
             }
@@ -531,7 +533,7 @@ impl<'a> Bench<'a> {
         Ok(moments)
     }
 
-    /// From one state to the next by differences, and to the first from the last.
+    /// Measures incremental evaluation: the differences from each state to the next, and from the last to the first.
     fn infer_relational(&mut self) -> Result<(), Failure> {
         let moments = self.moments(1, |facts| {
             let rows: usize = facts.rows.iter().map(Vec::len).sum();
@@ -546,20 +548,20 @@ impl<'a> Bench<'a> {
             }
             Ok(())
         })?;
-        self.tell("evaluations", timed, &[("states", json!(moments.len()))])
+        self.print_result("evaluations", timed, &[("states", json!(moments.len()))])
     }
 
     fn ground(&mut self) -> Result<(), Failure> {
         let simulation = &mut self.simulation;
         let Some(facts) = simulation.count_facts() else {
-            let what = "facts are computed as bits where the dense executor looks at a whole city at once";
+            let what = "ground measures facts that the dense executor computes for the whole city at once";
             let agents = simulation.agents().len();
             return Err(Failure::Usage(match (simulation.executor(), simulation.fallback()) {
                 (Executor::Dense, _) => {
-                    format!("{what}: up to {WHOLE_MAX} agents, and here are {agents}; take fewer by --agents")
+                    format!("{what}: this works for up to {WHOLE_MAX} agents, not {agents}; choose fewer with --agents")
                 }
                 (_, Some(reason)) => format!("{what}, but {reason}"),
-                (_, None) => format!("{what}; leave out --executor relational"),
+                (_, None) => format!("{what}; omit --executor relational"),
             }));
         };
         let timed = Timed::run(self.arguments.seconds, |times| {
@@ -568,12 +570,12 @@ impl<'a> Bench<'a> {
             });
             Ok(())
         })?;
-        self.tell("groundings", timed, &[("facts", json!(facts))])
+        self.print_result("groundings", timed, &[("facts", json!(facts))])
     }
 
-    /// Prints a result. `unit` is what was done again and again.
+    /// Prints a result. `unit` names the repeated work.
     #[allow(clippy::cast_precision_loss)]
-    fn tell(&self, unit: &str, timed: Timed, more: &[(&str, Value)]) -> Result<(), Failure> {
+    fn print_result(&self, unit: &str, timed: Timed, more: &[(&str, Value)]) -> Result<(), Failure> {
         let agents = self.agents();
         let mut result = json!({
             "what": self.arguments.what.name(),
@@ -605,7 +607,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// Evaluates the rules on facts that are ready, one state after the other.
+/// Measures the evaluation of the rules on each of `moments` in turn.
 fn evaluate<const W: usize>(
     seconds: Duration,
     dense: &Dense,
@@ -628,7 +630,7 @@ fn evaluate<const W: usize>(
     })
 }
 
-/// The rules alone on the scenes of a file.
+/// Measures the rules alone on the scenes of a file.
 fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path) -> Result<(), Failure> {
     let name = city.scenario.name.clone();
     let mut inference = Inference::new(
@@ -639,7 +641,7 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path) -> Result<
         BuiltinFiles,
     )?;
     let dense = inference.compile().map_err(|fault| {
-        fault.help("--scenes times the dense executor only; `logicity infer` decides scenes by either")
+        fault.help("--scenes measures the dense executor only; `logicity infer` evaluates scenes with either executor")
     })?;
     let from = if path == Path::new("-") {
         "<stdin>".to_owned()
@@ -660,7 +662,7 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path) -> Result<
             if count <= SCENE_MAX {
                 return Ok(scene);
             }
-            let message = format!("line {number} of `{from}` has {count} entities, the limit is {SCENE_MAX}");
+            let message = format!("line {number} of `{from}` has {count} entities; the limit is {SCENE_MAX}");
             Err(vec![Diagnostic::new(Code::LIMIT_EXCEEDED, message)])
         });
         scenes.push(scene.map_err(|faults| {
@@ -669,7 +671,7 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path) -> Result<
         })?);
     }
     let Some(most) = scenes.iter().map(|scene| scene.names.len()).max() else {
-        return Err(Diagnostic::new(Code::INVALID_SCENE, format!("there is no scene in `{from}`")).into());
+        return Err(Diagnostic::new(Code::INVALID_SCENE, format!("`{from}` contains no scene")).into());
     };
     let moments: Vec<BitFacts<1>> = (scenes.iter())
         .map(|scene| scene.facts.to_bits(inference.vocabulary(), &dense, most))
@@ -689,7 +691,7 @@ fn infer_scenes(arguments: &Arguments, city: LoadedCity, path: &Path) -> Result<
     print(&result, arguments.json)
 }
 
-/// Prints an object: in one line, or a line for each key.
+/// Prints an object as one line of JSON, or as one line per key.
 fn print(result: &Value, as_json: bool) -> Result<(), Failure> {
     let mut out = anstream::stdout();
     if as_json {
@@ -706,7 +708,7 @@ fn print(result: &Value, as_json: bool) -> Result<(), Failure> {
                 Some(value) if number.is_f64() => format!("{value:.0}"),
                 _ => number.to_string(),
             },
-            Value::Null => "not known on this system".to_owned(),
+            Value::Null => "unknown on this system".to_owned(),
             other => other.to_string(),
         };
         writeln!(out, "{key:<width$}  {value}")?;
@@ -715,15 +717,15 @@ fn print(result: &Value, as_json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Repeats the list of agents of a split so often that there are that many agents, and makes the map so large that they are as dense
-/// as before: in the region where they start and have their goals, if there is one, else on the whole map.
+/// Repeats the agent list of a split until it has `agents` agents. Resizes the map so that the density stays the same:
+/// in the region of starts and goals if the split has one, else on the whole map.
 fn grow(scenario: &mut Scenario, split: Split, agents: u32) {
     let period = {
         let widths = scenario.map.widths.value;
         widths.street + 2 * widths.sidewalk + 2 * widths.building + widths.inner_sidewalk
     };
     let Some((_, set)) = scenario.splits.iter_mut().find(|(known, _)| *known == split) else {
-        // Placing the agents tells what is wrong.
+        // Placing the agents reports the error.
         return;
     };
     let side = set.region.map_or_else(

@@ -15,27 +15,27 @@ use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Rule files; each is a program of its own. With --coverage, the rules of the run unless given
+    /// Rule files to check, each as a program of its own [default with --coverage: the rules of the run]
     #[arg(required_unless_present = "coverage", value_name = "RULES")]
     rules: Vec<PathBuf>,
-    /// Print one JSON object a file instead: `file`, `ok`, `strata`, `executors`, `conflicts`, `diagnostics`, with --coverage `coverage`,
-    /// and `unfinished`, what was not searched to the end, if anything
+    /// Print one JSON object per file, with the keys `file`, `ok`, `strata`, `executors`, `conflicts` and
+    /// `diagnostics`; `coverage` with --coverage; `unfinished` lists searches that reached a limit
     #[arg(long)]
     json: bool,
-    /// Tell how often each clause fires on the states of this trace, and which literals never matter there
+    /// Count how often each clause fires on the states of this trace, and list the literals that never matter there
     #[arg(long, value_name = "TRACE")]
     coverage: Option<PathBuf>,
-    /// Configuration of the run that wrote the trace, if it is no longer where the trace says
+    /// Configuration of the run, if it is not at the path that the trace names
     #[arg(long, requires = "coverage")]
     config: Option<PathBuf>,
-    /// Also tell literals and clauses that are true and needless
+    /// Also report literals and clauses that are always true or redundant
     #[arg(long)]
     lints: bool,
 }
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let mut out = anstream::stdout();
-    let mut told = HashSet::new();
+    let mut reported = HashSet::new();
     let mut diagnostics: Vec<Diagnostic> = Vec::new();
     let mut unreadable = Vec::new();
     let mut paths = arguments.rules.clone();
@@ -54,14 +54,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         if arguments.json {
             writeln!(out, "{}", report.json(path, sources))?;
         } else {
-            report.tell(&mut out, path, arguments, sources)?;
+            report.print(&mut out, path, arguments, sources)?;
         }
         let found = report.found;
-        // A fault in a file that several programs include is told once.
+        // Reports a fault in a file that several programs include only once.
         diagnostics.extend(
             found
                 .into_iter()
-                .filter(|fault| told.insert(to_json(std::slice::from_ref(fault), sources).to_string())),
+                .filter(|fault| reported.insert(to_json(std::slice::from_ref(fault), sources).to_string())),
         );
     }
     let faulty = diagnostics.iter().any(Diagnostic::is_error);
@@ -74,11 +74,11 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if faulty { Err(Failure::Told) } else { Ok(()) }
 }
 
-/// What is known of one file.
+/// The results for one file.
 struct Report {
     program: Option<Program>,
     found: Vec<Diagnostic>,
-    /// What was not looked at since it would have taken too long.
+    /// The searches that reached a limit.
     unfinished: Vec<&'static str>,
     overlaps: Vec<Overlap>,
     covered: Option<Coverage>,
@@ -112,7 +112,7 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
         return Ok(report);
     };
     let lints = optimize::lints(program.rules());
-    // What is needless may be there for the reader.
+    // Redundant literals may be there for the reader.
     let shown = |lint: &Diagnostic| arguments.lints || lint.code == Code::CONTRADICTORY_BODY;
     report.found.extend(lints.diagnostics.into_iter().filter(shown));
     if arguments.lints {
@@ -151,33 +151,34 @@ impl Report {
         line
     }
 
-    /// Nothing of rules with errors.
-    fn tell(&self, out: &mut impl Write, path: &Path, arguments: &Arguments, sources: &Sources) -> io::Result<()> {
+    /// Prints nothing for rules with errors.
+    fn print(&self, out: &mut impl Write, path: &Path, arguments: &Arguments, sources: &Sources) -> io::Result<()> {
         let Some(rules) = self.rules() else { return Ok(()) };
         let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
         writeln!(out, "{}: {} clauses", path.display(), rules.clauses.len())?;
         writeln!(out, "  strata: {}", strata.join(" < "))?;
-        tell_executors(out, rules)?;
+        print_executors(out, rules)?;
         for what in &self.unfinished {
             writeln!(
                 out,
-                "  cut short: the search for {what}; there may be more than are told"
+                "  incomplete: the search for {what} reached its limit and may have missed some"
             )?;
         }
-        tell_overlaps(out, &self.overlaps, rules, sources)?;
+        print_overlaps(out, &self.overlaps, rules, sources)?;
         if let (Some(covered), Some(trace)) = (&self.covered, &arguments.coverage) {
-            tell_coverage(out, covered, trace, rules, sources)?;
+            print_coverage(out, covered, trace, rules, sources)?;
         }
         Ok(())
     }
 }
 
-/// The names of the predicates of each stratum, hidden ones left out, in the order in which they are computed.
+/// Returns the names of the visible predicates of each stratum, in evaluation order.
 fn strata(rules: &Rules) -> Vec<Vec<&str>> {
     executors(rules).into_iter().map(|(names, _)| names).collect()
 }
 
-/// For each stratum, hidden ones left out, the names of its predicates and why it is not for the dense executor, if it is not.
+/// Returns for each stratum the names of its visible predicates and why the dense executor cannot evaluate it, if it
+/// cannot.
 fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<String>)> {
     let choice = dense::choose(rules);
     let reasons = choice
@@ -194,7 +195,7 @@ fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<String>)> {
     strata.zip(reasons).filter(|(names, _)| !names.is_empty()).collect()
 }
 
-fn tell_executors(out: &mut impl Write, rules: &Rules) -> io::Result<()> {
+fn print_executors(out: &mut impl Write, rules: &Rules) -> io::Result<()> {
     let executors = executors(rules);
     if executors.iter().all(|(_, reason)| reason.is_none()) {
         return writeln!(out, "  executor: dense");
@@ -209,42 +210,42 @@ fn tell_executors(out: &mut impl Write, rules: &Rules) -> io::Result<()> {
 }
 
 fn executors_json(rules: &Rules) -> serde_json::Value {
-    let told = executors(rules).into_iter().map(|(names, reason)| match reason {
+    let strata = executors(rules).into_iter().map(|(names, reason)| match reason {
         None => json!({ "predicates": names, "executor": "dense" }),
         Some(reason) => json!({ "predicates": names, "executor": "relational", "because": reason }),
     });
-    told.collect()
+    strata.collect()
 }
 
-/// Nothing for programs that have fewer than two actions.
-fn tell_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> io::Result<()> {
-    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
-    let mut told = false;
+/// Prints nothing for programs with fewer than two actions.
+fn print_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> io::Result<()> {
+    let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    let mut printed = false;
     for Overlap { actions, finding } in overlaps {
         let [first, second] = actions.map(|action| action.name());
         match finding {
             Finding::Excluded => {}
             Finding::Together { clauses, scene } => {
-                let [a, b] = clauses.map(|clause| teller.title(clause));
+                let [a, b] = clauses.map(|clause| printer.title(clause));
                 writeln!(
                     out,
                     "  conflicts: {first} and {second} can be derived together, as in this scene:"
                 )?;
                 writeln!(out, "    {}", scene_json(scene))?;
                 writeln!(out, "    {first} by {a}\n    {second} by {b}")?;
-                told = true;
+                printed = true;
             }
             Finding::NotFound(verdict) => {
                 let searched = searched(verdict);
                 writeln!(out, "  conflicts: none found for {first} and {second} in {searched}")?;
                 for reason in unproved(verdict) {
-                    writeln!(out, "    this is no proof: {reason}")?;
+                    writeln!(out, "    not a proof: {reason}")?;
                 }
-                told = true;
+                printed = true;
             }
         }
     }
-    if !told && !overlaps.is_empty() {
+    if !printed && !overlaps.is_empty() {
         writeln!(out, "  conflicts: none")?;
     }
     Ok(())
@@ -254,10 +255,10 @@ fn agents(count: usize) -> String {
     format!("{count} {}", if count == 1 { "agent" } else { "agents" })
 }
 
-/// The scenes in which a search found nothing.
+/// Describes the scenes in which a search found nothing.
 fn searched(verdict: &Equivalence) -> String {
     match verdict {
-        Equivalence::NoneFound { entities: None, .. } => "no scene, not even the smallest".to_owned(),
+        Equivalence::NoneFound { entities: None, .. } => "0 scenes (even the smallest exceeds a limit)".to_owned(),
         Equivalence::NoneFound {
             entities: Some(most), ..
         }
@@ -269,40 +270,39 @@ fn searched(verdict: &Equivalence) -> String {
     }
 }
 
-/// Why a search that found nothing is no proof.
+/// Explains why a search that found nothing is not a proof.
 fn unproved(verdict: &Equivalence) -> Vec<String> {
     match verdict {
         Equivalence::NoneFound { proof, cut, .. } => {
             let needed = match proof {
                 Some(needed) => format!("larger scenes, up to {}, may show a conflict", agents(*needed)),
-                None => "no number of agents is known to suffice for one".to_owned(),
+                None => "the number of agents that a proof needs is unknown".to_owned(),
             };
             let cuts = cut.iter().map(|cut| match cut {
-                Cut::Effort => format!("the search reached its limit of {CONFLICT_EFFORT} dead ends"),
-                Cut::Size => {
-                    "larger scenes have too many possible facts, or facts too many ways to be derived".to_owned()
-                }
-                Cut::Proof => "the rules are too many to compute how many agents suffice for one".to_owned(),
+                Cut::Effort => format!("the search reached its limit of {CONFLICT_EFFORT} solver conflicts"),
+                Cut::Size => "larger scenes have too many possible facts or derivations".to_owned(),
+                Cut::Proof => "there are too many rules to compute the number of agents that a proof needs".to_owned(),
             });
             [needed].into_iter().chain(cuts).collect()
         }
         Equivalence::NoneTried { .. } => {
-            vec!["rules with expressions, aggregates, floats or unsigned numbers are tried scene by scene".to_owned()]
+            let sampled = "rules with expressions, aggregates, floats or unsigned numbers";
+            vec![format!("`check` only samples scenes for {sampled}")]
         }
         Equivalence::Equivalent { .. } | Equivalence::Different(_) => Vec::new(),
     }
 }
 
 fn overlaps_json(overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> serde_json::Value {
-    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
-    let told = overlaps.iter().map(|Overlap { actions, finding }| {
+    let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    let conflicts = overlaps.iter().map(|Overlap { actions, finding }| {
         let actions = actions.map(|action| action.name());
         match finding {
             Finding::Excluded => json!({ "actions": actions, "finding": "excluded" }),
             Finding::Together { clauses, scene } => json!({
                 "actions": actions,
                 "finding": "together",
-                "clauses": clauses.map(|clause| teller.clause_json(clause)),
+                "clauses": clauses.map(|clause| printer.clause_json(clause)),
                 "scene": scene_json(scene),
             }),
             Finding::NotFound(verdict) => json!({
@@ -313,13 +313,13 @@ fn overlaps_json(overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> serd
             }),
         }
     });
-    told.collect()
+    conflicts.collect()
 }
 
-/// The clauses of a rule file over the states of a trace.
+/// Measures the clauses of a rule file over the states of a trace.
 fn measure(arguments: &Arguments, trace: &Path, rules: &Path, sources: &mut Sources) -> Result<Coverage, Failure> {
     let mut trace = TraceReader::open(trace)?;
-    // Other rules than those of the run may be asked about on purpose.
+    // The user may measure other rules than those of the run.
     let strict = arguments.rules.is_empty();
     let mut replay = trace.replay(sources, arguments.config.as_deref(), Some(rules), strict)?;
     let mut coverage = Coverage::new(replay.session().program().rules());
@@ -331,30 +331,32 @@ fn measure(arguments: &Arguments, trace: &Path, rules: &Path, sources: &mut Sour
     Ok(coverage)
 }
 
-/// The literals as they stand in the clause.
-fn idle(teller: &ExplanationPrinter<'_>, rules: &Rules, clause: ClauseId, idle: &[usize]) -> Vec<String> {
+/// Formats literals as the clause spells them.
+fn idle(printer: &ExplanationPrinter<'_>, rules: &Rules, clause: ClauseId, idle: &[usize]) -> Vec<String> {
     let clause = &rules.clauses[clause.index()];
     let open = vec![None; clause.variables.len()];
     let literals = idle.iter().map(|&literal| &clause.body[literal]);
-    literals.map(|literal| teller.literal(clause, literal, &open)).collect()
+    literals
+        .map(|literal| printer.literal(clause, literal, &open))
+        .collect()
 }
 
-fn tell_coverage(
+fn print_coverage(
     out: &mut impl Write,
     coverage: &Coverage,
     trace: &Path,
     rules: &Rules,
     sources: &Sources,
 ) -> io::Result<()> {
-    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
     writeln!(out, "  coverage: {} ticks of {}", coverage.states, trace.display())?;
     writeln!(out, "{:>10}{:>8}  clause", "fired", "ticks")?;
     for clause in &coverage.clauses {
         let head = &rules.relations[rules.clauses[clause.clause.index()].head.relation.index()].name;
-        let title = teller.title(clause.clause);
+        let title = printer.title(clause.clause);
         writeln!(out, "{:>10}{:>8}  {head:<8}{title}", clause.fired, clause.states)?;
         if clause.fired > 0 && !clause.idle.is_empty() {
-            let literals = idle(&teller, rules, clause.clause, &clause.idle).join(", ");
+            let literals = idle(&printer, rules, clause.clause, &clause.idle).join(", ");
             writeln!(out, "{:>28}never mattered: {literals}", "")?;
         }
     }
@@ -362,14 +364,14 @@ fn tell_coverage(
 }
 
 fn coverage_json(coverage: &Coverage, rules: &Rules, sources: &Sources) -> serde_json::Value {
-    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
     let clauses: Vec<serde_json::Value> = (coverage.clauses.iter())
         .map(|clause| {
             json!({
-                "clause": teller.clause_json(clause.clause),
+                "clause": printer.clause_json(clause.clause),
                 "fired": clause.fired,
                 "ticks": clause.states,
-                "never_mattered": idle(&teller, rules, clause.clause, &clause.idle),
+                "never_mattered": idle(&printer, rules, clause.clause, &clause.idle),
             })
         })
         .collect();

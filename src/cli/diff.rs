@@ -10,20 +10,20 @@ use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// A rule file
+    /// First rule file
     left: PathBuf,
-    /// Another
+    /// Second rule file
     right: PathBuf,
-    /// Predicates to compare, separated by commas; all outputs unless given
+    /// Predicates to compare, separated by commas [default: all outputs]
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     predicates: Vec<String>,
-    /// Look at scenes of at most this many entities
+    /// Compare scenes of at most this many entities
     #[arg(long, value_name = "COUNT", default_value_t = Options::default().entities_max)]
     entities: usize,
-    /// Give up after this many dead ends of the search; a tenth as many scenes where they are tried one by one
+    /// Stop the search after this many conflicts, or a tenth as many scenes where `diff` evaluates scenes one by one
     #[arg(long, value_name = "COUNT", default_value_t = Options::default().conflicts_max)]
     effort: u64,
-    /// Print the scene that shows a difference, ready for `logicity infer`, and nothing else
+    /// Print only a scene that shows a difference, as input for `logicity infer`
     #[arg(long, conflicts_with = "json")]
     scene: bool,
     /// Print one JSON object
@@ -31,7 +31,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Exit code 0: no difference; 1: a difference.
+/// Returns exit code 0 if it finds no difference, 1 if it finds one.
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> {
     let (left, mut warnings) = load_program(sources, &arguments.left)?;
     let (right, more) = load_program(sources, &arguments.right)?;
@@ -56,7 +56,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
             if arguments.scene {
                 scene_json(difference).to_string()
             } else {
-                told(difference, &names)
+                show_difference(difference, &names)
             }
         )?;
     } else if !arguments.scene {
@@ -75,20 +75,20 @@ fn plural(count: usize) -> String {
 fn equal(verdict: &Equivalence) -> String {
     match verdict {
         Equivalence::Equivalent { entities } => format!(
-            "equivalent: proved (a difference would show in a scene of at most {}, and none does)",
+            "equivalent: proved by searching all scenes of up to {}",
             plural(*entities)
         ),
         Equivalence::NoneFound { entities, proof, cut } => {
             let mut text = match entities {
                 Some(entities) => format!("no difference in any scene of at most {}; ", plural(*entities)),
-                None => "no scene could be looked at, not even the smallest; ".to_owned(),
+                None => "no scene searched: even the smallest exceeds a limit; ".to_owned(),
             };
             text += &match proof {
-                Some(proof) => format!("a proof needs scenes of up to {}", plural(*proof)),
-                None => "no number of entities is known to be enough for a proof".to_owned(),
+                Some(proof) => format!("a proof requires scenes of up to {}", plural(*proof)),
+                None => "the number of entities that a proof needs is unknown".to_owned(),
             };
             for cut in cut {
-                text += &format!("\ncut short: {}", reason(*cut));
+                text += &format!("\nincomplete: {}", reason(*cut));
             }
             text
         }
@@ -99,12 +99,12 @@ fn equal(verdict: &Equivalence) -> String {
         } => {
             let every = match facts {
                 Some(facts) => format!(
-                    "every scene of at most {facts} facts about {} was tried, with values that the rules name and their neighbours",
+                    "all of at most {facts} facts about {}, with the values in the rules and their neighbors",
                     plural(*entities)
                 ),
-                None => "no size was tried completely".to_owned(),
+                None => "no size searched completely".to_owned(),
             };
-            format!("no difference found in {scenes} scenes: {every}, and larger ones at random; nothing is proved")
+            format!("no difference found in {scenes} scenes: {every}; then larger ones at random; not a proof")
         }
         Equivalence::Different(_) => String::new(),
     }
@@ -112,13 +112,13 @@ fn equal(verdict: &Equivalence) -> String {
 
 fn reason(cut: Cut) -> &'static str {
     match cut {
-        Cut::Effort => "the search met as many dead ends as `--effort` allows",
-        Cut::Size => "larger scenes have too many possible facts, or facts too many ways to be derived",
-        Cut::Proof => "finding out how many entities a proof needs takes too long for these rules",
+        Cut::Effort => "the search reached the limit of `--effort`",
+        Cut::Size => "larger scenes have too many possible facts or derivations",
+        Cut::Proof => "computing the number of entities that a proof needs takes too long for these rules",
     }
 }
 
-fn told(difference: &Difference, names: &[String; 2]) -> String {
+fn show_difference(difference: &Difference, names: &[String; 2]) -> String {
     let size = if difference.smallest {
         "smallest scene"
     } else {
@@ -129,7 +129,7 @@ fn told(difference: &Difference, names: &[String; 2]) -> String {
         scene_json(difference)
     );
     for scope in &difference.everybody_sees {
-        text += &format!("everybody is in `{scope}` with everybody\n");
+        text += &format!("`{scope}` holds for all pairs of entities\n");
     }
     let shown = |(name, row): &(String, Vec<String>)| format!("{name}({})", row.join(", "));
     for (name, derived) in names.iter().zip(&difference.derived) {
@@ -159,7 +159,8 @@ fn to_json(verdict: &Equivalence) -> Value {
             entities,
             scenes,
         } => json!({
-            "verdict": "none-found", "proved": false, "entities": entities, "facts": facts, "scenes": scenes, "needed": null
+            "verdict": "none-found", "proved": false, "entities": entities, "facts": facts, "scenes": scenes,
+            "needed": null
         }),
         Equivalence::Different(difference) => {
             let derived = |rows: &[(String, Vec<String>)]| -> Value {

@@ -23,13 +23,13 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand)]
 enum What {
-    /// Draw episodes that the oracle solves, every kind of ego equally often, and write them to a file
+    /// Generate episodes that the oracle solves, balanced over the kinds of egos, and write them to a file
     Make(Make),
-    /// Drive recorded episodes again: the oracle must reach the goal as recorded
+    /// Verify that the oracle solves the recorded episodes exactly as recorded
     Check(Which),
-    /// Print recorded episodes, a line each, and how the oracle and a random policy do on them
+    /// Print recorded episodes, one per line, and the results of the oracle and of a random policy
     Show(Show),
-    /// Draw set after set and print how far the measures of one set are a matter of chance
+    /// Generate many sets of episodes and print how the measures vary between sets
     Spread(Spread),
 }
 
@@ -38,10 +38,10 @@ struct Which {
     /// Configuration with a task
     #[arg(default_value = "configs/expert.yaml")]
     config: PathBuf,
-    /// Which split
+    /// Agent set of the configuration
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test")]
     split: Split,
-    /// Rule file instead of the configuration's
+    /// Rule file to use instead of the configuration's
     #[arg(long)]
     rules: Option<PathBuf>,
 }
@@ -50,13 +50,13 @@ struct Which {
 struct Make {
     #[command(flatten)]
     which: Which,
-    /// How many; 40 for val and 100 otherwise unless given
+    /// Number of episodes [default: 40 for val, 100 for train and test]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100_000), allow_negative_numbers = true)]
     count: Option<u32>,
-    /// What they are drawn from
+    /// Seed of the episodes
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
-    /// The file to write; the one that the configuration names unless given
+    /// Write the episodes to FILE [default: the file that the configuration names]
     #[arg(short, long)]
     output: Option<PathBuf>,
 }
@@ -65,10 +65,10 @@ struct Make {
 struct Show {
     #[command(flatten)]
     which: Which,
-    /// All about one episode: its number, from 0
+    /// Print one episode in full, by its number from 0
     #[arg(long)]
     episode: Option<usize>,
-    /// One JSON object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }
@@ -77,18 +77,18 @@ struct Show {
 struct Spread {
     #[command(flatten)]
     which: Which,
-    /// How many sets, made with the seeds 1, 2, ...
+    /// Number of sets, generated with the seeds 1, 2, ...
     #[arg(long, value_parser = clap::value_parser!(u32).range(2..=100_000), allow_negative_numbers = true, default_value_t = 40)]
     sets: u32,
-    /// Episodes of a set; 40 for val and 100 otherwise unless given
+    /// Episodes per set [default: 40 for val, 100 for train and test]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100_000), allow_negative_numbers = true)]
     count: Option<u32>,
-    /// One JSON object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }
 
-/// Makes, checks or shows episodes, or tells how sets of them differ.
+/// Generates, checks or prints episodes, or measures the spread of their sets.
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     match &arguments.what {
         What::Make(make) => make.run(sources),
@@ -104,13 +104,13 @@ impl Which {
         Ok(Arc::new(SpfTask::new(Arc::new(world), sources)?))
     }
 
-    /// How many episodes a set has.
+    /// Returns the number of episodes in a set.
     fn count(&self, given: Option<u32>) -> usize {
         let usual = if self.split == Split::Val { 40 } else { 100 };
         given.unwrap_or(usual) as usize
     }
 
-    /// The task, its recorded episodes, and a city for them.
+    /// Returns the task's recorded episodes, and an environment for them.
     fn load(&self, sources: &mut Sources) -> Result<(Env, EpisodeSet), Failure> {
         let task = self.task(sources)?;
         let set = EpisodeSet::load(&task, self.split, sources, &BuiltinFiles)?;
@@ -139,7 +139,7 @@ impl Which {
         let (count, hash) = (set.episodes.len(), set.hash());
         writeln!(
             io::stdout(),
-            "{count} episodes are as recorded: {} {} {hash}",
+            "{count} episodes match their records: {} {} {hash}",
             set.config,
             set.split.name()
         )?;
@@ -147,10 +147,10 @@ impl Which {
     }
 }
 
-/// How an episode went otherwise than recorded.
+/// Describes how a run differs from the recorded one.
 fn differs(episode: &Episode, done: &Rollout) -> Option<String> {
     let Some(oracle) = &episode.oracle else {
-        return Some("what the oracle makes of the episode is not recorded".to_owned());
+        return Some("the file has no oracle run for this episode".to_owned());
     };
     if !done.success {
         return Some(format!(
@@ -162,7 +162,7 @@ fn differs(episode: &Episode, done: &Rollout) -> Option<String> {
     let same = done.steps == oracle.steps && close && done.constrained == oracle.constrained;
     (!same).then(|| {
         format!(
-            "the oracle takes {} steps with return {}, recorded are {} and {}; constrained steps {:?}, recorded {:?}",
+            "oracle steps {}, return {}, but the record has {} and {}; constrained steps {:?}, but the record has {:?}",
             done.steps, done.total, oracle.steps, oracle.total, done.constrained, oracle.constrained
         )
     })
@@ -178,13 +178,13 @@ impl Make {
         let path = match self.output.clone().or(named) {
             Some(path) if path.starts_with(files::BUILTIN_FOLDER) => {
                 return Err(Failure::Usage(
-                    "the configuration is built in: name the file to write with `--output`".into(),
+                    "the configuration is built in: specify the output file with `--output`".into(),
                 ));
             }
             Some(path) => path,
             None => {
                 return Err(Failure::Usage(
-                    "the configuration names no file of episodes for this split: name one with `--output`".into(),
+                    "the configuration has no episode file for this split: specify one with `--output`".into(),
                 ));
             }
         };
@@ -197,7 +197,7 @@ impl Make {
         out.finish().map_err(fail)?;
         writeln!(
             io::stdout(),
-            "{count} episodes written to {}: {}",
+            "wrote {count} episodes to {}: {}",
             path.display(),
             set.hash()
         )?;
@@ -210,12 +210,10 @@ impl Show {
         let (mut env, set) = self.which.load(sources)?;
         if let Some(number) = self.episode {
             let count = set.episodes.len();
-            let episode = set.episodes.get(number).ok_or_else(|| {
-                Failure::Usage(format!(
-                    "there is no episode {number}: they are numbered from 0 to {}",
-                    count - 1
-                ))
-            })?;
+            let episode = set
+                .episodes
+                .get(number)
+                .ok_or_else(|| Failure::Usage(format!("no episode {number}: the numbers are 0 to {}", count - 1)))?;
             return one(&mut env, episode);
         }
         let (oracle, random) = drive(&mut env, &set)?;
@@ -232,7 +230,7 @@ impl Show {
         }
         writeln!(
             out,
-            "{:>7} {:20} {:>8} {:>5} {:>5} {:>7}  asked",
+            "{:>7} {:20} {:>8} {:>5} {:>5} {:>7}  constrained",
             "episode", "ego", "priority", "cells", "steps", "return"
         )?;
         for (number, (episode, done)) in set.episodes.iter().zip(&oracle).enumerate() {
@@ -270,7 +268,7 @@ impl Show {
     }
 }
 
-/// Lets the oracle and the random policy drive all episodes of a set.
+/// Runs the oracle and the random policy on all episodes of a set.
 fn drive(env: &mut Env, set: &EpisodeSet) -> Result<(Vec<Rollout>, Baseline), Diagnostic> {
     let (mut oracle, mut random) = (Vec::new(), Baseline::default());
     for episode in &set.episodes {
@@ -282,7 +280,7 @@ fn drive(env: &mut Env, set: &EpisodeSet) -> Result<(Vec<Rollout>, Baseline), Di
 }
 
 impl Spread {
-    /// What is measured of a set. The last has one random run for each episode, as the paper has.
+    /// The measures of a set. The last uses one random run per episode, as the paper does.
     const MEASURES: [&str; 7] = [
         "score",
         "oracle return",
@@ -315,8 +313,8 @@ impl Spread {
         if self.json {
             let measures: serde_json::Map<String, serde_json::Value> = rows
                 .map(|(name, [mean, deviation, least, most])| {
-                    let told = json!({"mean": mean, "standard_deviation": deviation, "min": least, "max": most});
-                    ((*name).to_owned(), told)
+                    let measure = json!({"mean": mean, "standard_deviation": deviation, "min": least, "max": most});
+                    ((*name).to_owned(), measure)
                 })
                 .collect();
             let (config, split) = (&task.world().scenario.name, split.name());
@@ -357,7 +355,7 @@ impl Spread {
         ]
     }
 
-    /// Mean, standard deviation, least and greatest.
+    /// Returns mean, standard deviation, minimum and maximum.
     #[allow(clippy::cast_precision_loss)] // fewer than 2^53 sets
     fn of(values: &[f64]) -> [f64; 4] {
         let n = values.len() as f64;
@@ -369,7 +367,7 @@ impl Spread {
     }
 }
 
-/// `Stop 3, Fast 1`
+/// Formats constrained steps, for example `Stop 3, Fast 1`.
 fn asked(constrained: [u32; 4]) -> String {
     let words: Vec<String> = constrained_by_name(constrained)
         .map(|(action, steps)| format!("{action} {steps}"))
@@ -377,7 +375,7 @@ fn asked(constrained: [u32; 4]) -> String {
     words.join(", ")
 }
 
-/// Prints all about one episode.
+/// Prints one episode in full.
 fn one(env: &mut Env, episode: &Episode) -> Result<(), Failure> {
     env.reset_to(episode)?;
     let mut out = io::stdout().lock();
@@ -386,7 +384,7 @@ fn one(env: &mut Env, episode: &Episode) -> Result<(), Failure> {
         let (steps, total) = (oracle.steps, oracle.total);
         writeln!(
             out,
-            "oracle: {steps} steps, return {total:.4}, asked: {}",
+            "oracle: {steps} steps, return {total:.4}, constrained: {}",
             asked(oracle.constrained)
         )?;
     }

@@ -13,24 +13,25 @@ use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// A trace that `run` has written
+    /// Trace written by `logicity run`
     trace: PathBuf,
-    /// Number of the tick; the last one unless given
+    /// Number of the tick [default: the last tick]
     #[arg(long)]
     tick: Option<u64>,
     /// Name of the agent
     #[arg(long)]
     agent: String,
-    /// Tell why this action was not derived instead of why the agent did what it did
+    /// Explain why this action was not derived, instead of why the agent acted as it did
     #[arg(long, value_name = "ACTION", value_parser = action)]
     why_not: Option<Action>,
-    /// Print JSON instead: `tick`, `agent`, `at`, `heading`, `derived`, `action`, `explanations`, and `driven` if it was
+    /// Print JSON with the keys `tick`, `agent`, `at`, `heading`, `derived`, `action` and `explanations`, plus `driven`
+    /// for a controlled agent
     #[arg(long)]
     json: bool,
-    /// Configuration of the run, if it is no longer where the trace says
+    /// Configuration of the run, if it is not at the path that the trace names
     #[arg(long)]
     config: Option<PathBuf>,
-    /// Rules of the run, if they are no longer where the trace says
+    /// Rules of the run, if they are not at the path that the trace names
     #[arg(long)]
     rules: Option<PathBuf>,
 }
@@ -46,8 +47,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let Some(position) = names.iter().position(|name| *name == arguments.agent) else {
         let near = did_you_mean(&arguments.agent, names.iter().copied());
         let help = near.map_or_else(
-            || format!("it has: {}", names.join(", ")),
-            |name| format!("did you mean `{name}`? It has: {}", names.join(", ")),
+            || format!("the trace has: {}", names.join(", ")),
+            |name| format!("did you mean `{name}`? The trace has: {}", names.join(", ")),
         );
         let message = format!("the trace has no agent `{}`\nhelp: {help}", arguments.agent);
         return Err(Failure::Usage(message));
@@ -63,7 +64,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if !derived.iter().map(|speed| speed.name()).eq(state.derived.iter()) {
         let found: Vec<&str> = derived.iter().map(|speed| speed.name()).collect();
         let message = format!(
-            "the state of tick {} gives {} [{}], the trace has [{}]",
+            "the state of tick {} gives {} [{}], but the trace has [{}]",
             tick.tick,
             arguments.agent,
             found.join(", "),
@@ -71,10 +72,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         );
         return Err(trace.placed(Diagnostic::new(Code::TRACE_MISMATCH, message)));
     }
-    tell(arguments, &replay, &tick, position, sources)
+    print(arguments, &replay, &tick, position, sources)
 }
 
-/// The tick of that number, or the last one.
+/// Returns the tick with this number, or the last tick.
 fn find(trace: &mut TraceReader, number: Option<u64>) -> Result<TraceTick, Failure> {
     let mut ends: Option<(u64, u64)> = None;
     let mut last = None;
@@ -94,7 +95,7 @@ fn find(trace: &mut TraceReader, number: Option<u64>) -> Result<TraceTick, Failu
     }
 }
 
-fn tell(
+fn print(
     arguments: &Arguments,
     replay: &Replay,
     tick: &TraceTick,
@@ -117,11 +118,11 @@ fn tell(
     let account = (decision.account(arguments.why_not, &|| false)).map_err(Diagnostic::from)?;
     let mut out = anstream::stdout();
     if arguments.json {
-        let mut told = account.json(sources);
+        let mut line = account.json(sources);
         if let Some(driven) = &state.driven {
-            told["driven"] = json!(driven);
+            line["driven"] = json!(driven);
         }
-        writeln!(out, "{told}")?;
+        writeln!(out, "{line}")?;
     } else {
         if let Some(driven) = &state.driven {
             writeln!(out, "{}", steering(driven, replay.world(), sources)?)?;
@@ -131,22 +132,22 @@ fn tell(
     Ok(())
 }
 
-/// What an agent that was driven went by, and how its action was judged.
+/// Describes what a controlled agent observed, and which clauses its action violated.
 fn steering(driven: &Driven, world: &World, sources: &Sources) -> Result<String, Diagnostic> {
     let rules = world.program.rules();
-    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
     let label = |&broken: &usize| {
-        let message = || format!("there is no clause {broken}");
+        let message = || format!("clause {broken} does not exist");
         let clause = world.clauses().nth(broken);
-        (clause.map(|clause| teller.label(clause))).ok_or_else(|| Diagnostic::new(Code::INVALID_TRACE, message()))
+        (clause.map(|clause| printer.label(clause))).ok_or_else(|| Diagnostic::new(Code::INVALID_TRACE, message()))
     };
     let broken: Vec<String> = driven.broken.iter().map(label).collect::<Result<_, _>>()?;
     let judged = match broken.is_empty() {
-        true => "its action broke no clause".to_owned(),
-        false => format!("its action broke {}", broken.join(", ")),
+        true => "its action violated no clause".to_owned(),
+        false => format!("its action violated {}", broken.join(", ")),
     };
     Ok(format!(
-        "driven from outside: on what it observed ({}) the rules wanted {}, and {judged}",
+        "controlled externally: given its observation of ({}), the rules wanted {}; {judged}",
         driven.observes.join(", "),
         driven.wanted()?.name()
     ))

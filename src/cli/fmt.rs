@@ -9,10 +9,10 @@ use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Rule files; `-` reads standard input and writes standard output
+    /// Rule files to format in place; `-` formats standard input to standard output
     #[arg(required = true, value_name = "RULES")]
     rules: Vec<PathBuf>,
-    /// Change nothing: name the files that are not in the style, exit code 1 if there are any
+    /// Write nothing; list the files that are not formatted, and exit with code 1 if there are any
     #[arg(long)]
     check: bool,
 }

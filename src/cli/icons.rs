@@ -1,4 +1,4 @@
-//! `logicity icons`, and the icons of other commands.
+//! `logicity icons`, and the icon options of other commands.
 
 use crate::cli::{Failure, one_of};
 use crate::files;
@@ -9,16 +9,17 @@ use sha2::{Digest, Sha256};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Which icons pictures have.
+/// The options that select icons.
 #[derive(clap::Args)]
 pub struct IconOptions {
-    /// Folder of icons: CLASS/NAME.png or .svg, where CLASS is car, ambulance, bus+tiro, old, gas-station, ..
+    /// Folder of icons: CLASS/NAME.png or .svg, where CLASS is car, ambulance, bus+tiro, old, gas-station, ...
     #[arg(long, value_name = "DIR")]
     pack: Option<PathBuf>,
-    /// extend: its icons come in addition to those drawn by parameters. replace: a class that it has shows only its icons
+    /// How to use the icons of the pack. extend: add them to the generated icons. replace: use only them, for the
+    /// classes that the pack has
     #[arg(long, value_parser = one_of(&Mode::ALL, Mode::name), default_value = "extend", requires = "pack")]
     pub(super) pack_mode: Mode,
-    /// From clean (0) to noisy (100 percent): how much colours, light, sharpness, markings and what lies around vary
+    /// Visual variation from 0 (clean) to 100 (noisy), in percent: colors, light, sharpness, markings and clutter
     #[arg(long, value_name = "PERCENT", value_parser = difficulty, default_value = "0", allow_negative_numbers = true)]
     difficulty: Difficulty,
 }
@@ -29,12 +30,13 @@ fn difficulty(text: &str) -> Result<Difficulty, String> {
 }
 
 impl IconOptions {
-    /// The icons of a seed. Which classes a pack lacks is told on standard error.
+    /// Returns the icons of a seed. Lists on standard error the classes that a pack lacks.
     pub fn load(&self, seed: Seed) -> Result<Icons, Failure> {
         Ok(self.load_hashed(seed)?.0)
     }
 
-    /// The same, and the SHA-256 of the names and bytes of the pack's files, if there is one.
+    /// Returns the icons as `load` does, and the SHA-256 of the names and bytes of the pack's files, if there is a
+    /// pack.
     pub fn load_hashed(&self, seed: Seed) -> Result<(Icons, Option<String>), Failure> {
         let icons = Icons::new(seed, self.difficulty);
         let Some(folder) = &self.pack else {
@@ -49,7 +51,7 @@ impl IconOptions {
             let place = folder.display();
             let _ = writeln!(
                 anstream::stderr(),
-                "note: `{place}` has no icons of {}; those are drawn",
+                "note: `{place}` has no icons for {}; logicity draws those",
                 lacks.join(", ")
             );
         }
@@ -57,21 +59,22 @@ impl IconOptions {
     }
 }
 
-/// A pack, and what [`IconOptions::load_hashed`] tells of it.
+/// Returns a pack, and the hash for [`IconOptions::load_hashed`].
 fn load_pack(folder: &Path, mode: Mode) -> Result<(Pack, String), Failure> {
     let files = files::read_folders(folder, PACK_FILES_MAX, PACK_FILE_MAX as u64)
         .map_err(|(path, error)| Failure::file("read", &path, error))?;
     let mut hash = Sha256::new();
     for (name, bytes) in &files {
-        // Lengths keep apart what one and another file hold.
+        // The lengths make the encoding unambiguous.
         for part in [name.as_bytes(), bytes] {
             hash.update((part.len() as u64).to_le_bytes());
             hash.update(part);
         }
     }
     let pack = Pack::new(mode, files).map_err(|faults| {
-        let told = |PackFault { file, reason }: &PackFault| format!("icon `{}`: {reason}", folder.join(file).display());
-        Failure::Usage(faults.iter().map(told).collect::<Vec<_>>().join("\nerror: "))
+        let message =
+            |PackFault { file, reason }: &PackFault| format!("icon `{}`: {reason}", folder.join(file).display());
+        Failure::Usage(faults.iter().map(message).collect::<Vec<_>>().join("\nerror: "))
     })?;
     Ok((pack, format!("{:x}", hash.finalize())))
 }
@@ -84,7 +87,7 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand)]
 enum Command {
-    /// Draw eight icons of every class on one picture
+    /// Draw a sheet with eight icons of each class
     Sheet(SheetArguments),
 }
 
@@ -92,20 +95,22 @@ enum Command {
 struct SheetArguments {
     #[command(flatten)]
     icons: IconOptions,
-    /// Seed of everything random in the icons
+    /// Seed of the icons
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
-    /// More classes, such as bus+tiro or car+taxi
+    /// Additional class, for example bus+tiro or car+taxi; can be repeated
     #[arg(long = "class", value_name = "CLASS", value_parser = class)]
     classes: Vec<Class>,
-    /// Where the picture goes
+    /// Write the sheet to FILE
     #[arg(short, long, value_name = "FILE", default_value = "sheet.png")]
     output: PathBuf,
 }
 
 fn class(text: &str) -> Result<Class, String> {
-    let unknown =
-        || "expected a building type, a kind of agent, or concepts joined by `+` that begin with a known one or a kind";
+    let unknown = || {
+        "expected a building type, an agent type, or concepts joined by `+`; \
+            the first must be a known concept or an agent type"
+    };
     Class::from_name(text).ok_or_else(|| unknown().to_owned())
 }
 

@@ -12,30 +12,31 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
-/// The longest scene in bytes: 64 MiB.
+/// The longest scene, in bytes (64 MiB).
 const MAX_SCENE: u64 = 1 << 26;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Scenes, one JSON object a line; `-` is standard input
+    /// Scenes, one JSON object per line; `-` means standard input
     #[arg(default_value = "-")]
     file: PathBuf,
-    /// Configuration: it defines the predicates and, unless --rules is given, the rules
+    /// Configuration that defines the predicates, and the rules unless --rules is given
     #[arg(long, default_value = "configs/expert.yaml")]
     config: PathBuf,
-    /// Rule file instead of the configuration's
+    /// Rule file to use instead of the configuration's
     #[arg(long)]
     rules: Option<PathBuf>,
-    /// Seed of the predicates that hold with a probability and are not given by the scene
+    /// Seed for probabilistic predicates that the scene leaves open
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
-    /// What evaluates the rules; answers are the same with each
+    /// Executor that evaluates the rules; the answers do not depend on it
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
-    /// Refuse scenes whose facts violate a constraint of the rules (`.disjoint`, `.implies`, ..). The relational executor then decides
+    /// Reject scenes whose facts violate a constraint of the rules (`.disjoint`, `.implies`, ...); implies the
+    /// relational executor
     #[arg(long)]
     check_constraints: bool,
-    /// Where to write the answers; standard output unless given
+    /// Write the answers to FILE [default: standard output]
     #[arg(long)]
     out: Option<PathBuf>,
 }
@@ -43,8 +44,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     if arguments.check_constraints && arguments.executor == Executor::Dense {
         return Err(Failure::Usage(
-            "--check-constraints looks at facts as the relational executor has them; leave out --executor dense"
-                .to_owned(),
+            "--check-constraints requires the relational executor; omit --executor dense".to_owned(),
         ));
     }
     let city = load_city(sources, &arguments.config, arguments.rules.as_deref())?;
@@ -91,8 +91,8 @@ fn finish(faulty: bool) -> Result<(), Failure> {
     if faulty { Err(Failure::Told) } else { Ok(()) }
 }
 
-/// Answers every scene; a faulty one gets `{"error": [diagnostics]}` in its line, so that answers stay in step with scenes.
-/// Returns whether any was faulty.
+/// Answers every scene. Writes `{"error": [diagnostics]}` for a faulty one, so that answers stay aligned with scenes.
+/// Returns whether any scene was faulty.
 fn answer_all(
     inference: &mut Inference,
     mut scenes: impl BufRead,
@@ -120,7 +120,7 @@ fn answer_all(
             scenes.skip_until(b'\n').map_err(unreadable)?;
             fault(
                 Code::LIMIT_EXCEEDED,
-                &format!("too long a scene: the limit is {} MiB", MAX_SCENE >> 20),
+                &format!("too long: the limit is {} MiB", MAX_SCENE >> 20),
             )
         } else {
             match files::to_text(std::mem::take(&mut bytes)) {

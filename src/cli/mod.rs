@@ -1,9 +1,9 @@
-//! The command line: one file a subcommand.
+//! The command line, with one file per subcommand.
 //!
-//! Results go to standard output, everything else (progress, diagnostics) to standard error. Exit code 0: done; 1: faulty
-//! input; 2: wrong usage, or a file that cannot be read or written.
+//! Results go to standard output; progress and diagnostics go to standard error. Exit code 0 means success, 1 faulty
+//! input, 2 wrong usage or a file that cannot be read or written.
 //!
-//! The Python package runs the same command line ([`run_with_python`]) and adds commands of its own ([`PYTHON_COMMANDS`]).
+//! The Python package runs the same command line ([`run_with_python`]) and adds the commands [`PYTHON_COMMANDS`].
 
 mod bench;
 mod check;
@@ -44,7 +44,7 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 use std::process::ExitCode;
 
-/// A city of cars and pedestrians governed by Datalog rules.
+/// Simulate a city of cars and pedestrians under Datalog rules
 #[derive(Parser)]
 #[command(name = "logicity", version, propagate_version = true, max_term_width = 100)]
 struct Arguments {
@@ -54,58 +54,58 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Run a city and write a trace, an animation and a last picture
+    /// Run a city and write a trace, an animation and a picture of the last tick
     Run(run::Arguments),
-    /// Check rule files: report every fault, print the strata
+    /// Check rule files and print diagnostics, strata and conflicts
     Check(check::Arguments),
-    /// Lay rule files out in one style; comments stay
+    /// Format rule files
     Fmt(fmt::Arguments),
-    /// Compare two rule sets: are they equal, and if not, in which smallest scene do they differ?
+    /// Compare two rule sets: prove them equivalent or print a minimal counterexample
     Diff(diff::Arguments),
-    /// Run any Datalog program on facts files, as Soufflé does
+    /// Run a Datalog program on facts files, compatible with Soufflé
     Query(query::Arguments),
-    /// Work on a Datalog program at a prompt: add and retract facts and rules, ask questions, see why
+    /// Develop a Datalog program interactively: add and retract facts and rules, query, explain
     #[cfg(feature = "repl")]
     Repl(repl::Arguments),
-    /// Decide scenes: one JSON scene a line in, one JSON answer a line out
+    /// Evaluate the rules on scenes: one JSON scene per line in, one JSON answer per line out
     Infer(infer::Arguments),
-    /// Tell why an agent did what it did in a run, or why it did not do something else
+    /// Explain why an agent acted as it did in a run, or why it did not act otherwise
     Explain(explain::Arguments),
-    /// Make a page of a run that a browser opens: the city moves, and every decision says why
+    /// Write an interactive HTML page of a run that explains every decision
     View(view::Arguments),
-    /// Make, check or show recorded episodes of Safe Path Following
+    /// Generate, check or print recorded episodes of Safe Path Following
     Episodes(episodes::Arguments),
-    /// Make multiple-choice questions in words about what cars do, with solved examples
+    /// Generate multiple-choice questions about the decisions of cars, with solved examples
     Questions(questions::Arguments),
-    /// Make or check data sets of Visual Action Prediction: pictures, boxes, facts and labels
+    /// Generate or check data sets of Visual Action Prediction: pictures, boxes, facts and labels
     Vap(vap::Arguments),
     /// Plan one route and print its cells
     Route(route::Arguments),
-    /// Show the icons that pictures are made of
+    /// Draw the icons of pictures
     Icons(icons::Arguments),
-    /// Time the rules, a tick, an episode, or cities of up to a million agents
+    /// Measure the speed of rules, ticks, episodes, pictures, and cities of up to a million agents
     Bench(bench::Arguments),
-    /// Serve an editor over standard input and output: diagnostics, hover, definitions, renaming and more
+    /// Run a language server over standard input and output
     #[cfg(feature = "lsp")]
     Lsp(lsp::Arguments),
-    /// Print a completion script for a shell
+    /// Print a shell completion script
     Completions {
-        /// The shell
+        /// Shell to complete for
         shell: clap_complete::Shell,
     },
 }
 
-/// Why a command did not do what was asked.
+/// The reason why a command failed.
 enum Failure {
-    /// The input is at fault; the diagnostics tell how. Exit code 1.
+    /// The input is faulty, as the diagnostics describe. Exit code 1.
     Input(Vec<Diagnostic>),
-    /// The input is at fault and that has been told. Exit code 1.
+    /// The input is faulty, and the command has printed the diagnostics. Exit code 1.
     Told,
     /// Wrong usage, or a file that cannot be read or written. Exit code 2.
     Usage(String),
-    /// The user ended the command early; what was done has been written. Exit code 130, as shells have it.
+    /// The user interrupted the command; its results so far are on disk. Exit code 130, as in shells.
     Interrupted,
-    /// Whoever reads standard output has gone; there is nobody to tell.
+    /// The reader closed standard output. Exit code 0, without a message.
     Closed,
 }
 
@@ -131,7 +131,7 @@ impl From<LoadError> for Failure {
     }
 }
 
-/// Only standard output is written without naming a file; see [`Failure::file`] for files.
+/// Converts errors of standard output; [`Failure::file`] converts those of files.
 impl From<io::Error> for Failure {
     fn from(error: io::Error) -> Self {
         match error.kind() {
@@ -142,13 +142,13 @@ impl From<io::Error> for Failure {
 }
 
 impl Failure {
-    /// A file that cannot be written or read.
+    /// Returns the failure to read or write a file; `doing` is the verb.
     fn file(doing: &str, path: &Path, error: impl std::fmt::Display) -> Failure {
         Failure::Usage(format!("cannot {doing} `{}`: {error}", path.display()))
     }
 }
 
-/// The commands that the Python package implements, as words of the command line, with their summaries.
+/// The commands that the Python package implements, as words of the command line, and their summaries.
 pub const PYTHON_COMMANDS: [(&[&str], &str); 8] = [
     (
         &["evaluate"],
@@ -181,37 +181,33 @@ pub const PYTHON_COMMANDS: [(&[&str], &str); 8] = [
 /// The result of [`run_with_python`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// The command has run, with this exit code.
+    /// The command ran and returned this exit code.
     Exit(u8),
-    /// The caller runs this entry of [`PYTHON_COMMANDS`] with the remaining arguments.
+    /// The caller must run this entry of [`PYTHON_COMMANDS`] with the remaining arguments.
     Python(&'static [&'static str], Vec<OsString>),
 }
 
-/// Runs the command of this process.
+/// Runs the command line of this process.
 pub fn main() -> ExitCode {
     let arguments: Vec<OsString> = std::env::args_os().skip(1).collect();
     if let Some((words, _)) = python_command(&arguments) {
         let mut err = anstream::stderr();
+        let _ = writeln!(err, "error: `logicity {}` requires the Python package", words.join(" "));
         let _ = writeln!(
             err,
-            "error: `logicity {}` comes with the Python package",
-            words.join(" ")
-        );
-        let _ = writeln!(
-            err,
-            "help: `pip install ./python` installs the package, and `logicity` with all commands"
+            "help: `pip install ./python` installs it, with a `logicity` that has all commands"
         );
         return ExitCode::from(2);
     }
     ExitCode::from(run(Arguments::command(), &arguments))
 }
 
-/// Runs the command line of the Python package. `arguments` exclude the name of the program.
+/// Runs the command line of the Python package. `arguments` excludes the program name.
 pub fn run_with_python(arguments: &[OsString]) -> Outcome {
     if let Some((words, rest)) = python_command(arguments) {
         return Outcome::Python(words, rest);
     }
-    // `logicity help train` is `logicity train --help`, and `logicity vap help coco` likewise.
+    // Treats `logicity help train` as `logicity train --help`, and likewise `logicity vap help coco`.
     if let Some(at) = arguments.iter().position(|argument| argument == "help") {
         let without: Vec<OsString> = [&arguments[..at], &arguments[at + 1..]].concat();
         if let Some((words, _)) = python_command(&without).filter(|(words, _)| at < words.len()) {
@@ -223,19 +219,19 @@ pub fn run_with_python(arguments: &[OsString]) -> Outcome {
         command = add_subcommand(command, words, summary);
     }
     let code = run(command, arguments);
-    // At exit, a process that is not a Rust program flushes no Rust buffer.
+    // Python's exit does not flush Rust's buffers.
     let _ = io::stdout().flush();
     Outcome::Exit(code)
 }
 
-/// The Python command that the arguments begin with, and its own arguments.
+/// Returns the Python command at the start of the arguments, and the arguments after it.
 fn python_command(arguments: &[OsString]) -> Option<(&'static [&'static str], Vec<OsString>)> {
     let begins = |words: &[&str]| arguments.len() >= words.len() && words.iter().zip(arguments).all(|(a, b)| b == a);
     let (words, _) = PYTHON_COMMANDS.into_iter().find(|(words, _)| begins(words))?;
     Some((words, arguments[words.len()..].to_vec()))
 }
 
-/// Adds a command of the Python package, for the help and the completion scripts. Its arguments are paths there.
+/// Adds a command of the Python package for help and completion scripts; its arguments complete as paths.
 fn add_subcommand(command: clap::Command, words: &'static [&'static str], summary: &'static str) -> clap::Command {
     match words {
         [] => command,
@@ -321,7 +317,7 @@ fn exit(failure: Failure, sources: &Sources) -> u8 {
     }
 }
 
-/// Draws diagnostics on standard error, and how many there are if more than one.
+/// Prints diagnostics to standard error, with their count if there are several.
 fn report(diagnostics: &[Diagnostic], sources: &Sources) {
     if diagnostics.is_empty() {
         return;
@@ -335,7 +331,7 @@ fn report(diagnostics: &[Diagnostic], sources: &Sources) {
     }
 }
 
-/// `2 errors, 1 warning`.
+/// Formats counts, for example `2 errors, 1 warning`.
 fn count(errors: usize, warnings: usize) -> String {
     let plural = |n: usize, word: &str| format!("{n} {word}{}", if n == 1 { "" } else { "s" });
     match (errors, warnings) {
@@ -345,7 +341,7 @@ fn count(errors: usize, warnings: usize) -> String {
     }
 }
 
-/// Parses one of a few values by its name.
+/// Returns a parser for a fixed list of values, by name.
 fn one_of<T: Copy + Send + Sync + 'static>(
     all: &'static [T],
     name: fn(T) -> &'static str,
@@ -356,14 +352,14 @@ fn one_of<T: Copy + Send + Sync + 'static>(
     })
 }
 
-/// Reads a file that the user named on the command line.
+/// Reads a file named on the command line, or a built-in one.
 fn read(path: &Path) -> Result<String, Failure> {
     BuiltinFiles
         .read_or_builtin(path)
         .map_err(|error| unreadable(path, error))
 }
 
-/// A file that the user named on the command line cannot be read.
+/// Reports a file named on the command line that cannot be read.
 fn unreadable(path: &Path, error: ReadError) -> Failure {
     match error {
         ReadError::NotText { .. } => Diagnostic::new(Code::NOT_TEXT, format!("`{}` is {error}", path.display()))
@@ -373,24 +369,24 @@ fn unreadable(path: &Path, error: ReadError) -> Failure {
     }
 }
 
-/// What an evaluation may take.
+/// Resource limits of an evaluation.
 #[derive(clap::Args)]
 struct LimitOptions {
-    /// Stop with an error if the rules derive more rows, as 20000, 20K, 50M or 1G (thousands, millions, thousand millions): a hundred
-    /// millions unless given, at the prompt of `repl` a million
+    /// Fail if the rules derive more than COUNT rows; suffixes K, M, G and T are powers of 1000 [default: 100M; 1M for
+    /// `repl`]
     #[arg(long, value_name = "COUNT", value_parser = count_of::<usize>, allow_negative_numbers = true)]
     max_rows: Option<usize>,
-    /// Stop with an error if more rows have to be looked at, given like --max-rows: a hundred thousand millions unless given
+    /// Fail if the evaluation scans more than COUNT rows, with the same suffixes [default: 100G]
     #[arg(long, value_name = "COUNT", value_parser = count_of::<u64>, allow_negative_numbers = true)]
     max_steps: Option<u64>,
-    /// Stop with an error if rows, indexes and texts take more memory: in MiB, or with a unit: K, M, G, T or KiB, MiB, GiB, TiB (all
-    /// powers of 1024); 4096 unless given; the process may need about three times as much
+    /// Fail if rows, indexes and symbols need more than SIZE, in MiB or with a suffix: K, M, G, T or KiB, MiB, GiB, TiB
+    /// (powers of 1024). The process may use about three times as much [default: 4096]
     #[arg(long, value_name = "SIZE", value_parser = memory, allow_negative_numbers = true)]
     max_memory: Option<u64>,
 }
 
 impl LimitOptions {
-    /// With these limits for what is not given.
+    /// Returns these limits, with `usual` for unset ones.
     fn limits(&self, usual: Limits) -> Limits {
         Limits {
             rows: self.max_rows.unwrap_or(usual.rows),
@@ -400,9 +396,9 @@ impl LimitOptions {
     }
 }
 
-/// A number, or one of thousands, millions and so on.
+/// Parses a count with an optional decimal suffix, such as `20K`.
 fn count_of<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
-    let wrong = || "expected a whole number from 0 on, or one with a unit: 20K, 50M, 1G, 1T".to_owned();
+    let wrong = || "expected a nonnegative integer, optionally with a suffix: 20K, 50M, 1G, 1T".to_owned();
     let (number, unit) = with_unit(text).ok_or_else(wrong)?;
     let scale: u64 = match unit.as_str() {
         "" => 1,
@@ -415,14 +411,14 @@ fn count_of<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
     N::try_from(number.saturating_mul(scale)).map_err(|_| wrong())
 }
 
-/// A whole number and what follows it, in small letters.
+/// Splits a text into an integer and the lowercased suffix.
 fn with_unit(text: &str) -> Option<(u64, String)> {
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (number, unit) = text.split_at(digits);
     Some((number.parse().ok()?, unit.trim_start().to_ascii_lowercase()))
 }
 
-/// Bytes: a number of mebibytes, or one with a unit.
+/// Parses a size in MiB, or with a binary suffix, and returns bytes.
 fn memory(text: &str) -> Result<u64, String> {
     let (number, unit) = with_unit(text).ok_or(MEMORY)?;
     let scale = match unit.as_str() {
@@ -435,9 +431,9 @@ fn memory(text: &str) -> Result<u64, String> {
     Ok(number.saturating_mul(1 << scale))
 }
 
-const MEMORY: &str = "expected a whole number of MiB, or one with a unit: 512K, 50M, 2G, 1T, 50MiB";
+const MEMORY: &str = "expected an integer number of MiB, or one with a suffix: 512K, 50M, 2G, 1T, 50MiB";
 
-/// The fault of a commit, with what can be done about it.
+/// Returns the diagnostic of a failed commit, with the option that raises the limit.
 pub(super) fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
     let fault = error.diagnostic(rules);
     let option = match error {
@@ -446,15 +442,15 @@ pub(super) fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
         EvalError::TooMuchMemory { .. } => "--max-memory",
         EvalError::Interrupted { .. } => return fault,
     };
-    fault.note(format!("`{option}` allows more"))
+    fault.note(format!("raise the limit with `{option}`"))
 }
 
-/// Reads, checks and plans a rule file. Warnings are returned beside the program.
+/// Reads, checks and plans a rule file. Also returns the warnings.
 fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diagnostic>), Failure> {
     compile(&load_texts(sources, path, Edb::Fixed)?)
 }
 
-/// Checks and plans rules. Warnings are returned beside the program.
+/// Checks and plans rules. Also returns the warnings.
 fn compile(texts: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure> {
     let loaded = texts.check();
     match loaded.rules {
@@ -463,7 +459,7 @@ fn compile(texts: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure> {
     }
 }
 
-/// Reads a rule file and all it includes.
+/// Reads a rule file and its includes.
 fn load_texts(sources: &mut Sources, path: &Path, inputs: Edb) -> Result<Workspace, Failure> {
     let text = read(path)?;
     let entry = sources.add(path.display().to_string(), text);
@@ -479,24 +475,23 @@ fn load_city(sources: &mut Sources, config: &Path, rules: Option<&Path>) -> Resu
     Ok(city)
 }
 
-/// More threads are not started, on however many cores: each takes memory, and some thousands more than a system gives.
+/// The most threads: each needs memory, and systems refuse to start several thousand.
 const THREADS_MAX: usize = 1024;
 
-/// Parses a number of threads; 0 is one for each core.
+/// Parses a number of threads; 0 means one per core.
 fn threads(text: &str) -> Result<NonZeroUsize, String> {
     let count = text.parse().ok().filter(|&count: &usize| count <= THREADS_MAX);
-    let count =
-        count.ok_or_else(|| format!("expected a whole number from 0 to {THREADS_MAX}; 0 is one for each core"))?;
+    let count = count.ok_or_else(|| format!("expected an integer from 0 to {THREADS_MAX}; 0 means one per core"))?;
     let cores = || std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
     Ok(NonZeroUsize::new(count).unwrap_or_else(cores))
 }
 
-/// Reads a map: a path to a YAML file, or the name of a built-in map.
+/// Reads a map, given as a path to a YAML file or as the name of a built-in map.
 fn find_map(sources: &mut Sources, name: &str) -> Result<MapConfig, Failure> {
     load_map(sources, Path::new(name), &BuiltinFiles).map_err(missing_is_usage)
 }
 
-/// A file that the user named on the command line and that does not exist is wrong usage.
+/// Reports a missing file as wrong usage if the command line names it, so that no text refers to it.
 fn missing_is_usage(faults: Vec<Diagnostic>) -> Failure {
     match missing_file(&faults) {
         Some(fault) => {
@@ -507,19 +502,17 @@ fn missing_is_usage(faults: Vec<Diagnostic>) -> Failure {
     }
 }
 
-/// Makes a folder for results, and those it lies in.
+/// Creates a folder for results, and its parents.
 fn make_folder(path: &Path) -> Result<(), Failure> {
     std::fs::create_dir_all(path).map_err(|error| match error.kind() {
-        io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory => Failure::file(
-            "make the folder",
-            path,
-            "there is a file of that name, or of a folder it lies in",
-        ),
-        _ => Failure::file("make the folder", path, error),
+        io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory => {
+            Failure::file("create the folder", path, "it or one of its parents is a file")
+        }
+        _ => Failure::file("create the folder", path, error),
     })
 }
 
-/// A bar on a terminal.
+/// Returns a progress bar.
 fn progress(what: &str, count: u64) -> ProgressBar {
     let template = format!("{{bar:30}} {what} {{pos}} of {{len}}, {{eta}} left");
     ProgressBar::new(count).with_style(ProgressStyle::with_template(&template).expect("a valid template"))

@@ -20,30 +20,31 @@ use std::time::{Duration, Instant};
 pub struct Arguments {
     /// Rule file
     rules: PathBuf,
-    /// Folder with one NAME.facts for each input relation: one row a line, values separated by tabs. The options of `.input`
-    /// may say otherwise. Without it, the current folder
+    /// Folder with a file NAME.facts for each input relation: one row per line, tab-separated, unless options of
+    /// `.input` differ [default: the current folder]
     #[arg(short = 'F', long, value_name = "DIR")]
     facts: Option<PathBuf>,
-    /// Folder for one NAME.csv for each output relation; `-` is standard output
+    /// Folder for a file NAME.csv for each output relation; `-` means standard output
     #[arg(short = 'D', long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
-    /// Print how every clause is evaluated, and do nothing else: with `-F`, for relations of the sizes that the facts give
-    /// them; without, as long as there are few rows
+    /// Print the evaluation plan of every clause and exit. With `-F`, plan for the sizes of the relations in the facts;
+    /// without, for few rows
     #[arg(long, conflicts_with = "profile")]
     plan: bool,
-    /// Tell on standard error how long every clause took (wall clock) and on how many rows
+    /// Print to standard error the wall-clock time and the number of rows of each clause
     #[arg(long)]
     profile: bool,
-    /// Tell why this fact holds instead, for example 'Path(1, 2)': a shortest proof. `_` is any value
+    /// Explain why FACT holds, with a shortest proof, instead of writing results. Example: 'Path(1, 2)'; `_` matches
+    /// any value
     #[arg(long, value_name = "FACT", conflicts_with = "plan")]
     explain: Option<String>,
-    /// Tell why this fact does not hold instead: what fails in each clause
+    /// Explain why FACT does not hold: print what fails in each clause
     #[arg(long, value_name = "FACT", conflicts_with_all = ["plan", "explain"])]
     why_not: Option<String>,
-    /// Print the explanation as one line of JSON: `fact`, `holds`, `nodes`
+    /// Print the explanation as one line of JSON with the keys `fact`, `holds` and `nodes`
     #[arg(long)]
     json: bool,
-    /// Evaluate on so many threads; 0 is one for each core. The answers and their order are the same
+    /// Number of threads; 0 means one per core. The results and their order do not depend on it
     #[arg(long, value_name = "N", value_parser = super::threads, default_value = "1", allow_negative_numbers = true)]
     threads: NonZeroUsize,
     #[command(flatten)]
@@ -51,7 +52,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// The fact that is asked about, the name of the argument it stands in, and what is asked.
+    /// Returns the fact to explain, the name of its option, and the question about it.
     fn question(&self) -> Option<(&str, &'static str, Question)> {
         let holds = self.explain.as_deref().map(|fact| (fact, "--explain", Question::Holds));
         holds.or_else(|| Some((self.why_not.as_deref()?, "--why-not", Question::Fails)))
@@ -61,14 +62,14 @@ impl Arguments {
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let question = arguments.question();
     if arguments.json && question.is_none() {
-        return Err(Failure::Usage("--json goes with --explain or --why-not".to_owned()));
+        return Err(Failure::Usage("--json requires --explain or --why-not".to_owned()));
     }
     let texts = load_texts(sources, &arguments.rules, Edb::Extensible)?;
     let (program, warnings) = compile(&texts)?;
     report(&warnings, sources);
-    // Not needed any more, and perhaps large.
+    // Frees the texts, which may be large.
     let texts = question.map(|_| texts);
-    // The facts are checked below, before anybody sees an answer.
+    // The session checks constraints after the commit, before it prints any answer.
     let options = Options {
         constraints: true,
         ..Options::default()
@@ -106,21 +107,21 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
 
     if let Some(times) = times {
-        // Nobody may be there to read it; the results are worth more.
+        // Ignores errors here: the results matter more than the profile.
         let _ = write!(anstream::stderr(), "{}", profile(&session, &times, sources));
     }
     let mut out = io::BufWriter::new(anstream::stdout());
     if let (Some((fact, name, question)), Some(texts)) = (question, texts) {
         let asked = (question, sources.add(format!("<{name}>"), fact));
-        return why::tell(&mut out, asked, &texts, &session, sources, arguments.json);
+        return why::explain(&mut out, asked, &texts, &session, sources, arguments.json);
     }
     write_results(&mut out, &session, &arguments.output)?;
     out.flush()?;
     Ok(())
 }
 
-/// Writes every output relation to its file in a folder, or to `out` if that is where it goes or the folder is `-`; and the sizes that are
-/// asked for.
+/// Writes every output relation to its file in `folder`, or to `out` if its directive says so or `folder` is `-`.
+/// Writes the sizes of `.printsize` relations to `out`.
 fn write_results(out: &mut dyn Write, session: &Session, folder: &Path) -> Result<(), Failure> {
     let to_terminal = folder == Path::new("-");
     for (id, relation) in relations(session.program()) {
@@ -129,7 +130,7 @@ fn write_results(out: &mut dyn Write, session: &Session, folder: &Path) -> Resul
                 MarkKind::Input => {}
                 MarkKind::Output => {
                     let mut format = directive.format.clone();
-                    // As Soufflé has it.
+                    // Soufflé does the same.
                     format.headers |= to_terminal;
                     let header = facts::header(relation, &format);
                     let rows = |out: &mut dyn Write| facts::write_rows(session, id, &format, out);
@@ -155,11 +156,11 @@ fn write_results(out: &mut dyn Write, session: &Session, folder: &Path) -> Resul
 #[derive(Default)]
 pub(super) struct Times {
     total: Duration,
-    /// How long the evaluation of a clause took, and how often it was evaluated.
+    /// For each clause, the total time and the number of its evaluations.
     clauses: BTreeMap<ClauseId, (Duration, u64)>,
 }
 
-/// Commits and takes the time.
+/// Commits and measures the time.
 pub(super) fn timed_commit(session: &mut Session) -> Result<(Delta, Times), Diagnostic> {
     let start = Instant::now();
     let (begun, times) = (Cell::new(start), RefCell::new(Times::default()));
@@ -179,11 +180,11 @@ pub(super) fn timed_commit(session: &mut Session) -> Result<(Delta, Times), Diag
     Ok((delta, times))
 }
 
-/// What every clause did and how long it took, the longest first.
+/// Formats the work and time of each clause, slowest first.
 pub(super) fn profile(session: &Session, times: &Times, sources: &Sources) -> String {
     let mut text = format!(
         "{:>10} {:>6} {:>13} {:>13} {:>13} {:>6}  clause\n",
-        "time", "", "new rows in", "looked at", "derived", "runs"
+        "time", "", "new rows in", "rows scanned", "derived", "runs"
     );
     let mut line = |time: Duration, numbers: [String; 4], what: &str| {
         let share = 100.0 * time.as_secs_f64() / times.total.as_secs_f64().max(f64::MIN_POSITIVE);
@@ -217,7 +218,7 @@ pub(super) fn profile(session: &Session, times: &Times, sources: &Sources) -> St
     text
 }
 
-/// Prints a relation between rules, its header above them.
+/// Prints a relation with its header between separator lines.
 fn print_relation(
     out: &mut dyn Write,
     name: &str,
@@ -229,7 +230,7 @@ fn print_relation(
     out.write_all(b"===============\n")
 }
 
-/// The declared relations in the order of the text.
+/// Returns the declared relations in text order.
 pub(super) fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crate::datalog::Relation)> {
     let relations = program.rules().relations.iter().enumerate();
     relations.map(|(index, relation)| {
@@ -238,10 +239,10 @@ pub(super) fn relations(program: &Program) -> impl Iterator<Item = (RelId, &crat
     })
 }
 
-/// Reads the facts of every input relation. All faulty files are told in one run.
+/// Reads the facts of every input relation. Reports the faults of all files at once.
 pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut Sources) -> Result<(), Failure> {
     if !folder.is_dir() {
-        return Err(Failure::file("read facts from", folder, "there is no such folder"));
+        return Err(Failure::file("read facts from", folder, "no such folder"));
     }
     let program = session.program().clone();
     let mut faults = Vec::new();
@@ -265,11 +266,11 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
                 Failure::Usage(format!("cannot read the facts of `{name}` from `{path}`: {error}"))
             })?;
             let source = sources.add(path.display().to_string(), text);
-            // What else is wrong with the file is told all the same.
+            // Reports the other faults of the file as well.
             faults.extend(not_text.map(|first| {
                 let place = Span::new(source, first..first + char::REPLACEMENT_CHARACTER.len_utf8());
                 Diagnostic::new(Code::NOT_TEXT, format!("`{}` is not UTF-8 text", path.display()))
-                    .at(place, "the first bytes that are none")
+                    .at(place, "invalid UTF-8 starts here")
                     .help("save the file as UTF-8")
             }));
             if let Err(found) = facts::load_as(session, id, sources, source, &directive.format) {
@@ -280,7 +281,7 @@ pub(super) fn load_inputs(folder: &Path, session: &mut Session, sources: &mut So
     if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
 }
 
-/// Writes a relation to a file, which appears when it is complete.
+/// Writes a relation to a file, which appears only once it is complete.
 fn write_relation(path: &Path, header: &str, rows: impl Fn(&mut dyn Write) -> io::Result<()>) -> Result<(), Failure> {
     make_folder(path.parent().unwrap_or(Path::new(".")))?;
     let fail = |error: io::Error| Failure::file("write", path, error);

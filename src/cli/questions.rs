@@ -9,7 +9,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The small set of the paper.
+/// Size and concepts of the paper's small set.
 const MINI: (usize, [&str; 2]) = (117, ["tiro", "reckless"]);
 
 #[derive(clap::Args)]
@@ -17,42 +17,42 @@ pub struct Arguments {
     /// Configuration
     #[arg(default_value = "configs/vap-hard.yaml")]
     config: PathBuf,
-    /// Rule file instead of the configuration's
+    /// Rule file to use instead of the configuration's
     #[arg(long)]
     rules: Option<PathBuf>,
-    /// How many questions; every answer that occurs is right equally often, as far as there are such questions
+    /// Number of questions, balanced over the answers as far as possible
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=QUESTIONS_MAX as i64), allow_negative_numbers = true,
         default_value_t = 1000)]
     count: u32,
-    /// How many solved questions come first: none, or at least one for each action that the rules can ask
+    /// Number of solved examples before each question: 0, or at least one per action that the rules can derive
     #[arg(long, value_parser = clap::value_parser!(u32).range(0..=SHOTS_MAX as i64), allow_negative_numbers = true,
         default_value_t = 5)]
     shots: u32,
-    /// What everything is drawn from
+    /// Seed of the questions
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
-    /// The agents that are asked about
+    /// Agent set of the questions
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test")]
     split: Split,
-    /// The agents of the solved questions
+    /// Agent set of the solved examples
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "train", value_name = "SPLIT")]
     demonstrations: Split,
-    /// The entities of a question: those that the car sees, or all of the city, as the paper has it
+    /// Entities of a question: those that the car sees, or all in the city as in the paper
     #[arg(long, value_parser = one_of(&Extent::ALL, Extent::name), default_value = "view")]
     entities: Extent,
-    /// Ask only about cars that carry one of these concepts
+    /// Only ask about cars with one of these concepts, separated by commas
     #[arg(long, value_delimiter = ',', value_name = "CONCEPTS")]
     about: Vec<String>,
-    /// The size and the concepts of the paper's small set: 117 questions about tiro and reckless cars
+    /// Use the size and concepts of the paper's small set: 117 questions about tiro and reckless cars
     #[arg(long, conflicts_with_all = ["count", "about"])]
     mini: bool,
-    /// The file to write, one JSON object a line; standard output unless given
+    /// Write the questions to FILE, one JSON object per line [default: standard output]
     #[arg(short, long)]
     output: Option<PathBuf>,
-    /// Write the questions to this file, too: comma-separated, without a header, as MMLU has them
+    /// Also write the questions to FILE in the CSV format of MMLU, without a header
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Write the solved questions to this file in the same way
+    /// Also write the solved examples to FILE in the same format
     #[arg(long, value_name = "FILE")]
     demonstrations_csv: Option<PathBuf>,
 }
@@ -92,20 +92,20 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     };
     write(Some(path), |out| set.write_json(&world, rules, out))?;
     let answers = set.answers();
-    let told = askable(&world)
+    let counts = askable(&world)
         .into_iter()
         .map(|action| format!("{} {}", action.name(), answers[action as usize]));
-    let told: Vec<String> = told.collect();
+    let counts: Vec<String> = counts.collect();
     writeln!(
         io::stdout(),
-        "{count} questions written to {}: {}",
+        "wrote {count} questions to {}: {}",
         path.display(),
-        told.join(", ")
+        counts.join(", ")
     )?;
     Ok(())
 }
 
-/// Writes a file, if one is named.
+/// Writes a file, if the user named one.
 fn write(path: Option<&Path>, what: impl FnOnce(&mut Output) -> io::Result<()>) -> Result<(), Failure> {
     let Some(path) = path else { return Ok(()) };
     let fail = |error| Failure::file("write", path, error);

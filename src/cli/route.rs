@@ -12,16 +12,17 @@ pub struct Arguments {
     /// Name of a built-in map, or path to a map file
     #[arg(long, default_value = "square-5x5")]
     map: String,
-    /// Who travels
+    /// Type of agent that travels
     #[arg(long = "type", value_parser = one_of(&AgentKind::ALL, traveller))]
     kind: AgentKind,
-    /// First cell
+    /// Cell where the route starts
     #[arg(long, value_name = "ROW,COL", value_parser = cell)]
     from: Cell,
-    /// Last cell
+    /// Cell where the route ends
     #[arg(long, value_name = "ROW,COL", value_parser = cell)]
     to: Cell,
-    /// How cars choose: least weighted length (the paper), or fewest nodes of the road graph (the published program)
+    /// Routing of cars: the shortest weighted path (as in the paper), or the fewest nodes of the road graph (as in the
+    /// published program)
     #[arg(long, value_parser = one_of(&Routing::ALL, Routing::name), default_value = "weighted")]
     routing: Routing,
 }
@@ -34,13 +35,13 @@ fn traveller(kind: AgentKind) -> &'static str {
 }
 
 fn cell(text: &str) -> Result<Cell, String> {
-    let expected = || "expected two whole numbers, row and column, as in `46,20`".to_owned();
+    let expected = || "expected row and column as two integers, for example `46,20`".to_owned();
     let (row, col) = text.split_once(',').ok_or_else(expected)?;
     let number = |text: &str| text.trim().parse::<i32>().map_err(|_| expected());
     Ok(Cell::new(number(row)?, number(col)?))
 }
 
-/// Prints one `row,col` a line, from the first cell to the last.
+/// Prints one `row,col` per line, from the first cell to the last.
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let map = CityMap::generate(&find_map(sources, &arguments.map)?)?;
     let kind = arguments.kind;
@@ -55,9 +56,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             (!map.contains(cell)).then(|| format!("{} is not on the map: it has {bounds}", place(cell)))
         };
         let rule = match kind {
-            AgentKind::Car => {
-                "cars start and end on a traffic street, beside the mid line and outside of intersections"
-            }
+            AgentKind::Car => "cars start and end on a traffic street, next to the mid line and outside intersections",
             AgentKind::Pedestrian => "pedestrians start and end on walking streets and crossings",
         };
         let (message, cell) = match reason {
@@ -66,7 +65,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
             NoRoute::Unconnected => (format!("no {what} can go from {} to {}", place(from), place(to)), None),
             NoRoute::TooFar => {
                 let message =
-                    "the published way on foot is too long to be searched for; `--routing weighted` needs no search";
+                    "the published search for walking routes exceeds its limit; `--routing weighted` needs no search";
                 (message.to_owned(), None)
             }
         };

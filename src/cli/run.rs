@@ -25,7 +25,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// The animation ends after this many ticks, to stay of a size that viewers open.
+/// The most ticks in the animation, which keeps it small enough for viewers.
 const MAX_FRAMES: u64 = 1000;
 /// How long the animation shows a tick.
 const FRAME_DELAY: Duration = Duration::from_millis(100);
@@ -34,45 +34,45 @@ const FRAME_DELAY: Duration = Duration::from_millis(100);
 pub struct Arguments {
     /// Run configuration
     config: PathBuf,
-    /// How long, in ticks, 1 to 1000000000; the configuration's `ticks` unless given
+    /// Number of ticks, 1 to 1000000000 [default: `ticks` of the configuration]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..=1_000_000_000), allow_negative_numbers = true)]
     ticks: Option<u64>,
-    /// Seed of everything random in the run
+    /// Seed of the run
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
-    /// Which agent set of the configuration
+    /// Agent set of the configuration
     #[arg(long, value_parser = one_of(&Split::ALL, Split::name), default_value = "test")]
     split: Split,
-    /// Folder for trace.jsonl, city.gif and last.png; made if it does not exist
+    /// Folder for trace.jsonl, city.gif and last.png; created if missing
     #[arg(long, value_name = "DIR", default_value = "out")]
     out: PathBuf,
-    /// Rule file instead of the configuration's
+    /// Rule file to use instead of the configuration's
     #[arg(long)]
     rules: Option<PathBuf>,
-    /// Look at every tick, which then takes as long as with the relational executor, whether the facts satisfy the constraints of the rules
-    /// (`.disjoint`, `.implies`, ..); exit code 1 if they are not
+    /// Check on every tick that the facts satisfy the constraints of the rules (`.disjoint`, `.implies`, ...), and exit
+    /// with code 1 otherwise. Slows the run to the speed of the relational executor
     #[arg(long)]
     check_constraints: bool,
-    /// What evaluates the rules; runs are the same with each
+    /// Executor that evaluates the rules; results do not depend on it
     #[arg(long, value_parser = one_of(&Executor::ALL, Executor::name), default_value = "auto")]
     executor: Executor,
-    /// Threads for a city of many agents; 0 is one for each core. Runs are the same with any number
+    /// Number of threads, used for cities of many agents; 0 means one per core. Results do not depend on it
     #[arg(long, value_parser = super::threads, default_value = "1", allow_negative_numbers = true)]
     threads: NonZeroUsize,
-    /// Also write a page that a browser opens: the city moves, and every decision says why
+    /// Also write an interactive HTML page of the run to FILE
     #[arg(long, value_name = "FILE", conflicts_with = "no_trace")]
     html: Option<PathBuf>,
-    /// Write the trace only
+    /// Write the trace but no pictures
     #[arg(long, conflicts_with_all = ["pack", "difficulty"])]
     no_pictures: bool,
     #[command(flatten)]
     icons: IconOptions,
-    /// Write nothing, print the summary only
+    /// Print the summary but write no files
     #[arg(long)]
     no_trace: bool,
 }
 
-/// What the summary counts.
+/// The counts of the summary.
 #[derive(Default)]
 struct Tally {
     ticks: u64,
@@ -82,9 +82,9 @@ struct Tally {
     firings: Vec<u64>,
     goals: u64,
     last_move: Vec<u64>,
-    /// For each agent that stands still, whom it waited for when it was looked at, and by which clause.
+    /// For each agent that stands still: the agents it waited for at each check, and the clauses.
     waited: Vec<BTreeSet<(usize, ClauseId)>>,
-    /// For each violated constraint, if constraints are checked: the first message, its tick, and the number of ticks.
+    /// For each violated constraint, if `run` checks them: the first message, its tick, and the number of ticks.
     broken: Vec<(Diagnostic, u64, u64)>,
 }
 
@@ -108,16 +108,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         let agents = simulation.agents().len();
         let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
         let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
-        return Err(fault
-            .help("`--no-trace` runs the city and prints the summary only")
-            .into());
+        return Err(fault.help("use `--no-trace` to print only the summary").into());
     }
     let decisions = ticks.saturating_mul(simulation.agents().len() as u64);
     if arguments.html.is_some() && decisions > DECISIONS_MAX as u64 {
         let message = format!("a page of {decisions} decisions would be slow to open; the limit is {DECISIONS_MAX}");
         let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message);
         return Err(fault
-            .help("leave out `--html` and make a page of some ticks: `logicity view TRACE --from N --ticks N`")
+            .help("omit `--html` and write a page of some ticks: `logicity view TRACE --from N --ticks N`")
             .into());
     }
     let mut record = match arguments.no_trace {
@@ -165,7 +163,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     write!(out, "{}", summary(&mut simulation, &tally, sources, &written))?;
     page?;
     if tally.ticks < ticks {
-        writeln!(out, "interrupted: {} of {ticks} ticks were run", tally.ticks)?;
+        writeln!(out, "interrupted after {} of {ticks} ticks", tally.ticks)?;
         return Err(Failure::Interrupted);
     }
     if tally.broken.is_empty() {
@@ -173,14 +171,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     }
     let faults = tally.broken.into_iter().map(|(fault, first, count)| {
         fault.note(format!(
-            "in tick {first} for the first time; in {count} of {} ticks",
+            "first violated in tick {first}; violated in {count} of {} ticks",
             tally.ticks
         ))
     });
     Err(Failure::Input(faults.collect()))
 }
 
-/// The files of a run, under temporary names until it is over.
+/// The files of a run, which have temporary names until it ends.
 struct Record {
     folder: PathBuf,
     trace: TraceWriter<Output>,
@@ -243,7 +241,7 @@ impl Record {
         Ok(())
     }
 
-    /// The files, which now have their names.
+    /// Gives the files their final names and returns these.
     fn finish(self, simulation: &Simulation) -> Result<Vec<PathBuf>, Failure> {
         let path = |name: &str| self.folder.join(name);
         let fault = |name: &str, error: io::Error| Failure::file("write", &path(name), error);
@@ -266,8 +264,8 @@ impl Record {
     }
 }
 
-/// Becomes true when the user interrupts the run (Ctrl-C) or the system asks it to end; what was done is then written and kept. A
-/// second time ends the program at once.
+/// Returns a flag that becomes true when the user interrupts the run (Ctrl-C) or the system asks it to end. The command
+/// then writes its results and exits. A second interrupt ends the process at once.
 fn stop_on_interrupt() -> Result<Arc<AtomicBool>, Failure> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
@@ -280,7 +278,7 @@ fn stop_on_interrupt() -> Result<Arc<AtomicBool>, Failure> {
     Ok(stop)
 }
 
-/// The agents as they are, and what they decided in the last tick, if there was one. `names` are theirs.
+/// Returns the agents as sprites, with their actions in the last tick if there was one. `names` are the agents' names.
 fn sprites<'a>(simulation: &'a Simulation, names: &'a [String]) -> Vec<Sprite<'a>> {
     let decided = &simulation.report().agents;
     let agents = simulation.agents().iter().zip(names).enumerate();
@@ -318,7 +316,7 @@ impl Tally {
             if still.is_empty() {
                 return;
             }
-            // Waits that are too many to look at are told in the summary.
+            // If there are too many waits to examine, the summary says so.
             let Ok(moment) = simulation.snapshot() else { return };
             for wait in waits(&moment, &still).unwrap_or_default() {
                 self.waited[wait.agent].insert((wait.on, wait.clause));
@@ -326,7 +324,7 @@ impl Tally {
         }
     }
 
-    /// Counts the constraints that the facts of a tick break.
+    /// Counts the constraints that the facts of a tick violate.
     fn add_broken(&mut self, mut faults: Vec<Diagnostic>, tick: u64) {
         // One directive may declare several constraints.
         faults.dedup_by(|a, b| a.primary == b.primary);
@@ -389,7 +387,7 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
     if tally.overlaps > 0 {
         let _ = writeln!(
             text,
-            "{} decisions had more than one action derived; the first by priority was taken",
+            "{} decisions had several derived actions; the agent took the one with the highest priority",
             tally.overlaps
         );
     }
@@ -424,7 +422,7 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
         stuck(simulation, tally, sources, &mut text);
     }
     if tally.ticks > MAX_FRAMES && written.iter().any(|path| path.ends_with("city.gif")) {
-        let _ = writeln!(text, "the animation shows the first {MAX_FRAMES} ticks");
+        let _ = writeln!(text, "the animation ends after {MAX_FRAMES} ticks");
     }
     let written: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
     if !written.is_empty() {
@@ -433,7 +431,7 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
     text
 }
 
-/// Which agents are stuck, and why: who waits for whom in the state of the last tick.
+/// Describes the stuck agents and the waits between them in the state of the last tick.
 fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &mut String) {
     let still = |agent: &usize| tally.ticks - tally.last_move[*agent] >= STUCK_TICKS;
     let stuck: Vec<usize> = (0..tally.last_move.len()).filter(still).collect();
@@ -441,13 +439,13 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
         .map(|agent| agent.name().to_string())
         .collect();
     let name = |agent: usize| &*names[agent];
-    let told: Vec<&str> = stuck.iter().map(|&agent| name(agent)).collect();
-    let told = if told.is_empty() {
+    let listed: Vec<&str> = stuck.iter().map(|&agent| name(agent)).collect();
+    let listed = if listed.is_empty() {
         "none".to_owned()
     } else {
-        told.join(", ")
+        listed.join(", ")
     };
-    let _ = writeln!(text, "\nstuck (no move in the last {STUCK_TICKS} ticks): {told}");
+    let _ = writeln!(text, "\nstuck (no move in the last {STUCK_TICKS} ticks): {listed}");
     if stuck.is_empty() {
         return;
     }
@@ -461,15 +459,15 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
     let (waits, session) = match found {
         Ok(found) => found,
         Err(error) => {
-            let _ = writeln!(text, "  why is not known: {error}");
+            let _ = writeln!(text, "  unknown cause: {error}");
             return;
         }
     };
-    let teller = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
-    // `Car_3 (S2) -> Car_7 (S1) -> ..`: who waits, by which clause, and for whom.
+    let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
+    // Formats `Car_3 (S2) -> Car_7 (S1) -> ..`: the waiting agent, the clause, and the agent it waits for.
     let chain = |way: &[WaitsFor]| {
         let links: String = (way.iter())
-            .map(|wait| format!("{} ({}) -> ", name(wait.agent), teller.label(wait.clause)))
+            .map(|wait| format!("{} ({}) -> ", name(wait.agent), printer.label(wait.clause)))
             .collect();
         links + way.last().map_or("", |wait| name(wait.on))
     };
@@ -485,7 +483,7 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
     for agent in starving {
         let (mut names, mut labels): (Vec<&str>, Vec<String>) = Default::default();
         for &(on, clause) in &tally.waited[agent] {
-            let (one, label) = (name(on), teller.label(clause));
+            let (one, label) = (name(on), printer.label(clause));
             if !names.contains(&one) {
                 names.push(one);
             }
@@ -494,14 +492,10 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
             }
         }
         let _ = if names.is_empty() {
-            writeln!(text, "  not held: {} waits for nobody", name(agent))
+            writeln!(text, "  not blocked: {} waits for no agent", name(agent))
         } else {
             let (names, labels) = (names.join(", "), labels.join(", "));
-            writeln!(
-                text,
-                "  starving: {} ({labels}) gives way in turn to {names}",
-                name(agent)
-            )
+            writeln!(text, "  starving: {} ({labels}) yields in turn to {names}", name(agent))
         };
     }
     for way in &behind {

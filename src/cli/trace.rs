@@ -1,4 +1,4 @@
-//! Traces as input: found with the configuration and rules they were made with.
+//! Reads traces, and finds the configuration and rules of their runs.
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::Failure;
@@ -10,12 +10,12 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// A trace open for reading, past its header.
+/// An open trace, after its header.
 pub struct TraceReader {
     path: PathBuf,
     lines: BufReader<File>,
     number: usize,
-    /// Bytes of the file, and of the lines that have been read.
+    /// Size of the file, and of the lines read so far, in bytes.
     pub length: u64,
     pub read: u64,
     /// The header.
@@ -42,20 +42,20 @@ impl TraceReader {
         })
     }
 
-    /// The next tick, if there is one.
+    /// Returns the next tick, or `None` at the end.
     pub fn tick(&mut self) -> Result<Option<TraceTick>, Failure> {
         let line = next_line(&mut self.lines, &self.path, &mut self.number, &mut self.read)?;
         line.map(|line| TraceTick::read(&line).map_err(|fault| self.placed(fault)))
             .transpose()
     }
 
-    /// A fault of the line that was read last.
+    /// Returns a fault with the place of the last line read.
     pub fn placed(&self, fault: Diagnostic) -> Failure {
         placed(fault, &self.path, self.number)
     }
 
-    /// The replay under the configuration and rules of the run, or those given instead. A configuration of other content is
-    /// refused; other rules are if `strict`.
+    /// Returns the replay under the configuration and rules of the run, or under the given files. Rejects a
+    /// configuration with another hash, and other rules if `strict`.
     pub fn replay(
         &self,
         sources: &mut Sources,
@@ -68,8 +68,8 @@ impl TraceReader {
         let rules_path = rules.unwrap_or(Path::new(&self.header.rules));
         let city = LoadedCity::load(sources, config_path, Some(rules_path), &BuiltinFiles).map_err(|error| {
             let (given, help) = match error {
-                LoadError::Config(_) => (config, "give the configuration of the run with --config"),
-                LoadError::RuleFile(..) | LoadError::Rules(_) => (rules, "give the rules of the run with --rules"),
+                LoadError::Config(_) => (config, "specify the configuration of the run with --config"),
+                LoadError::RuleFile(..) | LoadError::Rules(_) => (rules, "specify the rules of the run with --rules"),
             };
             match Failure::from(error) {
                 // A file that only the trace names.
@@ -93,7 +93,7 @@ fn placed(mut fault: Diagnostic, path: &Path, number: usize) -> Failure {
     fault.into()
 }
 
-/// The next line, however many blank ones there are before it.
+/// Returns the next line that is not blank.
 fn next_line(
     lines: &mut BufReader<File>,
     path: &Path,
@@ -125,9 +125,9 @@ fn matching(what: &str, path: &Path, [found, wanted]: [&String; 2], trace: &Path
     }
     let short = |hash: &str| hash.chars().take(12).collect::<String>();
     let is = if what == "rules" {
-        "are not those"
+        "differ from those"
     } else {
-        "is not that"
+        "differs from that"
     };
     let message = format!(
         "the {what} `{}` {is} of the run in `{}`",
@@ -135,12 +135,12 @@ fn matching(what: &str, path: &Path, [found, wanted]: [&String; 2], trace: &Path
         trace.display()
     );
     let note = format!(
-        "the hash of its content is {}..., the trace has {}...",
+        "its hash is {}..., but the trace has {}...",
         short(found),
         short(wanted)
     );
     Err(Diagnostic::new(Code::TRACE_MISMATCH, message)
         .note(note)
-        .help(format!("give the file as it was with {option}, or run again"))
+        .help(format!("specify the original file with {option}, or run again"))
         .into())
 }

@@ -13,21 +13,21 @@ use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// A trace that `run` has written
+    /// Trace written by `logicity run`
     trace: PathBuf,
-    /// The page to write
+    /// Write the page to FILE
     #[arg(short, long, value_name = "FILE", default_value = "city.html")]
     output: PathBuf,
     /// Number of the first tick to show
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     from: u64,
-    /// How many ticks to show; all unless given
+    /// Number of ticks to show [default: all]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     ticks: Option<u64>,
-    /// Configuration of the run, if it is no longer where the trace says
+    /// Configuration of the run, if it is not at the path that the trace names
     #[arg(long)]
     config: Option<PathBuf>,
-    /// Rules of the run, if they are no longer where the trace says
+    /// Rules of the run, if they are not at the path that the trace names
     #[arg(long)]
     rules: Option<PathBuf>,
     #[command(flatten)]
@@ -49,8 +49,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Makes a page of the ticks of a trace from the first number on, at most so many as the second. `files` are configuration and rules, if
-/// they are not where the trace says.
+/// Writes a page of at most `most` ticks of a trace, from number `from` on. `config` and `rules` replace the paths that
+/// the trace names.
 pub fn write(
     trace: &Path,
     output: &Path,
@@ -63,7 +63,7 @@ pub fn write(
         && from == to
     {
         let message = format!(
-            "the page would be written over its trace `{}`; name another file",
+            "the page would overwrite its trace `{}`; specify another file",
             trace.display()
         );
         return Err(Failure::Usage(message));
@@ -72,7 +72,7 @@ pub fn write(
     let mut replay = reader.replay(sources, config, rules, true)?;
     let icons = icons.load(Seed(reader.header.seed))?;
     let mut page = Page::new(&replay, &reader.header, &icons, sources);
-    // How many ticks there are is not known before the end of the file, but how long it is.
+    // The number of ticks is unknown before the end of the file, but its size is known.
     let bar = ProgressBar::new(reader.length).with_style(
         ProgressStyle::with_template("{bar:30} explaining tick {msg}, {percent} %, {eta} left")
             .expect("a valid template"),

@@ -1,4 +1,4 @@
-//! Why a fact holds and why another does not, for every command that is asked.
+//! Explains why a fact holds or does not hold, for all commands.
 
 use crate::cli::Failure;
 use crate::datalog::Session;
@@ -8,22 +8,22 @@ use crate::diag::{Diagnostic, SourceId, Sources};
 use serde_json::json;
 use std::io::Write;
 
-/// What is asked about a fact.
+/// A question about a fact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Question {
-    /// Why it holds.
+    /// Why does it hold?
     Holds,
-    /// Why it does not.
+    /// Why does it not hold?
     Fails,
 }
 
-/// Reads the fact that a text of `sources` names, and tells why it holds or does not: a tree of lines, or one line of JSON with
-/// `fact`, `holds` and `nodes`.
+/// Reads a fact from a text of `sources` and prints why it holds or does not: a tree of lines, or one line of JSON with
+/// the keys `fact`, `holds` and `nodes`.
 ///
 /// # Errors
-/// All that is wrong with the fact, `limit-exceeded` if the search for an explanation takes too many steps, and `out` that cannot be
-/// written to.
-pub fn tell(
+/// The diagnostics of the fact; `limit-exceeded` if the search for an explanation takes too many steps; errors of
+/// `out`.
+pub fn explain(
     out: &mut impl Write,
     asked: (Question, SourceId),
     texts: &Workspace,
@@ -35,23 +35,23 @@ pub fn tell(
     let fact = texts.fact(sources, source, session.symbols())?;
     let (holds, explanation) =
         (Explainer::new(session).explain_either(fact.relation, &fact.values)).map_err(Diagnostic::from)?;
-    let teller = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources).quoting();
-    let shown = teller.row(fact.relation, &fact.values);
+    let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources).quoting();
+    let shown = printer.row(fact.relation, &fact.values);
     if as_json {
         let mut line = json!({ "fact": shown, "holds": holds });
         if let Some(explanation) = &explanation {
-            line["nodes"] = teller.json(explanation)["nodes"].take();
+            line["nodes"] = printer.json(explanation)["nodes"].take();
         }
         writeln!(out, "{line}")?;
         return Ok(());
     }
     match (question, holds) {
-        (Question::Holds, false) => writeln!(out, "{shown} does not hold, and this is why")?,
-        (Question::Fails, true) => writeln!(out, "{shown} holds, and this is why")?,
+        (Question::Holds, false) => writeln!(out, "{shown} does not hold, because:")?,
+        (Question::Fails, true) => writeln!(out, "{shown} holds, because:")?,
         _ => {}
     }
     if let Some(explanation) = &explanation {
-        write!(out, "{}", teller.tree(explanation))?;
+        write!(out, "{}", printer.tree(explanation))?;
     }
     Ok(())
 }

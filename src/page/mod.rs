@@ -1,12 +1,11 @@
-//! A run as one file that a browser opens from the disk: the city moves, and every decision says why.
+//! Builds an HTML page of a run: one self-contained file that animates the city and explains every decision.
 //!
 //! ```text
 //! trace --Replay--> state of a tick --Page::push--> columns, explanations --Page::write--> HTML with everything in it
 //! ```
 //!
-//! All of it is computed here, by the engine; the script in the page only shows it and evaluates no rule. Explanations
-//! repeat each other: equal nodes are stored once for the whole run (`page::proofs`). The data are JSON, deflated and written
-//! in base 64.
+//! The engine computes all data; the script in the page only shows them and evaluates no rules. Explanations share
+//! equal nodes over the whole run (`page::proofs`). The data are JSON, compressed with zlib and encoded in base 64.
 
 mod proofs;
 
@@ -26,18 +25,18 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, BufWriter, Write};
 
-/// The most decisions that a page holds; more make it slow to open.
+/// The most decisions in a page; more make it slow to open.
 pub const DECISIONS_MAX: usize = 400_000;
 
-/// Ticks have numbers below this, which a script can tell apart.
+/// Upper bound of tick numbers: JavaScript represents smaller integers exactly.
 const TICK_MAX: u64 = 1 << 53;
 
-/// So many different icons of a class are shown at most.
+/// The most icon instances per class.
 const CROWD: u32 = 20;
 
 const TEMPLATE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
-/// The parts of the script, each after those that it speaks of.
+/// The parts of the script, each after the parts that it depends on.
 const SCRIPT: &str = concat!(
     include_str!("script/run.js"),
     include_str!("script/elements.js"),
@@ -48,7 +47,7 @@ const SCRIPT: &str = concat!(
     include_str!("script/page.js"),
 );
 
-/// A page in the making.
+/// A page under construction.
 #[derive(Serialize)]
 pub struct Page {
     title: String,
@@ -64,43 +63,44 @@ pub struct Page {
     actions: [&'static str; 4],
     headings: [&'static str; 4],
     predicates: Vec<Predicate>,
-    /// How many of the clauses that [`Proofs::clauses`] lists are those whose firings the trace has, in its order.
+    /// Number of clauses whose firings the trace records: the first ones in [`Proofs::clauses`], in the order of the
+    /// trace.
     counted: usize,
-    /// For each of those, how many rows it derived in all ticks, and whether they are decisions of agents.
+    /// For each of these clauses, the number of rows it derived in all ticks, and whether it derives an action.
     firings: Vec<(u64, bool)>,
     #[serde(flatten)]
     proofs: Proofs,
     /// Number of the first tick.
     first: u64,
-    /// For every tick, the state it was decided on, all agents together.
+    /// The state of every tick before its decisions, and the decisions.
     ticks: Vec<Tick>,
-    /// Where the agents were after the last tick.
+    /// The cells of the agents after the last tick.
     last: Vec<[i32; 2]>,
-    /// For each agent, the routes it took: the position among `ticks` at which it set out, and the corners.
+    /// For each agent, its routes: the position in `ticks` where the route begins, and its corners.
     routes: Vec<Vec<(usize, Vec<[i32; 2]>)>>,
     deadlocks: Vec<Deadlock>,
-    /// How many looks for deadlocks were given up: the ways to stop were too many.
+    /// Number of deadlock searches that reached a limit.
     looks_given_up: u32,
-    /// Who was driven from outside, what it did against what the rules wanted, tick by tick.
+    /// The steps of externally controlled agents, with the actions that the rules wanted.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     driven: Vec<Driven>,
     #[serde(skip)]
     most: usize,
-    /// For each agent the tick after its last move.
+    /// For each agent, the tick after its last move.
     #[serde(skip)]
     still_since: Vec<u64>,
-    /// The rows of each predicate that were written last.
+    /// The rows of each predicate in the last tick.
     #[serde(skip)]
     rows: Vec<Vec<[u32; 2]>>,
 }
 
-/// The map: what the ground of each cell is.
+/// The map with the ground of each cell.
 #[derive(Serialize)]
 struct Map {
     name: String,
     rows: i32,
     cols: i32,
-    /// For each row, pairs of a kind of ground and how many cells of it follow.
+    /// For each row, run lengths: pairs of a kind of ground and a number of cells.
     ground: Vec<Vec<u32>>,
     /// Names of the kinds of ground.
     kinds: [&'static str; 10],
@@ -112,7 +112,8 @@ struct Agent {
     kind: &'static str,
     concepts: Vec<String>,
     priority: i32,
-    /// Positions in [`Page::icons`]: of a car the one that faces up, of a pedestrian those that face as `headings` are ordered.
+    /// Positions in [`Page::icons`]: for a car one icon that faces up, for a pedestrian one per heading, in the order
+    /// of `headings`.
     icons: Vec<usize>,
 }
 
@@ -122,64 +123,64 @@ struct Predicate {
     arity: usize,
 }
 
-/// What a tick was decided on, and how.
+/// The state of a tick before its decisions, and the decisions.
 #[derive(Serialize)]
 struct Tick {
     at: Vec<[i32; 2]>,
-    /// Positions in `headings`; -1 for none.
+    /// Positions in `headings`, or -1.
     heading: Vec<i8>,
     /// Positions in `actions`.
     action: Vec<u8>,
-    /// The actions derived before the default, a bit each.
+    /// The actions derived before the default, as a bit set.
     derived: Vec<u8>,
     goal: Vec<[i32; 2]>,
     /// First and last cell of each field of view.
     view: Vec<[i32; 4]>,
     /// The clauses that fired for each agent.
     fired: Vec<Vec<usize>>,
-    /// For each agent and action, the node that tells why it was derived, or why not; -1 if the rules do not mention the action.
+    /// For each agent and action, the node that explains why it was or was not derived; -1 if no rule has the action.
     why: Vec<[i64; 4]>,
-    /// The predicates whose rows are others than in the tick before, and the rows: positions of agents.
+    /// The predicates whose rows changed since the tick before, with their rows as positions of agents.
     facts: Vec<(usize, Vec<u32>)>,
 }
 
-/// Agents that wait for each other.
+/// A cycle of agents that wait for each other.
 #[derive(Serialize)]
 struct Deadlock {
-    /// In a circle: each waits for the next, the last for the first.
+    /// Each agent waits for the next, the last one for the first.
     agents: Vec<usize>,
-    /// The clause by which each waits; none if the author did not write it.
+    /// The clause that makes each agent wait; `None` if it is not in the rule files.
     clauses: Vec<Option<usize>>,
-    /// The tick in which the last of them came to a stop.
+    /// The tick in which the last of them stopped.
     since: u64,
-    /// The tick in which it was seen last.
+    /// The last tick in which a search found the deadlock.
     until: u64,
 }
 
-/// An agent that was driven from outside in a tick.
+/// An externally controlled agent in a tick.
 #[derive(Serialize)]
 struct Driven {
-    /// The position of the tick among the ticks of the page, and of the agent.
+    /// Position of the tick in the page; `agent` is the position of the agent.
     tick: usize,
     agent: usize,
     /// The agents that it observed, itself first.
     observes: Vec<usize>,
-    /// Position in `actions` of what the rules wanted there.
+    /// Position in `actions` of the action that the rules wanted.
     wanted: u8,
-    /// The clauses that its action broke.
+    /// The clauses that its action violated.
     broken: Vec<usize>,
 }
 
 impl Page {
-    /// A page without ticks, for the trace of that header.
+    /// Returns a page without ticks for a trace with this header.
     pub fn new(replay: &Replay, header: &TraceHeader, icons: &Icons, sources: &Sources) -> Page {
         let world = replay.world();
-        let teller = ExplanationPrinter::new(world.program.rules(), replay.session().symbols(), sources);
+        let printer = ExplanationPrinter::new(world.program.rules(), replay.session().symbols(), sources);
         let mut proofs = Proofs::default();
-        let counted = world.clauses().map(|clause| proofs.clause(&teller, clause)).count();
+        let counted = world.clauses().map(|clause| proofs.clause(&printer, clause)).count();
         for index in 0..world.program.rules().clauses.len() {
             proofs.clause(
-                &teller,
+                &printer,
                 ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")),
             );
         }
@@ -234,16 +235,16 @@ impl Page {
         }
     }
 
-    /// Sets another limit than [`DECISIONS_MAX`].
+    /// Sets a limit other than [`DECISIONS_MAX`].
     pub fn set_limit(&mut self, decisions: usize) {
         self.most = decisions;
     }
 
-    /// Adds a tick, which `replay` has been set to. Ticks come in order.
+    /// Adds a tick, which the caller has loaded into `replay`. Ticks must be consecutive.
     ///
     /// # Errors
-    /// `invalid-trace`, without a place, for a tick that cannot be; `limit-exceeded` for more decisions than the limit, or an
-    /// explanation that takes too many steps.
+    /// `invalid-trace`, without a place, for an inconsistent tick; `limit-exceeded` for more decisions than the limit,
+    /// or an explanation that takes too many steps.
     pub fn push(&mut self, replay: &Replay, tick: &TraceTick, sources: &Sources) -> Result<(), Diagnostic> {
         if (self.ticks.len() + 1) * self.agents.len() > self.most {
             let message = format!("a page of more than {} decisions would be slow to open", self.most);
@@ -255,8 +256,8 @@ impl Page {
         };
         if tick.tick != expected || tick.tick >= TICK_MAX {
             let message = match tick.tick >= TICK_MAX {
-                true => format!("tick {} is too large a number", tick.tick),
-                false => format!("tick {} stands where tick {expected} should", tick.tick),
+                true => format!("tick number {} is too large", tick.tick),
+                false => format!("found tick {} instead of tick {expected}", tick.tick),
             };
             return Err(Diagnostic::new(Code::INVALID_TRACE, message));
         }
@@ -305,7 +306,7 @@ impl Page {
             }
         }
         for (clause, (count, is_action)) in world.clauses().zip(&mut self.firings) {
-            // Of clauses that decide the trace has every firing.
+            // The trace records every firing of clauses that derive actions.
             if !*is_action {
                 *count += replay.session().fired(clause).len() as u64;
             }
@@ -324,9 +325,9 @@ impl Page {
     /// Writes the page.
     ///
     /// # Errors
-    /// Whatever `out` reports.
+    /// Errors of `out`.
     pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
-        // Numbers are written one by one, and the encoder works on what it is given at once.
+        // The buffer collects the many small writes of the serializer for the encoder.
         let mut packed = BufWriter::with_capacity(1 << 16, ZlibEncoder::new(Vec::new(), Compression::best()));
         serde_json::to_writer(&mut packed, self)?;
         let data = STANDARD.encode(packed.into_inner()?.finish()?);
@@ -353,14 +354,14 @@ impl Page {
         let Some(clause) = clauses.iter().find(|clause| **clause >= self.counted) else {
             return Ok(());
         };
-        let message = format!("there is no clause {clause}: the rules have {}", self.counted);
+        let message = format!("no clause {clause}: the rules have {}", self.counted);
         Err(Diagnostic::new(Code::INVALID_TRACE, message))
     }
 
-    /// Why each agent did each action or did not.
+    /// Explains for each agent why it did or did not take each action.
     fn explain(&mut self, replay: &Replay, sources: &Sources) -> Result<Vec<[i64; 4]>, Diagnostic> {
         let session = replay.session();
-        let teller = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
+        let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
         let mut explainer = Explainer::new(session);
         let mut all = Vec::with_capacity(self.agents.len());
         for position in 0..self.agents.len() {
@@ -371,7 +372,7 @@ impl Page {
                 };
                 let asked: [Option<Value>; 1] = [Some(replay.value(position))];
                 if let (_, Some(explanation)) = explainer.explain_either(relation, &asked)? {
-                    *node = i64::from(self.proofs.add(&teller, &explanation));
+                    *node = i64::from(self.proofs.add(&printer, &explanation));
                 }
             }
             all.push(nodes);
@@ -379,7 +380,7 @@ impl Page {
         Ok(all)
     }
 
-    /// The rows of predicates that differ from those of the tick before.
+    /// Returns the rows of predicates that changed since the tick before.
     fn changed(&mut self, replay: &Replay) -> Vec<(usize, Vec<u32>)> {
         let mut changed = Vec::new();
         for (index, (rows, old)) in replay.facts().rows.iter().zip(&mut self.rows).enumerate() {
@@ -393,8 +394,9 @@ impl Page {
         changed
     }
 
-    /// Plans the routes of the agents that have a new goal. A trace has only goals, but a route follows from start and goal. Who reaches
-    /// its goal sets out for the next in the same tick, and the tick after that is the first to tell which.
+    /// Plans the routes of agents with a new goal. A trace records only goals, but start and goal determine a route. An
+    /// agent that reaches its goal starts the next route in the same tick; the next tick is the first to show the new
+    /// goal.
     fn follow_routes(&mut self, replay: &Replay, tick: &TraceTick) {
         let router = &replay.world().router;
         for (position, agent) in tick.agents.iter().enumerate() {
@@ -440,16 +442,16 @@ impl Page {
     }
 }
 
-/// The agents of those names.
+/// Returns the positions of the agents with these names.
 fn positions(replay: &Replay, names: &[String]) -> Result<Vec<usize>, Diagnostic> {
     let position = |name: &String| {
-        let unknown = || Diagnostic::new(Code::INVALID_TRACE, format!("there is no agent `{name}`"));
+        let unknown = || Diagnostic::new(Code::INVALID_TRACE, format!("no agent `{name}`"));
         replay.position(name).ok_or_else(unknown)
     };
     names.iter().map(position).collect()
 }
 
-/// The icons of a page, each once.
+/// The icons of a page, each stored once.
 #[derive(Default)]
 struct Shown {
     icons: Vec<String>,
@@ -457,11 +459,11 @@ struct Shown {
 }
 
 impl Shown {
-    /// The side of an icon in pixels.
+    /// The side of an icon, in pixels.
     const SIDE: u32 = 96;
 
-    /// The icons of an agent. Which instance of its class shows it follows from the number in its name, as in other pictures of the run; in
-    /// crowds few instances are enough.
+    /// Returns the icons of an agent. The number in its name selects the instance, as in other pictures of the run,
+    /// modulo [`CROWD`].
     fn of(&mut self, icons: &Icons, kind: AgentKind, agent: &TraceAgent, position: usize) -> Vec<usize> {
         let class = Class::agent(kind, &agent.concepts);
         let number = agent.id.rsplit('_').next().and_then(|number| number.parse().ok());
@@ -527,7 +529,7 @@ fn cell([row, col]: [i32; 2]) -> Cell {
     Cell { row, col }
 }
 
-/// Start and goal of a route and the cells between them where it turns.
+/// Returns start and goal of a route, and the cells between them where it turns.
 fn corners(route: &Route) -> Vec<[i32; 2]> {
     let mut corners: Vec<[i32; 2]> = Vec::new();
     for cell in route.cells() {

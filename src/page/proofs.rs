@@ -1,4 +1,4 @@
-//! The explanations of a run, in which equal parts are stored once.
+//! The explanations of a run, with equal nodes stored once.
 
 use crate::datalog;
 use crate::datalog::ClauseId;
@@ -10,47 +10,47 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::HashMap;
 
-/// Nodes as [`ExplanationPrinter::json`] tells them, under short names and with numbers that hold for the whole run.
+/// The nodes of [`ExplanationPrinter::json`], with short keys and with numbers that are unique in the run.
 #[derive(Default, Serialize)]
 pub struct Proofs {
     /// Clauses: `head`, `file`, `line`, `doc`, `label`, `text`.
     pub clauses: Vec<Value>,
-    /// A fact is `{"t": text, "by": ..}` and, if a clause derives it, `"c"` (position in `clauses`), `"b"` (binding) and `"p"`
-    /// (premises); what does not hold is `{"f": text, "by": ..}` and, if clauses could derive it, `"m"`, for each
-    /// `[clause, binding, what fails]`. A premise and what fails is `[text, kind, node or -1]`.
+    /// A fact is `{"t": text, "by": ..}`. If a clause derives it, it also has `"c"` (position in `clauses`), `"b"`
+    /// (binding) and `"p"` (premises). An absent fact is `{"f": text, "by": ..}`. If clauses could derive it, it also
+    /// has `"m"`: for each, `[clause, binding, failures]`. A premise or failure is `[text, kind, node or -1]`.
     pub nodes: Vec<Value>,
     #[serde(skip)]
     known_clauses: HashMap<ClauseId, usize>,
-    /// By what [`write_key`] writes.
+    /// Keyed by the output of [`write_key`].
     #[serde(skip)]
     known_nodes: HashMap<Box<[u32]>, u32>,
-    /// The key of the node that is added, kept for its memory.
+    /// The key of the node in progress; reuses its memory.
     #[serde(skip)]
     key: Vec<u32>,
 }
 
 impl Proofs {
-    /// The position of a clause.
-    pub fn clause(&mut self, teller: &ExplanationPrinter<'_>, clause: ClauseId) -> usize {
+    /// Returns the position of a clause, and adds it if it is new.
+    pub fn clause(&mut self, printer: &ExplanationPrinter<'_>, clause: ClauseId) -> usize {
         let next = self.clauses.len();
         let position = *self.known_clauses.entry(clause).or_insert(next);
         if position == next {
-            let mut told = teller.clause_json(clause);
-            told["label"] = teller.label(clause).into();
-            told["text"] = teller.source(clause).into();
-            self.clauses.push(told);
+            let mut json = printer.clause_json(clause);
+            json["label"] = printer.label(clause).into();
+            json["text"] = printer.source(clause).into();
+            self.clauses.push(json);
         }
         position
     }
 
-    /// Adds an explanation; the number of its first node. Nodes that lead back to themselves, as what does not hold in a recursion may, are
-    /// stored for each explanation anew.
-    pub fn add(&mut self, teller: &ExplanationPrinter<'_>, explanation: &Explanation) -> u32 {
+    /// Adds an explanation and returns the number of its first node. Cyclic nodes, which explain absences in a
+    /// recursion, are not shared between explanations.
+    pub fn add(&mut self, printer: &ExplanationPrinter<'_>, explanation: &Explanation) -> u32 {
         let nodes = explanation.nodes();
         let mut numbers: Vec<Option<u32>> = vec![None; nodes.len()];
         let mut state = vec![State::New; nodes.len()];
         let mut stack = vec![0];
-        // Depth first, without recursion: proofs may be deep.
+        // Depth first, without recursion, because proofs may be deep.
         while let Some(&at) = stack.last() {
             if state[at] == State::Done {
                 stack.pop();
@@ -61,7 +61,7 @@ impl Proofs {
             for child in children(&nodes[at]).map(NodeId::index) {
                 match state[child] {
                     State::New => waiting = waiting.or(Some(child)),
-                    // A node that leads back to itself has its number before it is complete.
+                    // A node on a cycle gets its number before it is complete.
                     State::Open if numbers[child].is_none() => {
                         numbers[child] = Some(self.push(Value::Null));
                     }
@@ -73,13 +73,13 @@ impl Proofs {
                 continue;
             }
             match numbers[at] {
-                Some(number) => self.nodes[number as usize] = self.told(teller, &nodes[at], &numbers),
-                None => numbers[at] = Some(self.share(teller, &nodes[at], &numbers)),
+                Some(number) => self.nodes[number as usize] = self.format(printer, &nodes[at], &numbers),
+                None => numbers[at] = Some(self.share(printer, &nodes[at], &numbers)),
             }
             state[at] = State::Done;
             stack.pop();
         }
-        numbers[0].expect("the first node has been told")
+        numbers[0].expect("the search visits the first node")
     }
 
     fn push(&mut self, node: Value) -> u32 {
@@ -87,30 +87,30 @@ impl Proofs {
         u32::try_from(self.nodes.len() - 1).expect("fewer than 2^32 nodes")
     }
 
-    /// The number of a node whose children have theirs. Most have been told before, so words are looked for only once it is clear
-    /// that this one has not.
-    fn share(&mut self, teller: &ExplanationPrinter<'_>, node: &Node, numbers: &[Option<u32>]) -> u32 {
+    /// Returns the number of a node whose children have theirs. Most nodes are already known, so `share` formats a node
+    /// only if its key is new.
+    fn share(&mut self, printer: &ExplanationPrinter<'_>, node: &Node, numbers: &[Option<u32>]) -> u32 {
         self.key.clear();
         write_key(node, numbers, &mut self.key);
         if let Some(&number) = self.known_nodes.get(self.key.as_slice()) {
             return number;
         }
-        let told = self.told(teller, node, numbers);
-        let number = self.push(told);
+        let json = self.format(printer, node, numbers);
+        let number = self.push(json);
         self.known_nodes.insert(self.key.as_slice().into(), number);
         number
     }
 
-    fn told(&mut self, teller: &ExplanationPrinter<'_>, node: &Node, numbers: &[Option<u32>]) -> Value {
+    fn format(&mut self, printer: &ExplanationPrinter<'_>, node: &Node, numbers: &[Option<u32>]) -> Value {
         let clauses: Vec<usize> = clauses_of(node)
             .into_iter()
-            .map(|clause| self.clause(teller, clause))
+            .map(|clause| self.clause(printer, clause))
             .collect();
-        short(&teller.node_json(node), &clauses, numbers)
+        short(&printer.node_json(node), &clauses, numbers)
     }
 }
 
-/// A node under short names, with the positions of the clauses it speaks of.
+/// Returns a node with short keys and the positions of its clauses.
 fn short(node: &Value, clauses: &[usize], numbers: &[Option<u32>]) -> Value {
     let literals = |entries: &Value| -> Value {
         let literal = |entry: &Value| {
@@ -142,7 +142,7 @@ fn short(node: &Value, clauses: &[usize], numbers: &[Option<u32>]) -> Value {
     short
 }
 
-/// The clauses that a node speaks of, in the order in which [`ExplanationPrinter::json`] tells them.
+/// Returns the clauses of a node in the order of [`ExplanationPrinter::json`].
 fn clauses_of(node: &Node) -> Vec<ClauseId> {
     match node {
         Node::Fact(fact) => match &fact.origin {
@@ -164,7 +164,7 @@ enum State {
     Done,
 }
 
-/// The nodes that a node speaks of, in the order in which [`ExplanationPrinter::json`] tells them.
+/// Returns the children of a node in the order of [`ExplanationPrinter::json`].
 fn children(node: &Node) -> impl Iterator<Item = NodeId> + '_ {
     let (premises, misses): (&[Premise], &[Miss]) = match node {
         Node::Fact(Fact {
@@ -203,8 +203,8 @@ fn failures(obstacle: &Obstacle) -> &[Failure] {
     }
 }
 
-/// Numbers that two nodes have in common only if they are told alike; `numbers` are those of the nodes that they speak of. Where the
-/// relation or clause does not say how long a list is, its length stands before it.
+/// Writes a key that identifies a node by its content; `numbers` are those of its children. A list of variable length
+/// follows its length.
 fn write_key(node: &Node, numbers: &[Option<u32>], key: &mut Vec<u32>) {
     let number = |node: Option<NodeId>| node.and_then(|node| numbers[node.index()]).unwrap_or(u32::MAX);
     let count = |count: usize| u32::try_from(count).expect("a list of a clause");
@@ -253,7 +253,7 @@ fn write_key(node: &Node, numbers: &[Option<u32>], key: &mut Vec<u32>) {
     }
 }
 
-/// What stands in a list; nothing if there is none.
+/// Returns the items of a JSON list; nothing for other values.
 fn list(value: &Value) -> impl Iterator<Item = &Value> {
     value.as_array().into_iter().flatten()
 }

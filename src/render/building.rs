@@ -1,4 +1,4 @@
-//! Buildings on their lots, drawn by parameters: a front with what is around it, in a square of side 1 around the origin.
+//! Parametric drawings of buildings: a front and its surroundings, in a square of side 1 around the origin.
 
 use crate::city::Building;
 use crate::render::sketch::{Dice, Edges, Ink, Sketch};
@@ -8,7 +8,7 @@ const GLASS: [u32; 4] = [0x7fb2d6, 0x9cc7e0, 0x5f8fb5, 0xf4e3a1];
 const LAWNS: [u32; 4] = [0x86b463, 0x7aa658, 0x96bd74, 0x6f9c55];
 const PAVING: [u32; 4] = [0xb9b5aa, 0xc6c1b4, 0xa9a8a4, 0xbdb4a3];
 
-/// Draws a building. `noise` is the difficulty, 0..=1: the higher, the more stands around it and the more colours are shared.
+/// Draws a building. `noise` is the difficulty, 0..=1: more of it adds clutter and makes building types share colors.
 pub(super) fn draw<R: Rng>(building: Building, dice: &mut Dice<R>, noise: f32) -> Sketch {
     let mut lot = Lot {
         dice,
@@ -26,7 +26,7 @@ pub(super) fn draw<R: Rng>(building: Building, dice: &mut Dice<R>, noise: f32) -
     lot.sketch
 }
 
-/// A lot being built on.
+/// A lot under construction.
 struct Lot<'a, R> {
     dice: &'a mut Dice<R>,
     noise: f32,
@@ -34,7 +34,7 @@ struct Lot<'a, R> {
 }
 
 impl<R: Rng> Lot<'_, R> {
-    /// The whole lot, with an edge.
+    /// Fills the whole lot and draws its edge.
     fn ground(&mut self, inks: &[u32]) {
         let ink = self.dice.ink(inks);
         self.sketch.rect([-0.5, -0.5, 0.5, 0.5], ink.lit(-0.25));
@@ -48,14 +48,14 @@ impl<R: Rng> Lot<'_, R> {
         }
     }
 
-    /// One of some colours; under noise nearer to one that any building can have.
+    /// Returns one of the given colors, mixed under noise with a color that all buildings share.
     fn wall(&mut self, inks: &[u32]) -> Ink {
         let own = self.dice.ink(inks);
         let any = self.dice.ink(&[0xc8b39a, 0xa9adb3, 0xd8d3c6, 0x9a7b66, 0x8fa3a0]);
         own.mix(any, self.noise * self.dice.between(0.0, 0.8))
     }
 
-    /// A box with an outline, lit from the left, and a shadow to its right.
+    /// Draws a box with an outline, lit from the left, and its shadow on the right.
     fn block(&mut self, edges: Edges, ink: Ink) {
         let [left, top, right, bottom] = edges;
         (self.sketch).rect(
@@ -97,7 +97,7 @@ impl<R: Rng> Lot<'_, R> {
         );
     }
 
-    /// Walls, a pitched roof, a chimney, a door, windows, a garden.
+    /// Draws walls, a pitched roof, a chimney, a door, windows and a garden.
     fn house(&mut self) {
         self.ground(&LAWNS);
         let wall = self.wall(&[0xf1e3c8, 0xe8d6b0, 0xf5f0e6, 0xd9c3a5, 0xcfd8dc, 0xe9c7b0, 0xb55a44]);
@@ -169,7 +169,7 @@ impl<R: Rng> Lot<'_, R> {
         }
     }
 
-    /// A tower of many equal windows.
+    /// Draws a tower of many equal windows.
     fn office(&mut self) {
         self.ground(&PAVING);
         let wall = self.wall(&[0x7d8ea3, 0x9aa7b5, 0x5c6f86, 0xb8bec6, 0x4a5a70, 0xa79f93]);
@@ -219,7 +219,7 @@ impl<R: Rng> Lot<'_, R> {
         }
     }
 
-    /// A low hall with roller doors and a sign.
+    /// Draws a low hall with roller doors and a sign.
     fn garage(&mut self) {
         self.ground(&[0x8d9096, 0x9b9c9e, 0x83868a, 0xa3a09a]);
         let wall = self.wall(&[0xc9c4b8, 0xa8a29a, 0xb7642f, 0x8c97a3, 0xd6cfc0, 0x9c5040]);
@@ -243,7 +243,7 @@ impl<R: Rng> Lot<'_, R> {
             self.sketch
                 .rect([left - 0.012, head - 0.012, right + 0.012, base], wall.lit(-0.55));
             if self.dice.chance(0.35) {
-                // Open: a car stands inside.
+                // An open door shows a car inside.
                 self.sketch.rect([left, head, right, base], Ink::hex(0x001c_1d20));
                 let (x, wide) = ((left + right) / 2.0, (right - left).min(0.3) * 0.38);
                 let paint = self.dice.ink(&[0xb3352f, 0x2f5fa8, 0xd8dade, 0x3a7d54]);
@@ -271,14 +271,14 @@ impl<R: Rng> Lot<'_, R> {
                     self.sketch.line(&[(left, y), (right, y)], 0.012, door.lit(-0.35));
                 }
             }
-            // The drive in front of it.
+            // The driveway.
             (self.sketch).polygon(
                 &[(left, base), (right, base), (right + 0.03, 0.5), (left - 0.03, 0.5)],
                 Ink::hex(0x0060_6468).faint(0.5),
             );
         }
         if self.dice.chance(0.5) {
-            // Tyres.
+            // Tires.
             let x = self.dice.pick(&[-0.42, 0.42]);
             for y in [0.36, 0.42] {
                 self.sketch.oval(x, y, 0.045, 0.035, Ink::hex(0x0018_181a));
@@ -287,7 +287,7 @@ impl<R: Rng> Lot<'_, R> {
         }
     }
 
-    /// Shop windows below a striped awning and a sign.
+    /// Draws shop windows below a striped awning and a sign.
     fn store(&mut self) {
         self.ground(&PAVING);
         let wall = self.wall(&[0xe7c9a0, 0xd89f7a, 0xbfd3b8, 0xe9e2d0, 0xb5cbd8, 0xd9a8a0]);
@@ -344,7 +344,7 @@ impl<R: Rng> Lot<'_, R> {
         }
     }
 
-    /// A canopy on posts over pumps, and a board with prices.
+    /// Draws a canopy on posts over pumps, and a price board.
     fn gas_station(&mut self) {
         self.ground(&[0x77797d, 0x6b6e73, 0x85868a, 0x7d7a74]);
         let brand = self
@@ -401,7 +401,7 @@ impl<R: Rng> Lot<'_, R> {
         let ink = self.dice.pick(&[brand.lit(-0.3), Ink::hex(0x0015_1618)]);
         self.sketch
             .letters(text, (middle, (top + low) / 2.0), 0.085, 0.024, ink);
-        // The board.
+        // The price board.
         let (x, high) = (0.39, self.dice.between(-0.3, -0.2));
         self.sketch
             .rect([x - 0.015, high, x + 0.015, 0.42], Ink::hex(0x0048_4c50));
@@ -412,7 +412,7 @@ impl<R: Rng> Lot<'_, R> {
         );
         self.sketch
             .round([x - 0.072, high - 0.088, x + 0.072, high + 0.04], 0.015, brand);
-        // A drop.
+        // A drop-shaped logo.
         (self.sketch).polygon(
             &[(x, high - 0.075), (x + 0.035, high - 0.01), (x - 0.035, high - 0.01)],
             Ink::WHITE,
@@ -425,7 +425,7 @@ impl<R: Rng> Lot<'_, R> {
         }
     }
 
-    /// What stands around under noise, shadows over it all.
+    /// Draws clutter around the building under noise, and shadows over everything.
     fn clutter(&mut self) {
         let most = 9.0 * self.noise;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]

@@ -1,9 +1,9 @@
-//! Cars from above, drawn by parameters. A car is one unit wide and heads up; its middle is the origin.
+//! Parametric drawings of cars from above. A car is one unit wide and heads up; its center is the origin.
 
 use crate::render::sketch::{Dice, Ink, Sketch};
 use crate::rng::Rng;
 
-/// What a car's concepts are; it can have several, and all show.
+/// The concepts of a car. It may have several; the drawing shows all.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Features {
     pub(super) ambulance: bool,
@@ -17,13 +17,13 @@ pub(super) struct Features {
 pub(super) struct Drawing {
     /// The car itself.
     pub(super) body: Sketch,
-    /// What lies on the ground below it.
+    /// Marks on the ground below the car.
     pub(super) ground: Sketch,
-    /// Its length, in widths.
+    /// Length in widths.
     pub(super) length: f32,
 }
 
-/// The outline and what is under it.
+/// The outline of a car.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Shape {
     Saloon,
@@ -55,7 +55,7 @@ const BLUE: Ink = Ink::hex(0x0022_58e0);
 const AMBER: Ink = Ink::hex(0x00ff_b020);
 const TYRE: Ink = Ink::hex(0x0018_191c);
 
-/// Draws a car. `noise` is the difficulty, 0..=1: the higher, the more often colours are those of other cars and markings are worn.
+/// Draws a car. `noise` is the difficulty, 0..=1: more of it makes car types share colors and wears markings.
 pub(super) fn draw<R: Rng>(features: &Features, dice: &mut Dice<R>, noise: f32) -> Drawing {
     let shape = match features {
         Features { bus: true, .. } => Shape::Bus,
@@ -112,12 +112,12 @@ pub(super) fn draw<R: Rng>(features: &Features, dice: &mut Dice<R>, noise: f32) 
     }
 }
 
-/// The places along a car of that length: 0 is the front, 1 the rear.
+/// Maps a share of a car's length (0 is the front, 1 the rear) to a coordinate.
 fn places(length: f32) -> impl Fn(f32) -> f32 + Copy {
     move |share| (share - 0.5) * length
 }
 
-/// A car being drawn.
+/// A car in progress.
 struct Car<'a, R> {
     length: f32,
     paint: Ink,
@@ -129,17 +129,17 @@ struct Car<'a, R> {
 }
 
 impl<R: Rng> Car<'_, R> {
-    /// A place along the car: 0 is the front, 1 the rear.
+    /// Returns the coordinate of a share of the length: 0 is the front, 1 the rear.
     fn along(&self, share: f32) -> f32 {
         places(self.length)(share)
     }
 
-    /// Opacity of a marking.
+    /// Fades a marking by the wear.
     fn worn(&self, ink: Ink) -> Ink {
         ink.faint(1.0 - self.wear)
     }
 
-    /// Wheels and outline, shaded from the left to the right.
+    /// Draws wheels and outline, shaded from left to right.
     fn hull(&mut self, shape: Shape) {
         let half = self.length / 2.0;
         let (front, rear) = match shape {
@@ -181,7 +181,7 @@ impl<R: Rng> Car<'_, R> {
                     outline.push((0.0, half + grow + 0.02));
                     let left = points.iter().rev();
                     outline.extend(left.map(|&(x, share)| (-x - grow, self.along(share) * (1.0 + grow))));
-                    // Corners count twice, or the curve would cut them.
+                    // Doubled corner points keep the curve from cutting the corners.
                     let outline: Vec<_> = outline.iter().flat_map(|&point| [point, point]).collect();
                     self.body.blob(&outline, ink);
                 }
@@ -202,7 +202,7 @@ impl<R: Rng> Car<'_, R> {
         }
     }
 
-    /// Bonnet, windows and roof of a car.
+    /// Draws hood, windows and roof of a car.
     fn cabin(&mut self, shape: Shape) {
         let (screen, roof, rear, tail) = match shape {
             Shape::Hatchback => (0.27, 0.4, 0.82, 0.94),
@@ -217,7 +217,7 @@ impl<R: Rng> Car<'_, R> {
         for side in [-1.0, 1.0] {
             (self.body).line(&[(side * 0.2, bonnet), (side * 0.26, screen)], 0.025, crease);
         }
-        // Wind screen, side windows, rear window.
+        // Windshield, side windows, rear window.
         (self.body).polygon(&[(-0.41, screen), (0.41, screen), (0.33, roof), (-0.33, roof)], glass);
         (self.body).polygon(&[(-0.33, rear), (0.33, rear), (0.38, tail), (-0.38, tail)], glass);
         for side in [-1.0, 1.0] {
@@ -260,7 +260,7 @@ impl<R: Rng> Car<'_, R> {
         }
     }
 
-    /// The bed of a pickup, and what lies on it.
+    /// Draws the bed of a pickup and its load.
     fn cargo(&mut self, from: f32) {
         let end = self.along(0.96);
         self.body.round([-0.37, from, 0.37, end], 0.04, self.paint.lit(-0.55));
@@ -285,7 +285,7 @@ impl<R: Rng> Car<'_, R> {
         let [front, glass, first, last] = [0.012, 0.075, 0.1, 0.96].map(at);
         self.body.round([-0.42, front, 0.42, glass], 0.06, GLASS);
         self.body.rect([-0.3, front + 0.04, 0.3, front + 0.1], AMBER);
-        // Windows show as a row along both sides.
+        // A row of windows along both sides.
         let windows = 6 + self.dice.below(3);
         #[allow(clippy::cast_precision_loss)]
         let step = (last - first) / windows as f32;
@@ -342,7 +342,7 @@ impl<R: Rng> Car<'_, R> {
         (self.body).line(&[(-0.46, box_front), (0.46, box_front)], 0.03, self.paint.lit(-0.4));
     }
 
-    /// All that shows a concept. Each has a place of its own along the car, so that none hides another.
+    /// Draws the marks of all concepts, each in its place along the car so that none hides another.
     fn liveries(&mut self, features: &Features, shape: Shape) {
         if features.police {
             self.police(shape);
@@ -358,7 +358,7 @@ impl<R: Rng> Car<'_, R> {
         }
     }
 
-    /// A bar of lamps across the roof.
+    /// Draws a light bar across the roof.
     fn light_bar(&mut self, y: f32, left: Ink, right: Ink) {
         let half = self.dice.between(0.3, 0.36);
         self.body.round(
@@ -390,7 +390,7 @@ impl<R: Rng> Car<'_, R> {
         let [from, to] = [from, to].map(|share| self.along(share));
         let band = self.worn(contrast);
         match (shape, self.dice.below(3)) {
-            // Doors and roof in the other colour.
+            // Doors and roof in the second color.
             (Shape::Saloon | Shape::Estate, 0) => {
                 for side in [-1.0_f32, 1.0] {
                     let (x0, x1) = (side * 0.5, side * 0.41);
@@ -399,7 +399,7 @@ impl<R: Rng> Car<'_, R> {
                 let roof = [-0.335, self.along(0.42), 0.335, self.along(0.68)];
                 self.body.round(roof, 0.06, band);
             }
-            // Chequered sides.
+            // Checkered sides.
             (_, 1) => {
                 let step = (to - from) / 6.0;
                 for (row, x) in [(0, 0.44), (1, 0.38)] {
@@ -412,7 +412,7 @@ impl<R: Rng> Car<'_, R> {
                     }
                 }
             }
-            // Bonnet and boot.
+            // Hood and trunk.
             _ => {
                 self.body.rect([-0.5, self.along(0.1), 0.5, self.along(0.17)], band);
                 self.body.rect([-0.5, self.along(0.9), 0.5, self.along(0.96)], band);
@@ -445,7 +445,7 @@ impl<R: Rng> Car<'_, R> {
         let marking = self.worn(red);
         let at = places(self.length);
         let bus = shape == Shape::Bus;
-        // Stripes along the sides of the box, or blocks of them.
+        // Stripes or blocks along the sides of the box.
         let [from, to] = [if bus { 0.5 } else { 0.33 }, 0.97].map(at);
         let style = self.dice.below(3);
         for left in [-0.475, 0.375] {
@@ -460,7 +460,7 @@ impl<R: Rng> Car<'_, R> {
                 }
             }
         }
-        // The cross, or the star of six arms.
+        // A cross or the six-armed star of life.
         let (middle, arm) = (at(if bus { 0.68 } else { 0.63 }), self.dice.between(0.25, 0.31));
         let thick = arm * self.dice.between(0.34, 0.42);
         if self.dice.chance(0.5) {
@@ -489,7 +489,7 @@ impl<R: Rng> Car<'_, R> {
         }
     }
 
-    /// Stripes from front to rear, flames or flashes on the bonnet.
+    /// Draws stripes from front to rear, or flames or flashes on the hood.
     fn stripes(&mut self, shape: Shape) {
         let light = self.paint.rgb.iter().map(|&channel| u32::from(channel)).sum::<u32>() > 330;
         let ink = if light {
@@ -508,7 +508,7 @@ impl<R: Rng> Car<'_, R> {
             if shape == Shape::Bus || shape == Shape::Van {
                 self.body.rect([x - wide, -half, x + wide, half], ink);
             } else {
-                // Not over the windows.
+                // Leaves out the windows.
                 let [roof, rear, tail] = [0.5, 0.7, 0.86].map(|share| self.along(share));
                 for [from, to] in [[-half, glass_end], [roof, rear], [tail, half]] {
                     self.body.rect([x - wide, from, x + wide, to], ink);
@@ -535,7 +535,7 @@ impl<R: Rng> Car<'_, R> {
         }
     }
 
-    /// A wing across the rear.
+    /// Draws a wing across the rear.
     fn spoiler(&mut self) {
         let y = self.along(0.95);
         let wing = self.paint.lit(self.dice.pick(&[-0.7, -0.55, -0.4]));
@@ -546,7 +546,7 @@ impl<R: Rng> Car<'_, R> {
         (self.body).round([-0.48, y - 0.03, 0.48, y + 0.035], 0.03, wing.lit(0.15));
     }
 
-    /// Dark curves behind the rear wheels, and smoke.
+    /// Draws skid marks behind the rear wheels, and smoke.
     fn skid_marks(&mut self) {
         let (from, bend) = (self.along(0.85), self.dice.between(-0.22, 0.22));
         let end = self.length / 2.0 + self.dice.between(0.45, 0.75);
@@ -571,7 +571,7 @@ impl<R: Rng> Car<'_, R> {
         }
     }
 
-    /// What a learner's car carries: a plate with a red L on the roof, often another on bonnet or boot, and a sign.
+    /// Draws the marks of a learner: a plate with a red L on the roof, often another on hood or trunk, and a sign.
     fn learner(&mut self, shape: Shape, crowded: bool) {
         let at = places(self.length);
         let sign = self.dice.ink(&[0xffd400, 0xf7f7f7, 0x1d9e5a, 0xff8a1c]);
@@ -589,7 +589,7 @@ impl<R: Rng> Car<'_, R> {
             self.dice.between(0.19, 0.24)
         };
         if self.dice.chance(0.6) && !crowded && shape != Shape::Sports {
-            // The sign of a driving school in front of the plate, across the roof.
+            // The sign of a driving school across the roof, in front of the plate.
             let y = at(roof) - side - 0.1;
             self.body.round([-0.33, y - 0.07, 0.33, y + 0.07], 0.03, sign.lit(-0.5));
             self.body
@@ -616,7 +616,7 @@ impl<R: Rng> Car<'_, R> {
         (self.body).letters("L", (x, y), half * 1.15, half * 0.36, red);
     }
 
-    /// Dust, scratches and leaves.
+    /// Draws dust, scratches and leaves.
     fn dirt(&mut self, noise: f32) {
         let most = 2.0 + 14.0 * noise;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]

@@ -1,4 +1,4 @@
-//! What an icon shows, and where it faces.
+//! The subject of an icon, and its facing.
 
 use crate::city::Heading;
 use crate::city::{AgentKind, Building};
@@ -6,7 +6,7 @@ use crate::render::car;
 use crate::render::pedestrian;
 use std::fmt;
 
-/// The concepts with looks of their own, in the order in which the name of a class lists them.
+/// The concepts with their own looks, in the order in which the name of a class lists them.
 const CONCEPTS: [(AgentKind, &str); 7] = [
     (AgentKind::Car, "ambulance"),
     (AgentKind::Car, "bus"),
@@ -17,27 +17,27 @@ const CONCEPTS: [(AgentKind, &str); 7] = [
     (AgentKind::Pedestrian, "young"),
 ];
 
-/// What an icon shows: a building, or a kind of agent with its concepts, all of which are to be seen.
+/// The subject of an icon: a building, or a type of agent with its concepts, all of which show.
 ///
-/// The name is that of the building type (`gas-station`), or the concepts joined by `+` (`bus+tiro`), or the kind (`car`, `pedestrian`).
-/// Concepts that have no looks of their own follow one that has, or the kind: `car+taxi`.
+/// The name is the building type (`gas-station`), the concepts joined by `+` (`bus+tiro`), or the agent type (`car`,
+/// `pedestrian`). A concept without its own looks follows one with looks, or the agent type: `car+taxi`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Class(pub(super) Subject);
 
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Subject {
     Building(Building),
-    /// Concepts without repetitions, in the order of the name.
+    /// Concepts without duplicates, in the order of the name.
     Agent(AgentKind, Vec<String>),
 }
 
 impl Class {
-    /// The class of a building.
+    /// Returns the class of a building.
     pub const fn building(building: Building) -> Class {
         Class(Subject::Building(building))
     }
 
-    /// The class of an agent. The order of the concepts does not matter.
+    /// Returns the class of an agent. The order of the concepts does not matter.
     pub fn agent(kind: AgentKind, concepts: &[String]) -> Class {
         let rank = |name: &str| CONCEPTS.iter().position(|&known| known == (kind, name));
         let mut concepts = concepts.to_vec();
@@ -49,7 +49,7 @@ impl Class {
         Class(Subject::Agent(kind, concepts))
     }
 
-    /// The class of that name, its concepts in any order.
+    /// Returns the class with this name, whose concepts may be in any order; `None` if there is none.
     pub fn from_name(name: &str) -> Option<Class> {
         if let Some(building) = Building::ALL
             .into_iter()
@@ -72,7 +72,7 @@ impl Class {
         plain.then(|| Class::agent(kind, &parts.into_iter().map(str::to_owned).collect::<Vec<_>>()))
     }
 
-    /// The classes with one concept or none, of agents and buildings.
+    /// Returns all classes of buildings, and of agents with at most one concept.
     pub fn known() -> Vec<Class> {
         let plain = AgentKind::ALL.map(|kind| (kind, None));
         let mut agents: Vec<_> = CONCEPTS
@@ -80,7 +80,7 @@ impl Class {
             .map(|&(kind, name)| (kind, Some(name)))
             .chain(plain)
             .collect();
-        // Ordinary agents first.
+        // Agents without concepts first.
         agents.sort_by_key(|&(kind, concept)| (kind, concept.is_some()));
         let agents = agents.into_iter().map(|(kind, concept)| {
             let concepts: Vec<String> = concept.map(str::to_owned).into_iter().collect();
@@ -89,7 +89,7 @@ impl Class {
         agents.chain(Building::ALL.map(Class::building)).collect()
     }
 
-    /// The kind and the concepts, if it is of agents.
+    /// Returns type and concepts of an agent class; `None` for buildings.
     pub fn of_agent(&self) -> Option<(AgentKind, &[String])> {
         match &self.0 {
             Subject::Agent(kind, concepts) => Some((*kind, concepts)),
@@ -97,7 +97,7 @@ impl Class {
         }
     }
 
-    /// What a car's drawing shows, and what a pedestrian's does.
+    /// Returns the features for drawing a car and a pedestrian with these concepts.
     pub(super) fn features(concepts: &[String]) -> (car::Features, pedestrian::Features) {
         let has = |name: &str| concepts.iter().any(|concept| concept == name);
         let car = car::Features {
@@ -114,13 +114,13 @@ impl Class {
         (car, pedestrian)
     }
 
-    /// Whether a concept has looks of its own.
+    /// Returns whether a concept has its own looks.
     pub(super) fn is_drawn(kind: AgentKind, concept: &str) -> bool {
         CONCEPTS.contains(&(kind, concept))
     }
 }
 
-/// Its name.
+/// Writes the name.
 impl fmt::Display for Class {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.0 {
@@ -152,29 +152,29 @@ const fn building_name(building: Building) -> &'static str {
     }
 }
 
-/// Where an icon faces: the four headings, and halfway between two in a turn.
+/// Where an icon faces: one of the four headings, or halfway between two during a turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Facing {
-    /// Towards row 0.
+    /// Toward row 0.
     Up,
     /// Between up and right.
     UpRight,
-    /// Towards the last column.
+    /// Toward the last column.
     Right,
     /// Between down and right.
     DownRight,
-    /// Towards the last row.
+    /// Toward the last row.
     Down,
     /// Between down and left.
     DownLeft,
-    /// Towards column 0.
+    /// Toward column 0.
     Left,
     /// Between up and left.
     UpLeft,
 }
 
 impl Facing {
-    /// All eight, clockwise.
+    /// All facings, clockwise.
     pub const ALL: [Facing; 8] = [
         Facing::Up,
         Facing::UpRight,
@@ -186,7 +186,7 @@ impl Facing {
         Facing::UpLeft,
     ];
 
-    /// Of an agent that came by one heading and goes on by another: halfway between them. If they are opposite, the second.
+    /// Returns the facing of an agent that turns: halfway between the headings, or the second one if they are opposite.
     pub fn turning(from: Heading, to: Heading) -> Facing {
         use Heading::{Down, Left, Right, Up};
         match (from, to) {
@@ -198,7 +198,7 @@ impl Facing {
         }
     }
 
-    /// The rotation of what faces up, clockwise: sine and cosine.
+    /// Returns sine and cosine of the clockwise rotation from `Up`.
     pub(super) const fn turn(self) -> (f32, f32) {
         const HALF: f32 = std::f32::consts::FRAC_1_SQRT_2;
         match self {
@@ -213,7 +213,7 @@ impl Facing {
         }
     }
 
-    /// From where a figure that is not turned is seen.
+    /// Returns the side from which the viewer sees a figure that does not rotate.
     pub(super) const fn side(self) -> pedestrian::Side {
         match self {
             Facing::Up => pedestrian::Side::Back,

@@ -1,23 +1,23 @@
-//! Pictures to PNG and GIF, and back from PNG.
+//! Encodes pictures as PNG and GIF, and decodes PNG.
 
 use crate::render::picture::{Picture, Rgb};
 use std::borrow::Cow;
 use std::io::{self, Cursor, Write};
 use std::time::Duration;
 
-/// Writes a picture as a PNG of red, green and blue, so that it is quickly read, and written without taking much longer than that.
+/// Writes a picture as an RGB PNG, with settings that favor decoding and encoding speed over size.
 ///
 /// # Errors
-/// Those of the output.
+/// Errors of the output.
 pub fn write_png(picture: &Picture, out: impl Write) -> io::Result<()> {
     let (width, height) = (picture.width(), picture.height());
     write(picture.pixels(), width, height, png::ColorType::Rgb, out)
 }
 
-/// Reads a PNG of red, green and blue, eight bits each.
+/// Reads an RGB PNG with eight bits per channel.
 ///
 /// # Errors
-/// Why it is none, or that a side has more than 16,384 pixels.
+/// A message if the bytes are not such a PNG, or a side has more than 16,384 pixels.
 pub fn read_png(bytes: &[u8]) -> Result<Picture, String> {
     let (reader, (width, height)) = begin(bytes)?;
     if width.max(height) > DECODED_SIDE_MAX {
@@ -30,13 +30,13 @@ pub fn read_png(bytes: &[u8]) -> Result<Picture, String> {
     Ok(Picture::from_pixels(width, height, pixels))
 }
 
-/// Reads the pixels of such a PNG of known width and height, row by row.
+/// Reads the pixels of such a PNG of known width and height into `pixels`, row by row.
 ///
 /// # Errors
-/// Why it is none, or that it has another size.
+/// A message if the bytes are not such a PNG, or it has another size.
 ///
 /// # Panics
-/// If there are not three bytes for each pixel.
+/// If `pixels` does not have three bytes per pixel.
 pub fn read_png_into(bytes: &[u8], size: (u32, u32), pixels: &mut [u8]) -> Result<(), String> {
     let (reader, found) = begin(bytes)?;
     if found != size {
@@ -51,12 +51,12 @@ pub fn read_png_into(bytes: &[u8], size: (u32, u32), pixels: &mut [u8]) -> Resul
 
 type PngReader<'a> = png::Reader<Cursor<&'a [u8]>>;
 
-/// Reads the header; with it the width and the height.
+/// Reads the header; returns the reader with width and height.
 fn begin(bytes: &[u8]) -> Result<(PngReader<'_>, (u32, u32)), String> {
     let reader = png::Decoder::new(Cursor::new(bytes)).read_info().map_err(unreadable)?;
     let info = reader.info();
     if (info.color_type, info.bit_depth) != (png::ColorType::Rgb, png::BitDepth::Eight) {
-        return Err("its pixels are not red, green and blue of eight bits each".to_owned());
+        return Err("the pixels are not 8-bit RGB".to_owned());
     }
     let size = info.size();
     Ok((reader, size))
@@ -64,18 +64,18 @@ fn begin(bytes: &[u8]) -> Result<(PngReader<'_>, (u32, u32)), String> {
 
 fn decode(mut reader: PngReader<'_>, pixels: &mut [u8]) -> Result<(), String> {
     reader.next_frame(pixels).map_err(unreadable)?;
-    // Bytes that are missing are told here.
+    // Reports truncated files.
     reader.finish().map_err(unreadable)
 }
 
 fn unreadable(error: png::DecodingError) -> String {
-    format!("not a PNG picture that can be read: {error}")
+    format!("not a valid PNG: {error}")
 }
 
-/// What is not decoded cannot be too much.
+/// The longest side to decode, in pixels, which bounds the memory for untrusted files.
 const DECODED_SIDE_MAX: u32 = 1 << 14;
 
-/// Writes pixels of red, green, blue and opacity.
+/// Writes RGBA pixels as a PNG.
 pub(super) fn write_rgba(pixels: &[u8], width: u32, height: u32, out: impl Write) -> io::Result<()> {
     write(pixels, width, height, png::ColorType::Rgba, out)
 }
@@ -84,7 +84,8 @@ fn write(pixels: &[u8], width: u32, height: u32, colours: png::ColorType, out: i
     let mut encoder = png::Encoder::new(out, width, height);
     encoder.set_color(colours);
     encoder.set_depth(png::BitDepth::Eight);
-    // Differences to the row above are undone many bytes at a time, those of the other filters byte by byte; higher levels save little.
+    // Decoders undo the Up filter many bytes at a time and the other filters byte by byte. Higher compression levels
+    // save little.
     encoder.set_filter(png::Filter::Up);
     encoder.set_deflate_compression(png::DeflateCompression::Level(2));
     let written = encoder.write_header().and_then(|mut writer| {
@@ -97,17 +98,17 @@ fn write(pixels: &[u8], width: u32, height: u32, colours: png::ColorType, out: i
     })
 }
 
-/// The index that means "as before" in a frame.
+/// The index of an unchanged pixel in a frame.
 const UNCHANGED: u8 = 255;
 
-/// At most 255 colours, and for every colour the one that stands for it.
+/// A palette of at most 255 colors, and the palette entry for each RGB color.
 struct Palette {
     colours: Vec<Rgb>,
-    /// By the upper five bits of red, green and blue.
+    /// Palette indices by the upper five bits of red, green and blue.
     nearest: Vec<u8>,
 }
 
-/// A colour among those of a picture: its bin, and how much it counts.
+/// The mean color of a bin, and its weight.
 #[derive(Clone, Copy)]
 struct Weighed {
     rgb: Rgb,
@@ -119,8 +120,8 @@ fn bin([r, g, b]: Rgb) -> usize {
 }
 
 impl Palette {
-    /// The colours of a picture, by median cut: the box of colours that is most uneven is cut in two where half of its weight is, until
-    /// there are enough. Nothing is drawn at random, and no order but that of colours counts.
+    /// Computes the palette of a picture by median cut: splits the most uneven box of colors at its median weight until
+    /// there are enough boxes. The result is deterministic.
     fn of(picture: &Picture) -> Palette {
         let mut boxes = vec![ColourBox::new(weighed(picture))];
         while boxes.len() < usize::from(UNCHANGED) {
@@ -149,7 +150,7 @@ impl Palette {
         }
     }
 
-    /// Indices of what stands for the pixels of a picture.
+    /// Returns the palette indices of a picture's pixels.
     fn indices(&self, picture: &Picture) -> Vec<u8> {
         picture
             .pixels()
@@ -161,8 +162,8 @@ impl Palette {
     }
 }
 
-/// The colours of a picture, one a bin. Icons are small and the ground is large: however often a colour occurs, it counts no more than some
-/// hundred times one that is rare.
+/// Returns the colors of a picture, one per bin. Caps the weight of frequent colors, because icons are small and the
+/// ground is large.
 fn weighed(picture: &Picture) -> Vec<Weighed> {
     let mut bins = vec![([0_u64; 3], 0_u64); 1 << 15];
     for rgb in picture.pixels().as_chunks::<3>().0 {
@@ -181,13 +182,13 @@ fn weighed(picture: &Picture) -> Vec<Weighed> {
         .collect()
 }
 
-/// Colours that are to become one, or two boxes.
+/// A box of colors in median cut.
 struct ColourBox {
     colours: Vec<Weighed>,
     weight: u64,
-    /// The channel in which they differ most.
+    /// The channel with the widest range.
     channel: usize,
-    /// How much they differ in it, times their weight.
+    /// The range in that channel times the weight.
     uneven: u64,
 }
 
@@ -208,7 +209,7 @@ impl ColourBox {
         }
     }
 
-    /// In two, about equal in weight. There are at least two colours.
+    /// Splits the box into two of about equal weight. The box must have at least two colors.
     fn cut(self) -> (ColourBox, ColourBox) {
         let mut low = self.colours;
         low.sort_by_key(|colour| (colour.rgb[self.channel], colour.rgb));
@@ -230,10 +231,10 @@ impl ColourBox {
     }
 }
 
-/// A GIF being written; it repeats for ever.
+/// A writer of GIF animations that loop.
 ///
-/// All frames have one palette, made of the colours of a sample. The first frame is stored whole, each later one as the smallest rectangle
-/// that holds all changes, with the unchanged pixels in it transparent.
+/// All frames share one palette, computed from a sample. The first frame is complete; each later frame is the smallest
+/// rectangle with all changes, in which unchanged pixels are transparent.
 pub struct Animation<W: Write> {
     encoder: gif::Encoder<W>,
     palette: Palette,
@@ -245,11 +246,11 @@ pub struct Animation<W: Write> {
 }
 
 impl<W: Write> Animation<W> {
-    /// Begins an animation of pictures of the size of `sample` and of about its colours, each shown for `frame_delay`: GIF rounds it to
+    /// Begins an animation of pictures with the size and roughly the colors of `sample`. GIF rounds `frame_delay` to
     /// hundredths of a second, at most 655.35 s. Many viewers slow delays under 0.02 s down to 0.1 s.
     ///
     /// # Errors
-    /// Those of the output, and `InvalidInput` for pictures that are too large for a GIF: no side may have more than 65,535 pixels.
+    /// Errors of the output, and `InvalidInput` for a side of more than 65,535 pixels.
     pub fn new(out: W, sample: &Picture, frame_delay: Duration) -> io::Result<Animation<W>> {
         let side = |length: u32| u16::try_from(length).map_err(|_| wrong("a side has more than 65,535 pixels"));
         let size = (side(sample.width())?, side(sample.height())?);
@@ -269,10 +270,10 @@ impl<W: Write> Animation<W> {
     /// Appends a frame.
     ///
     /// # Errors
-    /// Those of the output, and `InvalidInput` for a picture of another size than the sample's.
+    /// Errors of the output, and `InvalidInput` for a picture of another size than the sample.
     pub fn push(&mut self, picture: &Picture) -> io::Result<()> {
         if (picture.width(), picture.height()) != (self.size.0.into(), self.size.1.into()) {
-            return Err(wrong("the frames of an animation must have one size"));
+            return Err(wrong("the frames of an animation must have the same size"));
         }
         let pixels = self.palette.indices(picture);
         let mut image = if self.shown.is_empty() {
@@ -293,10 +294,10 @@ impl<W: Write> Animation<W> {
         Ok(())
     }
 
-    /// Ends the file and hands the output back, not flushed.
+    /// Ends the file and returns the output, which is not flushed.
     ///
     /// # Errors
-    /// Those of the output.
+    /// Errors of the output.
     pub fn finish(self) -> io::Result<W> {
         self.encoder.into_inner().map_err(to_io)
     }
@@ -306,8 +307,8 @@ fn wrong(message: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidInput, message)
 }
 
-/// What turns the pixels `old` into `new`, both of this width and one height. Without a difference: one transparent
-/// pixel, since a GIF frame is never empty.
+/// Returns the frame that turns the pixels `old` into `new`, both of this width and of equal height. Without a change
+/// it is one transparent pixel, because a GIF frame must not be empty.
 fn difference(old: &[u8], new: &[u8], width: usize) -> gif::Frame<'static> {
     let mut rows = 0..0;
     let mut columns = width..0;
@@ -336,7 +337,7 @@ fn difference(old: &[u8], new: &[u8], width: usize) -> gif::Frame<'static> {
                 .map(|(a, b)| if a == b { UNCHANGED } else { *b }),
         );
     }
-    // Every one of these is at most a side of the frame, which is a u16.
+    // Each value is at most a side of the frame, which fits a u16.
     gif::Frame {
         left: columns.start as u16,
         top: rows.start as u16,

@@ -1,6 +1,6 @@
-//! The map without agents: streets, crossings, sidewalks, buildings.
+//! The map without agents: streets, crossings, sidewalks and buildings.
 //!
-//! What a pixel of the ground is depends on its place on the map only, never on the part of the map that is shown.
+//! A pixel of the ground depends only on its place on the map, not on the part of the map in view.
 
 use crate::city::Building;
 use crate::city::{Cell, CityMap, Ground, Heading};
@@ -15,21 +15,21 @@ impl Purpose {
     pub const TEXTURE: Purpose = Purpose::new(11);
 }
 
-/// The mid line, in every picture.
+/// The color of the mid line in every picture.
 pub(super) const MID_LINE: Rgb = [255, 215, 0];
 pub(super) const PAINT: Rgb = [236, 236, 230];
 
-/// In what the grounds of one map differ.
+/// The parameters in which the grounds of one map differ.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Look {
-    /// Of textures.
+    /// Seed of the textures.
     seed: Seed,
-    /// The instance that the first building of the map shows; each following one shows the next.
+    /// The instance of the map's first building; each following building shows the next instance.
     first_building: u32,
 }
 
 impl Look {
-    /// What goes with icons: their seed, and buildings from the first instance on.
+    /// Returns the look for a set of icons: their seed, and building instances from 0 on.
     pub(super) fn of(icons: &Icons) -> Look {
         Look {
             seed: icons.seed(),
@@ -37,7 +37,7 @@ impl Look {
         }
     }
 
-    /// One of many.
+    /// Returns a random look.
     pub(super) fn drawn(seed: Seed) -> Look {
         Look {
             seed,
@@ -46,31 +46,31 @@ impl Look {
     }
 }
 
-/// The colours and the texture of the ground.
+/// The colors and the texture of the ground.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Texture {
     pub(super) asphalt: Rgb,
     pub(super) sidewalk: Rgb,
     pub(super) curb: Rgb,
     meadow: Rgb,
-    /// Makes other textures of the same colours.
+    /// Varies textures of equal colors.
     salt: u32,
     /// The difficulty, 0..=256.
     noise: i32,
 }
 
-/// What is in a cell, as far as colours need it.
+/// The content of a cell, as far as it affects colors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Surface {
     Meadow,
     Building(Building),
-    /// Whether asphalt lies to each side, in the order of [`Heading::ALL`].
+    /// Whether asphalt borders each side, in the order of [`Heading::ALL`].
     Sidewalk([bool; 4]),
-    /// The mid line, whether along a row.
+    /// The mid line, and whether it runs along a row.
     MidLine(bool),
-    /// Whether cars stop at a line to each side.
+    /// Whether each side has a stop line.
     Asphalt([bool; 4]),
-    /// A crossing, and whether it is walked along a row.
+    /// A crossing, and whether pedestrians walk along its row.
     Crossing(bool),
 }
 
@@ -96,7 +96,8 @@ impl Surface {
     }
 }
 
-/// Whether pedestrians use this crossing cell along its row: it ends, along the row, in no traffic street.
+/// Returns whether pedestrians use this crossing cell along its row: neither end of the crossing in that row is a
+/// traffic street.
 fn walks_along_row(map: &CityMap, cell: Cell) -> bool {
     let end = |heading| {
         let mut ground = Some(Ground::Crossing);
@@ -111,7 +112,7 @@ fn walks_along_row(map: &CityMap, cell: Cell) -> bool {
 }
 
 impl Texture {
-    /// The texture of a seed, as uneven as the difficulty says (0..=1).
+    /// Returns the texture of a seed at a difficulty, 0..=1.
     pub(super) fn new(seed: Seed, difficulty: f32) -> Texture {
         let mut stream = seed.stream(Purpose::TEXTURE, 0, 0);
         let mut tone = |rgb: Rgb, spread: i32| {
@@ -129,7 +130,7 @@ impl Texture {
         }
     }
 
-    /// 32 bits that differ from place to place and from layer to layer.
+    /// Hashes a place and a layer to 32 bits.
     fn hash(self, x: i64, y: i64, layer: u32) -> u32 {
         let mut word = self.salt ^ layer.wrapping_mul(0x9e37_79b9);
         for part in [x as u32, y as u32] {
@@ -141,7 +142,7 @@ impl Texture {
         word
     }
 
-    /// A number from -256 to 256 that changes smoothly from one corner of a lattice of that many pixels to the next.
+    /// Returns a value from -256 to 256 that varies smoothly between the corners of a lattice of `lattice` pixels.
     fn wave(self, x: i64, y: i64, lattice: i64, layer: u32) -> i32 {
         let (col, row) = (x.div_euclid(lattice), y.div_euclid(lattice));
         let (right, down) = (x.rem_euclid(lattice), y.rem_euclid(lattice));
@@ -150,14 +151,14 @@ impl Texture {
         ((along(0) * (lattice - down) + along(1) * down) / (lattice * lattice)) as i32
     }
 
-    /// Lightens or darkens a colour from place to place: clouds over some cells, single specks, stains, and under noise uneven light.
+    /// Varies the lightness of a color by place: clouds over some cells, specks, stains, and uneven light under noise.
     fn weathered(self, rgb: Rgb, x: i64, y: i64, scale: Scale, layer: u32) -> Rgb {
         let cell = i64::from(scale.pixels);
         let mut light = (self.wave(x, y, 6 * cell, layer) * (5 * 256 + 18 * self.noise)) >> 16;
-        // Many specks are of 2 x 2 pixels: single ones would be most of what a picture takes on disk.
+        // Specks under noise are 2 x 2 pixels, because single pixels would dominate the size of a PNG.
         let fine = i64::from(self.noise > 0);
         let speck = self.hash(x >> fine, y >> fine, layer);
-        // Specks are rare where all is clean, so that pictures stay small.
+        // Clean textures have few specks, which keeps PNG files small.
         if (speck & 255) < 14 + ((self.noise as u32 * 150) >> 8) {
             light += (((speck >> 8) as i32 % 19 - 9) * (256 + self.noise)) >> 8;
         }
@@ -168,7 +169,7 @@ impl Texture {
         rgb.map(|channel| (i32::from(channel) + light).clamp(0, 255) as u8)
     }
 
-    /// At most one round stain lies in every square of 9 x 9 cells.
+    /// Returns the effect of a stain. Every square of 9 x 9 cells has at most one round stain.
     fn stain(self, x: i64, y: i64, cell: i64, layer: u32) -> i32 {
         let side = 9 * cell;
         let (col, row) = (x.div_euclid(side), y.div_euclid(side));
@@ -189,7 +190,8 @@ impl Texture {
         }
     }
 
-    /// The colour of a pixel of a cell, `right` and `down` of its corner; `x` and `y` are its place on the map, in pixels.
+    /// Returns the color of a pixel of a cell. `right` and `down` count from the cell's corner; `x` and `y` are the
+    /// place on the map, in pixels.
     fn colour(self, surface: Surface, cell: Cell, (right, down): (i32, i32), (x, y): (i64, i64), scale: Scale) -> Rgb {
         let side = scale.pixels;
         let touched = |beside: [bool; 4], deep: i32| {
@@ -222,20 +224,20 @@ impl Texture {
                 }
             }
             Surface::Asphalt(stops) if side > 1 && touched(stops, side / 2) => self.paint(x, y),
-            // Stripes lie along the traffic, so they alternate along the walk.
+            // Stripes run along the traffic, so they alternate along the walk.
             Surface::Crossing(along_row) if (if along_row { cell.col } else { cell.row }) % 2 == 0 => self.paint(x, y),
             Surface::Asphalt(_) | Surface::Crossing(_) => self.weathered(self.asphalt, x, y, scale, 40),
         }
     }
 
-    /// White paint, under noise worn here and there.
+    /// Returns the color of white paint, which is worn in places under noise.
     fn paint(self, x: i64, y: i64) -> Rgb {
         let worn = ((self.hash(x >> 1, y >> 1, 50) & 255) as i32) < self.noise / 6;
         if worn { self.asphalt } else { PAINT }
     }
 }
 
-/// The colour of a building where a cell is less than a pixel.
+/// Returns the color of a building where a cell is less than a pixel.
 pub(super) const fn roof(building: Building) -> Rgb {
     match building {
         Building::House => [176, 84, 60],
@@ -246,7 +248,7 @@ pub(super) const fn roof(building: Building) -> Rgb {
     }
 }
 
-/// The picture of a view without agents.
+/// Draws a view without agents.
 pub(super) fn draw(map: &CityMap, icons: &Icons, view: &Viewport, look: Look) -> Picture {
     let (width, height) = view.size();
     let mut picture = Picture::new(width, height, [0; 3]);
@@ -254,7 +256,7 @@ pub(super) fn draw(map: &CityMap, icons: &Icons, view: &Viewport, look: Look) ->
     let scale = view.scale;
     let (left, top) = (scale.start(view.corner.col), scale.start(view.corner.row));
     let side = scale.pixels as usize;
-    // From the cell of one pixel to that of the next, and of several cells the middle one.
+    // Steps from the cell of one pixel to that of the next; if a pixel covers several cells, takes the middle one.
     for (row, y) in (0..height as usize).step_by(side).enumerate() {
         for (col, x) in (0..width as usize).step_by(side).enumerate() {
             let along = |from: i32, at: usize| match scale.cells {
@@ -284,7 +286,7 @@ pub(super) fn draw(map: &CityMap, icons: &Icons, view: &Viewport, look: Look) ->
     picture
 }
 
-/// Every building that the view shows a part of.
+/// Draws every building that is at least partly in view.
 fn buildings(map: &CityMap, icons: &Icons, view: &Viewport, first: u32, picture: &mut Picture) {
     let layout = map.layout;
     let [block_rows, block_cols] = layout.blocks();

@@ -1,4 +1,4 @@
-//! Icons: from a class, an instance, a facing and a size to pixels.
+//! Icons: maps a class, an instance, a facing and a size to pixels.
 
 use crate::city::AgentKind;
 use crate::render::class::{Class, Facing, Subject};
@@ -11,47 +11,47 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 impl Purpose {
-    /// What an icon looks like; index: its class, tick: the instance.
+    /// The look of an icon; index: its class, tick: the instance.
     pub const ICON: Purpose = Purpose::new(10);
 }
 
-/// How hard icons are to tell apart, in percent: 0 is clean; the higher, the more their colours, light, sharpness and markings vary and
-/// the more lies on and around them.
+/// The difficulty of telling icons apart, in percent: 0 is clean. Higher values vary colors, light, sharpness and
+/// markings more, and add clutter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Difficulty(u8);
 
 impl Difficulty {
-    /// Nothing but the class and the instance differ.
+    /// Only class and instance differ.
     pub const CLEAN: Difficulty = Difficulty(0);
-    /// The hardest.
+    /// The highest difficulty.
     pub const NOISY: Difficulty = Difficulty(100);
 
-    /// From 0 to 100 percent; `None` above.
+    /// Returns a difficulty from 0 to 100 percent; `None` above.
     pub const fn percent(percent: u8) -> Option<Difficulty> {
         if percent > 100 { None } else { Some(Difficulty(percent)) }
     }
 
-    /// From 0 to 100.
+    /// Returns the difficulty in percent, 0 to 100.
     pub const fn as_percent(self) -> u8 {
         self.0
     }
 
-    /// 0..=1.
+    /// Returns the difficulty as a share, 0..=1.
     pub(super) fn share(self) -> f32 {
         f32::from(self.0) / 100.0
     }
 }
 
-/// The largest icon: the short side of a car, the side of a pedestrian or building, in pixels.
+/// The largest icon, in pixels: the short side of a car, or the side of a pedestrian or building.
 pub const ICON_MAX: u32 = 512;
 
-/// Instances of a class that are drawn, not taken from a pack.
+/// Number of generated instances per class, not counting those of a pack.
 const DRAWN: u32 = 100;
 
-/// Kept icons take at most about this much memory, in bytes.
+/// Approximate limit of the icon cache, in bytes.
 const KEPT: usize = 64 << 20;
 
-/// So many are kept of what agents cover.
+/// Limit of the cache of body boxes, in entries.
 const BODIES_KEPT: usize = 1 << 17;
 
 /// A rectangle in a picture, in pixels.
@@ -68,7 +68,7 @@ pub struct PixelBox {
 }
 
 impl PixelBox {
-    /// The part inside a picture of that size; `None` if there is none.
+    /// Returns the part inside a picture of this size; `None` if there is none.
     pub fn clipped(self, width: u32, height: u32) -> Option<PixelBox> {
         let along = |from: i32, length: u32, end: u32| {
             let clip = |at: i64| at.clamp(0, i64::from(end));
@@ -83,31 +83,31 @@ impl PixelBox {
     }
 }
 
-/// An icon of one size and facing: pixels around a middle.
+/// An icon of one size and facing, centered on the origin.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Stamp {
-    /// What its pixels cover, relative to the middle.
+    /// The area of the pixels, relative to the center.
     pub(super) area: PixelBox,
-    /// What the agent itself covers, without shadow and the like, relative to the middle.
+    /// The area of the agent itself, without shadow or marks, relative to the center.
     pub(super) body: PixelBox,
-    /// Red, green, blue, each times opacity, and opacity; row after row.
+    /// Premultiplied RGBA, row by row.
     pub(super) pixels: Vec<u8>,
 }
 
 type Key = (Class, u32, Facing, u32);
 
-/// What has been drawn.
+/// The caches of drawn icons.
 #[derive(Debug, Default)]
 struct Kept {
     stamps: BTreeMap<Key, Arc<Stamp>>,
-    /// Of the stamps' pixels.
+    /// Total size of the stamps' pixels, in bytes.
     bytes: usize,
-    /// What agents cover, of icons whether drawn or not.
+    /// Body boxes, also of icons without a stamp.
     bodies: BTreeMap<Key, PixelBox>,
 }
 
-/// All icons there are: drawn by parameters, from a pack, or both. Each is a function of seed, difficulty, pack, class, instance, facing
-/// and size; what has been drawn once is kept for a while. Several threads can share one.
+/// All icons: generated, from a pack, or both. Each is a function of seed, difficulty, pack, class, instance, facing
+/// and size. A bounded cache holds drawn icons. Several threads can share one `Icons`.
 #[derive(Debug)]
 pub struct Icons {
     seed: Seed,
@@ -132,7 +132,7 @@ impl Default for Icons {
 }
 
 impl Icons {
-    /// Icons that are drawn.
+    /// Returns generated icons.
     pub fn new(seed: Seed, difficulty: Difficulty) -> Icons {
         Icons {
             seed,
@@ -142,7 +142,7 @@ impl Icons {
         }
     }
 
-    /// The same with a pack beside or instead of what is drawn.
+    /// Returns these icons with a pack that extends or replaces the generated ones, as its mode says.
     #[must_use]
     pub fn with_pack(self, pack: Pack) -> Icons {
         Icons {
@@ -152,17 +152,17 @@ impl Icons {
         }
     }
 
-    /// The seed of everything random in the drawings.
+    /// Returns the seed of the generated icons.
     pub fn seed(&self) -> Seed {
         self.seed
     }
 
-    /// The difficulty.
+    /// Returns the difficulty.
     pub fn difficulty(&self) -> Difficulty {
         self.difficulty
     }
 
-    /// How many instances of a class there are before they repeat.
+    /// Returns the number of distinct instances of a class.
     pub fn instances(&self, class: &Class) -> u32 {
         let art = self.art(class);
         #[allow(clippy::cast_possible_truncation)]
@@ -177,8 +177,8 @@ impl Icons {
         self.pack.as_ref().map_or(&[], |pack| pack.of(class))
     }
 
-    /// An icon. Instances are counted from 0 and repeat after [`Icons::instances`]. The size is the short side of a car and the side of a
-    /// pedestrian or building in pixels, 1 to [`ICON_MAX`]; others are brought into that range.
+    /// Returns an icon. Instances count from 0 and repeat after [`Icons::instances`]. `size` is the short side of a car
+    /// or the side of a pedestrian or building, in pixels, clamped to 1..=[`ICON_MAX`].
     pub fn stamp(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> Arc<Stamp> {
         let key = self.key(class, instance, facing, size);
         if let Some(stamp) = self.kept().stamps.get(&key) {
@@ -195,7 +195,7 @@ impl Icons {
         stamp
     }
 
-    /// What an agent with an icon covers, without shadow and the like, relative to the middle: that of the stamp, which is not drawn for it.
+    /// Returns the body box of an icon, as in its stamp, relative to the center; does not draw the stamp.
     pub(super) fn body(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> PixelBox {
         let key = self.key(class, instance, facing, size);
         if let Some(body) = self.kept().bodies.get(&key) {
@@ -220,7 +220,7 @@ impl Icons {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// An icon, drawn anew.
+    /// Draws an icon without the cache.
     pub(super) fn draw(&self, class: &Class, instance: u32, facing: Facing, size: u32) -> Stamp {
         let (drawing, mut dice) = self.drawing(class, instance % self.instances(class), facing);
         let is_agent = matches!(class.0, Subject::Agent(..));
@@ -228,10 +228,11 @@ impl Icons {
         layers.finish(&mut dice, self.difficulty.share(), size, is_agent)
     }
 
-    /// What an icon is made of, and the dice for what is added to it. The instance is one of those that there are.
+    /// Returns the parts of an icon, and the random numbers for its noise. `instance` is less than
+    /// [`Icons::instances`].
     fn drawing(&self, class: &Class, instance: u32, facing: Facing) -> (Drawing<'_>, Dice<impl Rng + use<>>) {
         let name = class.to_string();
-        // FNV-1a: stable for ever, unlike the hasher of the standard library.
+        // FNV-1a, because the standard library's hasher may change between releases.
         let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
             (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
         });
@@ -258,7 +259,7 @@ impl Icons {
         (drawing, dice)
     }
 
-    /// An icon as a square PNG with transparent ground, the whole of it fitted into `side` pixels, 1 to [`ICON_MAX`].
+    /// Returns an icon as a square PNG on a transparent ground, scaled to fit into `side` pixels, 1 to [`ICON_MAX`].
     pub fn png(&self, class: &Class, instance: u32, facing: Facing, side: u32) -> Vec<u8> {
         let side = side.clamp(1, ICON_MAX);
         let reach = |stamp: &Stamp| {
@@ -296,12 +297,12 @@ impl Icons {
             }
         }
         let mut bytes = Vec::new();
-        super::encode::write_rgba(&pixels, side, side, &mut bytes).expect("a vector takes all that is written");
+        super::encode::write_rgba(&pixels, side, side, &mut bytes).expect("writing to a vector cannot fail");
         bytes
     }
 }
 
-/// A round badge with a letter for each concept without looks of its own, its colour by the name.
+/// Adds a round badge for each concept without its own looks: a letter, in a color derived from the name.
 fn badges(sketch: &mut Sketch, kind: AgentKind, concepts: &[String], (x, y): (f32, f32), radius: f32) {
     let others = concepts.iter().filter(|concept| !Class::is_drawn(kind, concept));
     for (number, concept) in (0_u8..3).zip(others) {
@@ -318,26 +319,26 @@ fn badges(sketch: &mut Sketch, kind: AgentKind, concepts: &[String], (x, y): (f3
     }
 }
 
-/// What an icon is made of, at any size.
+/// The parts of an icon, at any size.
 enum Drawing<'a> {
     /// Fills a square.
     Square(Sketch),
     Car(car::Drawing),
-    /// Of a pack; its short side has the size.
+    /// From a pack; its short side has the size.
     CarArt(&'a Pixmap),
-    /// Of a pack; others fit into a square.
+    /// From a pack; fits into a square.
     PedestrianArt(&'a Pixmap),
     BuildingArt(&'a Pixmap),
 }
 
-/// An icon before light and shadow: what lies below it, and itself, both around the middle of pixmaps of one size.
+/// An icon before light and shadow: the ground below it and the body, on pixmaps of one size around the center.
 struct Layers {
     ground: Pixmap,
     body: Pixmap,
 }
 
-/// An empty pixmap that holds what reaches so many pixels from the middle, with room for a shadow, and the transformation that moves the
-/// origin to its middle.
+/// Returns an empty pixmap that reaches `reach` pixels from its center, with room for a shadow, and the transformation
+/// that moves the origin to the center.
 fn canvas(reach: f32) -> (Pixmap, Transform) {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
     let half = reach.max(1.0).ceil() as u32 + 4;
@@ -354,7 +355,7 @@ fn turned(facing: Facing, scale: f32) -> Transform {
 
 #[allow(clippy::cast_precision_loss)]
 impl Drawing<'_> {
-    /// An empty pixmap for a sketch of that size, and the transformation from the sketch to it.
+    /// Returns an empty pixmap for a sketch of this size, and the transformation from the sketch to it.
     fn canvas(&self, facing: Facing, size: u32) -> (Pixmap, Transform) {
         let side = size as f32;
         match self {
@@ -364,7 +365,7 @@ impl Drawing<'_> {
             }
             _ => {
                 let (pixmap, middle) = canvas(side * 0.75);
-                // An odd side begins half a pixel before the middle's corner, as the cells it lies on do.
+                // With an odd side, the center is the middle of a pixel, as for the cells below.
                 let half = if size % 2 == 1 { 0.5 } else { 0.0 };
                 let scale = Transform::from_scale(side, side);
                 (pixmap, scale.post_concat(middle).post_translate(half, half))
@@ -372,7 +373,7 @@ impl Drawing<'_> {
         }
     }
 
-    /// Everything.
+    /// Draws all parts.
     fn layers(&self, facing: Facing, size: u32) -> Layers {
         let (mut body, transform) = match self.art(facing, size) {
             Some(body) => (body, Transform::identity()),
@@ -390,7 +391,7 @@ impl Drawing<'_> {
         Layers { ground, body }
     }
 
-    /// The body with its opacities, but not all of its colours.
+    /// Draws the body with correct opacities; its colors may be incomplete.
     fn outline(&self, facing: Facing, size: u32) -> Pixmap {
         if let Some(body) = self.art(facing, size) {
             return body;
@@ -402,7 +403,8 @@ impl Drawing<'_> {
         body
     }
 
-    /// The body if it is of a pack. A car's short side has the size and turns; others fit into a square, and pedestrians look to their side.
+    /// Returns the body if it is from a pack. A car rotates, and its short side has the size. Others fit into a square,
+    /// and pedestrians face left or right.
     fn art(&self, facing: Facing, size: u32) -> Option<Pixmap> {
         let (art, turn) = match self {
             Drawing::CarArt(art) => (art, turned(facing, 1.0)),
@@ -442,7 +444,7 @@ impl Drawing<'_> {
 
 #[allow(clippy::cast_precision_loss)]
 impl Layers {
-    /// Adds what the difficulty adds, and a shadow, and cuts off what is empty.
+    /// Adds noise and a shadow, and crops the result.
     fn finish<R: Rng>(mut self, dice: &mut Dice<R>, noise: f32, size: u32, shadow: bool) -> Stamp {
         let (width, height) = (self.body.width(), self.body.height());
         let body = body_of(&self.body);
@@ -491,7 +493,7 @@ impl Layers {
     }
 }
 
-/// What a body covers, where it is rather there than not; its middle if that is nowhere.
+/// Returns the box of the body's pixels that are at least half opaque, or the center if there are none.
 fn body_of(body: &Pixmap) -> PixelBox {
     bounds(body, 128).unwrap_or(PixelBox {
         x: 0,
@@ -501,7 +503,7 @@ fn body_of(body: &Pixmap) -> PixelBox {
     })
 }
 
-/// Where a pixmap is at least so opaque, relative to its middle.
+/// Returns the box of pixels with at least this opacity, relative to the center.
 fn bounds(pixmap: &Pixmap, least: u8) -> Option<PixelBox> {
     let rows = || pixmap.data().chunks_exact(4 * pixmap.width() as usize);
     let opaque = |pixel: &[u8]| pixel[3] >= least;
@@ -509,7 +511,7 @@ fn bounds(pixmap: &Pixmap, least: u8) -> Option<PixelBox> {
     let (top, last) = (rows().position(is_in)?, rows().rposition(is_in)?);
     let (mut left, mut right) = (pixmap.width() as usize, 0);
     for row in rows().take(last + 1).skip(top) {
-        // Pixels between the two change nothing.
+        // Pixels between the two do not change the box.
         let (before, behind) = (&row[..4 * left], &row[4 * right..]);
         left = before.chunks_exact(4).position(opaque).unwrap_or(left);
         right += behind.chunks_exact(4).rposition(opaque).map_or(0, |at| at + 1);
@@ -526,7 +528,7 @@ fn bounds(pixmap: &Pixmap, least: u8) -> Option<PixelBox> {
     })
 }
 
-/// Changes colours, light and sharpness, and adds grain.
+/// Varies colors, light and sharpness, and adds grain.
 #[allow(clippy::cast_precision_loss)]
 fn disturb<R: Rng>(pixmap: &mut Pixmap, dice: &mut Dice<R>, noise: f32, size: u32) {
     let tint = [0; 3].map(|_| 1.0 + noise * dice.between(-0.22, 0.22));
@@ -544,7 +546,7 @@ fn disturb<R: Rng>(pixmap: &mut Pixmap, dice: &mut Dice<R>, noise: f32, size: u3
         let shade = light + slope[0] * along(at % width) + slope[1] * along(at / width);
         let rough = grain * dice.between(-1.0, 1.0) * f32::from(pixel[3]) / 255.0;
         for (channel, tint) in [0, 1, 2].into_iter().zip(tint) {
-            // No channel of a colour times its opacity exceeds the opacity.
+            // A premultiplied channel never exceeds the opacity.
             pixel[channel] = byte(f32::from(pixel[channel]) * shade.max(0.2) * tint + rough).min(pixel[3]);
         }
     }
@@ -553,7 +555,7 @@ fn disturb<R: Rng>(pixmap: &mut Pixmap, dice: &mut Dice<R>, noise: f32, size: u3
     blur(pixmap, radius as usize);
 }
 
-/// Every pixel becomes the mean of those up to `radius` to its sides, first along rows, then along columns.
+/// Box blur: replaces every pixel by the mean of those within `radius`, first along rows, then along columns.
 fn blur(pixmap: &mut Pixmap, radius: usize) {
     if radius == 0 {
         return;
@@ -585,7 +587,7 @@ mod tests {
     use super::*;
     use crate::rng::RngExt;
 
-    /// Opaque in its lower half, as an SVG.
+    /// An SVG that is opaque in its lower half.
     const ART: &str =
         r#"<svg xmlns="http://www.w3.org/2000/svg" width="30" height="50"><circle cx="14" cy="30" r="13"/></svg>"#;
 
@@ -613,17 +615,17 @@ mod tests {
             let opacities = |body: &Pixmap| -> Vec<u8> { body.pixels().iter().map(|pixel| pixel.alpha()).collect() };
             let (drawn, outline) = (drawing.layers(facing, size).body, drawing.outline(facing, size));
             assert!(opacities(&drawn) == opacities(&outline), "case {case}: {class}");
-            let told = icons.body(&class, instance, facing, size);
+            let body = icons.body(&class, instance, facing, size);
             assert_eq!(
-                told,
+                body,
                 icons.stamp(&class, instance, facing, size).body,
                 "case {case}: {class}"
             );
-            assert_eq!(told, slow_bounds(&drawn), "case {case}: {class}");
+            assert_eq!(body, slow_bounds(&drawn), "case {case}: {class}");
         }
     }
 
-    /// What is at least half opaque, pixel by pixel.
+    /// Reference implementation of the box of pixels that are at least half opaque.
     fn slow_bounds(pixmap: &Pixmap) -> PixelBox {
         let (width, height) = (pixmap.width().cast_signed(), pixmap.height().cast_signed());
         let places = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));

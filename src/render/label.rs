@@ -1,4 +1,4 @@
-//! Labels: short names next to agents, never one over another.
+//! Short name labels next to agents, without overlaps.
 
 use crate::render::class::Facing;
 use crate::render::icon::PixelBox;
@@ -10,13 +10,13 @@ use embedded_graphics::text::Alignment;
 pub(super) const PAPER: Rgb = [0xfb, 0xfa, 0xf7];
 pub(super) const TEXT: Rgb = [0x26, 0x2b, 0x33];
 
-/// At most this many agents are labelled: more would be unreadable, and the search for room takes time.
+/// The most agents with labels. More would be unreadable, and the search for room takes time.
 const MOST: usize = 300;
 
-/// The longest label in characters.
+/// The longest label, in characters.
 const LONGEST: usize = 10;
 
-/// The size in square pixels of what two rectangles have in common.
+/// Returns the common area of two rectangles, in square pixels.
 pub(super) fn overlap(a: PixelBox, b: PixelBox) -> i32 {
     let common = |a: i32, a_length: u32, b: i32, b_length: u32| {
         ((a + a_length.cast_signed()).min(b + b_length.cast_signed()) - a.max(b)).max(0)
@@ -24,12 +24,12 @@ pub(super) fn overlap(a: PixelBox, b: PixelBox) -> i32 {
     common(a.x, a.width, b.x, b.width) * common(a.y, a.height, b.y, b.height)
 }
 
-/// Whether a rectangle lies in another.
+/// Returns whether `outer` contains `inner`.
 pub(super) fn contains(outer: PixelBox, inner: PixelBox) -> bool {
     overlap(outer, inner).cast_unsigned() == inner.width * inner.height
 }
 
-/// `C12` for `Car_12`, `P3` for `Pedestrian_3`, else the name itself, shortened.
+/// Returns `C12` for `Car_12`, `P3` for `Pedestrian_3`, else the shortened name.
 fn short(sprite: &Sprite<'_>) -> String {
     let number = sprite
         .name
@@ -43,7 +43,7 @@ fn short(sprite: &Sprite<'_>) -> String {
     }
 }
 
-/// The text without control characters, cut with an ellipsis to that many characters.
+/// Returns the text without control characters, truncated with an ellipsis to `most` characters.
 pub(super) fn one_line(text: &str, most: usize) -> String {
     let mut chars = text.chars().map(|char| if char.is_control() { ' ' } else { char });
     let mut line: String = chars.by_ref().take(most).collect();
@@ -54,8 +54,8 @@ pub(super) fn one_line(text: &str, most: usize) -> String {
     line
 }
 
-/// Finds room inside `bounds` for the label of each sprite, whose figure covers the area next to it. A label avoids
-/// figures if it can and other labels always: one without room is left out.
+/// Places labels inside `bounds` next to the figure of each sprite. A label avoids figures if possible, and other
+/// labels always: one without room is omitted.
 pub(super) fn place(sprites: &[(Sprite<'_>, PixelBox)], bounds: PixelBox) -> Vec<(String, PixelBox)> {
     let mut placed: Vec<(String, PixelBox)> = Vec::new();
     for (sprite, figure) in sprites.iter().take(MOST) {
@@ -63,7 +63,7 @@ pub(super) fn place(sprites: &[(Sprite<'_>, PixelBox)], bounds: PixelBox) -> Vec
         if text.is_empty() {
             continue;
         }
-        // A character is 6 wide and 10 high, and the plate has a margin.
+        // Characters are 6 x 10 pixels; the plate adds a margin.
         let (width, height) = (6 * text.chars().count() as i32 + 3, 11);
         let free = candidates(*figure, sprite.facing, width, height)
             .filter(|&area| contains(bounds, area) && placed.iter().all(|(_, other)| overlap(area, *other) == 0));
@@ -85,7 +85,7 @@ pub(super) fn place(sprites: &[(Sprite<'_>, PixelBox)], bounds: PixelBox) -> Vec
     placed
 }
 
-/// Places around a figure, the best first: beside it but not behind it, then a little further off.
+/// Returns the places around a figure, the best first: next to it but not behind it, then farther away.
 fn candidates(figure: PixelBox, facing: Facing, width: i32, height: i32) -> impl Iterator<Item = PixelBox> {
     [1, 6, 12].into_iter().flat_map(move |gap| {
         let (figure_wide, figure_high) = (figure.width.cast_signed(), figure.height.cast_signed());

@@ -1,4 +1,4 @@
-//! What stands beside and above the map: the legend and the line that says what happens.
+//! The legend beside the map and the status line above it.
 
 use crate::city::CityMap;
 use crate::city::{Action, AgentKind, Building};
@@ -12,17 +12,17 @@ use embedded_graphics::mono_font::iso_8859_1::{FONT_6X13, FONT_7X13_BOLD, FONT_9
 use embedded_graphics::text::Alignment;
 use std::collections::BTreeMap;
 
-/// Width of the legend in pixels.
+/// Width of the legend, in pixels.
 pub(super) const WIDTH: i32 = 210;
-/// Height of a row of the legend in pixels.
+/// Height of a row of the legend, in pixels.
 const ROW: i32 = 24;
-/// Extra space above a heading in pixels.
+/// Extra space above a heading, in pixels.
 const BREAK: i32 = 8;
-/// The longest name in characters that fits beside a picture and a count.
+/// The longest name that fits beside a sample and a count, in characters.
 const NAME: usize = 18;
 pub(super) const MUTED: Rgb = [0x74, 0x7a, 0x85];
 
-/// The colour that stands for an action.
+/// Returns the color of an action.
 pub(super) const fn action_colour(action: Action) -> Rgb {
     match action {
         Action::Stop => [0xe5, 0x23, 0x2b],
@@ -32,7 +32,7 @@ pub(super) const fn action_colour(action: Action) -> Rgb {
     }
 }
 
-/// A mark of an action around a place.
+/// Draws the mark of an action around a place.
 pub(super) fn draw_action(action: Action, (x, y): (i32, i32), picture: &mut Picture) {
     for (reach, rgb) in [(3, [0x20, 0x25, 0x2d]), (2, action_colour(action))] {
         for (wide, high) in [(reach, reach - 1), (reach - 1, reach)] {
@@ -41,7 +41,7 @@ pub(super) fn draw_action(action: Action, (x, y): (i32, i32), picture: &mut Pict
     }
 }
 
-/// The rectangle that reaches so far from a pixel to both sides.
+/// Returns the rectangle that reaches `wide` and `high` pixels from a pixel to either side.
 fn around(x: i32, y: i32, wide: i32, high: i32) -> PixelBox {
     PixelBox {
         x: x - wide,
@@ -55,7 +55,7 @@ fn around(x: i32, y: i32, wide: i32, high: i32) -> PixelBox {
 struct Column<'a> {
     picture: &'a mut Picture,
     left: i32,
-    /// Middle of the next row.
+    /// Center of the next row.
     y: i32,
 }
 
@@ -65,7 +65,7 @@ impl Column<'_> {
         self.y += ROW;
     }
 
-    /// A row whose sample is drawn around a middle.
+    /// Adds a row; `sample` draws its picture around a center.
     fn row(&mut self, text: &str, count: Option<usize>, sample: impl FnOnce(&mut Picture, i32, i32)) {
         sample(self.picture, self.left + 24, self.y);
         let name = (self.left + 58, self.y);
@@ -78,13 +78,13 @@ impl Column<'_> {
     }
 }
 
-/// A tile of ground, 25 x 17 pixels.
+/// Draws a tile of ground, 25 x 17 pixels.
 fn tile(picture: &mut Picture, x: i32, y: i32, edge: Rgb, rgb: Rgb) {
     picture.fill(around(x, y, 12, 8), edge);
     picture.fill(around(x, y, 11, 7), rgb);
 }
 
-/// Draws the part that is the same in every picture: buildings, streets, actions. Returns where the rest begins.
+/// Draws the part that is the same in every picture: buildings, streets and actions. Returns where the rest begins.
 pub(super) fn draw_static(map: &CityMap, icons: &Icons, fine: bool, picture: &mut Picture, left: i32, top: i32) -> i32 {
     let mut column = Column {
         picture,
@@ -147,7 +147,7 @@ pub(super) fn draw_static(map: &CityMap, icons: &Icons, fine: bool, picture: &mu
     column.y + BREAK
 }
 
-/// Draws which agents there are, above `bottom`.
+/// Draws the classes of agents and their counts, above `bottom`.
 pub(super) fn draw_agents(
     agents: &[Sprite<'_>],
     icons: &Icons,
@@ -164,7 +164,7 @@ pub(super) fn draw_agents(
         for agent in agents.iter().filter(|agent| agent.kind == kind) {
             *classes.entry(agent.class()).or_default() += 1;
         }
-        // A heading, one class, and the line that says how many are left out.
+        // A section needs a heading, one class, and the line that counts the omitted ones.
         if classes.is_empty() || column.y + 3 * ROW > bottom {
             continue;
         }
@@ -203,8 +203,7 @@ pub(super) fn draw_title(name: &str, picture: &mut Picture, left: i32, middle: i
     picture.text(&name, (left, middle), &FONT_9X15_BOLD, TEXT, Alignment::Left);
 }
 
-/// Draws the line above the map, from `left` to the right: all that changes from tick to tick besides the agents
-/// themselves.
+/// Draws the status line above the map, from `left` to the right: tick, counts of agents, and their actions.
 pub(super) fn draw_status(
     tick: u64,
     agents: &[Sprite<'_>],

@@ -1,12 +1,12 @@
-//! City state to picture: the map from above, with every agent on it as an icon.
+//! Draws the state of a city from above, with every agent as an icon.
 //!
-//! Which to take: an [`Overview`] shows a whole city to people, with rulers, legend and labels; a [`Renderer`] draws any part of a map at
-//! any scale ([`Viewport`]), many thousand pictures of it, and tells where in the picture each agent is, as a [`Placement`] does without
-//! drawing; [`Icons`] has the icons alone, and
-//! [`sheet`] shows what there are. A [`Picture`] becomes a PNG with [`write_png`], a sequence of them a GIF with [`Animation`].
+//! An [`Overview`] shows a whole city to people, with rulers, legend and labels. A [`Renderer`] draws any part of a map
+//! at any scale ([`Viewport`]) and returns the box of each agent; a [`Placement`] returns the boxes without drawing.
+//! [`Icons`] draws single icons, and [`sheet`] shows instances of all classes. [`write_png`] encodes a [`Picture`] as
+//! PNG, and [`Animation`] a sequence of them as GIF.
 //!
-//! Icons are drawn by parameters, each a function of seed, class and instance, or come from a [`Pack`]. The same input gives the same bytes
-//! on any number of threads.
+//! Icons are generated, each as a function of seed, class and instance, or come from a [`Pack`]. The same input gives
+//! the same bytes on any number of threads.
 //!
 //! ```
 //! use logicity::builtin::BuiltinFiles;
@@ -19,7 +19,7 @@
 //!
 //! let loaded = LoadedCity::load(&mut Sources::new(), Path::new("vap-easy"), None, &BuiltinFiles).expect("it is built in");
 //! let world = loaded.world().expect("the rules fit");
-//! let city = Simulation::new(Arc::new(world), Split::Test, Seed(1), Settings::default()).expect("there is room for all");
+//! let city = Simulation::new(Arc::new(world), Split::Test, Seed(1), Settings::default()).expect("they have room");
 //!
 //! // 1024 x 1024 pixels: 128 cells of 8; cars are 48 pixels wide, pedestrians 32. The ground is drawn once.
 //! let view = Viewport::published(Cell::new(0, 0))?;
@@ -36,7 +36,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! This module knows neither rules nor simulation: it reads no clock, opens no file, and an agent is what its [`Sprite`] says.
+//! This module does not depend on rules or simulation. It reads no clock and opens no file; a [`Sprite`] describes an
+//! agent.
 
 mod building;
 mod car;

@@ -1,4 +1,4 @@
-//! The whole city on one picture, with rulers, a legend and labels.
+//! Pictures of the whole city with rulers, a legend and labels.
 
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
@@ -15,53 +15,53 @@ use embedded_graphics::mono_font::iso_8859_1::FONT_5X8;
 use embedded_graphics::text::Alignment;
 use std::sync::Arc;
 
-/// Space around everything, and between map and legend, in pixels.
+/// Space around the picture's parts, and between map and legend, in pixels.
 const MARGIN: i32 = 14;
-/// Height of the line above the map, in pixels.
+/// Height of the status line, in pixels.
 const STATUS: i32 = 30;
 /// Width of the row numbers and height of the column numbers, in pixels.
 const RULER: (i32, i32) = (20, 12);
-/// A legend with the known concepts of an ordinary scenario needs about this much, in pixels.
+/// Approximate height of a legend with the known concepts, in pixels.
 const LEAST_HEIGHT: i32 = 800;
-/// The line above the map needs about this much, in pixels.
+/// Approximate width of the status line, in pixels.
 const LEAST_WIDTH: i32 = 440;
-/// The longer side of a map is at most this many pixels when cells are enlarged, else at most [`MOST`].
+/// The longer side of a map with enlarged cells, in pixels; other maps may have [`MOST`].
 const ENLARGED: i32 = 1000;
 const MOST: i32 = 1600;
 /// The largest cell, in pixels.
 const LARGEST_CELL: i32 = 12;
 
-/// The colour of what marks who is driven.
+/// The color that marks controlled agents.
 const DRIVEN: Rgb = [0xc8, 0x1e, 0xb4];
 
-/// An agent that is driven from outside, to be marked.
+/// A controlled agent to mark.
 #[derive(Clone, Debug)]
 pub struct Marked {
     /// Its position among the agents of the picture.
     pub agent: usize,
-    /// The cells that it has still to go, its goal the last.
+    /// The cells of its remaining route; the goal is the last.
     pub way: Vec<Cell>,
 }
 
 /// Draws overviews of one city.
 ///
-/// A picture is a line of numbers, the map with row and column numbers, and a legend. The longer side of the map
-/// becomes up to 1000 pixels (square-5x5: 4 pixels a cell, 974 x 964), with cells of at most 12. A map of more than
-/// 1600 cells is sampled down to at most 1600 pixels, so a picture takes at most 12 MB whatever the map; agents never
-/// shrink below some pixels. Beside every agent a coloured dot tells what it decided.
+/// A picture has a status line, the map with row and column numbers, and a legend. The longer side of the map is at
+/// most 1000 pixels (square-5x5: 4 pixels per cell, 974 x 964), with cells of at most 12. A map of more than 1600 cells
+/// is downsampled to at most 1600 pixels, so every picture takes at most 12 MB. Agents have a minimum size in pixels. A
+/// colored dot beside every agent shows its action.
 #[derive(Clone, Debug)]
 pub struct Overview {
-    /// All but the map.
+    /// The picture without the map.
     frame: Picture,
     map: Renderer,
-    /// Where the map is on the picture.
+    /// The place of the map on the picture.
     area: PixelBox,
-    /// Where the legend of the agents begins (left, top).
+    /// The top left corner of the legend of agents.
     agents: (i32, i32),
 }
 
 impl Overview {
-    /// Draws what does not change.
+    /// Draws the parts that do not change.
     ///
     /// # Errors
     /// If the map has no rows or no columns.
@@ -97,23 +97,24 @@ impl Overview {
         })
     }
 
-    /// Width and height of every picture in pixels.
+    /// Returns width and height of every picture, in pixels.
     pub fn size(&self) -> (u32, u32) {
         (self.frame.width(), self.frame.height())
     }
 
-    /// The picture of a state. It depends on the arguments alone, not on pictures drawn before.
+    /// Draws a state. The picture depends only on the arguments.
     ///
-    /// Cars lie under pedestrians, and otherwise agents that come later lie on those before. The first 300 agents get a
-    /// label, except where it would cover another one.
+    /// Pedestrians cover cars, and later agents cover earlier ones of the same type. The first 300 agents get a label,
+    /// except where it would cover another.
     pub fn draw(&self, tick: u64, agents: &[Sprite<'_>]) -> Picture {
         self.draw_marked(tick, agents, &[])
     }
 
-    /// The same, and who is driven stands in a frame, with a line along its way and a square around its goal.
+    /// Draws a state like [`Overview::draw`], and marks controlled agents: a frame, a line along the route, a square
+    /// around the goal.
     ///
     /// # Panics
-    /// If one who is driven is not among the agents.
+    /// If a marked agent is not among `agents`.
     pub fn draw_marked(&self, tick: u64, agents: &[Sprite<'_>], driven: &[Marked]) -> Picture {
         let mut picture = self.frame.clone();
         picture.lay(&self.map.draw(agents), self.area.x, self.area.y);
@@ -161,7 +162,7 @@ impl Overview {
         }
     }
 
-    /// The agents on the map in the order of drawing, each with what it covers of the picture.
+    /// Returns the agents on the map in drawing order, each with its box in the picture.
     fn figures<'a>(&self, agents: &[Sprite<'a>]) -> Vec<(Sprite<'a>, PixelBox)> {
         let on_picture = |agent: &Sprite<'a>| {
             let area = self.map.pixel_box(agent)?;
@@ -174,7 +175,7 @@ impl Overview {
     }
 }
 
-/// The edge of a rectangle, two pixels wide.
+/// Draws the edge of a rectangle, two pixels wide.
 fn frame(area: PixelBox, picture: &mut Picture) {
     let PixelBox { x, y, width, height } = area;
     let (right, bottom) = (x + width.cast_signed() - 2, y + height.cast_signed() - 2);
@@ -196,9 +197,9 @@ fn frame(area: PixelBox, picture: &mut Picture) {
     }
 }
 
-/// Row numbers left of the map and column numbers above it.
+/// Draws row numbers left of the map and column numbers above it.
 fn rulers(frame: &mut Picture, scale: Scale, map: PixelBox, (rows, cols): (i32, i32)) {
-    // Room for a number of five digits.
+    // Leaves room for a five-digit number.
     let step = [10, 20, 50, 100, 200, 500, 1000, 2000, 5000]
         .into_iter()
         .find(|&step| scale.length(step) >= 36)

@@ -1,4 +1,4 @@
-//! Icon packs: pictures and drawings of others, a folder a class.
+//! Icon packs: PNG and SVG files by third parties, one folder per class.
 
 use crate::render::class::Class;
 use resvg::tiny_skia::{IntSize, Pixmap, Transform};
@@ -11,33 +11,33 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 pub const PACK_FILE_MAX: usize = 4 << 20;
 /// The longest side of a picture in a pack, in pixels.
 const SIDE_MAX: u32 = 2048;
-/// The longest side of an icon that is kept, in pixels; drawings are painted at that size, once.
+/// The longest side of a stored icon, in pixels. Drawings are rasterized once at this size.
 const KEPT_MAX: u32 = 384;
-/// An icon is at most that many times as long as wide.
+/// The largest ratio of an icon's sides.
 const ASPECT_MAX: f32 = 6.0;
-/// The most XML nodes of a drawing, and the most of them that refer to others.
+/// The most XML nodes of a drawing, and the most `use` references among them.
 const NODES_MAX: u32 = 20_000;
 const USES_MAX: usize = 64;
-/// How deep elements lie in elements, with those that they refer to.
+/// The deepest nesting of elements, including referenced ones.
 const DEPTH_MAX: usize = 48;
 const SVG: &str = "http://www.w3.org/2000/svg";
 /// The most files of a pack.
 pub const PACK_FILES_MAX: usize = 2_000;
 
-/// What a pack does to the icons that are drawn by parameters.
+/// How a pack combines with generated icons.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// Its icons come in addition.
+    /// Adds the icons of the pack to the generated ones.
     Extend,
-    /// A class that it has shows only its icons.
+    /// Replaces the generated icons of the classes in the pack.
     Replace,
 }
 
 impl Mode {
-    /// Both.
+    /// Both modes.
     pub const ALL: [Mode; 2] = [Mode::Extend, Mode::Replace];
 
-    /// Its name on the command line.
+    /// Returns the name on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Mode::Extend => "extend",
@@ -46,12 +46,12 @@ impl Mode {
     }
 }
 
-/// A file of a pack that cannot be used.
+/// An unusable file of a pack.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PackFault {
-    /// Its path in the pack.
+    /// Path in the pack.
     pub file: String,
-    /// Why.
+    /// Why the file is unusable.
     pub reason: String,
 }
 
@@ -63,7 +63,7 @@ impl fmt::Display for PackFault {
 
 impl std::error::Error for PackFault {}
 
-/// Icons that were read. In a file a car heads up; the short side of its picture is the car's width.
+/// The icons of a pack. In a file, a car heads up and the short side of the picture is its width.
 #[derive(Clone, Debug)]
 pub struct Pack {
     mode: Mode,
@@ -71,11 +71,11 @@ pub struct Pack {
 }
 
 impl Pack {
-    /// Makes a pack of files, each with its path in the pack, `CLASS/NAME.png` or `CLASS/NAME.svg`. Within a class they are counted in
-    /// the order of their paths. A drawing is taken for what it is alone: it may name no other file, and show no text and no filters.
+    /// Builds a pack from files, each with its path in the pack, `CLASS/NAME.png` or `CLASS/NAME.svg`. The paths order
+    /// the instances of a class. A drawing must be self-contained, without references to other files, text or filters.
     ///
     /// # Errors
-    /// Every file that cannot be used, and why; a pack without icons.
+    /// All unusable files with reasons; a pack without icons.
     pub fn new(mode: Mode, mut files: Vec<(String, Vec<u8>)>) -> Result<Pack, Vec<PackFault>> {
         files.sort();
         let mut faults = Vec::new();
@@ -89,8 +89,9 @@ impl Pack {
         if classes.is_empty() && faults.is_empty() {
             faults.push(PackFault {
                 file: "*/*".into(),
-                reason: "there is none; a pack has a folder a class, such as `ambulance/1.png` or `bus+tiro/a.svg`"
-                    .into(),
+                reason:
+                    "no icons found; a pack has one folder per class, for example `ambulance/1.png` or `bus+tiro/a.svg`"
+                        .into(),
             });
         }
         if faults.is_empty() {
@@ -100,12 +101,12 @@ impl Pack {
         }
     }
 
-    /// What it does to the icons that are drawn.
+    /// Returns how the pack combines with generated icons.
     pub fn mode(&self) -> Mode {
         self.mode
     }
 
-    /// The classes it has icons of, each with their number.
+    /// Returns the classes in the pack, with their numbers of icons.
     pub fn classes(&self) -> impl Iterator<Item = (&Class, usize)> {
         self.classes.iter().map(|(class, icons)| (class, icons.len()))
     }
@@ -115,15 +116,15 @@ impl Pack {
     }
 }
 
-/// The class and the icon of a file, or why there is none.
+/// Reads the class and the icon of a file.
 fn icon(file: &str, bytes: &[u8]) -> Result<(Class, Pixmap), String> {
     let (folder, name) = file
         .split_once('/')
-        .ok_or("it lies in no folder; the folder is the class")?;
+        .ok_or("it is in no folder; the folder names the class")?;
     let class = Class::from_name(folder).ok_or_else(|| {
         let known: Vec<String> = Class::known().iter().map(Class::to_string).collect();
         format!(
-            "there is no class `{folder}`; there are {}, and concepts joined by `+`",
+            "unknown class `{folder}`; the classes are {}, and concepts joined by `+`",
             known.join(", ")
         )
     })?;
@@ -149,19 +150,19 @@ fn icon(file: &str, bytes: &[u8]) -> Result<(Class, Pixmap), String> {
 }
 
 fn picture(bytes: &[u8]) -> Result<Pixmap, String> {
-    let fault = |error: png::DecodingError| format!("not a PNG picture that can be read: {error}");
+    let fault = |error: png::DecodingError| format!("not a valid PNG: {error}");
     let mut decoder = png::Decoder::new(std::io::Cursor::new(bytes));
-    // Whatever the depth and the palette: bytes of grey or colours.
+    // Converts any depth and palette to 8-bit grayscale or color.
     decoder.set_transformations(png::Transformations::normalize_to_color8());
     let mut reader = decoder.read_info().map_err(fault)?;
     let (width, height) = (reader.info().width, reader.info().height);
-    // What is not decoded cannot be too much.
+    // Checks the size before decoding.
     if width.max(height) > SIDE_MAX {
         return Err(format!(
             "{width} x {height} pixels; no side may have more than {SIDE_MAX}"
         ));
     }
-    let mut data = vec![0; reader.output_buffer_size().ok_or("its size cannot be counted")?];
+    let mut data = vec![0; reader.output_buffer_size().ok_or("its size overflows")?];
     let info = reader.next_frame(&mut data).map_err(fault)?;
     let samples = info.color_type.samples();
     let pixels = data
@@ -181,10 +182,10 @@ fn picture(bytes: &[u8]) -> Result<Pixmap, String> {
     #[allow(clippy::cast_precision_loss)]
     check_aspect(width as f32, height as f32)?;
     let size = IntSize::from_wh(width, height).ok_or("it has no pixels")?;
-    Pixmap::from_vec(pixels.collect(), size).ok_or_else(|| "it ends too soon".into())
+    Pixmap::from_vec(pixels.collect(), size).ok_or_else(|| "it is truncated".into())
 }
 
-/// Refuses what is too long for its width, since what is turned takes a square.
+/// Rejects extreme aspect ratios, because a rotated icon needs a square.
 fn check_aspect(width: f32, height: f32) -> Result<(), String> {
     match width.max(height) > width.min(height) * ASPECT_MAX {
         true => Err(format!(
@@ -196,7 +197,7 @@ fn check_aspect(width: f32, height: f32) -> Result<(), String> {
 
 fn drawing(bytes: &[u8]) -> Result<Pixmap, String> {
     let text = std::str::from_utf8(bytes).map_err(|_| "not UTF-8 text")?;
-    // Neither entities, which can grow without bounds, nor more nodes than a drawing needs.
+    // Forbids entities, which can expand without bounds, and limits the nodes.
     let limits = roxmltree::ParsingOptions {
         allow_dtd: false,
         nodes_limit: NODES_MAX,
@@ -220,25 +221,25 @@ fn drawing(bytes: &[u8]) -> Result<Pixmap, String> {
     let extent = tree.root().abs_stroke_bounding_box();
     let far = [extent.left(), extent.top(), extent.right(), extent.bottom()];
     if far.into_iter().any(|at| at.abs() > 100.0 * width.max(height)) {
-        return Err("it reaches more than 100 times as far as what is shown".into());
+        return Err("it extends more than 100 times beyond its view box".into());
     }
     if tree.root().children().is_empty() {
-        return Err("nothing is drawn in it".into());
+        return Err("it draws nothing".into());
     }
     #[allow(clippy::cast_precision_loss)]
     let scale = KEPT_MAX as f32 / width.max(height);
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
     let side = |length: f32| ((length * scale).round() as u32).clamp(1, KEPT_MAX);
     let mut pixmap = Pixmap::new(side(width), side(height)).ok_or("it has no size")?;
-    // Painters assert what coordinates without bounds can break, in clips and masks too, which have no extent here.
+    // The rasterizer panics on extreme coordinates, also in clips and masks, which have no extent here.
     let painted = catch_unwind(AssertUnwindSafe(|| {
         resvg::render(&tree, Transform::from_scale(scale, scale), &mut pixmap.as_mut());
     }));
-    painted.map_err(|_| "it cannot be drawn: look for numbers that are very large or very small")?;
+    painted.map_err(|_| "it cannot be drawn; check it for very large or very small numbers")?;
     Ok(pixmap)
 }
 
-/// Refuses elements that show what is not in the drawing, or that take long.
+/// Rejects elements with external or expensive content.
 fn check_elements(document: &roxmltree::Document<'_>) -> Result<(), String> {
     let mut uses = 0;
     let patterns = document.descendants().any(|node| node.has_tag_name((SVG, "pattern")));
@@ -246,9 +247,9 @@ fn check_elements(document: &roxmltree::Document<'_>) -> Result<(), String> {
         let name = node.tag_name().name();
         let fault = |why: String| Err(format!("line {}: {why}", document.text_pos_at(node.range().start).row));
         match name {
-            "image" | "feImage" => return fault(format!("`{name}` shows another picture; draw it instead")),
-            "text" => return fault("text is not shown; turn it into paths".into()),
-            "filter" | "foreignObject" | "script" => return fault(format!("`{name}` is not taken")),
+            "image" | "feImage" => return fault(format!("`{name}` embeds another picture; draw it instead")),
+            "text" => return fault("text is not supported; convert it to paths".into()),
+            "filter" | "foreignObject" | "script" => return fault(format!("`{name}` is not supported")),
             "use" => uses += 1,
             _ => {}
         }
@@ -261,7 +262,7 @@ fn check_elements(document: &roxmltree::Document<'_>) -> Result<(), String> {
         if foreign || outside(style) {
             return fault(format!("`{name}` refers to another file"));
         }
-        // How deep these lead is not seen in the elements.
+        // The elements do not show the depth of these references.
         let deep = ["mask", "clip-path", "marker"];
         if let Some(property) = deep.into_iter().find(|property| style.contains(property)) {
             return fault(format!("`{property}` in a style sheet; write it as an attribute"));
@@ -271,22 +272,22 @@ fn check_elements(document: &roxmltree::Document<'_>) -> Result<(), String> {
         }
     }
     if uses > USES_MAX {
-        return Err(format!("{uses} elements `use`; there may be {USES_MAX}"));
+        return Err(format!("{uses} `use` elements; the limit is {USES_MAX}"));
     }
     Ok(())
 }
 
-/// What stands in `url(..)`.
+/// Returns the contents of `url(..)`.
 fn urls(text: &str) -> impl Iterator<Item = &str> {
     let inner = |rest: &'_ str| -> Option<usize> { rest.find(')') };
     (text.split("url(").skip(1))
         .map(move |rest| rest[..inner(rest).unwrap_or(rest.len())].trim_matches([' ', '\'', '"']))
 }
 
-/// Refuses elements within elements, and references from them to others, that are too deep: whoever draws them goes as deep.
+/// Rejects elements and references nested too deep, because the rasterizer recurses as deep.
 fn check_depth(document: &roxmltree::Document<'_>) -> Result<(), String> {
     type Node<'a> = roxmltree::Node<'a, 'a>;
-    /// How deep it goes below a node; `None` if that is too deep.
+    /// Returns the depth below a node; `None` if it exceeds `left`.
     fn below<'a>(
         node: Node<'a>,
         left: usize,
@@ -315,13 +316,11 @@ fn check_depth(document: &roxmltree::Document<'_>) -> Result<(), String> {
         .collect();
     match below(document.root_element(), DEPTH_MAX, &ids, &mut BTreeMap::new()) {
         Some(_) => Ok(()),
-        None => Err(format!(
-            "elements within elements, or references to others, are more than {DEPTH_MAX} deep"
-        )),
+        None => Err(format!("elements and references nest more than {DEPTH_MAX} deep")),
     }
 }
 
-/// A picture made smaller by averaging; no side grows.
+/// Returns a picture downsampled by averaging; no side grows.
 pub(super) fn shrunk(picture: &Pixmap, width: u32, height: u32) -> Pixmap {
     let (from_w, from_h) = (picture.width(), picture.height());
     let (width, height) = (width.min(from_w), height.min(from_h));
@@ -392,16 +391,16 @@ mod tests {
             (
                 "plane/1.png",
                 String::new(),
-                "no class `plane`; there are car, ambulance,",
+                "unknown class `plane`; the classes are car, ambulance,",
             ),
             ("car/1.gif", String::new(), "neither `.png` nor `.svg`"),
-            ("car/1.png", "no".into(), "not a PNG picture"),
+            ("car/1.png", "no".into(), "not a valid PNG"),
             ("car/1.svg", "<svg".into(), "not an SVG drawing"),
-            ("car/1.svg", svg(""), "nothing is drawn"),
+            ("car/1.svg", svg(""), "draws nothing"),
             ("car/1.svg", long, "more than 6 times"),
             ("car/1.svg", svg("\n<image href='/etc/passwd'/>"), "line 2: `image`"),
-            ("car/1.svg", svg("<text>a</text>"), "turn it into paths"),
-            ("car/1.svg", svg("<filter/>"), "`filter` is not taken"),
+            ("car/1.svg", svg("<text>a</text>"), "convert it to paths"),
+            ("car/1.svg", svg("<filter/>"), "`filter` is not supported"),
             (
                 "car/1.svg",
                 svg("<use xlink:href='other.svg#a'/>"),
@@ -413,7 +412,7 @@ mod tests {
                 "refers to another file",
             ),
             ("car/1.svg", svg("<style>@import 'a'</style>"), "refers to another file"),
-            ("car/1.svg", svg(&"<use href='#a'/>".repeat(65)), "65 elements `use`"),
+            ("car/1.svg", svg(&"<use href='#a'/>".repeat(65)), "65 `use` elements"),
             ("car/1.svg", svg(&bomb), "not an SVG drawing"),
             ("car/1.svg", nested, "not an SVG drawing"),
             ("car/1.svg", deep, "more than 48 deep"),
@@ -431,14 +430,14 @@ mod tests {
             ),
             ("car/1.svg", entities.into(), "not an SVG drawing"),
         ] {
-            let told = fault(file, bytes.as_bytes());
-            assert!(told.contains(reason), "{told}");
+            let message = fault(file, bytes.as_bytes());
+            assert!(message.contains(reason), "{message}");
         }
         assert!(fault("car/1.svg", &vec![b' '; PACK_FILE_MAX + 1]).contains("larger than 4 MiB"));
         assert!(
             Pack::new(Mode::Replace, Vec::new()).expect_err("empty")[0]
                 .reason
-                .contains("there is none")
+                .contains("no icons found")
         );
     }
 

@@ -1,25 +1,25 @@
-//! Pedestrians as figures, drawn by parameters. A figure stands in a square of side 1 around the origin.
+//! Parametric drawings of pedestrians. A figure stands in a square of side 1 around the origin.
 
 use crate::render::sketch::{Dice, Ink, Sketch};
 use crate::rng::Rng;
 
-/// What a pedestrian's concepts are.
+/// The concepts of a pedestrian.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Features {
     pub(super) old: bool,
     pub(super) young: bool,
 }
 
-/// From where a figure is seen.
+/// The side of a figure that the viewer sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
-    /// It comes down the picture.
+    /// It walks down the picture.
     Front,
-    /// It goes up.
+    /// It walks up.
     Back,
-    /// It goes to the left.
+    /// It walks to the left.
     Left,
-    /// It goes to the right.
+    /// It walks to the right.
     Right,
 }
 
@@ -34,7 +34,7 @@ const BRIGHT: [u32; 8] = [
 const MUTED: [u32; 7] = [0x7b6a57, 0x5f6b5d, 0x6a6f7c, 0x8c7d6a, 0x74596a, 0xa39a86, 0x4d5a68];
 const TROUSERS: [u32; 6] = [0x2b3346, 0x3c3a38, 0x54606f, 0x6b5a48, 0x1f2226, 0x7d828a];
 
-/// Draws a pedestrian. `noise` is the difficulty, 0..=1: the higher, the more often clothes are those that others wear.
+/// Draws a pedestrian. `noise` is the difficulty, 0..=1: more of it makes the types share clothes.
 pub(super) fn draw<R: Rng>(features: &Features, side: Side, dice: &mut Dice<R>, noise: f32) -> Sketch {
     let Features { old, young } = *features;
     let adult_coat = dice.ink(&CLOTHES);
@@ -115,7 +115,7 @@ struct Figure<'a, R> {
 }
 
 impl<R: Rng> Figure<'_, R> {
-    /// -1 if it looks to the left, else 1.
+    /// Returns -1 if the figure faces left, else 1.
     fn ahead(&self) -> f32 {
         if self.side == Side::Left { -1.0 } else { 1.0 }
     }
@@ -124,7 +124,7 @@ impl<R: Rng> Figure<'_, R> {
         matches!(self.side, Side::Left | Side::Right)
     }
 
-    /// A height: 0 the top of the head, 1 the feet.
+    /// Returns a height: 0 is the top of the head, 1 the feet.
     fn level(&self, share: f32) -> f32 {
         self.foot - self.tall * (1.0 - share)
     }
@@ -138,7 +138,7 @@ impl<R: Rng> Figure<'_, R> {
         shoulder + 0.52 * (self.foot - shoulder)
     }
 
-    /// The middle of the head.
+    /// Returns the center of the head.
     fn head_middle(&self) -> (f32, f32) {
         (self.ahead() * self.lean, self.level(0.0) + self.head + 0.4 * self.lean)
     }
@@ -251,7 +251,7 @@ impl<R: Rng> Figure<'_, R> {
                     self.hair.lit(-0.1),
                 );
             } else {
-                // In profile it falls on the back only.
+                // In profile it falls only on the back.
                 let (near, far) = if self.in_profile() {
                     (-ahead * 0.1, -ahead * 1.15)
                 } else {
@@ -324,7 +324,7 @@ impl<R: Rng> Figure<'_, R> {
         }
     }
 
-    /// The stick of the old, in some hands a walking frame.
+    /// Draws the cane of an old figure, in some hands a walker.
     fn cane(&mut self) {
         let (ahead, hip, foot) = (self.ahead(), self.hip(), self.foot);
         let wood = self.dice.ink(&[0x5b3a1e, 0x2b2220, 0x8a5c2c]);
@@ -353,7 +353,7 @@ impl<R: Rng> Figure<'_, R> {
             ];
             self.sketch.line(&bow, 0.04, wood);
         }
-        // The hand that holds it.
+        // The hand on the cane.
         let shoulder = self.shoulder();
         let arm = [
             (ahead * 0.1, shoulder + 0.07),
@@ -364,7 +364,7 @@ impl<R: Rng> Figure<'_, R> {
         self.sketch.oval(x - ahead * 0.05, hip - 0.05, 0.042, 0.042, self.skin);
     }
 
-    /// What an adult carries: a case, a bag, or nothing; or a hat.
+    /// Draws what an adult carries: a case, a bag, a hat, or nothing.
     fn carried(&mut self) {
         let (hip, ahead) = (self.hip(), self.ahead());
         let ((x, y), r) = (self.head_middle(), self.head);
@@ -401,7 +401,7 @@ impl<R: Rng> Figure<'_, R> {
         }
     }
 
-    /// The satchel on a child's back.
+    /// Draws the satchel on a child's back.
     fn satchel_behind(&mut self) {
         let (shoulder, hip) = (self.shoulder(), self.hip());
         let ink = self.dice.ink(&BRIGHT).lit(-0.1);
@@ -416,7 +416,7 @@ impl<R: Rng> Figure<'_, R> {
         );
     }
 
-    /// A cap, pigtails, or a balloon.
+    /// Draws a cap, pigtails or a balloon.
     fn toy(&mut self) {
         let ((x, y), r, ahead) = (self.head_middle(), self.head, self.ahead());
         let ink = self.dice.ink(&BRIGHT);

@@ -1,4 +1,4 @@
-//! Pixels, and how to put icons, rectangles and text on them.
+//! Pixels, and operations that draw icons, rectangles and text on them.
 
 use crate::render::icon::{PixelBox, Stamp};
 use embedded_graphics::Pixel;
@@ -13,7 +13,7 @@ use std::convert::Infallible;
 /// Red, green and blue.
 pub(super) type Rgb = [u8; 3];
 
-/// A picture: red, green and blue of every pixel, row after row.
+/// An RGB picture, row by row.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Picture {
     width: u32,
@@ -22,7 +22,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// A picture of one colour.
+    /// Returns a picture of one color.
     pub(super) fn new(width: u32, height: u32, rgb: Rgb) -> Picture {
         Picture {
             width,
@@ -31,39 +31,39 @@ impl Picture {
         }
     }
 
-    /// A picture of three bytes a pixel.
+    /// Returns a picture of the given RGB bytes.
     pub(super) fn from_pixels(width: u32, height: u32, pixels: Vec<u8>) -> Picture {
         debug_assert_eq!(pixels.len(), 3 * width as usize * height as usize);
         Picture { width, height, pixels }
     }
 
-    /// Width in pixels.
+    /// Returns the width in pixels.
     pub fn width(&self) -> u32 {
         self.width
     }
 
-    /// Height in pixels.
+    /// Returns the height in pixels.
     pub fn height(&self) -> u32 {
         self.height
     }
 
-    /// Three bytes a pixel, `width` x `height` pixels, the top row first.
+    /// Returns three bytes per pixel, `width` x `height` pixels, the top row first.
     pub fn pixels(&self) -> &[u8] {
         &self.pixels
     }
 
-    /// The bytes, without a copy.
+    /// Returns the bytes without a copy.
     pub fn into_pixels(self) -> Vec<u8> {
         self.pixels
     }
 
-    /// Becomes a copy of another picture, in the memory it has.
+    /// Copies another picture and reuses this one's memory.
     pub(super) fn copy_from(&mut self, other: &Picture) {
         (self.width, self.height) = (other.width, other.height);
         self.pixels.clone_from(&other.pixels);
     }
 
-    /// The part of a rectangle that is on the picture: columns and rows.
+    /// Returns the columns and rows of a rectangle that are on the picture.
     fn clip(&self, area: PixelBox) -> Option<(usize, usize, usize, usize)> {
         let PixelBox { x, y, width, height } = area.clipped(self.width, self.height)?;
         Some((
@@ -92,7 +92,7 @@ impl Picture {
         }
     }
 
-    /// Lays a picture over a part of this one.
+    /// Copies a picture onto a part of this one.
     pub(super) fn lay(&mut self, other: &Picture, x: i32, y: i32) {
         let area = PixelBox {
             x,
@@ -111,7 +111,7 @@ impl Picture {
         }
     }
 
-    /// Lays an icon over the picture, its middle at a place.
+    /// Blends an icon onto the picture, centered on a place.
     pub(super) fn stamp(&mut self, stamp: &Stamp, x: i32, y: i32) {
         let area = PixelBox {
             x: x.saturating_add(stamp.area.x),
@@ -134,7 +134,7 @@ impl Picture {
                     _ => {
                         let rest = 255 - u32::from(alpha);
                         for (below, over) in below.iter_mut().zip([r, g, b]) {
-                            // At most 255, since no channel exceeds the opacity.
+                            // At most 255, because no channel exceeds the opacity.
                             *below = over + ((u32::from(*below) * rest + 127) / 255) as u8;
                         }
                     }
@@ -143,7 +143,7 @@ impl Picture {
         }
     }
 
-    /// One line of text; `x` is its left edge, centre or right edge and `y` its middle.
+    /// Draws one line of text; `x` is its left edge, center or right edge and `y` its middle.
     pub(super) fn text(&mut self, text: &str, (x, y): (i32, i32), font: &MonoFont<'_>, rgb: Rgb, align: Alignment) {
         let style = TextStyleBuilder::new()
             .alignment(align)
@@ -154,12 +154,12 @@ impl Picture {
     }
 }
 
-/// How far a place on the picture is from the start of what is laid there, which may be off the picture.
+/// Returns how far a place on the picture is from the start of an overlay, which may be off the picture.
 fn skipped(at: usize, start: i32) -> usize {
     (at as i64 - i64::from(start)).unsigned_abs() as usize
 }
 
-/// A picture as something to draw on; apart from [`Picture`] so that the drawing crate stays out of the public interface.
+/// A draw target over [`Picture`]; keeps the drawing crate out of the public interface.
 struct Target<'a>(&'a mut Picture);
 
 impl OriginDimensions for Target<'_> {

@@ -1,4 +1,4 @@
-//! Pictures of one view of a map: the ground once, the agents every time.
+//! Pictures of one view of a map: draws the ground once and the agents every time.
 
 use crate::city::AgentKind;
 use crate::city::CityMap;
@@ -11,7 +11,7 @@ use crate::render::view::Viewport;
 use crate::rng::Seed;
 use std::sync::Arc;
 
-/// Tells where agents are in pictures of one view of one map, and draws none.
+/// Computes where agents are in pictures of one view of one map, without drawing.
 #[derive(Clone, Debug)]
 pub struct Placement {
     icons: Arc<Icons>,
@@ -21,7 +21,7 @@ pub struct Placement {
 }
 
 impl Placement {
-    /// For pictures with these icons.
+    /// Returns the placement for pictures with these icons.
     pub fn new(map: &CityMap, icons: Arc<Icons>, view: Viewport) -> Placement {
         Placement {
             icons,
@@ -30,12 +30,12 @@ impl Placement {
         }
     }
 
-    /// The icons.
+    /// Returns the icons.
     pub fn icons(&self) -> &Arc<Icons> {
         &self.icons
     }
 
-    /// As [`Renderer::boxes`].
+    /// Returns the boxes of [`Renderer::boxes`].
     pub fn boxes(&self, agents: &[Sprite<'_>]) -> Vec<Option<PixelBox>> {
         agents.iter().map(|agent| self.pixel_box(agent)).collect()
     }
@@ -58,7 +58,7 @@ impl Placement {
         Some(Placed { stamp, x, y })
     }
 
-    /// The middle of its icon; `None` if it is off the map or far off the picture.
+    /// Returns the center of the agent's icon; `None` if it is off the map or far off the picture.
     fn middle(&self, agent: &Sprite<'_>) -> Option<(i32, i32)> {
         let (rows, cols) = self.cells;
         let on_map = (0..rows).contains(&agent.at.row) && (0..cols).contains(&agent.at.col);
@@ -75,8 +75,8 @@ impl Placement {
 
 /// Draws pictures of one view of one map.
 ///
-/// The ground is drawn once, and every icon once; a picture is a copy of the ground with icons laid over it. It is a function of map,
-/// icons, view, ground and agents, whatever was drawn before, on however many threads.
+/// Draws the ground once and every icon once; a picture is a copy of the ground with icons on top. It depends only on
+/// map, icons, view, ground and agents, not on earlier pictures or the number of threads.
 #[derive(Clone, Debug)]
 pub struct Renderer {
     placement: Placement,
@@ -86,19 +86,19 @@ pub struct Renderer {
 /// An icon at its place.
 struct Placed {
     stamp: Arc<Stamp>,
-    /// Its middle.
+    /// Its center.
     x: i32,
     y: i32,
 }
 
 impl Renderer {
-    /// Draws the ground, its textures by the seed of the icons.
+    /// Draws the ground with textures from the icons' seed.
     pub fn new(map: &CityMap, icons: Arc<Icons>, view: Viewport) -> Renderer {
         let look = Look::of(&icons);
         Renderer::with_look(map, Placement::new(map, icons, view), look)
     }
 
-    /// The same for a ground of its own: a seed says what textures it has and which instance of its class each building is.
+    /// Draws a ground of its own: `seed` determines the textures and the instance of each building.
     pub fn with_ground(map: &CityMap, placement: Placement, seed: Seed) -> Renderer {
         Renderer::with_look(map, placement, Look::drawn(seed))
     }
@@ -110,29 +110,29 @@ impl Renderer {
         }
     }
 
-    /// What it shows.
+    /// Returns the view.
     pub fn view(&self) -> &Viewport {
         &self.placement.view
     }
 
-    /// The icons it draws with.
+    /// Returns the icons.
     pub fn icons(&self) -> &Arc<Icons> {
         &self.placement.icons
     }
 
-    /// The picture without agents.
+    /// Returns the picture without agents.
     pub fn ground(&self) -> &Picture {
         &self.ground
     }
 
-    /// The picture of some agents. Cars lie under pedestrians, and otherwise agents that come later lie on those before.
+    /// Draws agents. Pedestrians cover cars, and later agents cover earlier ones of the same type.
     pub fn draw(&self, agents: &[Sprite<'_>]) -> Picture {
         let mut picture = self.ground.clone();
         self.add_agents(agents, &mut picture);
         picture
     }
 
-    /// The same in the memory of an earlier picture.
+    /// Draws agents like [`Renderer::draw`] and reuses the memory of `picture`.
     pub fn draw_into(&self, agents: &[Sprite<'_>], picture: &mut Picture) {
         picture.copy_from(&self.ground);
         self.add_agents(agents, picture);
@@ -148,7 +148,8 @@ impl Renderer {
         }
     }
 
-    /// What each agent covers, without shadow and skid marks, clipped to the picture; `None` if it is off the map or the picture.
+    /// Returns the box of each agent, without shadow and skid marks, clipped to the picture; `None` if it is off the
+    /// map or the picture.
     pub fn boxes(&self, agents: &[Sprite<'_>]) -> Vec<Option<PixelBox>> {
         self.placement.boxes(agents)
     }
@@ -192,7 +193,7 @@ mod tests {
         CityMap::generate(&config).unwrap_or_else(|fault| panic!("{fault:?}"))
     }
 
-    /// The picture pixel by pixel, nothing drawn before or kept.
+    /// Reference implementation: draws pixel by pixel without caches.
     fn slowly(map: &CityMap, icons: &dyn Fn() -> Icons, view: &Viewport, look: Look, agents: &[Sprite<'_>]) -> Vec<u8> {
         let (width, height) = view.size();
         let mut pixels = vec![0; 3 * (width * height) as usize];

@@ -1,4 +1,4 @@
-//! A contact sheet: some instances of every class, with names.
+//! A contact sheet: instances of every class, with names.
 
 use crate::city::AgentKind;
 use crate::render::class::{Class, Facing, Subject};
@@ -7,15 +7,15 @@ use crate::render::picture::Picture;
 use embedded_graphics::mono_font::iso_8859_1::{FONT_6X10, FONT_9X15_BOLD};
 use embedded_graphics::text::Alignment;
 
-/// Instances of a class in a row.
+/// Instances per class, in one row.
 const COUNT: u32 = 8;
 /// Side of the square around an instance, and width of the names, in pixels.
 const SLOT: u32 = 100;
 const NAMES: u32 = 150;
 const GAP: i32 = 12;
 
-/// Draws eight instances of every class that has looks of its own or is in `more`. Cars are shown in eight facings, pedestrians from
-/// their sides and the front.
+/// Draws eight instances of every class with its own looks and of the classes in `more`. Cars appear in eight facings,
+/// pedestrians from both sides and the front.
 pub fn sheet(icons: &Icons, more: &[Class]) -> Picture {
     let mut classes = Class::known();
     for class in more {
@@ -69,7 +69,7 @@ pub fn sheet(icons: &Icons, more: &[Class]) -> Picture {
     picture
 }
 
-/// The middle of what an icon covers, seen from its own.
+/// Returns the center of an icon's area, relative to the icon's origin.
 fn centre(stamp: &Stamp) -> (i32, i32) {
     let PixelBox { x, y, width, height } = stamp.area;
     (x + width.cast_signed() / 2, y + height.cast_signed() / 2)

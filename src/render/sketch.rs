@@ -1,4 +1,4 @@
-//! Drawings that have no size yet: shapes in units of their own, painted one over another at any scale and heading.
+//! Resolution-independent drawings: shapes that paint in order, at any scale and heading.
 
 use crate::rng::{Rng, RngExt};
 use resvg::tiny_skia::{
@@ -6,7 +6,7 @@ use resvg::tiny_skia::{
     Point, Rect, Shader, SpreadMode, Stroke, Transform,
 };
 
-/// A colour and its opacity.
+/// A color and its opacity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Ink {
     pub(super) rgb: [u8; 3],
@@ -17,7 +17,7 @@ impl Ink {
     pub(super) const WHITE: Ink = Ink::hex(0x00ff_ffff);
     pub(super) const BLACK: Ink = Ink::hex(0);
 
-    /// An opaque colour, as `0xrrggbb`.
+    /// Returns an opaque color, given as `0xrrggbb`.
     pub(super) const fn hex(rgb: u32) -> Ink {
         let [_, r, g, b] = rgb.to_be_bytes();
         Ink {
@@ -26,7 +26,7 @@ impl Ink {
         }
     }
 
-    /// An opaque colour by hue in turns, saturation and lightness, both 0..=1.
+    /// Returns an opaque color by hue in turns, and saturation and lightness, both 0..=1.
     pub(super) fn hsl(hue: f32, saturation: f32, lightness: f32) -> Ink {
         let reach = saturation * lightness.min(1.0 - lightness);
         let channel = |shift: f32| {
@@ -39,7 +39,7 @@ impl Ink {
         }
     }
 
-    /// Between this colour (0) and another (1).
+    /// Interpolates between this color (0) and another (1).
     pub(super) fn mix(self, other: Ink, share: f32) -> Ink {
         let blend = |a: u8, b: u8| byte(f32::from(a) + (f32::from(b) - f32::from(a)) * share);
         let [r, g, b] = [0, 1, 2].map(|channel| blend(self.rgb[channel], other.rgb[channel]));
@@ -49,12 +49,12 @@ impl Ink {
         }
     }
 
-    /// Towards white if `by` is positive, towards black if it is negative; -1..=1.
+    /// Mixes with white if `by` is positive, with black if it is negative; -1..=1.
     pub(super) fn lit(self, by: f32) -> Ink {
         self.mix(if by > 0.0 { Ink::WHITE } else { Ink::BLACK }, by.abs())
     }
 
-    /// Of that opacity, 0..=1.
+    /// Returns the color with this opacity, 0..=1.
     pub(super) fn faint(self, opacity: f32) -> Ink {
         Ink {
             alpha: byte(255.0 * opacity),
@@ -68,19 +68,19 @@ impl Ink {
     }
 }
 
-/// The nearest byte.
+/// Returns the nearest byte.
 pub(super) fn byte(value: f32) -> u8 {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
     let byte = (value + 0.5).clamp(0.0, 255.0) as u8;
     byte
 }
 
-/// Draws from a stream what a drawing is made of.
+/// Random choices for drawings, from a stream.
 pub(super) struct Dice<R>(pub(super) R);
 
 impl<R: Rng> Dice<R> {
     pub(super) fn between(&mut self, low: f32, high: f32) -> f32 {
-        // 24 bits, so that the quotient is exact and the same everywhere.
+        // 24 bits make the quotient exact and the same on all platforms.
         let bits: u32 = self.0.random();
         #[allow(clippy::cast_precision_loss)]
         let share = (bits >> 8) as f32 / (1 << 24) as f32;
@@ -99,7 +99,7 @@ impl<R: Rng> Dice<R> {
         from[self.below(from.len())]
     }
 
-    /// One of some colours, a little lighter, darker or greyer.
+    /// Returns one of the colors, slightly varied in lightness and tint.
     pub(super) fn ink(&mut self, from: &[u32]) -> Ink {
         let ink = Ink::hex(self.pick(from));
         let tint = Ink::hsl(self.between(0.0, 1.0), 0.5, 0.5);
@@ -110,33 +110,34 @@ impl<R: Rng> Dice<R> {
 /// Left, top, right, bottom.
 pub(super) type Edges = [f32; 4];
 
-/// Shapes, painted in the order they were added.
+/// Shapes, painted in the order of insertion.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sketch {
     shapes: Vec<(Path, Paint<'static>)>,
-    /// Whether shapes that are added show only where there is something below them.
+    /// Whether new shapes show only over painted areas.
     inside: bool,
 }
 
 impl Sketch {
-    /// From now on shapes show only where something has been painted.
+    /// Restricts the following shapes to painted areas.
     pub(super) fn stay_inside(&mut self) {
         self.inside = true;
     }
 
-    /// From now on shapes show everywhere.
+    /// Lets the following shapes show everywhere.
     pub(super) fn go_outside(&mut self) {
         self.inside = false;
     }
 
-    /// Paints everything.
+    /// Paints all shapes.
     pub(super) fn paint(&self, on: &mut Pixmap, transform: Transform) {
         for (path, paint) in &self.shapes {
             on.fill_path(path, paint, FillRule::Winding, transform, None);
         }
     }
 
-    /// Leaves out what shows only where something has been painted. The opacities of all pixels are those of [`Sketch::paint`].
+    /// Paints all shapes except those restricted to painted areas. All pixels get the same opacities as with
+    /// [`Sketch::paint`].
     pub(super) fn paint_outline(&self, on: &mut Pixmap, transform: Transform) {
         let outside = (self.shapes.iter()).filter(|(_, paint)| paint.blend_mode == BlendMode::SourceOver);
         for (path, paint) in outside {
@@ -168,7 +169,7 @@ impl Sketch {
         self.fill(rectangle(edges).map(PathBuilder::from_rect), ink);
     }
 
-    /// A rectangle that fades from one colour to another, from left to right or from top to bottom.
+    /// Adds a rectangle with a color gradient, from left to right or from top to bottom.
     pub(super) fn fade(&mut self, edges: Edges, from: Ink, to: Ink, downwards: bool) {
         let [left, top, right, bottom] = edges;
         let end = if downwards { (left, bottom) } else { (right, top) };
@@ -185,7 +186,7 @@ impl Sketch {
         }
     }
 
-    /// A rectangle with round corners.
+    /// Adds a rectangle with round corners.
     pub(super) fn round(&mut self, [left, top, right, bottom]: Edges, radius: f32, ink: Ink) {
         let r = radius.min((right - left) / 2.0).min((bottom - top) / 2.0);
         let mut path = PathBuilder::new();
@@ -214,7 +215,7 @@ impl Sketch {
         self.fill(path.finish(), ink);
     }
 
-    /// A closed curve that touches the sides between the points in their middles.
+    /// Adds a closed curve that touches the midpoint of each side between the points.
     pub(super) fn blob(&mut self, points: &[(f32, f32)], ink: Ink) {
         let middle = |(ax, ay): (f32, f32), (bx, by): (f32, f32)| ((ax + bx) / 2.0, (ay + by) / 2.0);
         let mut path = PathBuilder::new();
@@ -230,7 +231,7 @@ impl Sketch {
         self.fill(path.finish(), ink);
     }
 
-    /// A line through points, with round ends.
+    /// Adds a line through points, with round ends.
     pub(super) fn line(&mut self, points: &[(f32, f32)], width: f32, ink: Ink) {
         let mut path = PathBuilder::new();
         follow(&mut path, points);
@@ -240,11 +241,11 @@ impl Sketch {
             line_join: LineJoin::Round,
             ..Stroke::default()
         };
-        // The resolution says how finely curves are cut: enough for units that become some hundred pixels.
+        // The resolution of curves suffices for units of some hundred pixels.
         self.fill(path.finish().and_then(|path| path.stroke(&stroke, 200.0)), ink);
     }
 
-    /// Capital letters and digits around a middle; other characters leave a gap.
+    /// Adds capital letters and digits around a center; other characters leave a gap.
     pub(super) fn letters(&mut self, text: &str, (x, y): (f32, f32), high: f32, bold: f32, ink: Ink) {
         #[allow(clippy::cast_precision_loss)]
         let count = text.chars().count() as f32;
@@ -284,7 +285,7 @@ fn follow(path: &mut PathBuilder, points: &[(f32, f32)]) {
     }
 }
 
-/// The lines of a letter on a grid of 3 columns and 5 rows: points as column and row, lines apart by `|`.
+/// Returns the lines of a letter on a grid of 3 columns and 5 rows: points as column and row, with `|` between lines.
 const fn strokes(letter: char) -> &'static str {
     match letter {
         'A' => "04 01 10 21 24|02 22",

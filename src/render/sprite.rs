@@ -1,31 +1,31 @@
-//! What a picture is told of an agent.
+//! The description of an agent for pictures.
 
 use crate::city::{Action, AgentKind};
 use crate::city::{Agent, Cell};
 use crate::render::class::{Class, Facing};
 
-/// What a picture shows of an agent.
+/// An agent as a picture shows it.
 #[derive(Clone, Copy, Debug)]
 pub struct Sprite<'a> {
-    /// Its name. `Car_12` is labelled `C12`, `Pedestrian_3` is labelled `P3`; any other name labels itself, shortened.
+    /// Name. The label is `C12` for `Car_12`, `P3` for `Pedestrian_3`, else the shortened name.
     pub name: &'a str,
-    /// What it is.
+    /// Agent type.
     pub kind: AgentKind,
-    /// Its concepts, for example `ambulance`; all of them show.
+    /// Concepts, for example `ambulance`; all of them show.
     pub concepts: &'a [String],
-    /// Where it is. An agent off the map is not drawn.
+    /// Cell. Pictures omit agents off the map.
     pub at: Cell,
-    /// Where it faces.
+    /// Facing.
     pub facing: Facing,
-    /// Which instance of its class it is shown as.
+    /// Instance of the class.
     pub instance: u32,
-    /// What it decided; `None` if nothing yet. Only an [`Overview`](super::Overview) shows it.
+    /// Action, `None` before the first decision. Only an [`Overview`](super::Overview) shows it.
     pub action: Option<Action>,
 }
 
 impl<'a> Sprite<'a> {
-    /// An agent as it is, its name, and what it decided. It faces as it came; where its route turns, halfway to where it goes on, and it
-    /// stays so while it stops there. Its number says which instance shows it.
+    /// Returns the sprite of an agent with its name and action. The agent faces along its last move; where its route
+    /// turns, it faces halfway between both headings, also while it waits there. Its number selects the instance.
     pub fn of(agent: &'a Agent, name: &'a str, action: Option<Action>) -> Sprite<'a> {
         Sprite {
             name,
@@ -38,7 +38,7 @@ impl<'a> Sprite<'a> {
         }
     }
 
-    /// What it is shown as.
+    /// Returns the class of its icon.
     pub fn class(&self) -> Class {
         Class::agent(self.kind, self.concepts)
     }

@@ -1,26 +1,26 @@
-//! Which cells a picture shows, and how large.
+//! The cells that a picture shows, and their size.
 
 use crate::city::{Cell, CityMap};
 use crate::render::icon::ICON_MAX;
 use std::fmt;
 
-/// How cells become pixels: a cell is a square of pixels, or a pixel stands for a square of cells.
+/// The scale of a picture: a cell is a square of pixels, or a pixel is a square of cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Scale {
-    /// Side of a cell in pixels.
+    /// Side of a cell, in pixels.
     pub(super) pixels: i32,
-    /// Cells that a pixel stands for along each axis. One of the two numbers is 1.
+    /// Cells per pixel along each axis. One of the two fields is 1.
     pub(super) cells: i32,
 }
 
 impl Scale {
-    /// Cells of that many pixels along each side: 1 to 64; `None` otherwise.
+    /// Returns a scale of 1 to 64 pixels per side of a cell; `None` otherwise.
     pub fn pixels(pixels: u32) -> Option<Scale> {
         let pixels = i32::try_from(pixels).ok().filter(|pixels| (1..=64).contains(pixels))?;
         Some(Scale { pixels, cells: 1 })
     }
 
-    /// Pixels that each stand for so many cells along each side: 1 to 65,536; `None` otherwise.
+    /// Returns a scale of 1 to 65,536 cells per side of a pixel; `None` otherwise.
     pub fn cells(cells: u32) -> Option<Scale> {
         let cells = i32::try_from(cells)
             .ok()
@@ -28,7 +28,8 @@ impl Scale {
         Some(Scale { pixels: 1, cells })
     }
 
-    /// The largest scale at which so many cells take at most so many pixels, with cells of at most `largest` pixels.
+    /// Returns the largest scale at which `cells` cells fit into `pixels` pixels, with cells of at most `largest`
+    /// pixels.
     pub(super) fn fit(cells: i32, pixels: i32, largest: i32) -> Scale {
         Scale {
             pixels: (pixels / cells).clamp(1, largest),
@@ -37,42 +38,42 @@ impl Scale {
         }
     }
 
-    /// The pixel where a cell begins, along one axis; cell 0 begins at pixel 0.
+    /// Returns the pixel where a cell begins, along one axis; cell 0 begins at pixel 0.
     pub(super) fn start(self, cell: i32) -> i64 {
         i64::from(cell.div_euclid(self.cells)) * i64::from(self.pixels)
     }
 
-    /// The pixel in the middle of a cell, along one axis.
+    /// Returns the pixel in the middle of a cell, along one axis.
     pub(super) fn middle(self, cell: i32) -> i64 {
         self.start(cell) + i64::from(self.pixels / 2)
     }
 
-    /// Length in pixels of that many cells from cell 0 on.
+    /// Returns the length of `cells` cells from cell 0 on, in pixels.
     pub(super) fn length(self, cells: i32) -> i64 {
         self.start(cells - 1) + i64::from(self.pixels)
     }
 }
 
-/// Why there is no picture of a view.
+/// The reason why a view is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ViewportError {
     /// It has no cells.
     Empty,
-    /// It would have too many pixels: no side may have more than 16,384, the whole not more than 2^26.
+    /// It has too many pixels: at most 16,384 per side and 2^26 in total.
     TooLarge,
-    /// Icons have 1 to [`ICON_MAX`] pixels.
+    /// An icon size is outside 1..=[`ICON_MAX`] pixels.
     IconSize,
 }
 
 impl fmt::Display for ViewportError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            ViewportError::Empty => write!(f, "a picture without cells"),
+            ViewportError::Empty => write!(f, "the view has no cells"),
             ViewportError::TooLarge => write!(
                 f,
-                "a picture of more than {SIDE_MAX} pixels a side or {PIXELS_MAX} in all"
+                "the picture has more than {SIDE_MAX} pixels per side or {PIXELS_MAX} in total"
             ),
-            ViewportError::IconSize => write!(f, "an icon of no pixels or more than {ICON_MAX}"),
+            ViewportError::IconSize => write!(f, "an icon size is not from 1 to {ICON_MAX} pixels"),
         }
     }
 }
@@ -82,7 +83,7 @@ impl std::error::Error for ViewportError {}
 const SIDE_MAX: i64 = 1 << 14;
 const PIXELS_MAX: i64 = 1 << 26;
 
-/// A rectangle of cells, its scale, and the sizes of agents. Cells off the map are shown as meadow.
+/// A rectangle of cells, its scale, and the sizes of agents. Cells off the map show as meadow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Viewport {
     /// The first cell.
@@ -97,7 +98,7 @@ pub struct Viewport {
 }
 
 impl Viewport {
-    /// So many rows and columns of cells from a corner on. Agents are four cells wide, and at least some pixels.
+    /// Returns a view of `rows` x `cols` cells from a corner on. Agents are four cells wide, with a minimum in pixels.
     ///
     /// # Errors
     /// If there are no cells, or too many pixels.
@@ -126,7 +127,7 @@ impl Viewport {
         })
     }
 
-    /// The whole map.
+    /// Returns a view of the whole map.
     ///
     /// # Errors
     /// If the map has no cells, or the picture too many pixels.
@@ -135,19 +136,20 @@ impl Viewport {
         Viewport::new(Cell::new(0, 0), side(map.rows()), side(map.cols()), scale)
     }
 
-    /// As the published visual data set has it: 128 x 128 cells of 8 pixels, buildings of 10 cells thus 80, cars 48, pedestrians 32.
+    /// Returns the view of the published visual data set: 128 x 128 cells of 8 pixels, so buildings of 10 cells have
+    /// 80, cars 48 and pedestrians 32.
     ///
     /// # Errors
-    /// If the corner is at the end of what coordinates there are.
+    /// If the view exceeds the range of coordinates.
     pub fn published(corner: Cell) -> Result<Viewport, ViewportError> {
         let scale = Scale::pixels(8).expect("within bounds");
         Viewport::new(corner, 128, 128, scale)?.with_agents(48, 32)
     }
 
-    /// The same with agents of other sizes: the short side of a car and the side of a pedestrian, in pixels.
+    /// Returns this view with other sizes of agents: the short side of a car and the side of a pedestrian, in pixels.
     ///
     /// # Errors
-    /// If one is 0 or larger than [`ICON_MAX`].
+    /// If a size is 0 or larger than [`ICON_MAX`].
     pub fn with_agents(self, car: u32, pedestrian: u32) -> Result<Viewport, ViewportError> {
         let fits = |size: u32| (1..=ICON_MAX).contains(&size);
         if !fits(car) || !fits(pedestrian) {
@@ -160,12 +162,12 @@ impl Viewport {
         })
     }
 
-    /// The first cell.
+    /// Returns the first cell.
     pub fn corner(&self) -> Cell {
         self.corner
     }
 
-    /// Width and height of the picture in pixels.
+    /// Returns width and height of the picture, in pixels.
     pub fn size(&self) -> (u32, u32) {
         let side = |from: i32, cells: i32| {
             let length = self.scale.start(from + (cells - 1)) - self.scale.start(from) + i64::from(self.scale.pixels);
@@ -174,7 +176,7 @@ impl Viewport {
         (side(self.corner.col, self.cols), side(self.corner.row, self.rows))
     }
 
-    /// The pixel in the middle of a cell, column and row; `None` if it is far off the picture.
+    /// Returns the pixel in the middle of a cell, as column and row; `None` if it is far off the picture.
     pub fn middle(&self, cell: Cell) -> Option<(i32, i32)> {
         let along = |cell: i32, from: i32| {
             let at = self.scale.middle(cell) - self.scale.start(from);

@@ -452,11 +452,11 @@ fn the_program_reads_the_trace_of_a_driven_car() {
     let text = logicity(&["explain", "--agent", "Car_1"]);
     let wanted = last["wanted"].as_str().unwrap();
     assert!(
-        text.starts_with("driven from outside: on what it observed (Car_1"),
+        text.starts_with("controlled externally: given its observation of (Car_1"),
         "{text}"
     );
     assert!(
-        text.contains(&format!("the rules wanted {wanted}, and its action broke S")),
+        text.contains(&format!("the rules wanted {wanted}; its action violated S")),
         "{text}"
     );
     assert!(

@@ -508,7 +508,7 @@ fn tampered_pictures_are_found_out(folder: &Path, original: &BTreeMap<String, Ve
         (43, "No such file"),
         (44, "10 x 1 pixels instead of 1024 x 1024"),
         (45, "are not red, green and blue"),
-        (46, "not a PNG picture that can be read"),
+        (46, "not a valid PNG"),
     ];
     let output = vap(&["check", path]);
     let said = String::from_utf8(output.stderr).unwrap();

@@ -215,12 +215,12 @@ fn faults_point_into_what_was_typed_and_change_nothing() {
         ),
         (
             "retract Path(x, y) :- Edge(y, x).",
-            "error[invalid-fact]: there is no such clause",
+            "error[invalid-fact]: no such clause",
             "<input 6>:1:9",
         ),
         (".show Nobody", "error[unknown-predicate]", "<input 6>:1:7"),
         (".hlep", "error[syntax]: no command `.hlep`", "<input 6>:1:1"),
-        (".foo", "there are `.load`, `.reload`, `.facts`", "<input 6>:1:1"),
+        (".foo", "the commands are `.load`, `.reload`, `.facts`", "<input 6>:1:1"),
         (".dcl A(x: number)", "error[syntax]: unknown directive", "<input 6>:1:1"),
         (
             "Path(x, y) :- Edge(x, y), !Path(y, x).",
@@ -376,7 +376,7 @@ fn what_is_there_is_shown() {
         "Path(x, z) :- Path(x, y), Edge(y, z).    <input 4>:1:1",
         "for the new rows of Path",
         "scan   Path(1, x) by x",
-        "looked at",
+        "rows scanned",
         "why-not FACT",
     ] {
         assert!(out.contains(words), "`{words}` is missing in\n{out}");
@@ -403,7 +403,7 @@ fn query_explains_a_fact() {
     );
     let (out, _, code) = query(&["--explain", "Path(3, _)"]);
     assert!(
-        code == 0 && out.starts_with("Path(3, _) does not hold, and this is why\n"),
+        code == 0 && out.starts_with("Path(3, _) does not hold, because:\n"),
         "{out}"
     );
     let (out, _, code) = query(&["--why-not", "Path(3, 1)."]);

@@ -1,4 +1,4 @@
-//! One rule file with all it includes: its faults, and which name stands where.
+//! One rule file with its includes: its diagnostics, and the names in it with their meanings.
 
 use crate::datalog;
 use crate::datalog::ast;
@@ -9,12 +9,12 @@ use crate::diag::{Diagnostic, SourceId, Sources, Span};
 use crate::files::{BUILTIN_FOLDER, ReadFile, normalise};
 use std::path::{Path, PathBuf};
 
-/// What a name means.
+/// The meaning of a name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Meaning {
     Predicate(String),
     Type(String),
-    /// An include, and the text it leads to if there is one.
+    /// An include, and the text it refers to if that exists.
     Include(Option<SourceId>),
 }
 
@@ -23,23 +23,23 @@ pub enum Meaning {
 pub struct Occurrence {
     pub span: Span,
     pub meaning: Meaning,
-    /// Whether it is declared here.
+    /// Whether this occurrence declares the name.
     pub declares: bool,
 }
 
-/// The first text of `sources` is the file itself.
+/// The result for one file, which is the first text of `sources`.
 pub struct Analysis {
     pub sources: Sources,
     pub entry: SourceId,
     pub diagnostics: Vec<Diagnostic>,
-    /// Places of hints: what is true and needless.
+    /// Lints: literals and clauses that are always true or redundant.
     pub hints: Vec<Diagnostic>,
     pub files: Vec<(SourceId, ast::File)>,
     pub occurrences: Vec<Occurrence>,
 }
 
 impl Analysis {
-    /// Reads, checks and lints a text that has this path.
+    /// Reads, checks and lints a text with this path.
     pub fn new(path: &Path, text: &str, read: &dyn ReadFile) -> Analysis {
         let mut sources = Sources::new();
         let entry = sources.add(path.display().to_string(), text);
@@ -73,7 +73,7 @@ impl Analysis {
         analysis
     }
 
-    /// The name at a byte of the file itself.
+    /// Returns the name at a byte of the file itself.
     pub fn at(&self, byte: usize) -> Option<&Occurrence> {
         self.occurrences.iter().find(|one| {
             let bytes = one.span.range();
@@ -81,7 +81,7 @@ impl Analysis {
         })
     }
 
-    /// Where it is declared.
+    /// Returns the span of the declaration.
     pub fn declaration(&self, meaning: &Meaning) -> Option<Span> {
         if let Meaning::Include(target) = meaning {
             return target.map(|target| Span::new(target, 0..0));
@@ -93,7 +93,7 @@ impl Analysis {
         found.map(|one| one.span)
     }
 
-    /// The declaration as text, and its doc comment.
+    /// Returns the declaration as text, and its doc comment.
     pub fn described(&self, meaning: &Meaning) -> Option<(String, String)> {
         let items = self.files.iter().flat_map(|(_, file)| &file.items);
         let mut items = items.filter_map(|item| match (item, meaning) {
@@ -120,7 +120,7 @@ impl Analysis {
         Some((print(&file).trim_end().to_owned(), doc.clone()))
     }
 
-    /// All that is declared, each once, in the order of the texts.
+    /// Returns all declared names, each once, in text order.
     pub fn declared(&self) -> impl Iterator<Item = &Meaning> {
         self.occurrences
             .iter()
@@ -128,9 +128,9 @@ impl Analysis {
             .map(|one| &one.meaning)
     }
 
-    /// The include of the file itself that leads to a text, directly or through others.
+    /// Returns the include in the file itself that reaches a text, directly or through others.
     pub fn include_of(&self, mut id: SourceId) -> Option<Span> {
-        // As many steps as there are texts.
+        // A chain of includes is at most as long as the number of texts.
         for _ in &self.files {
             let include = (self.occurrences.iter()).find(|one| one.meaning == Meaning::Include(Some(id)))?;
             if include.span.source == self.entry {
@@ -217,7 +217,7 @@ impl Analysis {
         }
     }
 
-    /// The text that an include leads to, as `datalog::load` finds it.
+    /// Resolves an include as `datalog::load` does.
     fn target(&self, from: SourceId, path: &str) -> Option<SourceId> {
         let beside = Path::new(self.sources.name(from)).parent()?.join(path);
         let builtin = Path::new(BUILTIN_FOLDER).join(path);

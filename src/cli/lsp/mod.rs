@@ -1,7 +1,7 @@
 //! `logicity lsp`
 //!
-//! A language server: an editor sends the texts that are open and asks about places in them. After every change all open texts are
-//! checked anew, each with what it includes, open texts before those on disk.
+//! A language server: an editor sends its open texts and queries positions in them. After every change the server
+//! checks all open texts and their includes again. An open text takes precedence over the file on disk.
 
 mod analysis;
 mod place;
@@ -28,23 +28,23 @@ use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Speak over standard input and output; there is no other way
+    /// Communicate over standard input and output; this is the only transport
     #[arg(long)]
     stdio: bool,
 }
 
 pub fn run(_: &Arguments) -> Result<(), Failure> {
-    let fail = |error: ProtocolError| Failure::Usage(format!("the editor does not keep the protocol: {error}"));
+    let fail = |error: ProtocolError| Failure::Usage(format!("the editor violated the protocol: {error}"));
     let (connection, threads) = Connection::stdio();
     serve(&connection).map_err(fail)?;
-    // The thread that writes ends when nobody can send.
+    // The writer thread ends when no sender is left.
     drop(connection);
     threads
         .join()
-        .map_err(|error| Failure::Usage(format!("the connection broke: {error}")))
+        .map_err(|error| Failure::Usage(format!("the connection failed: {error}")))
 }
 
-/// Serves one editor until it says goodbye or is gone.
+/// Serves one editor until it shuts down the server or disconnects.
 fn serve(connection: &Connection) -> Result<(), ProtocolError> {
     let (id, _) = connection.initialize_start()?;
     let capabilities = json!({
@@ -70,7 +70,7 @@ fn serve(connection: &Connection) -> Result<(), ProtocolError> {
                 vec![Message::Response(server.answer(request))]
             }
             Message::Notification(notification) => server.note(notification),
-            // Nothing is asked of the editor.
+            // The server sends no requests, so it expects no responses.
             Message::Response(_) => Vec::new(),
         };
         for reply in replies {
@@ -90,7 +90,7 @@ struct Document {
     analysis: Analysis,
 }
 
-/// Reads the open documents as they are in the editor, other files from disk.
+/// Reads open documents from the editor, other files from disk.
 struct OpenDocuments<'a>(&'a BTreeMap<PathBuf, Document>);
 
 impl ReadFile for OpenDocuments<'_> {
@@ -108,23 +108,24 @@ impl ReadFile for OpenDocuments<'_> {
 
 #[derive(Default)]
 struct Server {
-    /// By normal path.
+    /// By normalized path.
     documents: BTreeMap<PathBuf, Document>,
 }
 
-/// Why a request is refused: the protocol's number and words for the user.
+/// The error code of the protocol and a message for the user.
 type Refusal = (ErrorCode, String);
 
 impl Server {
     // --- texts
 
-    /// Does what a notification says. One that cannot be read has no answer in the protocol, so the editor's log tells of it.
+    /// Handles a notification. The protocol has no answer to a malformed one, so the server writes it to the editor's
+    /// log.
     fn note(&mut self, Notification { method, params }: Notification) -> Vec<Message> {
         let done = match method.as_str() {
             "textDocument/didOpen" => serde_json::from_value(params)
                 .map(|DidOpenTextDocumentParams { text_document: it }| self.set(it.uri.as_str(), it.text, it.version)),
             "textDocument/didChange" => serde_json::from_value(params).map(|it: DidChangeTextDocumentParams| {
-                // Workspace come whole; the last one counts.
+                // Full synchronization: each change is the whole text, so the last one counts.
                 match it.content_changes.into_iter().next_back() {
                     Some(change) => self.set(it.text_document.uri.as_str(), change.text, it.text_document.version),
                     None => Vec::new(),
@@ -142,7 +143,7 @@ impl Server {
             _ => Ok(Vec::new()),
         };
         done.unwrap_or_else(|error| {
-            let message = format!("`{method}` cannot be read: {error}");
+            let message = format!("cannot parse `{method}`: {error}");
             let params = json!({ "type": MessageType::ERROR, "message": message });
             vec![Message::Notification(Notification::new(
                 "window/logMessage".to_owned(),
@@ -162,7 +163,7 @@ impl Server {
         self.check()
     }
 
-    /// Checks all open texts, which may include each other; the messages with what was found.
+    /// Checks all open texts, which may include each other, and returns their diagnostics as messages.
     fn check(&mut self) -> Vec<Message> {
         let read: &dyn ReadFile = &OpenDocuments(&self.documents);
         let analyses: Vec<Analysis> = (self.documents.iter())
@@ -171,11 +172,11 @@ impl Server {
         for (document, analysis) in self.documents.values_mut().zip(analyses) {
             document.analysis = analysis;
         }
-        let told = self.documents.values().map(|document| {
+        let messages = self.documents.values().map(|document| {
             let found = self.diagnostics(document);
             published(&document.uri, Some(document.version), found)
         });
-        told.collect()
+        messages.collect()
     }
 
     // --- diagnostics
@@ -195,7 +196,7 @@ impl Server {
         severe.chain(hints).collect()
     }
 
-    /// A fault as the editor shows it. One in an included file is shown at the include.
+    /// Converts a diagnostic. One in an included file appears at the include.
     fn diagnostic(&self, document: &Document, fault: &Diagnostic, severity: DiagnosticSeverity) -> Value {
         let Analysis { sources, entry, .. } = &document.analysis;
         let lines = Lines::of(sources, *entry);
@@ -232,13 +233,13 @@ impl Server {
         })
     }
 
-    /// Where a span is; nowhere if it is in a built-in file.
+    /// Returns the location of a span, or `None` for a built-in file.
     fn location(&self, sources: &Sources, span: Span) -> Option<Value> {
         let uri = self.uri(sources, span.source)?;
         Some(json!({ "uri": uri, "range": Lines::of(sources, span.source).range(span) }))
     }
 
-    /// The URI of a text: the editor's own if it is open there.
+    /// Returns the URI of a text: the editor's own if the text is open.
     fn uri(&self, sources: &Sources, id: SourceId) -> Option<String> {
         let path = normalise(Path::new(sources.name(id)));
         match self.documents.get(&path) {
@@ -247,7 +248,7 @@ impl Server {
         }
     }
 
-    // --- questions
+    // --- requests
 
     fn answer(&self, request: Request) -> Response {
         let Request { id, method, params } = request;
@@ -273,7 +274,7 @@ impl Server {
                     read(params).and_then(|params: TextDocumentPositionParams| self.prepare_rename(&params))
                 }
                 "textDocument/rename" => read(params).and_then(|params: RenameParams| self.rename(&params)),
-                other => Err((ErrorCode::MethodNotFound, format!("`{other}` is not served here"))),
+                other => Err((ErrorCode::MethodNotFound, format!("`{other}` is not supported"))),
             };
         match answer {
             Ok(value) => Response::new_ok(id, value),
@@ -286,7 +287,7 @@ impl Server {
         document.ok_or_else(|| (ErrorCode::InvalidParams, format!("`{uri}` is not open")))
     }
 
-    /// The document, and what its name at a place means.
+    /// Returns the document, and the name at a position in it with its meaning.
     fn named(&self, at: &TextDocumentPositionParams) -> Result<Named<'_>, Refusal> {
         let document = self.document(at.text_document.uri.as_str())?;
         let byte = Lines::new(&document.text).byte(at.position);
@@ -320,8 +321,8 @@ impl Server {
         Ok(place.unwrap_or(Value::Null))
     }
 
-    /// The open texts in which a name means what it means in one of them: it is declared in the same place, or one of the two does
-    /// not say where.
+    /// Returns the open texts in which a name has the same meaning: both declare it in the same place, or one of them
+    /// has no location for the declaration.
     fn sharing<'d>(&'d self, document: &'d Document, meaning: &'d Meaning) -> impl Iterator<Item = &'d Document> {
         let declared = |one: &Document| {
             let span = one.analysis.declaration(meaning)?;
@@ -334,8 +335,8 @@ impl Server {
         })
     }
 
-    /// All places of a name in the open texts that share it and what they include, by URI; and whether it stands in built-in files as
-    /// well.
+    /// Returns all occurrences of a name, by URI, in the open texts that share it and in their includes. Also returns
+    /// whether built-in files use it.
     fn places(
         &self,
         document: &Document,
@@ -397,16 +398,16 @@ impl Server {
         if !datalog::is_name(&params.new_name) {
             return refuse(format!("`{}` is not a name", params.new_name));
         }
-        // Predicates and types share their names.
+        // Predicates and types share a namespace.
         let new = [Meaning::Predicate, Meaning::Type].map(|kind| kind(params.new_name.clone()));
         let is_taken = |one: &Document| new.iter().any(|new| one.analysis.declaration(new).is_some());
         let is_base = datalog::BaseType::ALL.iter().any(|base| base.name() == params.new_name);
         if is_base || self.sharing(document, meaning).any(is_taken) {
-            return refuse(format!("`{}` is declared already", params.new_name));
+            return refuse(format!("`{}` is already declared", params.new_name));
         }
         let (places, builtin) = self.places(document, meaning, true);
         if builtin || document.analysis.declaration(meaning).is_none() {
-            return refuse("the name is declared in a file that cannot be changed".to_owned());
+            return refuse("a read-only file declares the name".to_owned());
         }
         let changes = places.into_iter().map(|(uri, ranges)| {
             let edits = ranges
@@ -417,7 +418,7 @@ impl Server {
         Ok(json!({ "changes": changes.collect::<serde_json::Map<_, _>>() }))
     }
 
-    /// Declarations, types and clauses, in order.
+    /// Lists declarations, types and clauses in text order.
     fn symbols(&self, uri: &str) -> Result<Value, Refusal> {
         let document = self.document(uri)?;
         let lines = Lines::new(&document.text);
@@ -466,7 +467,7 @@ impl Server {
         Ok(Value::Array(symbols))
     }
 
-    /// Nothing for a text that does not parse; its diagnostics tell why.
+    /// Returns `null` for a text with syntax errors, which its diagnostics report.
     fn format(&self, uri: &str) -> Result<Value, Refusal> {
         let document = self.document(uri)?;
         let Analysis { sources, entry, .. } = &document.analysis;
@@ -479,7 +480,7 @@ impl Server {
         })
     }
 
-    /// Directives after a full stop that begins a line, types after a colon, else predicates.
+    /// Completes directives after a full stop at the start of a line, types after a colon, else predicates.
     fn complete(&self, at: &TextDocumentPositionParams) -> Result<Value, Refusal> {
         let document = self.document(at.text_document.uri.as_str())?;
         let lines = Lines::new(&document.text);
@@ -533,10 +534,10 @@ impl Server {
     }
 }
 
-/// An open text, and a name in it with its place.
+/// An open text, and a name in it with its span.
 type Named<'d> = (&'d Document, Option<(Span, &'d Meaning)>);
 
-/// First and last position of a place, each line and column, so that places can be sorted.
+/// The first and last position of a range as (line, column), which makes ranges sortable.
 type Place = [(u32, u32); 2];
 
 fn range_json(place: &Place) -> Value {
@@ -544,7 +545,7 @@ fn range_json(place: &Place) -> Value {
     json!({ "start": start, "end": end })
 }
 
-/// A document's name among the open ones.
+/// Returns the key of a document in the table of open ones.
 fn key(uri: &str) -> PathBuf {
     normalise(&path_of(uri))
 }
@@ -560,7 +561,7 @@ fn markdown(value: String) -> MarkupContent {
     }
 }
 
-/// The declaration and, below it, its doc comment.
+/// Returns the declaration, followed by its doc comment.
 fn described(analysis: &Analysis, meaning: &Meaning) -> Option<String> {
     let (declaration, doc) = analysis.described(meaning)?;
     let mut text = format!("```prolog\n{declaration}\n```\n");

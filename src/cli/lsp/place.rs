@@ -1,10 +1,10 @@
-//! Places as the protocol counts them, lines from 0 and columns in UTF-16 units; and URIs.
+//! Positions as the protocol counts them (lines from 0, columns in UTF-16 code units), and URIs.
 
 use crate::diag::{SourceId, Sources, Span};
 use lsp_types::{Position, Range};
 use std::path::{Path, PathBuf};
 
-/// Where the lines of a text begin.
+/// The line starts of a text.
 pub struct Lines<'t> {
     text: &'t str,
     starts: Vec<usize>,
@@ -17,12 +17,12 @@ impl<'t> Lines<'t> {
         Lines { text, starts }
     }
 
-    /// Of one text.
+    /// Returns the lines of one text of `sources`.
     pub fn of(sources: &'t Sources, id: SourceId) -> Self {
         Lines::new(sources.text(id))
     }
 
-    /// The position of a byte; one inside a character counts as the character's first.
+    /// Returns the position of a byte. A byte inside a character counts as the character's first.
     pub fn position(&self, byte: usize) -> Position {
         let mut byte = byte.min(self.text.len());
         while !self.text.is_char_boundary(byte) {
@@ -34,8 +34,8 @@ impl<'t> Lines<'t> {
         Position::new(narrow(line), narrow(column))
     }
 
-    /// The byte at a position. Beyond the end of a line is its end, beyond the last line the end of the text, and in the middle of a
-    /// character its beginning.
+    /// Returns the byte at a position. A position past the end of a line or text maps to that end, one inside a
+    /// character to its first byte.
     pub fn byte(&self, position: Position) -> usize {
         let line = position.line as usize;
         let Some(&start) = self.starts.get(line) else {
@@ -66,7 +66,7 @@ fn narrow(count: usize) -> u32 {
     u32::try_from(count).unwrap_or(u32::MAX)
 }
 
-/// The path of a `file:` URI. Of any other, the URI itself, so that an unsaved document has a name.
+/// Returns the path of a `file:` URI. For other schemes, returns the URI itself as the name of the unsaved document.
 pub fn path_of(uri: &str) -> PathBuf {
     let Some(rest) = uri.strip_prefix("file://") else {
         return PathBuf::from(uri);
@@ -95,7 +95,7 @@ pub fn path_of(uri: &str) -> PathBuf {
     }
 }
 
-/// The URI of an absolute path.
+/// Returns the URI of an absolute path.
 pub fn uri_of(path: &Path) -> Option<String> {
     if !path.is_absolute() {
         return None;
@@ -120,7 +120,7 @@ mod tests {
         let text = "a\u{e9}\u{1f697}b\r\n\n\u{1f697}\u{1f697}x";
         let lines = Lines::new(text);
         for (byte, _) in text.char_indices().chain([(text.len(), ' ')]) {
-            // The position of a byte by the obvious definition.
+            // Reference implementation of the position of a byte.
             let before = &text[..byte];
             let last = before.rsplit('\n').next().unwrap();
             let expected = (before.matches('\n').count(), last.encode_utf16().count());

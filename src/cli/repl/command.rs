@@ -1,4 +1,4 @@
-//! What can be typed besides the language.
+//! The commands of the prompt.
 
 use crate::cli::Failure;
 use crate::datalog::DIRECTIVES;
@@ -6,25 +6,26 @@ use crate::diag::{Code, Diagnostic, SourceId, Sources, Span, did_you_mean};
 use std::path::PathBuf;
 
 pub const HELP: &str = "\
-Facts, clauses, declarations and directives are typed as in a file and may take several lines:
+Type facts, clauses, declarations and directives as in a file; they may span several lines:
   .decl Edge(x: number, y: number)
   Edge(1, 2). Edge(2, 3).
-Questions are the body of a clause; each variable is a column, unless it begins with `_`:
+Ask questions as the body of a clause; each variable is a column unless it begins with `_`:
   ?- Edge(x, y), !Edge(y, _), n = count : { Edge(_, y) }.
-Their full stop may be missing where the line is complete without it.
-Commands stand on one line; a full stop at the end may be missing:
-  explain FACT       why it holds: a shortest proof
-  why-not FACT       why it does not: what fails in each clause; `_` is any value
-  retract FACTS      take facts back; or a clause: retract Path(x, y) :- Edge(x, y).
+The full stop is optional where the line is complete without it.
+Commands take one line; a full stop at the end is optional:
+  explain FACT       explain why it holds, with a shortest proof
+  why-not FACT       explain why it does not hold; `_` matches any value
+  retract FACTS      retract facts, or a clause: retract Path(x, y) :- Edge(x, y).
   .load FILE...      add rule files
-  .reload            read all rule files again; what was typed stays
+  .reload            reload all rule files; keep what you typed
   .facts FOLDER      read NAME.facts for each input relation
-  .relations         all relations and their sizes
-  .show NAME         declaration, clauses and rows of a relation
-  .plan [?- ...]     how the clauses, or a question, are evaluated
-  .profile           what every clause did in the last change or question
-  .help, .quit
-Ctrl-C drops the input, Ctrl-D ends. Tab completes.
+  .relations         list all relations and their sizes
+  .show NAME         print declaration, clauses and rows of a relation
+  .plan [?- ...]     print the evaluation plan of the clauses or of a question
+  .profile           print the work of each clause in the last change or question
+  .help              print this help
+  .quit              quit
+Ctrl-C discards the input, Ctrl-D quits, Tab completes.
 ";
 
 /// The commands that begin with a full stop, without it.
@@ -40,10 +41,10 @@ pub const DOTTED: &[&str] = &[
     "quit",
 ];
 
-/// The commands that are words, and may begin with a full stop as well.
+/// The commands that are words; a full stop before them is optional.
 pub const WORDS: &[&str] = &["explain", "why-not", "retract"];
 
-/// What other prompts call it, and what to type here.
+/// Words of other prompts, and their equivalents here.
 const OTHER_WORDS: &[(&str, &str)] = &[
     ("why", "explain FACT"),
     ("proof", "explain FACT"),
@@ -66,7 +67,7 @@ const OTHER_WORDS: &[(&str, &str)] = &[
 
 #[derive(Debug)]
 pub enum Command {
-    /// The text after the word is a source of its own, which has the name of the whole.
+    /// The argument is a text of its own with the name of the input; see `Typed::part`.
     Explain(SourceId),
     WhyNot(SourceId),
     Retract(SourceId),
@@ -81,7 +82,7 @@ pub enum Command {
     Quit,
 }
 
-/// The command that a text begins with, and what follows it.
+/// Returns the command at the start of a text, and the text after it.
 pub fn word(text: &str) -> Option<(&'static str, &str)> {
     let text = text.trim_start();
     let (dotted, rest) = match text.strip_prefix('.') {
@@ -99,11 +100,11 @@ pub fn word(text: &str) -> Option<(&'static str, &str)> {
     (!is_atom).then_some((*known, rest))
 }
 
-/// A command as it was typed.
+/// A command as the user typed it.
 struct Typed<'t> {
     id: SourceId,
     text: &'t str,
-    /// Where what follows the word begins.
+    /// Where the text after the command word begins.
     start: usize,
 }
 
@@ -118,8 +119,8 @@ impl<'t> Typed<'t> {
         Span::new(self.id, at..at + self.argument().len())
     }
 
-    /// The argument as a source of its own, in which all before it is blanked out, so that places stay what they are; see
-    /// [`pointing_at`]. It ends as given.
+    /// Adds the argument as a source in which blanks replace the text before it, so that positions stay valid; see
+    /// [`pointing_at`]. Appends `end`.
     fn part(&self, sources: &mut Sources, end: &str) -> SourceId {
         let line_or_blank = |c: char| if c == '\n' { '\n' } else { ' ' };
         let blank: String = self.text[..self.start].chars().map(line_or_blank).collect();
@@ -127,31 +128,31 @@ impl<'t> Typed<'t> {
         sources.add(name, blank + self.text[self.start..].trim_end() + end)
     }
 
-    /// Unless there is an argument.
+    /// Fails if the argument is missing.
     fn wants(&self, what: &str) -> Result<(), Failure> {
         if !self.argument().is_empty() {
             return Ok(());
         }
         let fault = Diagnostic::new(Code::SYNTAX, format!("expected {what}"));
         Err(fault
-            .at(Span::new(self.id, self.start..self.start), "after this")
+            .at(Span::new(self.id, self.start..self.start), "expected here")
             .into())
     }
 
-    /// Unless there is none.
+    /// Fails if there is an argument.
     fn stands_alone(&self, name: &str) -> Result<(), Failure> {
         if self.argument().trim_end_matches('.').is_empty() {
             return Ok(());
         }
-        let fault = Diagnostic::new(Code::SYNTAX, format!("`.{name}` stands alone"));
+        let fault = Diagnostic::new(Code::SYNTAX, format!("`.{name}` takes no argument"));
         Err(fault.at(self.place(), "").into())
     }
 }
 
-/// The command that an input is; `None` if it is text of the language.
+/// Parses a command; returns `None` for text of the language.
 ///
 /// # Errors
-/// A command that is unlike any, or not written as it should be.
+/// `syntax` for an unknown command, or one with a missing or extra argument.
 pub fn read(sources: &mut Sources, id: SourceId) -> Result<Option<Command>, Failure> {
     let text = sources.text(id).to_owned();
     let Some((name, rest)) = word(&text) else {
@@ -190,7 +191,7 @@ pub fn read(sources: &mut Sources, id: SourceId) -> Result<Option<Command>, Fail
     }))
 }
 
-/// Lets diagnostics that point into the argument of a command point into the whole input.
+/// Redirects diagnostics from the argument of a command to the whole input.
 pub fn pointing_at(failure: Failure, id: SourceId, sources: &Sources) -> Failure {
     let Failure::Input(mut faults) = failure else {
         return failure;
@@ -205,17 +206,17 @@ pub fn pointing_at(failure: Failure, id: SourceId, sources: &Sources) -> Failure
     Failure::Input(faults)
 }
 
-/// The word that a text begins with, with its full stop if there is one, where other prompts have it for a command; and what to type here.
+/// Returns the first word of a text if it is a command of other prompts, and its equivalent here.
 pub fn foreign(text: &str) -> Option<(&str, &'static str)> {
     let text = text.trim_start();
     let written = text.split_whitespace().next()?;
-    // With arguments in parentheses it is a predicate.
+    // A word with arguments in parentheses is a predicate.
     let name = written.strip_prefix('.').unwrap_or(written).trim_end_matches('.');
     let (_, meant) = OTHER_WORDS.iter().find(|(other, _)| *other == name)?;
     Some((written, meant))
 }
 
-/// The fault of a word that is no command here: one of other prompts, or after a full stop one that is unlike any directive.
+/// Returns the fault of an unknown command: one of other prompts, or one with a full stop that resembles no directive.
 fn unknown(sources: &Sources, id: SourceId, text: &str) -> Option<Diagnostic> {
     let start = text.len() - text.trim_start().len();
     let fault = |length: usize| {
@@ -238,7 +239,7 @@ fn unknown(sources: &Sources, id: SourceId, text: &str) -> Option<Diagnostic> {
         Some(near) if WORDS.contains(&near) => format!("did you mean `{near}`?"),
         Some(near) => format!("did you mean `.{near}`?"),
         None => format!(
-            "there are `.{}`; directives are typed as in a file",
+            "the commands are `.{}`; type directives as in a file",
             DOTTED.join("`, `.")
         ),
     };

@@ -1,7 +1,7 @@
 //! `logicity repl`
 //!
-//! What is typed passes through these stages: *lines* are put together until they are complete; the *input* gets a name, `<input 3>`, by
-//! which diagnostics point into it; it is a question, a command, or text of the language.
+//! Input passes through three stages. Lines accumulate until they are complete. The input gets a name such as `<input
+//! 3>` for diagnostics. It is then a question, a command, or text of the language.
 
 mod command;
 mod prompt;
@@ -24,21 +24,21 @@ use std::time::Duration;
 use table::Column;
 use workbench::{Outcome, Workbench};
 
-/// On a terminal so many rows of a relation are shown.
+/// The most rows of a relation that a terminal shows.
 const SHOWN_MAX: usize = 200;
 
-/// More derived rows than this are probably a mistake, which shows soon then.
+/// The default limit of derived rows. More are probably a mistake, which a low limit reveals early.
 const ROWS_MAX: usize = 1_000_000;
 
 #[derive(clap::Args)]
 #[command(
-    after_help = "Type .help at the prompt. What is not typed at a terminal is read without a prompt, \
-and the exit code is 1 if an input was faulty."
+    after_help = "Type .help at the prompt. If standard input is not a terminal, the command reads it without a prompt \
+and exits with code 1 if an input is faulty."
 )]
 pub struct Arguments {
-    /// Rule files to begin with
+    /// Rule files to load
     rules: Vec<PathBuf>,
-    /// Folder with one NAME.facts for each input relation
+    /// Folder with a file NAME.facts for each input relation
     #[arg(short = 'F', long, value_name = "DIR")]
     facts: Option<PathBuf>,
     #[command(flatten)]
@@ -65,13 +65,10 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     };
     if lines.is_interactive() {
         let version = env!("CARGO_PKG_VERSION");
-        writeln!(
-            repl.out,
-            "logicity {version}; .help tells what can be typed, .quit ends"
-        )?;
+        writeln!(repl.out, "logicity {version}; .help for help, .quit to quit")?;
     }
     let mut faulty = false;
-    // A faulty file can be mended and loaded again; one that is not there was a slip of the pen.
+    // The user can fix and reload a faulty file. A missing file is a usage error that ends the command.
     match repl.begin(&mut bench, arguments) {
         Err(Failure::Input(faults)) => {
             report(&faults, bench.sources);
@@ -111,31 +108,31 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Tells whoever waits at a terminal that there is something to wait for; gone when dropped.
+/// Shows a message on the terminal during a long evaluation, and removes it when dropped.
 struct StillWorking {
-    /// Nothing is ever sent: the other side waits until this end is gone.
+    /// Carries no messages: the thread waits until this end closes.
     done: Option<mpsc::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
-/// After so long.
+/// Delay before the message.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 impl StillWorking {
     fn begin() -> StillWorking {
         let (done, wait) = mpsc::channel();
-        let tell = move || {
+        let show = move || {
             if wait.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
-                let _ = write!(io::stderr(), "still evaluating; Ctrl-C ends the program");
+                let _ = write!(io::stderr(), "still evaluating; Ctrl-C quits the program");
                 let _ = wait.recv();
-                // Nothing of it stays on the line.
+                // Erases the message.
                 let _ = write!(io::stderr(), "\r\u{1b}[K");
             }
         };
         StillWorking {
             done: Some(done),
-            // Without a thread nothing is told, and that is all.
-            thread: std::thread::Builder::new().spawn(tell).ok(),
+            // Without a thread there is no message, which is harmless.
+            thread: std::thread::Builder::new().spawn(show).ok(),
         }
     }
 }
@@ -151,7 +148,7 @@ impl Drop for StillWorking {
 
 struct Repl<W> {
     out: W,
-    /// What the last evaluation did.
+    /// The profile of the last evaluation.
     profile: String,
     rows_max: usize,
 }
@@ -169,10 +166,10 @@ impl<W: Write> Repl<W> {
         Ok(())
     }
 
-    /// Does what an input says. Whether to go on.
+    /// Executes an input. Returns whether to continue.
     fn input(&mut self, bench: &mut Workbench<'_>, id: SourceId) -> Result<bool, Failure> {
         let is_question = bench.sources.text(id).trim_start().starts_with("?-");
-        let told = match command::read(bench.sources, id)? {
+        let outcome = match command::read(bench.sources, id)? {
             None if is_question => return self.answer(bench, id).map(|()| true),
             None => bench.add(id)?,
             Some(Command::Quit) => return Ok(false),
@@ -182,16 +179,16 @@ impl<W: Write> Repl<W> {
             Some(Command::Retract(id)) => bench.retract(id)?,
             Some(command) => return self.show(bench, command).map(|()| true),
         };
-        self.tell(bench, &told)?;
+        self.print_outcome(bench, &outcome)?;
         Ok(true)
     }
 
     fn load_facts(&mut self, bench: &mut Workbench<'_>, folder: &Path) -> Result<(), Failure> {
         let outcome = bench.load_facts(folder)?;
-        self.tell(bench, &outcome)
+        self.print_outcome(bench, &outcome)
     }
 
-    /// Commands that change nothing.
+    /// Executes a command that changes nothing.
     fn show(&mut self, bench: &Workbench<'_>, command: Command) -> Result<(), Failure> {
         match command {
             Command::Explain(id) => self.why(bench, Question::Holds, id)?,
@@ -212,7 +209,7 @@ impl<W: Write> Repl<W> {
                 }
                 _ => {
                     let fault = Diagnostic::new(Code::UNKNOWN_PREDICATE, format!("no predicate `{name}` is declared"));
-                    return Err(fault.at(span, "").help("`.relations` names them").into());
+                    return Err(fault.at(span, "").help("`.relations` lists them").into());
                 }
             },
             Command::Help => write!(self.out, "{}", command::HELP)?,
@@ -223,11 +220,11 @@ impl<W: Write> Repl<W> {
 
     fn why(&mut self, bench: &Workbench<'_>, question: Question, id: SourceId) -> Result<(), Failure> {
         let (texts, session) = (&bench.texts, &bench.session);
-        why::tell(&mut self.out, (question, id), texts, session, bench.sources, false)
+        why::explain(&mut self.out, (question, id), texts, session, bench.sources, false)
     }
 
-    /// `Edge +1, Path +3`
-    fn tell(&mut self, bench: &Workbench<'_>, outcome: &Outcome) -> Result<(), Failure> {
+    /// Prints the outcome of a change, for example `Edge +1, Path +3`.
+    fn print_outcome(&mut self, bench: &Workbench<'_>, outcome: &Outcome) -> Result<(), Failure> {
         self.profile = query::profile(&bench.session, &bench.times, bench.sources);
         report(&outcome.warnings, bench.sources);
         for note in &outcome.notes {
@@ -258,7 +255,7 @@ impl<W: Write> Repl<W> {
         self.rows(&answer.session, answer.relation)
     }
 
-    /// The rows of a relation as a table, and their number.
+    /// Prints the rows of a relation as a table, and their number.
     fn rows(&mut self, session: &Session, id: RelId) -> Result<(), Failure> {
         let relation = &session.program().rules().relations[id.index()];
         let columns: Vec<Column> = (relation.columns.iter())
@@ -281,7 +278,7 @@ impl<W: Write> Repl<W> {
             format!("{} rows", sorted.len())
         };
         let shown = match rows.len() < sorted.len() {
-            true => format!(", the first {} of them shown", rows.len()),
+            true => format!("; showing the first {}", rows.len()),
             false => String::new(),
         };
         writeln!(self.out, "{count}{shown}")?;
@@ -309,7 +306,7 @@ impl<W: Write> Repl<W> {
         Ok(())
     }
 
-    /// All there is to know of a relation.
+    /// Prints documentation, declaration, directives, clauses and rows of a relation.
     fn relation(&mut self, bench: &Workbench<'_>, id: RelId) -> Result<(), Failure> {
         let (session, rules) = (&bench.session, bench.session.program().rules());
         let relation = &rules.relations[id.index()];
@@ -336,7 +333,7 @@ impl<W: Write> Repl<W> {
     }
 }
 
-/// `Path(x: number, y: number)`
+/// Formats a signature, for example `Path(x: number, y: number)`.
 fn signature(session: &Session, id: RelId) -> String {
     let rules = session.program().rules();
     let relation = &rules.relations[id.index()];
@@ -347,7 +344,7 @@ fn signature(session: &Session, id: RelId) -> String {
     format!("{}({})", relation.name, columns.collect::<Vec<_>>().join(", "))
 }
 
-/// Whether an input may end here. A command is one line.
+/// Returns whether an input may end here. A command is one line.
 fn is_whole(text: &str) -> bool {
     command::word(text).is_some() || command::foreign(text).is_some() || is_complete(text)
 }

@@ -1,4 +1,4 @@
-//! Where inputs come from: a terminal with a line editor, or anything else, line by line.
+//! Reads inputs: from a terminal with a line editor, else line by line from standard input.
 
 use crate::cli::repl::command;
 use crate::cli::repl::workbench::Workbench;
@@ -16,10 +16,10 @@ use std::borrow::Cow;
 use std::io::{self, BufRead, IsTerminal, Write};
 use std::path::PathBuf;
 
-/// So many inputs are remembered.
+/// The most inputs in the history.
 const HISTORY_MAX: usize = 1000;
 
-/// What comes next.
+/// The next input.
 pub enum Line {
     Text(String),
     /// Bytes that are not UTF-8.
@@ -35,12 +35,12 @@ pub enum Lines {
 
 pub struct Terminal {
     editor: Editor<Words, FileHistory>,
-    /// `None` if there is no place for it.
+    /// The file of the history; `None` if there is no place for it.
     history: Option<PathBuf>,
 }
 
 impl Lines {
-    /// Standard input: with an editor if it is a terminal.
+    /// Opens standard input: with an editor if it is a terminal.
     pub fn open() -> Lines {
         if !io::stdin().is_terminal() {
             return Lines::Plain;
@@ -56,24 +56,24 @@ impl Lines {
                 editor.set_helper(Some(Words::default()));
                 let history = history_file();
                 if let Some(path) = &history {
-                    // There is none before the first time.
+                    // The file does not exist before the first use.
                     let _ = editor.load_history(path);
                 }
                 Lines::Editor(Box::new(Terminal { editor, history }))
             }
             Err(error) => {
-                let _ = writeln!(io::stderr(), "the line editor cannot be used: {error}");
+                let _ = writeln!(io::stderr(), "cannot use the line editor: {error}");
                 Lines::Plain
             }
         }
     }
 
-    /// Whether somebody types.
+    /// Returns whether the input is interactive.
     pub fn is_interactive(&self) -> bool {
         matches!(self, Lines::Editor(_))
     }
 
-    /// The next input that is not empty.
+    /// Returns the next input that is not blank.
     pub fn next(&mut self, bench: &Workbench<'_>) -> Result<Line, Failure> {
         loop {
             let line = match self {
@@ -100,7 +100,7 @@ fn plain() -> Result<Line, Failure> {
         if read == 0 && text.trim().is_empty() {
             return Ok(Line::End);
         }
-        // At the end, what is there is all there is.
+        // At the end of the input, an incomplete text is final.
         if read == 0 || super::is_whole(text) {
             return Ok(Line::Text(text.to_owned()));
         }
@@ -126,7 +126,7 @@ impl Terminal {
         }
     }
 
-    /// After every input, so that nothing is lost if an evaluation is interrupted. That it cannot be saved is told once.
+    /// Saves the history after every input, so that interrupting an evaluation loses nothing. Reports a failure once.
     fn save(&mut self) {
         let Some(path) = &self.history else { return };
         let folder = path.parent().map_or(Ok(()), std::fs::create_dir_all);
@@ -134,17 +134,13 @@ impl Terminal {
             .map_err(ReadlineError::Io)
             .and_then(|()| self.editor.append_history(path));
         if let Err(error) = saved {
-            let _ = writeln!(
-                io::stderr(),
-                "inputs will not be remembered in `{}`: {error}",
-                path.display()
-            );
+            let _ = writeln!(io::stderr(), "cannot save the history to `{}`: {error}", path.display());
             self.history = None;
         }
     }
 }
 
-/// `$XDG_STATE_HOME/logicity/history`, by default in `~/.local/state`.
+/// Returns `$XDG_STATE_HOME/logicity/history`, by default in `~/.local/state`.
 fn history_file() -> Option<PathBuf> {
     let state = std::env::var_os("XDG_STATE_HOME")
         .map(PathBuf::from)
@@ -153,7 +149,7 @@ fn history_file() -> Option<PathBuf> {
     Some(state.join("logicity/history"))
 }
 
-/// What can be completed.
+/// The words for completion.
 #[derive(Default)]
 struct Words {
     relations: Vec<String>,
@@ -161,7 +157,7 @@ struct Words {
 }
 
 impl Words {
-    /// The words that may stand where the text ends, and where the last one begins.
+    /// Returns the candidates for the last word, and where it begins.
     fn candidates(&self, before: &str) -> (usize, Vec<String>) {
         let is_part = |c: char| c.is_ascii_alphanumeric() || "_?-".contains(c);
         let start = before.rfind(|c| !is_part(c)).map_or(0, |at| at + 1);

@@ -1,14 +1,14 @@
-//! Rows under each other, columns aligned.
+//! Text tables with aligned columns.
 
 use unicode_width::UnicodeWidthStr;
 
-/// A column: its title and whether it holds numbers, which stand on the right.
+/// A column: its title, and whether it is numeric and so aligned to the right.
 pub struct Column {
     pub title: String,
     pub numeric: bool,
 }
 
-/// The lines of a table with a title line and a rule below it, each ended by a line break.
+/// Formats a table with a title line and a rule below it; every line ends with a line break.
 pub fn draw(columns: &[Column], rows: &[Vec<String>]) -> String {
     let mut widths: Vec<usize> = columns.iter().map(|column| column.title.width()).collect();
     let rows: Vec<Vec<String>> = (rows.iter())
@@ -42,7 +42,7 @@ pub fn draw(columns: &[Column], rows: &[Vec<String>]) -> String {
     out
 }
 
-/// A line break or an escape sequence in a text must not break the table, nor reach a terminal.
+/// Escapes control characters, so that they neither break the table nor reach the terminal.
 fn printable(text: &str) -> String {
     let escape = |c: char| -> String {
         if c.is_control() {

@@ -1,11 +1,11 @@
-//! What is being worked on: texts, the program they make, and a session with its facts.
+//! The state of a prompt: texts, the program they form, and a session with its facts.
 //!
 //! ```text
 //! files, typed texts --Workspace--> Rules --> Program --> Session <-- facts: typed, or read from a folder
 //! ```
 //!
-//! A change either succeeds as a whole or leaves everything as it was. Facts of predicates without rules go into the session by a
-//! commit; anything else makes a new program, and the facts move to its session.
+//! A change either succeeds as a whole or has no effect. Changes to facts of predicates without rules commit to the
+//! session; other changes build a new program, and the facts move to its session.
 
 use crate::builtin::BuiltinFiles;
 use crate::cli::query;
@@ -23,35 +23,35 @@ pub struct Workbench<'s> {
     pub sources: &'s mut Sources,
     pub texts: Workspace,
     pub session: Session,
-    /// How long the last change took.
+    /// Times of the last change.
     pub times: Times,
     limits: Limits,
     files: Vec<PathBuf>,
     made: Made,
 }
 
-/// What was done to the texts besides loading files.
+/// The changes to the texts besides loading files.
 #[derive(Clone, Default)]
 struct Made {
-    /// Workspace that were typed.
+    /// Texts that the user typed.
     typed: Vec<SourceId>,
-    /// Heads that were retracted.
+    /// Heads of retracted clauses.
     retracted: HashSet<Span>,
 }
 
-/// How many rows of a predicate came and went.
+/// The numbers of rows that a change added to and removed from a predicate.
 pub struct Changed {
     pub relation: String,
     pub added: usize,
     pub removed: usize,
 }
 
-/// What a change did.
+/// The result of a change.
 #[derive(Default)]
 pub struct Outcome {
     pub changes: Vec<Changed>,
     pub warnings: Vec<Diagnostic>,
-    /// What the user would not expect.
+    /// Effects that the user may not expect.
     pub notes: Vec<String>,
 }
 
@@ -64,7 +64,7 @@ pub struct Answer {
 }
 
 impl<'s> Workbench<'s> {
-    /// With nothing on it.
+    /// Returns a workbench without texts.
     pub fn new(sources: &'s mut Sources, limits: Limits) -> Result<Self, Failure> {
         let texts = Workspace::new(Edb::Extensible);
         let loaded = texts.check();
@@ -80,7 +80,7 @@ impl<'s> Workbench<'s> {
         })
     }
 
-    /// Adds rule files, which are read again by [`Workbench::reload`] even if they are faulty now.
+    /// Adds rule files. [`Workbench::reload`] reads them again, even if they are faulty now.
     pub fn load(&mut self, paths: &[PathBuf]) -> Result<Outcome, Failure> {
         let new: Vec<PathBuf> = paths
             .iter()
@@ -98,7 +98,7 @@ impl<'s> Workbench<'s> {
         self.adopt(texts, self.made.clone(), first_new)
     }
 
-    /// Reads all files anew. What was typed stays, what was retracted from files is back.
+    /// Reloads all files. Typed text stays; clauses and facts retracted from files return.
     pub fn reload(&mut self) -> Result<Outcome, Failure> {
         let first_new = self.sources.ids().count();
         let mut texts = Workspace::new(Edb::Extensible);
@@ -120,7 +120,7 @@ impl<'s> Workbench<'s> {
         self.commit(loaded)
     }
 
-    /// Adds what a text says: facts, clauses, declarations, directives.
+    /// Adds a text of facts, clauses, declarations and directives.
     pub fn add(&mut self, id: SourceId) -> Result<Outcome, Failure> {
         let rules = self.session.program().rules();
         let rows = self.texts.facts(self.sources, id, self.session.symbols())?;
@@ -144,7 +144,7 @@ impl<'s> Workbench<'s> {
         self.adopt(texts, made, first_new)
     }
 
-    /// Takes a fact or a clause back.
+    /// Retracts facts or clauses.
     pub fn retract(&mut self, id: SourceId) -> Result<Outcome, Failure> {
         if let Some(rows) = self.texts.facts(self.sources, id, self.session.symbols())? {
             return self.retract_facts(id, &rows);
@@ -158,13 +158,13 @@ impl<'s> Workbench<'s> {
             let ast::Item::Clause(clause) = item else {
                 let fault = Diagnostic::new(Code::UNSUPPORTED, "only facts and clauses can be retracted");
                 let whole = Span::new(id, 0..self.sources.text(id).len());
-                let help = "take it out of the file, and `.reload`";
+                let help = "remove it from the file, and `.reload`";
                 return Err(fault.at(whole, "").help(help).into());
             };
             let found = self.texts.find(clause);
             if found.is_empty() {
-                let fault = Diagnostic::new(Code::INVALID_FACT, "there is no such clause");
-                let help = "`.show` shows the clauses of a predicate; the names of variables do not matter";
+                let fault = Diagnostic::new(Code::INVALID_FACT, "no such clause");
+                let help = "`.show` prints the clauses of a predicate; variable names do not matter";
                 return Err(fault.at(clause.place.0, "").help(help).into());
             }
             places.extend(found);
@@ -187,9 +187,9 @@ impl<'s> Workbench<'s> {
             }
             let Relation { name, derived, .. } = &rules.relations[relation.index()];
             if *derived {
-                let message = format!("`{name}` is derived by rules, and no text states this fact");
+                let message = format!("rules derive `{name}`, and no text states this fact");
                 let fault = Diagnostic::new(Code::INVALID_FACT, message).at(whole, "");
-                return Err(fault.help("`explain` tells what it follows from, if it holds").into());
+                return Err(fault.help("if it holds, `explain` prints its proof").into());
             }
             if self.session.contains(*relation, row) {
                 given.push((*relation, row));
@@ -225,7 +225,7 @@ impl<'s> Workbench<'s> {
         self.adopt(texts, made, first_new)
     }
 
-    /// Makes the noted facts true, unless noting them failed.
+    /// Commits the pending facts, unless noting them failed.
     fn commit(&mut self, noted: Result<(), Failure>) -> Result<Outcome, Failure> {
         match noted.and_then(|()| Ok(query::timed_commit(&mut self.session)?)) {
             Ok((delta, times)) => {
@@ -259,7 +259,8 @@ impl<'s> Workbench<'s> {
             .collect()
     }
 
-    /// Makes `texts` the program and moves the facts to it. Told are the warnings about texts from number `first_new` on.
+    /// Makes `texts` the program and moves the facts to it. Reports only warnings about texts from number `first_new`
+    /// on.
     fn adopt(&mut self, mut texts: Workspace, mut made: Made, first_new: usize) -> Result<Outcome, Failure> {
         let mut loaded = texts.check();
         let mut rules = loaded
@@ -285,21 +286,21 @@ impl<'s> Workbench<'s> {
         let (_, times) = query::timed_commit(&mut session)?;
 
         let new: HashSet<SourceId> = self.sources.ids().skip(first_new).collect();
-        let is_told = |warning: &Diagnostic| {
-            // What has no rows yet may be given some.
+        let is_new = |warning: &Diagnostic| {
+            // A predicate without rows may get some later.
             warning.code != Code::DEAD_CLAUSE
                 && (warning.primary.as_ref()).is_none_or(|label| new.contains(&label.span.source))
         };
         let outcome = Outcome {
             changes: compare(&self.session, &session),
-            warnings: loaded.diagnostics.into_iter().filter(is_told).collect(),
+            warnings: loaded.diagnostics.into_iter().filter(is_new).collect(),
             notes,
         };
         (self.texts, self.made, self.session, self.times) = (texts, made, session, times);
         Ok(outcome)
     }
 
-    /// The facts of predicates that will have rules, as text: a session takes no facts of those.
+    /// Returns the facts of predicates that will have rules, as text, because a session takes no facts for those.
     fn stated_from_now_on(&self, rules: &Rules) -> Vec<(String, String)> {
         let derived = |name: &str| {
             rules
@@ -363,7 +364,7 @@ impl<'s> Workbench<'s> {
         self.session.symbols().text(Symbol(value.0)).unwrap_or_default()
     }
 
-    /// The rows of a predicate without rules that no text states.
+    /// Returns the rows of a predicate without rules that no text states.
     fn given(&self, id: RelId) -> Vec<Vec<Value>> {
         let clauses = &self.session.program().rules().clauses;
         let stated: BTreeSet<Vec<Value>> = (clauses.iter())
@@ -374,7 +375,7 @@ impl<'s> Workbench<'s> {
         given.map(<[Value]>::to_vec).collect()
     }
 
-    /// Gives the facts to another session. Says which have no place there.
+    /// Copies the facts to another session. Returns notes about facts that do not fit there.
     fn move_facts(&self, to: &mut Session) -> Vec<String> {
         let mut notes = Vec::new();
         for (id, relation) in query::relations(self.session.program()) {
@@ -394,13 +395,13 @@ impl<'s> Workbench<'s> {
             let Some(place) = place else {
                 let name = &relation.name;
                 notes.push(format!(
-                    "{} facts of `{name}` are gone: it is declared otherwise now, or no more",
+                    "dropped {} facts of `{name}`: its declaration has changed or is gone",
                     given.len()
                 ));
                 continue;
             };
             if rules.relations[place.index()].derived {
-                continue; // They are in the text now.
+                continue; // The text contains them now.
             }
             for mut row in given {
                 for (value, column) in row.iter_mut().zip(&relation.columns) {
@@ -414,7 +415,7 @@ impl<'s> Workbench<'s> {
         notes
     }
 
-    /// Answers a question: the rules for it, evaluated on the rows of the predicates that it names.
+    /// Answers a question by evaluating its rules on the rows of the predicates that it names.
     pub fn ask(&self, id: SourceId) -> Result<Answer, Failure> {
         let (program, warnings) = self.compile_question(id)?;
         let mut session = program.session();
@@ -441,7 +442,7 @@ impl<'s> Workbench<'s> {
         })
     }
 
-    /// The program that answers a question.
+    /// Returns the program that answers a question.
     pub fn compile_question(&self, id: SourceId) -> Result<(Program, Vec<Diagnostic>), Failure> {
         let loaded = self.texts.ask(self.sources, id, self.session.symbols().clone());
         let Some(rules) = loaded.rules else {
@@ -455,7 +456,7 @@ fn not_taken(error: RowError) -> Failure {
     Diagnostic::new(Code::INVALID_FACT, error.to_string()).into()
 }
 
-/// The row of a fact in the text.
+/// Returns the row of a fact in the text.
 fn constants(clause: &datalog::Clause) -> Option<Vec<Value>> {
     if !clause.body.is_empty() {
         return None;
@@ -467,8 +468,8 @@ fn constants(clause: &datalog::Clause) -> Option<Vec<Value>> {
     clause.head.terms.iter().map(constant).collect()
 }
 
-/// How many rows of its predicates are in the new session only, and in the old one only. Predicates that are declared otherwise have
-/// no row in common.
+/// Compares two sessions: counts for each predicate the rows only in the new and only in the old one. Predicates with
+/// different column types share no rows.
 fn compare(old: &Session, new: &Session) -> Vec<Changed> {
     let bases = |relation: &Relation| relation.columns.iter().map(|column| column.base).collect::<Vec<_>>();
     let mut changes = Vec::new();

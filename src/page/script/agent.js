@@ -1,4 +1,4 @@
-// The chosen agent: what it did, and why.
+// The panel of the chosen agent: its action and the explanation.
 
 class AgentPanel {
   constructor(run, page) {
@@ -7,12 +7,12 @@ class AgentPanel {
 
   fill() {
     const { data, now: { tick, agent } } = this;
-    // What the reader has opened stays open from tick to tick.
+    // Parts that the reader opened stay open from tick to tick.
     const open = new Set([...$("agent").querySelectorAll("details[open]")].map((details) => details.dataset.part));
     if (agent < 0) {
       const list = data.agents.map(({ id }, index) => make("li", {}, this.agentLink(index, id), ` ${this.run.action(tick, index)}`));
       $("agent").replaceChildren(
-        make("h2", {}, "Click an agent to see why it does what it does"),
+        make("h2", {}, "Click an agent to see why it acts as it does"),
         make("ul", { class: "tree" }, ...list));
       return;
     }
@@ -28,14 +28,14 @@ class AgentPanel {
       make("span", { class: "badge", id: "action", style: `background:${COLOURS[done]}` }, done),
       ...[kind, ...concepts].map((word) => make("span", { class: "chip" }, word)),
       driven && make("span", { class: "chip driven" }, "driven"),
-      make("button", { type: "button", title: "choose nothing (Esc)", onclick: () => this.page.choose({ agent: -1 }) }, "×"));
+      make("button", { type: "button", title: "clear the selection (Esc)", onclick: () => this.page.choose({ agent: -1 }) }, "×"));
     const direction = heading[agent] < 0 ? "has not moved yet" : `heading ${data.headings[heading[agent]]}`;
     const facts = make("dl", { class: "facts" },
       make("dt", {}, "at"), make("dd", {}, `[${at[agent]}], ${direction}`),
       make("dt", {}, "goal"), make("dd", {}, `[${goal[agent]}]`),
       make("dt", {}, "priority"), make("dd", {}, String(priority)),
-      ...(driven ? this.steering(driven) : [make("dt", {}, "because"), make("dd", {}, by || "no clause asks anything")]));
-    if (bits.length > 1) facts.append(make("dt", {}, "derived"), make("dd", {}, `${bits.join(", ")}; the first by the configured order is ${driven ? "wanted" : "done"}`));
+      ...(driven ? this.steering(driven) : [make("dt", {}, "because"), make("dd", {}, by || "no clause fired")]));
+    if (bits.length > 1) facts.append(make("dt", {}, "derived"), make("dd", {}, `${bits.join(", ")}; the rules prefer ${data.actions[judged]}`));
     const question = driven ? `Why do the rules want ${data.actions[judged]}?` : `Why ${done}?`;
     const parts = [head, facts, make("h3", {}, question), this.tree(why[agent][judged])];
     data.actions.forEach((other, index) => {
@@ -47,21 +47,21 @@ class AgentPanel {
     $("agent").replaceChildren(...parts);
   }
 
-  /** What a driven agent went by, and how its action was judged: on those that it observes, while proofs are about all in view. */
+  /** Shows what a driven agent observed, and the clauses that its action violated. Proofs cover all agents in view. */
   steering({ observes, wanted, broken, agent, tick }) {
     const { data } = this;
     const others = observes.filter((other) => other !== agent).flatMap((other) => [this.agentLink(other), " "]);
     const node = data.nodes[data.ticks[tick].why[agent][wanted]];
-    const judged = broken.map((clause) => make("div", { class: "no" }, "broke ", this.clauseLink(clause)));
+    const judged = broken.map((clause) => make("div", { class: "no" }, "violated ", this.clauseLink(clause)));
     return [
-      make("dt", {}, "observes"), make("dd", {}, ...(others.length ? others : ["nobody else"])),
+      make("dt", {}, "observes"), make("dd", {}, ...(others.length ? others : ["no other agent"])),
       make("dt", {}, "rules want"), make("dd", { id: "wanted" }, data.actions[wanted],
-        node && node.t === undefined ? "; of all in its view, not only those that it observes, they do not want that" : ""),
-      make("dt", {}, "judged"), make("dd", { id: "judged" }, ...(judged.length ? judged : ["no clause broken"])),
+        node && node.t === undefined ? "; given all agents in view, the rules want another action" : ""),
+      make("dt", {}, "judged"), make("dd", { id: "judged" }, ...(judged.length ? judged : ["no clause violated"])),
     ];
   }
 
-  /** A part that is made when it is opened. */
+  /** Returns a section whose content is created when the reader opens it. */
   part(name, title, open, content) {
     const details = make("details", { "data-part": name, open: open.has(name) }, make("summary", {}, title));
     const fill = () => { if (details.open && details.childElementCount === 1) details.append(...content()); };
@@ -77,7 +77,7 @@ class AgentPanel {
     return link;
   }
 
-  /** A text in which the names of agents can be clicked. */
+  /** Returns a text in which agent names are links. */
   linked(text) {
     return text.split(/([\w.-]+)/).map((word) => (this.run.names.has(word) && this.run.names.get(word) !== this.now.agent ? this.agentLink(this.run.names.get(word)) : word));
   }
@@ -87,66 +87,66 @@ class AgentPanel {
     return make("span", { class: "clause", title: text }, `${(doc || text).split("\n")[0]}  [${file.split(/[\\/]/).pop()}:${line}]`);
   }
 
-  /** The proof of a node, or why it does not hold. What is told once above is not told again below. */
+  /** Returns the proof of a node, or why it does not hold. Expands each node only once. */
   tree(number) {
     const list = make("ul", { class: "tree" });
     if (number >= 0) list.append(this.branch(number, this.data.nodes[number].t ?? this.data.nodes[number].f, new Set()));
     return list;
   }
 
-  branch(number, text, told) {
+  branch(number, text, expanded) {
     const node = this.data.nodes[number];
     const item = make("li", {});
     if (node.t !== undefined) {
       item.append(make("span", { class: "yes" }, ...this.linked(text)));
       if (node.c === undefined) return item;
       item.append(" by ", this.clauseLink(node.c));
-      if (told.has(number)) return item;
-      told.add(number);
-      item.append(make("ul", {}, ...node.p.map((premise) => this.premise(premise, told))));
+      if (expanded.has(number)) return item;
+      expanded.add(number);
+      item.append(make("ul", {}, ...node.p.map((premise) => this.premise(premise, expanded))));
       return item;
     }
     item.append(make("span", { class: "no" }, ...this.linked(text)));
-    if (node.by === "not-looked-into") item.append(" (not looked into)");
-    if (!node.m || told.has(number)) return item;
-    told.add(number);
-    item.append(this.misses(node.m, told));
+    if (node.by === "not-looked-into") item.append(" (not explained further)");
+    if (!node.m || expanded.has(number)) return item;
+    expanded.add(number);
+    item.append(this.misses(node.m, expanded));
     return item;
   }
 
-  /** A literal that holds. */
-  premise([text, kind, child], told) {
+  /** Returns a literal that holds. */
+  premise([text, kind, child], expanded) {
     if (child < 0) return make("li", {}, make("span", { class: "yes" }, ...this.linked(text)));
     const node = this.data.nodes[child];
-    if (kind !== "not") return this.branch(child, text, told);
+    if (kind !== "not") return this.branch(child, text, expanded);
     const item = make("li", {}, make("span", { class: "yes" }, ...this.linked(text)));
-    if (node.m && !told.has(child)) {
-      told.add(child);
-      item.append(make("details", {}, make("summary", {}, "no clause derives it"), this.misses(node.m, told)));
+    if (node.m && !expanded.has(child)) {
+      expanded.add(child);
+      item.append(make("details", {}, make("summary", {}, "no clause derives it"), this.misses(node.m, expanded)));
     }
     return item;
   }
 
-  /** For each clause what is in its way. */
-  misses(misses, told) {
+  /** Returns for each clause the literals that fail. */
+  misses(misses, expanded) {
     return make("ul", {}, ...misses.map(([clause, binding, fails]) => {
       const nearest = Object.entries(binding).filter(([, name]) => this.run.names.get(name) !== this.now.agent);
       const item = make("li", {}, this.clauseLink(clause));
       if (nearest.length) item.append(" nearest ", ...this.linked(nearest.map(([variable, name]) => `${variable} = ${name}`).join(", ")));
       const failures = fails.map(([text, kind, child]) => {
-        const say = kind === "not" ? " fails" : kind === "in-view" ? " is not in view" : kind === "fact" ? " does not hold" : " is not so";
+        const say = kind === "not" ? " fails" : kind === "in-view" ? " is not in view" : kind === "fact" ? " does not hold" : " is false";
         const failure = make("li", {}, make("span", { class: "no" }, ...this.linked(text)), say);
         const node = child < 0 ? undefined : this.data.nodes[child];
-        if (node && (node.c !== undefined || node.m) && !told.has(child)) failure.append(make("ul", {}, this.branch(child, node.t ?? node.f, told)));
+        if (node && (node.c !== undefined || node.m) && !expanded.has(child)) failure.append(make("ul", {}, this.branch(child, node.t ?? node.f, expanded)));
         return failure;
       });
-      if (!fails.length) failures.push(make("li", {}, "its head does not fit"));
+      if (!fails.length) failures.push(make("li", {}, "its head does not match"));
       item.append(make("ul", {}, ...failures));
       return item;
     }));
   }
 
-  /** What is true of an agent and of those it sees, as the rules are given it. */
+  /** Returns the atoms that are true of an agent and of the agents it sees, as the rules read them. */
   atoms(tick, agent) {
     const { predicates, agents } = this.data;
     const rows = this.run.facts[tick];

@@ -1,6 +1,6 @@
-// What every agent did in every tick.
+// The chart of every agent's actions over time.
 
-/** Browsers refuse canvases that are much wider. */
+/** Browsers reject canvases that are much wider. */
 const STRIP_COLUMNS = 8192;
 
 class Chart {
@@ -31,7 +31,7 @@ class Chart {
     });
   }
 
-  /** A pixel for each decision, stretched; in long runs several ticks share one. The cursor is drawn over a copy of it. */
+  /** Draws one pixel per decision, scaled; in long runs several ticks share a pixel. */
   draw() {
     const { ticks, agents, actions } = this.data;
     const columns = Math.min(this.run.count, STRIP_COLUMNS);
@@ -41,12 +41,12 @@ class Chart {
     const colours = actions.map((action) => [1, 3, 5].map((at) => parseInt(COLOURS[action].slice(at, at + 2), 16)));
     const { clause } = this.now;
     ticks.forEach(({ action, fired }, tick) => {
-      // Multiplied first: whole numbers stay exact, and no column is left out.
+      // Multiplies first: integers stay exact, and no column is skipped.
       const column = Math.floor(tick * columns / this.run.count);
       for (let agent = 0; agent < agents.length; agent += 1) {
         const at = 4 * (agent * columns + column);
         const bright = clause < 0 || fired[agent].includes(clause);
-        // A firing shows, whatever else happens in the ticks it shares a pixel with.
+        // A firing takes precedence over other ticks in the same pixel.
         if (image.data[at + 3] === 255 || (image.data[at + 3] > 0 && !bright)) continue;
         image.data.set(colours[action[agent]], at);
         image.data[at + 3] = bright ? 255 : 40;
@@ -74,7 +74,7 @@ class Chart {
         large.strokeRect(x, agent * row * unit + unit, width - unit, row * unit - unit);
       }
     }
-    // Where a driven agent broke a clause.
+    // Marks the ticks in which a driven agent violated a clause.
     large.fillStyle = isDark() ? "#ffffff" : "#000000";
     for (const { tick, agent, broken } of this.data.driven ?? []) {
       if (!broken.length) continue;

@@ -1,9 +1,9 @@
-// What all parts of the page draw with.
+// Helpers that all parts of the page share.
 
 const COLOURS = { Slow: "#b87a00", Normal: "#0a8a63", Fast: "#3f7fb5", Stop: "#c8401a" };
 const $ = (id) => document.getElementById(id);
 
-/** An element with attributes and children; texts are never read as markup. */
+/** Returns an element with attributes and children. Text is never parsed as markup. */
 function make(name, attributes = {}, ...children) {
   const element = document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) {
@@ -20,7 +20,7 @@ function isDark() {
   return theme ? theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
 }
 
-/** How many pixels of a canvas are one of the page. */
+/** Returns the number of canvas pixels per page pixel. */
 function pixelUnit() {
   return window.devicePixelRatio || 1;
 }

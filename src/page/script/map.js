@@ -1,6 +1,6 @@
-// The city from above.
+// The map: the city from above.
 
-/** How far to turn what faces up, clockwise. */
+/** The clockwise rotation of an icon that faces up, in radians. */
 const TURNS = { Up: 0, Right: Math.PI / 2, Down: Math.PI, Left: -Math.PI / 2 };
 
 class CityMap {
@@ -12,7 +12,7 @@ class CityMap {
     this.listen();
   }
 
-  /** The ground once, at so many pixels a cell that a large city still fits a canvas. */
+  /** Draws the ground once. The cell size shrinks so that a large city fits a canvas. */
   drawGround() {
     const { rows, cols, ground, kinds } = this.data.map;
     const dark = isDark();
@@ -40,7 +40,7 @@ class CityMap {
     this.buildings = this.findBuildings(kinds);
   }
 
-  /** The rectangles of buildings, for their names. */
+  /** Returns the rectangles and names of the buildings. */
   findBuildings(kinds) {
     const found = new Map();
     const done = [];
@@ -77,7 +77,7 @@ class CityMap {
   }
 
   showWhole() {
-    // What the agents ever reach is the city worth looking at; the rest of the map is there to pan to.
+    // Frames the region that agents visit; the reader can pan to the rest.
     const cells = this.data.ticks.flatMap(({ at }) => at);
     const spread = (axis, most) => {
       const values = cells.map((cell) => cell[axis]);
@@ -94,7 +94,7 @@ class CityMap {
     this.draw();
   }
 
-  /** Zooms so that the point of the canvas stays where it is. */
+  /** Zooms around a fixed point of the canvas. */
   zoom(by, x = $("map").width / 2, y = $("map").height / 2) {
     const { camera } = this;
     const [row, col] = this.cellAt(x, y);
@@ -115,7 +115,7 @@ class CityMap {
     return [(col - camera.col) * camera.scale + $("map").width / 2, (row - camera.row) * camera.scale + $("map").height / 2];
   }
 
-  /** Where an agent is drawn: between its cells while the city moves. */
+  /** Returns the position of an agent, interpolated between cells while the city moves. */
   place(agent) {
     const { tick, part } = this.now;
     const [from, to] = [this.run.at(tick, agent), this.run.at(tick + 1, agent)];
@@ -183,7 +183,7 @@ class CityMap {
     }, { passive: false });
   }
 
-  /** Keeps the map in sight: nothing beyond its edges is shown while there is map to show. */
+  /** Keeps the map in view. */
   clamp() {
     const { camera, data: { map } } = this;
     const keep = (at, pixels, cells) => {
@@ -208,7 +208,7 @@ class CityMap {
     paint.drawImage(this.ground.canvas, x, y, this.data.map.cols * scale, this.data.map.rows * scale);
     if (scale > 5) this.nameBuildings(paint);
     if (agent >= 0) this.drawChoice(paint, tick, agent);
-    // Who is chosen is drawn last, over the others.
+    // Draws the chosen agent last, above the others.
     const order = this.data.agents.map((_, one) => one).filter((one) => one !== agent);
     if (agent >= 0) order.push(agent);
     order.forEach((one) => {
@@ -230,7 +230,7 @@ class CityMap {
     }
   }
 
-  /** Field of view, way ahead, goal and partners of the chosen agent. */
+  /** Draws field of view, remaining route, goal and partners of the chosen agent. */
   drawChoice(paint, tick, agent) {
     const { view, goal } = this.data.ticks[tick];
     const colour = COLOURS[this.run.action(tick, agent)];
@@ -281,7 +281,7 @@ class CityMap {
     }
   }
 
-  /** A broken ring around who is driven, red and whole where its action breaks a clause. */
+  /** Draws a dashed ring around a driven agent, solid and red where its action violates a clause. */
   drawDriven(paint, x, y, side, { broken }) {
     const unit = pixelUnit();
     paint.beginPath();
@@ -304,7 +304,7 @@ class CityMap {
     const car = kind === "Car";
     const side = Math.max((car ? 7 : 5) * scale, (car ? 26 : 20) * unit);
     const colour = COLOURS[this.run.action(tick, agent)];
-    // The action: a disc under the icon with a rim that is seen on any ground.
+    // The action: a disc under the icon, with a rim visible on any ground.
     paint.beginPath();
     paint.arc(x, y, 0.42 * side, 0, 2 * Math.PI);
     paint.fillStyle = `${colour}70`;

@@ -1,4 +1,4 @@
-// What is chosen, and how the reader chooses.
+// The state of the page, and the controls that change it.
 
 const SPEEDS = [1, 2, 5, 10, 20, 50];
 
@@ -6,7 +6,7 @@ class Page {
   constructor(data, icons) {
     const run = new Run(data);
     Object.assign(this, { run, data });
-    /** Everything shown follows from this; positions, -1 for none. `part` is how much of a tick has passed while the city moves. */
+    /** The state that determines the view, as positions or -1. `part` is the fraction of a tick that has passed. */
     this.now = { tick: 0, agent: -1, clause: -1, hover: -1, playing: false, speed: 5, follow: false, part: 0 };
     this.summary = new Summary(run, this);
     this.agent = new AgentPanel(run, this);
@@ -92,7 +92,7 @@ class Page {
   }
 
   choose(changes) {
-    this.tell("");
+    this.notify("");
     Object.assign(this.now, { part: 0 }, changes);
     if (this.now.agent < 0) this.now.follow = false;
     if ("tick" in changes && !changes.keep) this.stop();
@@ -103,7 +103,7 @@ class Page {
     this.choose({ tick: Math.max(0, Math.min(this.run.count - 1, this.now.tick + by)) });
   }
 
-  /** To the next or previous firing of the chosen clause (of the chosen agent, if there is one), else change of its action. */
+  /** Goes to the next or previous firing of the chosen clause, or change of the chosen agent's action. */
   jump(by) {
     const { tick, agent, clause } = this.now;
     if (clause >= 0) {
@@ -121,7 +121,7 @@ class Page {
   }
 
   play(on) {
-    this.tell("");
+    this.notify("");
     if (on && this.now.tick === this.run.count - 1) this.now.tick = 0;
     this.now.playing = on;
     this.clock = undefined;
@@ -148,7 +148,7 @@ class Page {
     requestAnimationFrame((next) => this.advance(next));
   }
 
-  /** `#tick=20&agent=Car_1&clause=S4`. What is not there is told. */
+  /** Reads an address such as `#tick=20&agent=Car_1&clause=S4`, and reports values that do not exist. */
   readAddress() {
     const { data: { first, clauses, counted }, run } = this;
     const wanted = new URLSearchParams(location.hash.slice(1));
@@ -162,14 +162,14 @@ class Page {
     look("tick", (text) => {
       const tick = text.trim() === "" ? NaN : Number(text) - first;
       return Number.isInteger(tick) && tick < run.count ? tick : -1;
-    }, (text) => `there is no tick ${text} (the page has ${first} to ${first + run.count - 1})`);
-    look("agent", (id) => run.names.get(id) ?? -1, (id) => `there is no agent ${id}`);
-    look("clause", (label) => clauses.slice(0, counted).findIndex((clause) => clause.label === label), (label) => `there is no clause ${label}`);
-    this.tell(missing.length ? `What the address asks for is not all here: ${missing.join("; ")}.` : "");
+    }, (text) => `no tick ${text} (the page has ${first} to ${first + run.count - 1})`);
+    look("agent", (id) => run.names.get(id) ?? -1, (id) => `no agent ${id}`);
+    look("clause", (label) => clauses.slice(0, counted).findIndex((clause) => clause.label === label), (label) => `no clause ${label}`);
+    this.notify(missing.length ? `Not found: ${missing.join("; ")}.` : "");
   }
 
-  /** Says something above everything else; nothing if it is empty. */
-  tell(text) {
+  /** Shows a notice above the page; an empty text hides it. */
+  notify(text) {
     $("notice").hidden = !text;
     $("notice").textContent = text;
   }
@@ -203,7 +203,7 @@ class Page {
 
 async function main() {
   if (!("DecompressionStream" in window) || !CSS.supports("color", "light-dark(#000, #fff)")) {
-    throw new Error("the browser is too old; Chromium 123, Firefox 120 or Safari 17.5 and later can show it");
+    throw new Error("the browser is too old; it requires Chromium 123, Firefox 120, Safari 17.5 or later");
   }
   const data = await unpack($("data").textContent);
   $("data").remove();
@@ -213,6 +213,6 @@ async function main() {
 
 main().catch((error) => {
   $("fault").hidden = false;
-  $("fault").textContent = `This page cannot be shown: ${error.message}`;
+  $("fault").textContent = `Cannot show this page: ${error.message}`;
   throw error;
 });

@@ -1,13 +1,13 @@
 "use strict";
 
-// What the page shows: the data of a run, and what follows from them.
+// The data of a run, and what the page computes from them.
 
-/** What stands in base 64. */
+/** Decodes base 64. */
 function bytesOf(text) {
   return Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
 }
 
-/** What stands in base 64, deflated, as JSON. */
+/** Decodes base 64, decompresses, and parses JSON. */
 async function unpack(text) {
   const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
   return JSON.parse(await new Response(stream).text());
@@ -21,11 +21,11 @@ class Run {
     this.facts = this.unfoldFacts();
     this.firings = this.collectFirings();
     this.progress = this.measureProgress();
-    /** By tick, what is told of the agents that were driven from outside. */
+    /** The steps of driven agents, by tick. */
     this.steered = Map.groupBy(data.driven ?? [], ({ tick }) => tick);
   }
 
-  /** For every tick the rows of every predicate; ticks without a change share them. */
+  /** Returns for every tick the rows of every predicate. Ticks without a change share them. */
   unfoldFacts() {
     let rows = this.data.predicates.map(() => []);
     return this.data.ticks.map(({ facts }) => {
@@ -35,7 +35,7 @@ class Run {
     });
   }
 
-  /** For every clause, [tick, agent] of its firings in order. */
+  /** Returns for every clause the [tick, agent] of its firings, in order. */
   collectFirings() {
     const firings = this.data.clauses.map(() => []);
     this.data.ticks.forEach(({ fired }, tick) => {
@@ -44,7 +44,7 @@ class Run {
     return firings;
   }
 
-  /** For every agent and tick, how many cells it has gone on its route, and which route that is. */
+  /** Returns for every agent and tick its route, and the number of cells it has covered. */
   measureProgress() {
     return this.data.agents.map((_, agent) => {
       const routes = this.data.routes[agent];
@@ -74,12 +74,12 @@ class Run {
     return this.data.clauses[clause].label;
   }
 
-  /** The first line of a clause's comment, else its name. */
+  /** Returns the first line of a clause's comment, or its label. */
   title(clause) {
     return (this.data.clauses[clause].doc || this.label(clause)).split("\n")[0];
   }
 
-  /** What is left of an agent's route, as points [row, column]. */
+  /** Returns the rest of an agent's route, as points [row, column]. */
   wayAhead(tick, agent) {
     const { route, gone } = this.progress[agent][tick];
     const corners = route < 0 ? [] : this.data.routes[agent][route][1];
@@ -93,22 +93,22 @@ class Run {
     return [];
   }
 
-  /** What is told of an agent that was driven from outside in a tick; `undefined` of others. */
+  /** Returns the step of a driven agent in a tick; `undefined` for other agents. */
   driven(tick, agent) {
     return this.steered.get(tick)?.find((one) => one.agent === agent);
   }
 
-  /** The action that the rules are asked about first: what the agent did, or what they wanted of it where it was driven. */
+  /** Returns the action to explain first: the one taken, or for a driven agent the one that the rules wanted. */
   byRules(tick, agent) {
     return this.driven(tick, agent)?.wanted ?? this.data.ticks[tick].action[agent];
   }
 
-  /** The clauses that fired for an agent. */
+  /** Returns the titles of the clauses that fired for an agent. */
   causes(tick, agent) {
     return this.data.ticks[tick].fired[agent].map((clause) => this.title(clause)).join("; ");
   }
 
-  /** The other agents that the proof of that action speaks of. */
+  /** Returns the other agents in the proof of the action. */
   partners(tick, agent) {
     const node = this.data.nodes[this.data.ticks[tick].why[agent][this.byRules(tick, agent)]];
     const named = Object.values(node?.b ?? {}).map((name) => this.names.get(name));

@@ -1,4 +1,4 @@
-// The run as a whole: its clauses, deadlocks, and who was driven.
+// The summary of a run: its clauses, deadlocks, and driven agents.
 
 class Summary {
   constructor(run, page) {
@@ -24,7 +24,7 @@ class Summary {
       const row = make("tr", { "data-clause": clause, "data-decides": decides },
         make("td", {}, String(count)),
         make("td", {}, make("span", { class: "swatch", style: `background:${COLOURS[head] ?? "var(--faint)"}` }), head),
-        make("td", {}, decides ? make("button", { type: "button", title: "show every time it fired" }, title) : title));
+        make("td", {}, decides ? make("button", { type: "button", title: "show all firings" }, title) : title));
       if (decides) row.addEventListener("click", choose);
       $("clauses").append(row);
     }
@@ -40,16 +40,16 @@ class Summary {
       const chain = names.map((name, at) => name + by(found.clauses[at])).join(" → ");
       const since = found.since === data.first && data.first > 0 ? `${found.since} or before` : found.since;
       const lasts = found.until + 10 > data.first + this.run.count;
-      const when = lasts ? `deadlock since tick ${since}` : `circle of waits, ticks ${since} to ${found.until}`;
+      const when = lasts ? `deadlock since tick ${since}` : `wait cycle, ticks ${since} to ${found.until}`;
       const go = () => this.page.choose({ tick: Math.min(Math.max(found.since - data.first, 0), this.run.count - 1), agent: found.agents[0] });
-      $("deadlocks").append(make("button", { type: "button", onclick: go, title: "go there" },
+      $("deadlocks").append(make("button", { type: "button", onclick: go, title: "go to this tick" },
         `${when}: ${chain} → ${names[0]}`));
     }
     if (!data.deadlocks.length) $("deadlocks").append("no deadlock");
-    if (data.looks_given_up) $("deadlocks").append(` (${data.looks_given_up} times there were too many ways to stop to look for one)`);
+    if (data.looks_given_up) $("deadlocks").append(` (${data.looks_given_up} deadlock searches reached their limit)`);
   }
 
-  /** Who was driven from outside, and the decisions that broke a clause. */
+  /** Lists driven agents, and their decisions that violated a clause. */
   fillDriven() {
     const { data } = this;
     if (!data.driven) return;
@@ -60,12 +60,12 @@ class Summary {
       const go = (tick) => () => this.page.choose({ tick, agent });
       const broken = steps.filter((step) => step.broken.length).map(({ tick, broken }) => {
         const labels = broken.map((clause) => this.run.label(clause)).join(", ");
-        return make("button", { type: "button", title: "go there", onclick: go(tick) }, `tick ${data.first + tick}: broke ${labels}`);
+        return make("button", { type: "button", title: "go to this tick", onclick: go(tick) }, `tick ${data.first + tick}: violated ${labels}`);
       });
       $("driven").append(
-        make("button", { type: "button", title: "go there", class: "agent-link", onclick: go(steps[0].tick) }, data.agents[agent].id),
-        ` was driven: ${heeded} of ${steps.length} actions were those that the rules wanted. `,
-        ...(broken.length ? broken : ["No clause was broken."]));
+        make("button", { type: "button", title: "go to this tick", class: "agent-link", onclick: go(steps[0].tick) }, data.agents[agent].id),
+        ` was driven: ${heeded} of ${steps.length} actions agreed with the rules. `,
+        ...(broken.length ? broken : ["No clause was violated."]));
     }
   }
 
