@@ -140,6 +140,7 @@ pub type NamedBytes = (String, Vec<u8>);
 /// Reads the files in the subfolders of a folder, sorted by path, each with its path `FOLDER/NAME`. Skips files outside
 /// of subfolders and names that begin with a dot.
 ///
+/// # Errors
 /// The path that cannot be read and the reason: too many files, or an error of the system.
 pub fn read_folders(path: &Path, files_max: usize, bytes_max: u64) -> Result<Vec<NamedBytes>, (PathBuf, ReadError)> {
     let mut found = Vec::new();
@@ -221,6 +222,7 @@ pub struct Output {
 impl Output {
     /// Begins to write the file at `path`, whose folder must exist.
     ///
+    /// # Errors
     /// Errors of the system, and `InvalidInput` if `path` exists and is not a regular file, since the output would
     /// replace it.
     pub fn create(path: &Path) -> io::Result<Output> {
@@ -250,6 +252,7 @@ impl Output {
 
     /// Renames the complete file to its path.
     ///
+    /// # Errors
     /// Errors of the system. Then an existing file at that path is unchanged.
     pub fn finish(self) -> io::Result<()> {
         let file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;

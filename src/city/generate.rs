@@ -22,6 +22,7 @@ const MAX_BLOCKS: u64 = 1 << 20;
 impl CityMap {
     /// Generates the map of a configuration. Equal configurations give equal maps, whatever the seed of the run.
     ///
+    /// # Errors
     /// `limit-exceeded` if the map would have more than 2^20 rows, columns or blocks; the function checks this before
     /// it allocates memory. `invalid-map` for widths that leave no room, a table of buildings of the wrong shape, or
     /// unusable weights.
@@ -118,11 +119,7 @@ fn choose_buildings(
                 ));
             }
             match table.iter().position(|row| row.len() != cols) {
-                Some(row) => wrong(format!(
-                    "row {} has {} buildings",
-                    row + 1,
-                    table[row].len()
-                )),
+                Some(row) => wrong(format!("row {} has {} buildings", row + 1, table[row].len())),
                 None => {
                     let of_block = |row: usize, col: usize| {
                         let [upper, lower] = [&table[2 * row], &table[2 * row + 1]];

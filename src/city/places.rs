@@ -456,6 +456,7 @@ impl Places {
     /// goal of a pedestrian is in another block, so it is more than 3 cells away from the buildings of its own. If a
     /// goal cannot be reached, it draws again, up to 16 times in all.
     ///
+    /// # Errors
     /// If there is no such place, or none of those drawn can be reached.
     pub fn draw_route(
         &self,

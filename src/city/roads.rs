@@ -443,6 +443,7 @@ impl Router {
     /// A car can start and arrive anywhere beside a lane: on a street between two intersections, their outlines
     /// included, on either side of the mid line. A pedestrian takes a shortest path over walking streets and crossings.
     ///
+    /// # Errors
     /// If the agent cannot be at the start or at the goal, or cannot get from one to the other.
     pub fn plan(&self, kind: AgentKind, start: Cell, goal: Cell) -> Result<Route, NoRoute> {
         let mut way = Way::new(&self.map, kind, start);
