@@ -14,7 +14,6 @@ use crate::files::ReadFile;
 use crate::symbol::{Symbol, Symbols};
 
 use crate::datalog::check::clause;
-use crate::datalog::check::clause::{names_in, names_of};
 use crate::datalog::check::witness::{renamed, renamed_term};
 use crate::datalog::check::{self as rules, Comparing, RelId, Rules};
 use crate::datalog::check::{Edb, check, inline, names};
@@ -22,6 +21,7 @@ use crate::datalog::syntax::ast::BaseType;
 use crate::datalog::syntax::ast::{
     Atom, Clause, ColumnDecl, Decl, Item, Literal, Mark, MarkKind, Name, Place, Term, TermKind,
 };
+use crate::datalog::syntax::ast::{names_in, names_of};
 use crate::datalog::syntax::include;
 use crate::datalog::syntax::include::Gathered;
 use crate::datalog::syntax::lexer;

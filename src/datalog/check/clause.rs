@@ -3,66 +3,25 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::diag::{Code, Diagnostic, Faults, Span};
+use crate::diag::{Code, Diagnostic, Faults};
 use crate::symbol::Symbols;
 
 use crate::datalog::check::body;
-use crate::datalog::check::body::{Body, VariableType};
+use crate::datalog::check::body::Body;
+use crate::datalog::check::clauses::{Checked, Clauses, Known, VariableType};
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Relation, Term, VarId};
 use crate::datalog::check::scope;
 use crate::datalog::check::scope::Scope;
 use crate::datalog::check::witness;
 use crate::datalog::syntax::ast;
-use crate::datalog::syntax::ast::BaseType;
-use crate::datalog::syntax::ast::{Item, TermKind};
+use crate::datalog::syntax::ast::{BaseType, Item, names_in, names_of};
 
 /// Maximum number of literals in a body.
 const MAX_LITERALS: usize = 1024;
 
 /// Maximum number of combinations of alternatives and heads of one clause.
 const MAX_ALTERNATIVES: usize = 1024;
-
-/// A dependency of a head on a predicate of its body.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Edge {
-    pub from: RelId,
-    pub to: RelId,
-    pub kind: EdgeKind,
-    /// The atom in the body; for a guard, the `.scope`.
-    pub span: Span,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum EdgeKind {
-    Needs,
-    Negates,
-    Aggregates,
-}
-
-/// A clause with the facts that checks between clauses need.
-#[derive(Debug)]
-pub(crate) struct Checked {
-    pub clause: Clause,
-    /// The base types of its variables, as far as known.
-    pub bases: Vec<Option<BaseType>>,
-    /// Whether the clause is free of errors.
-    pub sound: bool,
-}
-
-/// All clauses of a program.
-#[derive(Default)]
-pub(crate) struct Clauses {
-    pub clauses: Vec<Checked>,
-    /// The clauses of the hidden predicates.
-    pub hidden: Vec<Clause>,
-    /// The dependencies, also those of faulty clauses. Hidden predicates do not occur in them.
-    pub edges: Vec<Edge>,
-    /// The symbols of all constants.
-    pub symbols: Symbols,
-    /// Whether the checker dropped a clause because of an unknown name or a limit.
-    pub incomplete: bool,
-}
 
 /// Checks all clauses and interns their constants in `symbols`.
 pub(crate) fn check(items: &[Item], names: &mut Names, symbols: Symbols, faults: &mut Faults) -> Clauses {
@@ -304,8 +263,8 @@ fn base(ty: VariableType, names: &Names) -> Option<BaseType> {
 }
 
 /// Warns of variables that occur once. A guarded variable means "some agent in view" and needs no second occurrence.
-fn lone_variables(clause: &ast::Clause, variables: &[body::Known], guarded: &[bool], faults: &mut Faults) {
-    let lone = |variable: &body::Known| variable.count == 1 && !variable.hidden && !variable.name.starts_with('_');
+fn lone_variables(clause: &ast::Clause, variables: &[Known], guarded: &[bool], faults: &mut Faults) {
+    let lone = |variable: &Known| variable.count == 1 && !variable.hidden && !variable.name.starts_with('_');
     let mut counts = None;
     for (variable, guarded) in variables.iter().zip(guarded) {
         if *guarded || !lone(variable) {
@@ -339,46 +298,5 @@ fn lone_variables(clause: &ast::Clause, variables: &[body::Known], guarded: &[bo
             variable.name
         ));
         faults.push(fault);
-    }
-}
-
-/// Calls `each` with every occurrence of a variable in a term; those in aggregates only if `inside`.
-pub(crate) fn names_of<'c>(term: &'c ast::Term, inside: bool, each: &mut impl FnMut(&'c str)) {
-    match &term.kind {
-        TermKind::Variable(name) => each(name),
-        TermKind::Functor(_, arguments) => arguments.iter().for_each(|argument| names_of(argument, inside, each)),
-        TermKind::Cast(inner, _) => names_of(inner, inside, each),
-        TermKind::Aggregate(aggregate) if inside => {
-            aggregate
-                .target
-                .iter()
-                .for_each(|target| names_of(target, inside, each));
-            aggregate
-                .body
-                .iter()
-                .for_each(|literal| names_in(literal, inside, each));
-        }
-        TermKind::Aggregate(_)
-        | TermKind::Wildcard
-        | TermKind::Number(_)
-        | TermKind::Unsigned(_)
-        | TermKind::Float(_)
-        | TermKind::Text(_) => {}
-    }
-}
-
-/// Calls `each` with every occurrence of a variable in a literal; those in aggregates only if `inside`.
-pub(crate) fn names_in<'c>(literal: &'c ast::Literal, inside: bool, each: &mut impl FnMut(&'c str)) {
-    match literal {
-        ast::Literal::Atom { atom, .. } => atom.terms.iter().for_each(|term| names_of(term, inside, each)),
-        ast::Literal::Compare { left, right, .. } => {
-            [left, right].into_iter().for_each(|side| names_of(side, inside, each))
-        }
-        ast::Literal::Any(alternatives) => {
-            alternatives
-                .iter()
-                .flatten()
-                .for_each(|literal| names_in(literal, inside, each));
-        }
     }
 }

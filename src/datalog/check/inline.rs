@@ -14,11 +14,11 @@ use std::collections::{HashMap, HashSet};
 
 use crate::diag::{Code, Diagnostic, Faults, Span};
 
-use crate::datalog::check::clause::{names_in, names_of};
 use crate::datalog::check::strata::components;
 use crate::datalog::check::witness::{Names, bound_names, renamed, renamed_term};
 use crate::datalog::syntax::ast::Comparison;
 use crate::datalog::syntax::ast::{Atom, Clause, Decl, Item, Literal, Name, Term, TermKind};
+use crate::datalog::syntax::ast::{names_in, names_of};
 use crate::datalog::syntax::parser::negate;
 
 /// Maximum nesting of inline predicates.

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use crate::diag::{Code, Diagnostic, Faults, Span};
 
-use crate::datalog::check::clause::{Checked, Clauses};
+use crate::datalog::check::clauses::{Checked, Clauses};
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Relation, Term};
 use crate::datalog::check::strata;

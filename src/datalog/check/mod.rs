@@ -6,8 +6,8 @@
 //! - `names`: declares types and predicates.
 //! - `clause`: splits disjunctions and multiple heads into clauses.
 //! - `witness`: rewrites `min` and `max` with witness variables.
-//! - `body`: checks one clause: names, expressions, types and safety.
-//! - `aggregate`, `range`: define hidden predicates for aggregates and ranges.
+//! - `body`: checks one clause: names, expressions, types and safety. Defines hidden predicates for aggregates and
+//!   ranges.
 //! - `scope`: adds the guards of `.scope`.
 //! - `constraints`: checks integrity constraints.
 //! - `strata`: finds the order of evaluation.
@@ -16,14 +16,13 @@
 //!
 //! This module does not know how rules are evaluated.
 
-mod aggregate;
 mod body;
 pub(crate) mod clause;
+mod clauses;
 mod constraints;
 pub(crate) mod inline;
 mod lint;
 pub(crate) mod names;
-mod range;
 mod rules;
 mod scope;
 mod strata;

@@ -12,8 +12,7 @@ use indexmap::IndexMap;
 
 use crate::diag::{Code, Diagnostic, Faults, Span};
 
-use crate::datalog::check::body::VariableType;
-use crate::datalog::check::clause::{Clauses, Edge, EdgeKind};
+use crate::datalog::check::clauses::{Clauses, Edge, EdgeKind, Guard, VariableType};
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
 use crate::datalog::syntax::ast;
@@ -28,16 +27,6 @@ pub(crate) struct Scope<'a> {
     pub types: Vec<VariableType>,
     /// Whether each variable in the source has a guard.
     pub guarded: Vec<bool>,
-}
-
-/// The scope in force.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Guard {
-    pub relation: RelId,
-    pub ego: TypeId,
-    pub seen: TypeId,
-    /// The place of the `.scope`.
-    pub span: Span,
 }
 
 /// The scopes of a program, in source order.

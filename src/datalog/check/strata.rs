@@ -6,7 +6,7 @@ use std::collections::{BinaryHeap, VecDeque};
 
 use crate::diag::{Code, Diagnostic, Faults};
 
-use crate::datalog::check::clause::{Edge, EdgeKind};
+use crate::datalog::check::clauses::{Edge, EdgeKind};
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Clause, ClauseId, RelId, Relation, Stratum};
 

@@ -11,9 +11,9 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::datalog::check::clause::{names_in, names_of};
 use crate::datalog::syntax::ast::Comparison;
 use crate::datalog::syntax::ast::{Aggregate, Atom, Literal, Term, TermKind};
+use crate::datalog::syntax::ast::{names_in, names_of};
 use crate::datalog::syntax::functor::AggregateOp;
 
 /// Rewrites the aggregates with witnesses; `None` if there are none.

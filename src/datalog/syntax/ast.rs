@@ -390,3 +390,42 @@ impl Comparison {
         }
     }
 }
+
+/// Calls `each` with every occurrence of a variable in a term; those in aggregates only if `inside`.
+pub(crate) fn names_of<'c>(term: &'c Term, inside: bool, each: &mut impl FnMut(&'c str)) {
+    match &term.kind {
+        TermKind::Variable(name) => each(name),
+        TermKind::Functor(_, arguments) => arguments.iter().for_each(|argument| names_of(argument, inside, each)),
+        TermKind::Cast(inner, _) => names_of(inner, inside, each),
+        TermKind::Aggregate(aggregate) if inside => {
+            aggregate
+                .target
+                .iter()
+                .for_each(|target| names_of(target, inside, each));
+            aggregate
+                .body
+                .iter()
+                .for_each(|literal| names_in(literal, inside, each));
+        }
+        TermKind::Aggregate(_)
+        | TermKind::Wildcard
+        | TermKind::Number(_)
+        | TermKind::Unsigned(_)
+        | TermKind::Float(_)
+        | TermKind::Text(_) => {}
+    }
+}
+
+/// Calls `each` with every occurrence of a variable in a literal; those in aggregates only if `inside`.
+pub(crate) fn names_in<'c>(literal: &'c Literal, inside: bool, each: &mut impl FnMut(&'c str)) {
+    match literal {
+        Literal::Atom { atom, .. } => atom.terms.iter().for_each(|term| names_of(term, inside, each)),
+        Literal::Compare { left, right, .. } => [left, right].into_iter().for_each(|side| names_of(side, inside, each)),
+        Literal::Any(alternatives) => {
+            alternatives
+                .iter()
+                .flatten()
+                .for_each(|literal| names_in(literal, inside, each));
+        }
+    }
+}

@@ -14,17 +14,17 @@ use crate::diag::{Code, Diagnostic, Faults, Span};
 use crate::symbol::Symbols;
 
 use crate::datalog::check::Edb;
-use crate::datalog::check::aggregate::Finish;
-use crate::datalog::check::clause::{Clauses, Edge, EdgeKind, names_in, names_of};
+use crate::datalog::check::clauses::{Clauses, Edge, EdgeKind, Guard, Known, renumber};
 use crate::datalog::check::names::Names;
-use crate::datalog::check::rules::{Atom, Literal, RelId, Term, TypeId, VarId};
-use crate::datalog::check::scope::Guard;
+use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
 use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::TermKind;
-use crate::datalog::syntax::ast::{BaseType, Comparison};
+use crate::datalog::syntax::ast::{BaseType, Comparison, names_in, names_of};
 use crate::datalog::syntax::functor::{AggregateOp, Functor, Shape};
 use crate::datalog::value::Value;
 
+mod aggregate;
+mod range;
 mod safety;
 mod types;
 
@@ -40,16 +40,14 @@ pub(crate) struct Body {
     pub sound: bool,
 }
 
-/// A variable of a checked clause.
-#[derive(Clone)]
-pub(crate) struct Known {
-    pub name: String,
-    pub ty: VariableType,
-    pub first: Span,
-    /// The number of occurrences.
-    pub count: usize,
-    /// Whether it stands for the value of an expression.
-    pub hidden: bool,
+/// The state for finishing the literals of a clause.
+pub(crate) struct Finish<'f> {
+    /// The scope in force, with the first argument of the head.
+    pub scope: Option<(Guard, Option<Term>)>,
+    /// The variables of the whole clause; finishing adds more.
+    pub variables: &'f mut Vec<Known>,
+    /// The clauses of hidden predicates.
+    pub hidden: &'f mut Vec<Clause>,
 }
 
 /// Checks one head with one alternative. `None` if a predicate is unknown or has a different number of columns.
@@ -173,43 +171,6 @@ fn fold(head: &mut Atom, literals: &mut Vec<Literal>, symbols: &Symbols) {
     }
 }
 
-/// Renumbers the variables that occur, keeping their order, and returns them.
-pub(crate) fn renumber<'t>(
-    variables: Vec<Known>,
-    heads: impl Iterator<Item = &'t mut Vec<Term>>,
-    literals: &'t mut [Literal],
-) -> Vec<Known> {
-    let mut terms: Vec<&mut Term> = heads
-        .flatten()
-        .chain(literals.iter_mut().flat_map(Literal::terms_mut))
-        .collect();
-    let mut used = vec![false; variables.len()];
-    for term in &terms {
-        if let Term::Variable(id) = **term {
-            used[id.index()] = true;
-        }
-    }
-    let mut next = 0;
-    let numbers: Vec<u32> = (used.iter())
-        .map(|&used| {
-            let number = next;
-            next += u32::from(used);
-            number
-        })
-        .collect();
-    for term in &mut terms {
-        if let Term::Variable(id) = &mut **term {
-            *id = VarId(numbers[id.index()]);
-        }
-    }
-    variables
-        .into_iter()
-        .zip(used)
-        .filter(|(_, used)| *used)
-        .map(|(known, _)| known)
-        .collect()
-}
-
 /// The occurrence of a variable in a column.
 #[derive(Clone, Copy)]
 struct Use {
@@ -246,15 +207,6 @@ enum Name<'c> {
     Written(&'c str),
     /// The expression whose value it holds.
     Expression(&'c ast::Term),
-}
-
-/// The type of a variable as far as known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum VariableType {
-    Unknown,
-    /// It only equals constants and expressions of this base type, so it fits every subtype of it.
-    Base(BaseType),
-    Type(TypeId),
 }
 
 /// A value with its place.

@@ -7,7 +7,8 @@ use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::{AggregateOp, Functor, Shape};
 use crate::diag::{Code, Diagnostic, Span};
 
-use crate::datalog::check::body::{Check, Operand, OperandKind, Pending, Use, VariableType};
+use crate::datalog::check::body::{Check, Operand, OperandKind, Pending, Use};
+use crate::datalog::check::clauses::VariableType;
 
 impl<'c> Check<'_, 'c> {
     pub(super) fn group(&self, mut at: usize) -> usize {

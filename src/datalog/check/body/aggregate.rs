@@ -15,24 +15,13 @@ use std::collections::BTreeSet;
 
 use crate::diag::{Code, Diagnostic, Span};
 
-use crate::datalog::check::body::{Check, Known, Operand, Pending, VariableType, renumber};
-use crate::datalog::check::clause::EdgeKind;
+use crate::datalog::check::body::{Check, Finish, Operand, Pending};
+use crate::datalog::check::clauses::{EdgeKind, Known, VariableType, renumber};
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Term, TypeId, VarId};
 use crate::datalog::check::scope;
-use crate::datalog::check::scope::Guard;
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
-
-/// The state for finishing the literals of a clause.
-pub(crate) struct Finish<'f> {
-    /// The scope in force, with the first argument of the head.
-    pub scope: Option<(Guard, Option<Term>)>,
-    /// The variables of the whole clause; finishing adds more.
-    pub variables: &'f mut Vec<Known>,
-    /// The clauses of hidden predicates.
-    pub hidden: &'f mut Vec<Clause>,
-}
 
 /// An aggregate without its body.
 #[derive(Clone, Copy)]

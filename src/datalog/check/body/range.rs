@@ -15,9 +15,10 @@ use std::collections::BTreeSet;
 
 use crate::diag::Span;
 
-use crate::datalog::check::aggregate::{Finish, bound_by};
-use crate::datalog::check::body::{Check, Known, Pending, VariableType, renumber};
-use crate::datalog::check::clause::EdgeKind;
+use crate::datalog::check::body::aggregate::bound_by;
+use crate::datalog::check::body::{Check, Finish, Pending};
+use crate::datalog::check::clauses::EdgeKind;
+use crate::datalog::check::clauses::{Known, VariableType, renumber};
 use crate::datalog::check::names::Names;
 use crate::datalog::check::rules::{Atom, Clause, Literal, RelId, Term, VarId};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
