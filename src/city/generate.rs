@@ -118,11 +118,7 @@ fn choose_buildings(
                 ));
             }
             match table.iter().position(|row| row.len() != cols) {
-                Some(row) => wrong(format!(
-                    "row {} has {} buildings",
-                    row + 1,
-                    table[row].len()
-                )),
+                Some(row) => wrong(format!("row {} has {} buildings", row + 1, table[row].len())),
                 None => {
                     let of_block = |row: usize, col: usize| {
                         let [upper, lower] = [&table[2 * row], &table[2 * row + 1]];

@@ -123,7 +123,6 @@ pub fn advance(agent: &mut Agent, index: usize, decided: Action, surroundings: &
     }
 }
 
-
 /// Sets out for a new goal; returns whether there is a reachable one. Not inlined, to keep the common moves short.
 #[inline(never)]
 fn replan(agent: &mut Agent, index: usize, surroundings: &Surroundings<'_>) -> bool {

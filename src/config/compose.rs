@@ -101,7 +101,8 @@ impl<'a> Composer<'a> {
             Err(error) => {
                 let mut fault = unreadable(&path, &error).at(node.span, "");
                 if error == ReadError::NotFound {
-                    fault = fault.note("a path is relative to the file that names it; there is no such built-in file either");
+                    fault = fault
+                        .note("a path is relative to the file that names it; there is no such built-in file either");
                 }
                 self.faults.push(fault);
                 None

@@ -44,7 +44,7 @@ pub(crate) fn plan_clause(
 ) -> Result<ClausePlans, Diagnostic> {
     for (what, count) in [("literals", clause.body.len()), ("variables", clause.variables.len())] {
         if count > CLAUSE_MAX {
-            let message = format!("the clause has {count} {what}; at most {CLAUSE_MAX} are possible");
+            let message = format!("the clause has {count} {what}; the maximum is {CLAUSE_MAX}");
             return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(clause.span, ""));
         }
     }

@@ -199,11 +199,8 @@ fn redundant(
         return None;
     }
     let needless = shown_literal(rules, clause, literal);
-    let mut fault = Diagnostic::new(
-        Code::REDUNDANT_LITERAL,
-        format!("`{needless}` is redundant"),
-    )
-    .at(span(&clause.body[literal]), "");
+    let mut fault = Diagnostic::new(Code::REDUNDANT_LITERAL, format!("`{needless}` is redundant"))
+        .at(span(&clause.body[literal]), "");
     fault = match because {
         None => fault.note("it always holds"),
         Some(other) if matches!(clause.body[other], Literal::Guard(_)) => fault.note("the scope implies it"),
@@ -218,7 +215,10 @@ fn redundant(
         .map(|&index| shown_literal(rules, clause, index))
         .collect();
     let head = shown_atom(rules, clause, &clause.head);
-    Some(fault.help(format!("an equivalent shorter clause: `{head} :- {}.`", body.join(", "))))
+    Some(fault.help(format!(
+        "an equivalent shorter clause: `{head} :- {}.`",
+        body.join(", ")
+    )))
 }
 
 // --- finding
