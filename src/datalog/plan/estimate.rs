@@ -329,7 +329,7 @@ impl Flow {
     }
 
     /// Accounts for a leapfrog join of these lists that binds the variable.
-    pub(crate) fn meet(&mut self, lists: &[(&Size, Vec<Known>)], variable: VarId) {
+    pub(crate) fn leapfrog_join(&mut self, lists: &[(&Size, Vec<Known>)], variable: VarId) {
         let found = lists.iter().map(|(size, key)| self.found(size, key));
         let least = found.fold(f64::INFINITY, f64::min);
         self.effort += self.rows * lists.len() as f64 * (1.0 + least);
