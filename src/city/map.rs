@@ -172,7 +172,8 @@ const ON_LANE: u8 = 1 << 5;
 /// The bits that determine the content of a cell.
 const ZONE_AND_EDGE: u8 = AT_EDGE | 0xf;
 
-/// The zones of an axis. Before and after are relative to the mid line of the nearest street, before being closer to 0.
+/// The zones of an axis. "Before" and "after" are relative to the mid line of the nearest street: coordinates before it
+/// are smaller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub(super) enum Zone {

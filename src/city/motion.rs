@@ -29,7 +29,7 @@ pub const fn speed_cells(kind: AgentKind, speed: Action) -> Option<usize> {
 
 /// Returns the maximum number of cells that an agent can move; all smaller positive numbers are possible too.
 ///
-/// A move is straight and stops at every node of the road graph, so that cars always land on the lines where
+/// A move is straight and jumps over no node of the road graph, so that cars always land on the lines where
 /// intersections begin and end. 0 at the goal.
 pub fn possible_cells(agent: &Agent) -> usize {
     let reach = match agent.kind {

@@ -66,8 +66,8 @@ impl Route {
         }))
     }
 
-    /// Returns the nodes of the road graph on the route, in order; cars stop at each of them. The routes of pedestrians
-    /// have none.
+    /// Returns the nodes of the road graph on the route, in order; no move of a car jumps over one. The routes of
+    /// pedestrians have none.
     pub fn nodes(&self) -> impl Iterator<Item = Cell> + '_ {
         let mut at = self.start;
         let ends = self.pieces.iter().filter_map(move |piece| {

@@ -567,7 +567,7 @@ impl<const W: usize> Join<'_, W> {
             }
             Step::LeapfrogJoin { lists, to } => {
                 let base = self.cursors.len();
-                let result = self.meet((depth, end, once), lists, *to);
+                let result = self.leapfrog_join((depth, end, once), lists, *to);
                 self.cursors.truncate(base);
                 result
             }
@@ -616,7 +616,12 @@ impl<const W: usize> Join<'_, W> {
 
     /// The leapfrog join. Each list in turn seeks the first word not less than the largest one found so far. When all
     /// lists have found the same word, it is in the intersection. The caller drops the cursors.
-    fn meet(&mut self, (depth, end, once): (usize, usize, bool), lists: &[List], to: Slot) -> Result<bool, Abort> {
+    fn leapfrog_join(
+        &mut self,
+        (depth, end, once): (usize, usize, bool),
+        lists: &[List],
+        to: Slot,
+    ) -> Result<bool, Abort> {
         let views = self.views;
         let base = self.cursors.len();
         for (list, batch) in lists.iter().zip(views[depth].batches()) {

@@ -6,7 +6,7 @@
 //!    atom: an added row), with all else as before. In a recursive stratum, heads derived from lost heads may be lost
 //!    too.
 //! 2. *Keep*: keep the lost heads that some clause still derives.
-//! 3. *Gain*: add the unknown heads that the clause derives from an added row (of a negated atom: a removed row), with
+//! 3. *Gain*: add the new heads that the clause derives from an added row (of a negated atom: a removed row), with
 //!    all else as it is now. In a recursive stratum, also add what follows from the kept and gained heads.
 //!
 //! The algorithm counts no derivations, so it stores nothing between commits besides the relations. A clause can stop

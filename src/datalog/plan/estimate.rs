@@ -3,8 +3,8 @@
 //!
 //! [`Size`] measures the relations that a clause is planned for, and [`Flow`] follows a plan while the planner builds
 //! it. The choice between alternative plans in each round of a recursion uses a [`Shape`], which is cheaper to take. It
-//! assumes evenly distributed words: if a column of `n` rows has words between `a` and `b`, a word matches `n / (b - a
-//! + 1)` rows.
+//! assumes evenly distributed words: if the words of a column lie between `a` and `b`, a word matches `n / (b - a + 1)`
+//! of `n` rows.
 
 use crate::datalog::check::VarId;
 use crate::datalog::plan::steps::{Indexes, Plan, Source, Step};
@@ -222,9 +222,9 @@ type Key = [Known];
 /// The estimate after a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Reckoning {
-    /// Rows that come to the next step.
+    /// Rows that reach the next step.
     rows: f64,
-    /// Rows looked at by the steps so far.
+    /// Rows scanned by the steps so far.
     effort: f64,
 }
 
@@ -248,9 +248,9 @@ pub(crate) fn effort_of_parts(trail: &[Reckoning], enough: &[u16]) -> f64 {
 /// The running estimate of a plan while the planner builds it.
 #[derive(Clone, Debug)]
 pub(crate) struct Flow {
-    /// Rows that come to the next step.
+    /// Rows that reach the next step.
     rows: f64,
-    /// Rows looked at by the steps so far.
+    /// Rows scanned by the steps so far.
     effort: f64,
     /// By variable: the estimated number of distinct words; 0 if unknown.
     words: Vec<f64>,
@@ -329,7 +329,7 @@ impl Flow {
     }
 
     /// Accounts for a leapfrog join of these lists that binds the variable.
-    pub(crate) fn meet(&mut self, lists: &[(&Size, Vec<Known>)], variable: VarId) {
+    pub(crate) fn leapfrog_join(&mut self, lists: &[(&Size, Vec<Known>)], variable: VarId) {
         let found = lists.iter().map(|(size, key)| self.found(size, key));
         let least = found.fold(f64::INFINITY, f64::min);
         self.effort += self.rows * lists.len() as f64 * (1.0 + least);

@@ -49,7 +49,7 @@ impl Plans {
         let width_max = WIDTHS[WIDTHS.len() - 1];
         if let Some(wide) = rules.relations.iter().find(|relation| relation.arity() > width_max) {
             let message = format!(
-                "`{}` has {} columns; at most {width_max} are possible",
+                "`{}` has {} columns; the maximum is {width_max}",
                 wide.name,
                 wide.arity()
             );

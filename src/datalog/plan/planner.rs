@@ -21,7 +21,7 @@ pub(crate) const CLAUSE_MAX: usize = 128;
 const MAINTAINED_LITERALS_MAX: usize = 24;
 
 /// A clause with more literals than this has no alternative plans.
-const DETOUR_LITERALS_MAX: usize = 8;
+const ALTERNATIVE_LITERALS_MAX: usize = 8;
 
 /// The cost of adding one row to an index, in rows scanned. Sorting costs more, but later commits reuse the index.
 const INDEX_ROW: f64 = 1.9;
@@ -44,7 +44,7 @@ pub(crate) fn plan_clause(
 ) -> Result<ClausePlans, Diagnostic> {
     for (what, count) in [("literals", clause.body.len()), ("variables", clause.variables.len())] {
         if count > CLAUSE_MAX {
-            let message = format!("the clause has {count} {what}; at most {CLAUSE_MAX} are possible");
+            let message = format!("the clause has {count} {what}; the maximum is {CLAUSE_MAX}");
             return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(clause.span, ""));
         }
     }
@@ -70,7 +70,7 @@ pub(crate) fn plan_clause(
         for (position, literal) in clause.body.iter().enumerate() {
             let finished =
                 matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
-            if finished && clause.body.len() <= DETOUR_LITERALS_MAX {
+            if finished && clause.body.len() <= ALTERNATIVE_LITERALS_MAX {
                 let other = Planner::new(clause, indexes, order).plan(First::Literal(position), &version)?;
                 // Evaluation must update an index over a growing relation, so an alternative uses none.
                 let mut sources = other.steps.iter().flat_map(Step::sources);
@@ -180,7 +180,7 @@ enum Next {
     /// Scan the atom of this literal.
     Scan(usize),
     /// Leapfrog-join the atoms of these literals. The variable is the only one that they lack.
-    Meet(Vec<usize>, VarId),
+    LeapfrogJoin(Vec<usize>, VarId),
 }
 
 struct Planner<'a> {
@@ -263,7 +263,7 @@ impl<'a> Planner<'a> {
                         self.placed(position);
                     }
                 }
-                Some(Next::Meet(positions, variable)) => self.meet(&positions, variable, version),
+                Some(Next::LeapfrogJoin(positions, variable)) => self.leapfrog_join(&positions, variable, version),
                 None => {}
             }
             let known = |planner: &Self| head_variables.iter().all(|variable| planner.bound[variable.index()]);
@@ -531,12 +531,12 @@ impl<'a> Planner<'a> {
                 (a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))).then((a.2, a.3, a.4, a.5).cmp(&(b.2, b.3, b.4, b.5)))
             })?
             .5;
-        Some(self.next_meet(best).unwrap_or(Next::Scan(best)))
+        Some(self.next_leapfrog_join(best).unwrap_or(Next::Scan(best)))
     }
 
     /// Returns a leapfrog join in place of the scan of `best`, if several atoms lack only its variable and the join is
     /// cheaper. With skewed rows, a scan of any one list may return many more rows than the intersection has.
-    fn next_meet(&self, best: usize) -> Option<Next> {
+    fn next_leapfrog_join(&self, best: usize) -> Option<Next> {
         let Order::Sizes(sizes) = self.order else { return None };
         let [variable] = self.new_variables(positive(&self.clause.body[best])?)[..] else {
             return None;
@@ -566,8 +566,8 @@ impl<'a> Planner<'a> {
         };
         let count = lists.len() as f64;
         let scanned = 1.0 + count * least(&|atom, size| self.flow.found_often(size, &self.key(atom)));
-        let met = count * (1.0 + least(&|atom, size| self.flow.found(size, &self.key(atom))));
-        (met < scanned).then_some(Next::Meet(lists, variable))
+        let joined = count * (1.0 + least(&|atom, size| self.flow.found(size, &self.key(atom))));
+        (joined < scanned).then_some(Next::LeapfrogJoin(lists, variable))
     }
 
     /// The unbound variables of the atom that the rest of the clause needs, without duplicates.
@@ -608,7 +608,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Appends a leapfrog join of the atoms of these literals, which lack only the variable.
-    fn meet(&mut self, positions: &[usize], variable: VarId, version: &dyn Fn(usize) -> Version) {
+    fn leapfrog_join(&mut self, positions: &[usize], variable: VarId, version: &dyn Fn(usize) -> Version) {
         let mut lists = Vec::with_capacity(positions.len());
         for &position in positions {
             let Some(atom) = positive(&self.clause.body[position]) else {
@@ -635,7 +635,7 @@ impl<'a> Planner<'a> {
                 .filter_map(|&position| positive(&self.clause.body[position]));
             let sized = atoms.filter_map(|atom| Some((sizes[atom.relation.index()].as_ref()?, self.key(atom))));
             let sized: Vec<_> = sized.collect();
-            self.flow.meet(&sized, variable);
+            self.flow.leapfrog_join(&sized, variable);
         }
         self.bound[variable.index()] = true;
         positions.iter().for_each(|&position| self.placed(position));

@@ -59,10 +59,10 @@ pub(crate) fn optimize(rules: &Rules, assume: bool) -> Rules {
         .collect();
     let theory = Constraints::new(if assume { constraints } else { Vec::new() });
     let mut gone = vec![false; rules.clauses.len()];
-    let mut needless: BTreeMap<ClauseId, BTreeSet<usize>> = BTreeMap::new();
+    let mut redundant: BTreeMap<ClauseId, BTreeSet<usize>> = BTreeMap::new();
     for finding in find(rules, &theory, true).findings {
         match finding {
-            Finding::Redundant { clause, literal, .. } => _ = needless.entry(clause).or_default().insert(literal),
+            Finding::Redundant { clause, literal, .. } => _ = redundant.entry(clause).or_default().insert(literal),
             Finding::Contradictory { clause, .. } => {
                 let clause = &mut better.clauses[clause.index()];
                 let zero = Term::Constant(Value::number(0));
@@ -78,11 +78,11 @@ pub(crate) fn optimize(rules: &Rules, assume: bool) -> Rules {
             Finding::Subsumed { clause, .. } => gone[clause.index()] = true,
         }
     }
-    for (clause, needless) in needless {
+    for (clause, redundant) in redundant {
         let mut position = 0;
         better.clauses[clause.index()].body.retain(|_| {
             position += 1;
-            !needless.contains(&(position - 1))
+            !redundant.contains(&(position - 1))
         });
     }
     for stratum in &mut better.strata {
@@ -198,8 +198,8 @@ fn redundant(
     if matches!(clause.body[literal], Literal::Guard(_)) || rules.relations[clause.head.relation.index()].hidden {
         return None;
     }
-    let needless = shown_literal(rules, clause, literal);
-    let mut fault = Diagnostic::new(Code::REDUNDANT_LITERAL, format!("`{needless}` is redundant"))
+    let redundant = shown_literal(rules, clause, literal);
+    let mut fault = Diagnostic::new(Code::REDUNDANT_LITERAL, format!("`{redundant}` is redundant"))
         .at(span(&clause.body[literal]), "");
     fault = match because {
         None => fault.note("it always holds"),

@@ -105,11 +105,11 @@ fn simpler(egraph: &EGraph<Body, ()>, parts: &[Id], knowledge: &dyn Knowledge) -
     }
     // Remove one at a time, the last first. Implication is an order on classes, so every sequence ends in the same
     // form.
-    let needless = (0..literals.len()).rev().find(|&at| {
+    let redundant = (0..literals.len()).rev().find(|&at| {
         let implied = |&(other, &literal): &(usize, &usize)| other != at && knowledge.implies(literal, literals[at]);
         knowledge.always(literals[at]) || literals.iter().enumerate().any(|pair| implied(&pair))
     });
-    if let Some(at) = needless {
+    if let Some(at) = redundant {
         set.remove(at);
         found.push(Body::All(set.into()));
     }
