@@ -62,7 +62,8 @@ configs/*.yaml --config--> Scenario --> World --> Simulation --ground--> facts -
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! The page of [`datalog`] describes what a commit recomputes and the limits of the engine.
+//! See also the [life of a program](datalog#the-life-of-a-program), [what is incremental](datalog#what-is-incremental)
+//! and the [limits](datalog#limits).
 
 pub mod datalog;
 pub mod diag;

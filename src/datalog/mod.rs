@@ -39,9 +39,7 @@
 //!     ".decl road, closed(x: number, y: number)
 //!      .input road, closed
 //!      .decl open(x: number, y: number)
-//!      .decl detour(x: number)
-//!      open(x, y) :- road(x, y), !closed(x, y).
-//!      detour(x) :- closed(x, _), open(x, _).",
+//!      open(x, y) :- road(x, y), !closed(x, y).",
 //! );
 //! let (program, diagnostics) = Program::load(&mut sources, entry, &files::read_text);
 //! let program = program.ok_or_else(|| render(&diagnostics, &sources, false))?;
@@ -73,7 +71,10 @@
 //! - *Maintain*: delete and rederive (DRed). The work depends on the change and on the rows that join with it.
 //! - *Recompute*: semi-naive evaluation from scratch.
 //!
-//! If the result of a stratum stays the same, the change stops there. [`Session::work`] reports the strata and rules that
+//! If the result of a stratum stays the same, the change stops there. A commit also copies every relation that changes,
+//! in time proportional to its size.
+//!
+//! [`Session::work`] reports the strata and rules that
 //! the last commit evaluated, with the numbers of rows. After every commit a session holds exactly the facts that
 //! [`naive`] derives from the same input.
 //!
