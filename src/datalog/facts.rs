@@ -21,6 +21,9 @@ use std::io::{self, Write};
 /// Car_1<tab>7
 /// Car_2<tab>-3
 /// ```
+///
+/// # Errors
+/// All faults, as `invalid-fact` diagnostics. In that case the function inserts nothing.
 pub fn load(session: &mut Session, rel: RelId, sources: &Sources, source: SourceId) -> Result<usize, Vec<Diagnostic>> {
     load_as(session, rel, sources, source, &RowFormat::default())
 }
@@ -28,7 +31,7 @@ pub fn load(session: &mut Session, rel: RelId, sources: &Sources, source: Source
 /// Loads rows as [`load`] does, in the given format.
 ///
 /// # Errors
-/// All faults, as `invalid-fact` diagnostics. In that case `load_as` inserts nothing.
+/// All faults, as `invalid-fact` diagnostics. In that case the function inserts nothing.
 pub fn load_as(
     session: &mut Session,
     rel: RelId,
@@ -211,7 +214,10 @@ pub fn print_value(session: &Session, value: Value, base: BaseType) -> String {
 
 /// Writes the rows of a relation in the given format, without the header, in the order of [`sorted`].
 ///
-/// Streaming matters: a long symbol that occurs in many rows makes the text far larger than the session.
+/// Streaming keeps the memory small: a long symbol that occurs in many rows makes the text far larger than the session.
+///
+/// # Errors
+/// If writing to `out` fails.
 pub fn write_rows(session: &Session, rel: RelId, format: &RowFormat, out: &mut dyn Write) -> io::Result<()> {
     let Some(relation) = session.program().rules().relations.get(rel.index()) else {
         return Ok(());

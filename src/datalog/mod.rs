@@ -1,20 +1,97 @@
-//! Datalog: from text to facts.
+//! An incremental Datalog engine: from rule text to facts that follow changes.
 //!
-//! What to reach for: [`Program`] to prepare rules once and share them; [`Session`] to hold facts, change them and ask what follows; [`facts`]
-//! to read and print relations as text; [`explain`] for proofs; [`diff`] to compare programs; [`naive`] for the semantics in two pages.
+//! Rules are written in a dialect of Soufflé, with stratified negation, aggregates, expressions and typed columns.
+//!
+//! # What to use
+//!
+//! - [`Program`]: loads, checks and plans rules once; many sessions share it.
+//! - [`Session`]: holds facts, commits changes and answers queries.
+//! - [`facts`]: reads and writes relations as text.
+//! - [`explain`]: proves why a fact holds, and shows why another one does not.
+//! - [`diff`]: compares two rule sets, and proves them equivalent or finds a difference.
+//! - [`Workspace`]: edits a program and runs ad hoc queries.
+//! - [`dense`]: evaluates rules on bit sets, for a few dozen entities and entirely new facts each time.
+//! - [`naive`]: the specification; a short, slow evaluator.
+//!
+//! # The life of a program
 //!
 //! ```text
 //! text --load--> Rules --plan--> Program (immutable, shared)
 //!                                   |
-//!                                Session: insert, retract --commit--> Delta (rows that came, rows that went)
+//!                                Session: insert, retract --commit--> Delta (rows added, rows removed)
 //! ```
 //!
-//! A commit takes the net change of the inserted facts through the strata whose inputs changed, in order. The engine maintains a stratum
-//! (delete and rederive) or recomputes it, whichever is cheaper ([`Strategy`]); a stratum whose result stays the same stops the change
-//! there. [`Session::work`] says what was done. [`naive`] is the specification: after every commit a session holds exactly the facts that
-//! `naive` derives from the same input.
+//! 1. [`Program::load`] parses and checks a source and everything it includes, and plans every clause. It returns all
+//!    diagnostics, and a program unless one of them is an error. [`Program::new`] plans rules that [`load`] checked.
+//! 2. [`Program::session`] creates an empty [`Session`]. Its first commit also derives what follows from facts in the text.
+//! 3. [`Session::insert`] and [`Session::retract`] record changes of base relations. No query sees them yet.
+//! 4. [`Session::commit`] applies the changes and updates the derived relations, or fails and changes nothing.
+//!    The [`Delta`] it returns lists the added and removed rows of every relation, base and derived.
 //!
-//! This room does not know what a city, an agent or an ego is. It does no I/O, reads no clock and is deterministic.
+//! ```
+//! use logicity::datalog::{Program, StratumStats, Value};
+//! use logicity::diag::{Sources, render};
+//! use logicity::files;
+//!
+//! let mut sources = Sources::new();
+//! let entry = sources.add(
+//!     "block.dl",
+//!     ".decl road, closed(x: number, y: number)
+//!      .input road, closed
+//!      .decl open(x: number, y: number)
+//!      open(x, y) :- road(x, y), !closed(x, y).",
+//! );
+//! let (program, diagnostics) = Program::load(&mut sources, entry, &files::read_text);
+//! let program = program.ok_or_else(|| render(&diagnostics, &sources, false))?;
+//! let [road, closed, open] = ["road", "closed", "open"].map(|name| program.relation(name).unwrap());
+//! let [a, b, c] = [1, 2, 3].map(Value::number);
+//!
+//! let mut session = program.session();
+//! session.insert_all(road, [[a, b], [a, c]])?;
+//! session.commit()?;
+//! assert!(session.contains(open, &[a, b]));
+//!
+//! session.insert(closed, &[a, b])?;
+//! let delta = session.commit()?;
+//! assert_eq!(delta.of(open).unwrap().removed.iter().collect::<Vec<_>>(), [[a, b]]);
+//!
+//! // A commit without a net change evaluates nothing.
+//! session.retract(closed, &[a, b])?;
+//! session.insert(closed, &[a, b])?;
+//! assert!(session.commit()?.is_empty());
+//! assert!(session.work().strata.iter().all(|stratum| *stratum == StratumStats::Skipped));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # What is incremental
+//!
+//! A commit visits the strata in order and skips every stratum whose inputs did not change. It updates any other stratum
+//! in one of two ways, whichever promises to scan fewer rows ([`Strategy`] overrides the choice):
+//!
+//! - *Maintain*: delete and rederive (DRed). The work depends on the change and on the rows that join with it.
+//! - *Recompute*: semi-naive evaluation from scratch.
+//!
+//! If the result of a stratum stays the same, the change stops there. A commit also copies every relation that changes,
+//! in time proportional to its size.
+//!
+//! [`Session::work`] reports the strata and rules that
+//! the last commit evaluated, with the numbers of rows. After every commit a session holds exactly the facts that
+//! [`naive`] derives from the same input.
+//!
+//! Rules are fixed: to change them, load a new program and insert the facts into a new session.
+//!
+//! # Limits
+//!
+//! - A predicate has at most 32 columns; a clause has at most 128 variables and 128 literals ([`Program::new`]).
+//! - A stratum with a clause of more than 24 literals is recomputed, never maintained.
+//! - Values have 32 bits ([`Value`]). Whole numbers wrap around.
+//! - A commit stays within [`Limits`]: by default 10⁸ derived rows, 10¹¹ scanned rows and 4 GiB. Beyond that it fails with
+//!   an [`EvalError`], and the session stays as it was. The limits count work, so the outcome does not depend on time.
+//! - Components, records, algebraic data types, lattices and user-defined functors of Soufflé are not supported. The
+//!   checker reports them with the code `unsupported`.
+//!
+//! The engine performs no I/O, reads no clock and is deterministic: threads ([`Session::set_threads`]) change neither rows
+//! nor their order. It knows nothing of cities, egos or actions.
 
 mod analysis;
 mod check;

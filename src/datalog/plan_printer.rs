@@ -66,8 +66,9 @@ fn on_one_line(clause: &Clause, sources: &Sources) -> String {
 }
 
 impl Session {
-    /// Returns the plans of all clauses that the last commit recomputed, with the row counts of the relations they
-    /// read; see [`Program::show_plans`].
+    /// Returns the plans of all clauses that the last commit recomputed; see [`Program::show_plans`].
+    ///
+    /// The text includes the row counts of the relations that the plans read.
     pub fn show_plans(&self, sources: &Sources) -> String {
         let shown = Shown {
             compiled: &self.program.0,

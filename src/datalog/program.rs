@@ -66,8 +66,10 @@ impl Program {
         Program::with(rules, Options::default())
     }
 
-    /// Plans as [`Program::new`] does, with the given options. The options do not change the answers, as long as the
-    /// facts satisfy the constraints that [`Options::constraints`] relies on.
+    /// Plans as [`Program::new`] does, with the given options.
+    ///
+    /// The options do not change the answers, as long as the facts satisfy the constraints that
+    /// [`Options::constraints`] relies on.
     pub fn with(rules: Rules, options: Options) -> Result<Program, Diagnostic> {
         #[cfg(feature = "optimizer")]
         let plans = match options.optimize {

@@ -41,8 +41,9 @@ impl Program {
         Ok(relation)
     }
 
-    /// Creates a session without inserted facts. Every relation is empty until the first commit, even one with facts in
-    /// the rule text.
+    /// Creates a session without inserted facts.
+    ///
+    /// Every relation is empty until the first commit, even one with facts in the rule text.
     pub fn session(&self) -> Session {
         Session {
             store: exec::store(&self.0),
@@ -88,13 +89,17 @@ impl Session {
         Ok(())
     }
 
-    /// Sets how commits update strata; the default is [`Strategy::Auto`]. Other strategies serve tests and
-    /// measurements.
+    /// Sets how commits update strata; the default is [`Strategy::Auto`].
+    ///
+    /// Other strategies serve tests and measurements.
     pub fn set_strategy(&mut self, strategy: Strategy) {
         self.strategy = strategy;
     }
 
     /// Marks a row to hold from the next commit on. The last change of a row before the commit wins.
+    ///
+    /// # Errors
+    /// If the row does not fit the relation, or rules alone define the relation.
     pub fn insert(&mut self, rel: RelId, row: &[Value]) -> Result<(), RowError> {
         let rel = self.check(rel, row)?;
         self.store.change(rel, row, true);
@@ -145,6 +150,9 @@ impl Session {
     /// Marks a row not to hold from the next commit on.
     ///
     /// This undoes an [`insert`](Session::insert), not a rule: a fact of the rule text holds nevertheless.
+    ///
+    /// # Errors
+    /// If the row does not fit the relation, or rules alone define the relation.
     pub fn retract(&mut self, rel: RelId, row: &[Value]) -> Result<(), RowError> {
         let rel = self.check(rel, row)?;
         self.store.change(rel, row, false);
@@ -174,8 +182,9 @@ impl Session {
         self.commit_with(None, None)
     }
 
-    /// Commits and calls `watch` on the calling thread whenever the evaluation of a clause begins or ends. The engine
-    /// reads no clock; the callback may.
+    /// Commits and calls `watch` on the calling thread whenever the evaluation of a clause begins or ends.
+    ///
+    /// The engine reads no clock; the callback may.
     pub fn commit_watched(&mut self, watch: &dyn Fn(EvalEvent)) -> Result<Delta, EvalError> {
         self.commit_with(Some(watch), None)
     }

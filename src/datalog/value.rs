@@ -29,8 +29,9 @@ impl Value {
         self.0.cast_signed()
     }
 
-    /// Returns the word for a float. Negative zero becomes zero, and every NaN becomes the same one, so floats are
-    /// equal exactly if their words are.
+    /// Returns the word for a float.
+    ///
+    /// Negative zero becomes zero, and every NaN becomes the same one, so floats are equal exactly if their words are.
     pub fn float(x: f32) -> Self {
         Value(if x.is_nan() { f32::NAN } else { x + 0.0 }.to_bits())
     }
@@ -42,8 +43,9 @@ impl Value {
 }
 
 impl Functor {
-    /// Applies the functor; `None` if it has no value. `base` is the base type of the arguments; where they differ,
-    /// that of the first.
+    /// Applies the functor; `None` if it has no value.
+    ///
+    /// `base` is the base type of the arguments; where they differ, that of the first.
     pub fn apply(self, base: BaseType, arguments: &[Value], symbols: &Symbols) -> Option<Value> {
         let text = |value: &Value| symbols.text(Symbol(value.0)).unwrap_or_default();
         let made = |text: &str| Some(Value(symbols.intern(text).0));
@@ -197,8 +199,9 @@ fn fold<T: Copy + Default>(
     }
 }
 
-/// Parses a number, unsigned number or float; `None` if the text does not fit the type. Whole numbers may be decimal,
-/// hexadecimal (`0x`) or binary (`0b`). Symbols always give `None`.
+/// Parses a number, unsigned number or float; `None` if the text does not fit the type.
+///
+/// Whole numbers may be decimal, hexadecimal (`0x`) or binary (`0b`). Symbols always give `None`.
 pub fn parse(base: BaseType, text: &str) -> Option<Value> {
     let radix = |text: &str| {
         let (sign, digits) = match text.strip_prefix('-') {
@@ -230,9 +233,10 @@ pub fn parse(base: BaseType, text: &str) -> Option<Value> {
 }
 
 impl AggregateOp {
-    /// Returns the aggregate of `values`, which have base type `base`; `None` if it has none, such as the minimum of no
-    /// values. [`AggregateOp::Count`] counts the values, whatever they are. The order of the values has no effect, not
-    /// even for floats.
+    /// Returns the aggregate of `values`; `None` if it has none, such as the minimum of no values.
+    ///
+    /// `base` is the base type of the values. [`AggregateOp::Count`] counts the values, whatever they are. The order of the values has no effect, not even for
+    /// floats.
     pub fn of(self, base: BaseType, values: impl Iterator<Item = Value>, symbols: &Symbols) -> Option<Value> {
         let text = |value: &Value| symbols.text(Symbol(value.0)).unwrap_or_default();
         match (self, base) {
@@ -296,6 +300,7 @@ impl Patterns {
 }
 
 /// Returns a float as text: nine significant digits without trailing zeros, which suffice to read back the same float.
+///
 /// Very small and very large numbers have an exponent.
 pub fn print_float(x: f32) -> String {
     const DIGITS: i32 = 9;

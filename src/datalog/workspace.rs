@@ -102,8 +102,9 @@ impl Workspace {
         }
     }
 
-    /// Parses the source `entry` and all files it includes, as [`load`](crate::datalog::workspace::load) does. Skips
-    /// files that the workspace already contains.
+    /// Parses the source `entry` and all files it includes, as [`load`](crate::datalog::workspace::load) does.
+    ///
+    /// Skips files that the workspace already contains.
     pub fn add(&mut self, sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) {
         include::gather(&mut self.gathered, sources, entry, read, &mut self.faults);
     }
@@ -164,8 +165,9 @@ impl Workspace {
         }
     }
 
-    /// Parses a fact with wildcards, such as `Path(1, _)`, and interns its symbols in `symbols`. The full stop is
-    /// optional.
+    /// Parses a fact with wildcards, such as `Path(1, _)`, and interns its symbols in `symbols`.
+    ///
+    /// The full stop is optional.
     ///
     /// # Errors
     /// All faults of the fact.
@@ -216,8 +218,9 @@ impl Workspace {
         }
     }
 
-    /// Parses a source that consists of facts and interns their symbols in `symbols`. Returns `None` if the source
-    /// contains anything else, or a fact with an expression that has no value.
+    /// Parses a source that consists of facts and interns their symbols in `symbols`.
+    ///
+    /// Returns `None` if the source contains anything else, or a fact with an expression that has no value.
     ///
     /// # Errors
     /// All faults of the facts.
@@ -466,8 +469,10 @@ fn moved(value: Value, base: BaseType, from: &Symbols, to: &Symbols) -> Value {
     }
 }
 
-/// Returns whether text typed at a prompt is complete: all parentheses are closed, and the last clause ends with a full
-/// stop. A directive ends with its line, and a query once it parses.
+/// Returns whether text typed at a prompt is complete.
+///
+/// Complete text has no open parenthesis, and its last clause ends with a full stop. A directive ends with its line, and
+/// a query once it parses.
 pub fn is_complete(text: &str) -> bool {
     let mut sources = Sources::new();
     let id = sources.add("", text);

@@ -127,11 +127,11 @@ fn a_missing_include_suggests_the_file_that_is_meant() {
 }
 
 #[test]
-fn a_circle_is_told_once_with_what_to_do() {
+fn a_cycle_is_reported_once_with_help() {
     let text = ".decl A, B, C(x: number)\n.input A\n.output B, C\nB(x) :- A(x), !C(x).\nC(x) :- A(x), !B(x).\n";
     let said = helps(text);
     assert!(
-        said.len() == 1 && said[0].contains("predicates that do not need `B`"),
+        said.len() == 1 && said[0].contains("define `C` without `B`"),
         "{said:?}"
     );
 }

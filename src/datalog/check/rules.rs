@@ -54,8 +54,9 @@ pub struct Column {
     pub base: BaseType,
 }
 
-/// A predicate: declared, or hidden. The checker makes hidden ones, whose names begin with `+`, which no source can
-/// write.
+/// A predicate: declared, or hidden.
+///
+/// The checker makes hidden ones, whose names begin with `+`, which no source can write.
 #[derive(Clone, Debug)]
 pub struct Relation {
     /// The name of the predicate.

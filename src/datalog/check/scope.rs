@@ -81,8 +81,9 @@ impl Scopes {
         }
     }
 
-    /// Adds the guards of the scope in force to a clause. Returns `false` after reporting a clause that it cannot
-    /// guard.
+    /// Adds the guards of the scope in force to a clause.
+    ///
+    /// Returns `false` after reporting a clause that it cannot guard.
     pub fn guard(
         &mut self,
         clause: &mut Scope<'_>,

@@ -89,8 +89,9 @@ impl<'a> ExplanationPrinter<'a> {
         out
     }
 
-    /// Returns the explanation as JSON: `{"nodes": [..]}`. The first node is the subject of the query; nodes refer to
-    /// others by position.
+    /// Returns the explanation as JSON: `{"nodes": [..]}`.
+    ///
+    /// The first node is the subject of the query; nodes refer to others by position.
     ///
     /// A node is `{"holds", "height", "by": "input" | "text" | "clause" | "range", "clause", "binding", "premises"}` or
     /// `{"absent", "because": "not-a-fact" | "no-clause" | "not-looked-into" | "range", "clauses": [{"clause",
@@ -333,8 +334,9 @@ impl<'a> ExplanationPrinter<'a> {
         format!("{file}:{}", self.sources.position(clause.span).line)
     }
 
-    /// Returns a value as text: numbers in decimal, symbols without quotes if they read as names, unless
-    /// [`ExplanationPrinter::quoting`].
+    /// Returns a value as text.
+    ///
+    /// Symbols that read as names have no quotes, unless the printer is [`quoting`](ExplanationPrinter::quoting).
     pub fn value(&self, value: Value, base: BaseType) -> String {
         match base {
             BaseType::Number => value.as_number().to_string(),

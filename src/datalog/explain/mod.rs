@@ -50,8 +50,9 @@ impl NodeId {
     }
 }
 
-/// The answer to a query: a graph of nodes, of which the first one is the subject of the query. Equal subgoals share a
-/// node, which bounds the size of the graph.
+/// The answer to a query: a graph of nodes, of which the first one is the subject of the query.
+///
+/// Equal subgoals share a node, which bounds the size of the graph.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Explanation {
     nodes: Vec<Node>,
@@ -259,8 +260,9 @@ impl From<ExplainError> for Diagnostic {
 }
 
 impl Session {
-    /// Explains why a fact holds: a proof of minimal height, down to inserted facts and facts of the text. `None` if
-    /// the fact does not hold.
+    /// Explains why a fact holds: a proof of minimal height, down to inserted facts and facts of the text.
+    ///
+    /// `None` if the fact does not hold.
     ///
     /// ```
     /// # use logicity::{datalog::{self, Program, explain::Node}, diag::Sources, files};
@@ -319,8 +321,9 @@ impl<'s> Explainer<'s> {
         }
     }
 
-    /// Sets the maximum number of steps for one query. A step visits a row or a literal; a million steps take well
-    /// below a second.
+    /// Sets the maximum number of steps for one query.
+    ///
+    /// A step visits a row or a literal; a million steps take well below a second.
     pub fn set_limit(&mut self, steps: u64) {
         self.limit = steps;
     }
@@ -330,8 +333,9 @@ impl<'s> Explainer<'s> {
         self.search.ask = Some(stop);
     }
 
-    /// Explains the first row that matches the pattern, or why none matches. The first value states whether a row
-    /// matches.
+    /// Explains the first row that matches the pattern, or why none matches.
+    ///
+    /// The first value states whether a row matches.
     ///
     /// # Errors
     /// If the search exceeds the limit.
@@ -409,8 +413,10 @@ impl<'s> Explainer<'s> {
         Ok(found)
     }
 
-    /// Returns whether the clause would derive further rows without `literal` of its body. `None` if the literal is
-    /// necessary, because it alone binds a variable of the head, of a comparison or of a negated literal.
+    /// Returns whether the clause would derive further rows without `literal` of its body.
+    ///
+    /// `None` if the literal is necessary, because it alone binds a variable of the head, of a comparison or of a
+    /// negated literal.
     ///
     /// # Errors
     /// If the search exceeds the limit.

@@ -6,8 +6,10 @@ use crate::datalog::syntax::ast::Comparison;
 use crate::datalog::syntax::ast::{Atom, Clause, File, Item, Literal, Term, TermKind, TypeDefinition};
 use crate::datalog::syntax::functor::Functor;
 
-/// Returns the text of a syntax tree. The tree contains neither ordinary comments nor spacing, so the text has none of
-/// them. The printer omits declarations that the parser reported as faulty.
+/// Returns the text of a syntax tree.
+///
+/// The tree contains neither ordinary comments nor spacing, so the text has none of them. The printer omits
+/// declarations that the parser reported as faulty.
 pub fn print(file: &File) -> String {
     file.to_string()
 }

@@ -42,6 +42,7 @@ const COLUMNS: usize = 4;
 
 impl<'c> Check<'_, 'c> {
     /// Returns an atom for `to = range(from, to, step)`; `None` while a literal that binds an argument is missing.
+    ///
     /// `near` are the finished literals of the same body. `context` are those of the enclosing clause or aggregates.
     pub fn range_literal(
         &mut self,
