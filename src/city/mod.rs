@@ -29,6 +29,6 @@ pub use model::{
 };
 pub use motion::{MoveReason, Moved, Surroundings, advance, possible_cells, speed_cells};
 pub use places::Places;
-pub use roads::{Lane, NoRoute, Router};
-pub use route::Route;
+pub use roads::{Lane, Router};
+pub use route::{NoRoute, Route};
 pub use view::{FieldOfView, field_of_view, view_reach};

@@ -11,7 +11,7 @@
 //! equal, so the route found between two lanes of one part is cached for all.
 
 use crate::city::map::Zone;
-use crate::city::route::{Way, steps};
+use crate::city::route::{NoRoute, Way, steps};
 use crate::city::walk::{search, walk};
 use crate::city::{AgentKind, Routing};
 use crate::city::{Cell, CityMap, Heading, Layout, Route};
@@ -26,20 +26,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 const TURN_COST: u32 = 30;
 /// Rows and columns of blocks of the part in which routes are cached. A smaller map is one part.
 const PART: i32 = 8;
-
-/// The reason why there is no route.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum NoRoute {
-    /// Agents of this kind cannot start there: a pedestrian outside of walking streets and crossings, or a car that is
-    /// not beside a lane (on the mid line, in an intersection, off the street).
-    Start,
-    /// Agents of this kind cannot arrive there, for the same reasons.
-    Goal,
-    /// Start and goal are not connected.
-    Unconnected,
-    /// The search for a pedestrian's route with [`Routing::Hops`] would visit more than 2^20 cells.
-    TooFar,
-}
 
 /// A side of a street between two intersections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,6 +3,20 @@
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
 
+/// The reason why there is no route.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoRoute {
+    /// Agents of this kind cannot start there: a pedestrian outside of walking streets and crossings, or a car that is
+    /// not beside a lane (on the mid line, in an intersection, off the street).
+    Start,
+    /// Agents of this kind cannot arrive there, for the same reasons.
+    Goal,
+    /// Start and goal are not connected.
+    Unconnected,
+    /// The search for a pedestrian's route with [`Routing::Hops`] would visit more than 2^20 cells.
+    TooFar,
+}
+
 /// A route from a start to a goal.
 ///
 /// It is split into straight pieces where a move must end: at corners and at nodes of the road graph. So an agent needs

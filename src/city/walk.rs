@@ -7,8 +7,7 @@
 //! candidates, and the shortest of them is a shortest path.
 
 use crate::city::map::Zone;
-use crate::city::roads::NoRoute;
-use crate::city::route::{Way, steps};
+use crate::city::route::{NoRoute, Way, steps};
 use crate::city::{Cell, CityMap, Heading, Layout};
 use crate::rng::{Purpose, Rng, RngExt, Seed};
 use std::collections::HashMap;

@@ -1,7 +1,7 @@
 //! Short name labels next to agents, without overlaps.
 
 use crate::render::class::Facing;
-use crate::render::icon::PixelBox;
+use crate::render::picture::PixelBox;
 use crate::render::picture::{Picture, Rgb};
 use crate::render::sprite::Sprite;
 use embedded_graphics::mono_font::iso_8859_1::FONT_6X10;

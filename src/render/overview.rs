@@ -2,11 +2,12 @@
 
 use crate::city::AgentKind;
 use crate::city::{Cell, CityMap, Heading};
-use crate::render::icon::{Icons, PixelBox};
+use crate::render::icon::Icons;
 use crate::render::label;
 use crate::render::label::PAPER;
 use crate::render::legend;
 use crate::render::legend::MUTED;
+use crate::render::picture::PixelBox;
 use crate::render::picture::{Picture, Rgb};
 use crate::render::renderer::Renderer;
 use crate::render::sprite::Sprite;

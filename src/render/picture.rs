@@ -1,6 +1,5 @@
 //! Pixels, and operations that draw icons, rectangles and text on them.
 
-use crate::render::icon::{PixelBox, Stamp};
 use embedded_graphics::Pixel;
 use embedded_graphics::draw_target::DrawTarget;
 use embedded_graphics::geometry::{OriginDimensions, Point, Size};
@@ -9,6 +8,46 @@ use embedded_graphics::pixelcolor::{Rgb888, RgbColor};
 use embedded_graphics::prelude::Drawable;
 use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
 use std::convert::Infallible;
+
+/// A rectangle in a picture, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PixelBox {
+    /// First column.
+    pub x: i32,
+    /// First row.
+    pub y: i32,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+impl PixelBox {
+    /// Returns the part inside a picture of this size; `None` if there is none.
+    pub fn clipped(self, width: u32, height: u32) -> Option<PixelBox> {
+        let along = |from: i32, length: u32, end: u32| {
+            let clip = |at: i64| at.clamp(0, i64::from(end));
+            let (start, stop) = (clip(from.into()), clip(i64::from(from) + i64::from(length)));
+            Some((
+                i32::try_from(start).ok()?,
+                u32::try_from(stop - start).ok().filter(|&length| length > 0)?,
+            ))
+        };
+        let ((x, width), (y, height)) = (along(self.x, self.width, width)?, along(self.y, self.height, height)?);
+        Some(PixelBox { x, y, width, height })
+    }
+}
+
+/// An icon of one size and facing, centered on the origin.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Stamp {
+    /// The area of the pixels, relative to the center.
+    pub(super) area: PixelBox,
+    /// The area of the agent itself, without shadow or marks, relative to the center.
+    pub(super) body: PixelBox,
+    /// Premultiplied RGBA, row by row.
+    pub(super) pixels: Vec<u8>,
+}
 
 /// Red, green and blue.
 pub(super) type Rgb = [u8; 3];

@@ -2,8 +2,9 @@
 
 use crate::city::AgentKind;
 use crate::render::class::{Class, Facing, Subject};
-use crate::render::icon::{Icons, PixelBox, Stamp};
+use crate::render::icon::Icons;
 use crate::render::picture::Picture;
+use crate::render::picture::{PixelBox, Stamp};
 use embedded_graphics::mono_font::iso_8859_1::{FONT_6X10, FONT_9X15_BOLD};
 use embedded_graphics::text::Alignment;
 

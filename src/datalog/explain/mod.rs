@@ -23,7 +23,6 @@
 //! bounded; see [`Explainer::set_limit`].
 
 mod explanation_printer;
-mod heights;
 mod search;
 
 pub use explanation_printer::ExplanationPrinter;
@@ -504,9 +503,9 @@ impl Making {
     ) -> Result<Fact, ExplainError> {
         let (height, origin) = search.origin(relation, &row)?;
         let origin = match origin {
-            heights::Best::Input => Origin::Input,
-            heights::Best::Text(clause) => Origin::Text(clause),
-            heights::Best::Derived { clause, binding, rows } => {
+            search::heights::Best::Input => Origin::Input,
+            search::heights::Best::Text(clause) => Origin::Text(clause),
+            search::heights::Best::Derived { clause, binding, rows } => {
                 let body = &search.rules().clauses[clause.index()].body;
                 let premise = |(literal, row): (&Literal, Option<Vec<Value>>)| match literal {
                     Literal::Positive(atom) | Literal::Guard(atom) => {

@@ -4,6 +4,8 @@ use crate::diag::Span;
 
 use crate::datalog::syntax::functor::{AggregateOp, Functor};
 
+pub use crate::datalog::syntax::functor::BaseType;
+
 /// The place of a node in its source. All places compare equal, so the comparison of trees ignores them.
 #[derive(Clone, Copy, Debug)]
 pub struct Place(pub Span);
@@ -285,45 +287,6 @@ pub struct Aggregate {
     pub target: Option<Term>,
     /// The body: the aggregate ranges over the bindings that satisfy it.
     pub body: Vec<Literal>,
-}
-
-/// The interpretation of a 32-bit word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum BaseType {
-    /// An interned string.
-    Symbol,
-    /// A 32-bit signed integer.
-    Number,
-    /// A 32-bit unsigned integer.
-    Unsigned,
-    /// A single-precision floating-point number.
-    Float,
-}
-
-impl BaseType {
-    /// All base types, in the order in which they open [`Rules::types`](crate::datalog::Rules::types).
-    pub const ALL: [BaseType; 4] = [BaseType::Symbol, BaseType::Number, BaseType::Unsigned, BaseType::Float];
-
-    /// Returns the base type that other languages call `name`.
-    pub(crate) fn of_other_languages(name: &str) -> Option<BaseType> {
-        match name {
-            "int" | "integer" | "i32" => Some(BaseType::Number),
-            "uint" | "u32" => Some(BaseType::Unsigned),
-            "double" | "real" | "f32" => Some(BaseType::Float),
-            "string" | "str" | "text" => Some(BaseType::Symbol),
-            _ => None,
-        }
-    }
-
-    /// Returns the name of the type in rule files.
-    pub fn name(self) -> &'static str {
-        match self {
-            BaseType::Symbol => "symbol",
-            BaseType::Number => "number",
-            BaseType::Unsigned => "unsigned",
-            BaseType::Float => "float",
-        }
-    }
 }
 
 /// The kind of a [`Directive`](crate::datalog::Directive).

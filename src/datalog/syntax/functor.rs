@@ -2,7 +2,44 @@
 //!
 //! [`super::super::value`] evaluates them.
 
-use super::ast::BaseType;
+/// The interpretation of a 32-bit word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum BaseType {
+    /// An interned string.
+    Symbol,
+    /// A 32-bit signed integer.
+    Number,
+    /// A 32-bit unsigned integer.
+    Unsigned,
+    /// A single-precision floating-point number.
+    Float,
+}
+
+impl BaseType {
+    /// All base types, in the order in which they open [`Rules::types`](crate::datalog::Rules::types).
+    pub const ALL: [BaseType; 4] = [BaseType::Symbol, BaseType::Number, BaseType::Unsigned, BaseType::Float];
+
+    /// Returns the base type that other languages call `name`.
+    pub(crate) fn of_other_languages(name: &str) -> Option<BaseType> {
+        match name {
+            "int" | "integer" | "i32" => Some(BaseType::Number),
+            "uint" | "u32" => Some(BaseType::Unsigned),
+            "double" | "real" | "f32" => Some(BaseType::Float),
+            "string" | "str" | "text" => Some(BaseType::Symbol),
+            _ => None,
+        }
+    }
+
+    /// Returns the name of the type in rule files.
+    pub fn name(self) -> &'static str {
+        match self {
+            BaseType::Symbol => "symbol",
+            BaseType::Number => "number",
+            BaseType::Unsigned => "unsigned",
+            BaseType::Float => "float",
+        }
+    }
+}
 
 /// An operator or function of expressions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

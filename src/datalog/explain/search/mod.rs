@@ -1,8 +1,10 @@
 //! Backtracking search for bindings that satisfy the literals of a clause, or all but a few, over the facts of a
 //! session.
 
+pub(super) mod heights;
+
 use crate::datalog::check::{Atom, Clause, ClauseId, Literal, RelId, Rules, Term};
-use crate::datalog::explain::heights::Heights;
+use crate::datalog::explain::search::heights::Heights;
 use crate::datalog::explain::{ExplainError, Pattern};
 use crate::datalog::session::Session;
 use crate::datalog::syntax::ast::{BaseType, Comparison};
@@ -43,7 +45,7 @@ pub(super) struct Search<'s> {
     pub(super) ask: Option<&'s dyn Fn() -> bool>,
     interrupted: Cell<bool>,
     patterns: RefCell<Patterns>,
-    pub(super) heights: Heights,
+    heights: Heights,
 }
 
 /// Rows of a relation, by position.
