@@ -122,11 +122,11 @@ pub fn load_as(
     }
     let mut faults = faults.finish();
     if faults.is_empty() {
-        let noted = match relation.arity() {
+        let inserted = match relation.arity() {
             0 => (0..count).try_for_each(|_| session.insert(rel, &[])),
             arity => session.insert_all(rel, rows.chunks_exact(arity)),
         };
-        if let Err(error) = noted {
+        if let Err(error) = inserted {
             faults.push(Diagnostic::new(Code::INVALID_FACT, error.to_string()));
         }
     }

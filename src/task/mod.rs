@@ -1,7 +1,7 @@
-//! What is asked of learners in the city.
+//! Learning tasks in the city.
 //!
-//! [`spf`] is Safe Path Following: drive to a goal without breaking a rule. [`questions`] asks for decisions in
-//! words. [`vap`] is Visual Action Prediction: frames of many worlds, with what is true in them and what the rules want.
+//! [`spf`] is Safe Path Following: drive to a goal without violating a rule. [`questions`] poses decisions as text.
+//! [`vap`] is Visual Action Prediction: frames of many worlds, with their facts and the actions that the rules want.
 
 pub mod questions;
 pub mod spf;

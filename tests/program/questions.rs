@@ -57,7 +57,7 @@ fn read(question: &str) -> Value {
     };
     let entities = line("A scene with ").split_once(": ").unwrap().1;
     let entities: Vec<&str> = entities.trim_end_matches('.').split(", ").collect();
-    let predicates = line("Predicates and how many entities each is about: ").trim_end_matches('.');
+    let predicates = line("Predicates and their arities: ").trim_end_matches('.');
     let mut facts: BTreeMap<&str, Vec<Vec<&str>>> = predicates
         .split(", ")
         .map(|predicate| (predicate.split_once('/').unwrap().0, Vec::new()))
@@ -370,7 +370,7 @@ fn slow_what_cannot_be_asked_is_refused() {
     refused(
         &["--about", "tyro,bus"],
         1,
-        &["no concept `tyro`", "did you mean `tiro`?"],
+        &["no car concept `tyro`", "did you mean `tiro`?"],
     );
     refused(
         &["metropolis", "--count", "3", "--shots", "0"],
@@ -388,10 +388,7 @@ fn slow_what_cannot_be_asked_is_refused() {
     refused(
         &[alone, "--count", "50"],
         1,
-        &[
-            "limit-exceeded",
-            "of 50 different questions found in 250 worlds of `test`",
-        ],
+        &["limit-exceeded", "of 50 different questions in 250 worlds of `test`"],
     );
     refused(&["-o", "no/such/folder/q.jsonl", "--count", "4"], 2, &["cannot write"]);
 }

@@ -1,7 +1,8 @@
-//! Language questions: what does this car do next, given the names of entities and the facts that are true of them?
+//! Language questions: given entities and the facts about them, what does this car do next?
 //!
-//! [`QuestionSet::draw`] lets cities go and picks decisions of cars; `wording` makes texts of them. The rules are not told: they
-//! are to be found from demonstrations, which come from another agent set than the questions.
+//! [`QuestionSet::draw`] simulates cities and samples decisions of cars; `wording` formats them as text. A question
+//! does not state the rules. Its reader must infer them from demonstrations, which come from another agent set than the
+//! questions.
 
 mod wording;
 
@@ -16,20 +17,20 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 impl Purpose {
-    /// Language questions: the worlds they are from, which decisions are asked about, and the order of entities.
+    /// Language questions: worlds, sampled decisions, and the order of entities.
     pub const QUESTION: Purpose = Purpose::new(12);
 }
 
-/// The ticks of a world.
+/// Ticks per world.
 const TICKS: u64 = 100;
 
-/// The first ticks of a world are not asked about: at first nobody has a heading.
+/// Ticks without questions at the start of a world, because agents have no heading at first.
 const WARM_UP: u64 = 11;
 
-/// From one world come at most so many questions with one answer, since what follows within a few ticks is alike.
+/// The most questions with one answer per world, because nearby ticks are similar.
 const PER_WORLD: usize = 4;
 
-/// Making a set is given up after so many worlds, and as many again as there are questions.
+/// A search ends after this many worlds plus one per question.
 const WORLDS: usize = 200;
 
 /// The most questions of a set.
@@ -38,39 +39,39 @@ pub const QUESTIONS_MAX: u32 = 20_000;
 /// The most demonstrations of a set.
 pub const SHOTS_MAX: u32 = 100;
 
-/// What a set of questions is to be.
+/// The parameters of a set of questions.
 #[derive(Clone, Debug)]
 pub struct Request {
-    /// How many questions.
+    /// Number of questions.
     pub count: usize,
-    /// How many demonstrations: none, or enough for every action that the rules can ask.
+    /// Number of demonstrations: 0, or at least one per action that the rules can derive.
     pub shots: usize,
-    /// The agents that questions are about.
+    /// Agent set of the questions.
     pub split: Split,
-    /// The agents that demonstrations are about.
+    /// Agent set of the demonstrations.
     pub demonstrations: Split,
-    /// Which entities a question names.
+    /// The entities that a question names.
     pub entities: Extent,
-    /// Only cars that carry one of these concepts are asked about; any, if there are none.
+    /// Restricts questions to cars with one of these concepts, unless empty.
     pub about: Vec<String>,
-    /// What everything is drawn from.
+    /// Seed of the set.
     pub seed: u64,
 }
 
-/// Which entities a question names.
+/// The entities that a question names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Extent {
-    /// Those that the car sees, and itself.
+    /// The car and the entities that it sees.
     View,
-    /// All of the city, as the paper does.
+    /// All entities of the city, as in the paper.
     City,
 }
 
 impl Extent {
-    /// Both.
+    /// Both values.
     pub const ALL: [Extent; 2] = [Extent::View, Extent::City];
 
-    /// Its name: `view` or `city`.
+    /// Returns the name: `view` or `city`.
     pub const fn name(self) -> &'static str {
         match self {
             Extent::View => "view",
@@ -79,10 +80,10 @@ impl Extent {
     }
 }
 
-/// Questions, and the demonstrations that come before each of them.
+/// Questions, and the demonstrations that precede each of them.
 #[derive(Clone, Debug)]
 pub struct QuestionSet {
-    /// What was asked for.
+    /// The parameters of the set.
     pub request: Request,
     /// Solved examples.
     pub demonstrations: Vec<Question>,
@@ -90,29 +91,29 @@ pub struct QuestionSet {
     pub questions: Vec<Question>,
     /// Names and arities of the predicates, `Sees` last.
     predicates: Vec<(String, usize)>,
-    /// How many worlds were looked at for the questions.
+    /// Number of worlds that the search simulated for the questions.
     pub worlds: usize,
 }
 
-/// A decision of a car. Entities are numbers; their order is drawn and tells nothing.
+/// A decision of a car. Entities are numbers in random order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Question {
-    /// How many entities there are.
+    /// Number of entities.
     pub entities: usize,
-    /// The one to decide for.
+    /// The entity that decides.
     pub ego: usize,
-    /// All that is true of them.
+    /// All true facts about the entities.
     pub facts: Facts,
-    /// What the rules want.
+    /// The action that the rules want.
     pub answer: Action,
-    /// Where it is from.
+    /// The origin of the question.
     pub source: Source,
 }
 
-/// Where a question is from.
+/// The origin of a question.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Source {
-    /// Whose agents the city has.
+    /// The agent set of the city.
     pub split: Split,
     /// The seed of the city.
     pub world: u64,
@@ -123,12 +124,14 @@ pub struct Source {
 }
 
 impl QuestionSet {
-    /// Draws a set: no two questions alike, none like a demonstration or among entities of the same kinds and concepts as one, and every
-    /// answer equally often as far as it occurs. `watch` is told how many questions there are after each world.
+    /// Draws a set in which all questions differ. No question has the same entities by type and concepts as a
+    /// demonstration. Answers are balanced as far as they occur. Calls `watch` with the number of questions after each
+    /// world.
     ///
     /// # Errors
-    /// `invalid-value` for an unknown concept, too few demonstrations for the actions, or the same agents in questions and demonstrations;
-    /// `limit-exceeded` if there are not as many questions to be found, or no demonstration of an answer; those of [`Simulation::new`].
+    /// `invalid-value` for an unknown concept, too few demonstrations for the actions, or equal agents in questions and
+    /// demonstrations. `limit-exceeded` if the search finds too few questions, or no demonstration of an answer. Those
+    /// of [`Simulation::new`].
     pub fn draw(
         world: &Arc<World>,
         request: Request,
@@ -158,7 +161,7 @@ impl QuestionSet {
             let message = format!("no demonstration of {name} found among the cars of `{split}`");
             return Err(vec![
                 Diagnostic::new(Code::LIMIT_EXCEEDED, message)
-                    .help("take the demonstrations from another split, or none"),
+                    .help("use another split for the demonstrations, or none"),
             ]);
         }
         let predicates = &world.vocabulary.predicates;
@@ -173,7 +176,7 @@ impl QuestionSet {
         })
     }
 
-    /// How many questions have each answer, in the order of [`Action::ALL`].
+    /// Returns the number of questions with each answer, in the order of [`Action::ALL`].
     pub fn answers(&self) -> [usize; 4] {
         Action::ALL.map(|action| {
             let answers = self.questions.iter().filter(|question| question.answer == action);
@@ -182,7 +185,7 @@ impl QuestionSet {
     }
 }
 
-/// The actions that the rules can ask, in the order of [`Action::ALL`].
+/// Returns the actions that the rules can derive, in the order of [`Action::ALL`].
 pub fn askable(world: &World) -> Vec<Action> {
     let clauses = &world.program.rules().clauses;
     let asked = |action: &Action| {
@@ -193,7 +196,7 @@ pub fn askable(world: &World) -> Vec<Action> {
     Action::ALL.into_iter().filter(asked).collect()
 }
 
-/// Whether a request can be met at all.
+/// Checks a request for contradictions.
 fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
     let scenario = &world.scenario;
     let concepts: Vec<&str> = (scenario.predicates.iter())
@@ -211,22 +214,22 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
         .filter(|concept| !concepts.contains(&concept.as_str()));
     let mut faults: Vec<Diagnostic> = unknown
         .map(|concept| {
-            let message = format!("`{}` has no concept `{concept}` of cars", scenario.name);
+            let message = format!("`{}` has no car concept `{concept}`", scenario.name);
             let fault = Diagnostic::new(Code::INVALID_VALUE, message);
             match did_you_mean(concept, concepts.iter().copied()) {
                 Some(name) => fault.help(format!("did you mean `{name}`?")),
-                None => fault.help(format!("it has: {}", concepts.join(", "))),
+                None => fault.help(format!("its car concepts are: {}", concepts.join(", "))),
             }
         })
         .collect();
     let actions: Vec<&str> = askable(world).into_iter().map(Action::name).collect();
     if request.shots > 0 && request.shots < actions.len() {
         let message = format!(
-            "{} demonstrations cannot show all that the rules can ask: {}",
+            "{} demonstrations cannot cover all actions of the rules: {}",
             request.shots,
             actions.join(", ")
         );
-        faults.push(Diagnostic::new(Code::INVALID_VALUE, message).help("take none, or at least one for each"));
+        faults.push(Diagnostic::new(Code::INVALID_VALUE, message).help("use none, or at least one per action"));
     }
     let agents = |split: Split| {
         let set = scenario.agent_set(split)?;
@@ -237,9 +240,8 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
     let [asked, shown] = [request.split, request.demonstrations].map(agents);
     if request.shots > 0 && asked.is_some() && asked == shown {
         let [asked, shown] = [request.split, request.demonstrations].map(Split::name);
-        let message =
-            format!("questions about `{asked}` and demonstrations about `{shown}` would have the same agents");
-        faults.push(Diagnostic::new(Code::INVALID_VALUE, message).help("take the demonstrations from another split"));
+        let message = format!("questions about `{asked}` and demonstrations about `{shown}` have the same agents");
+        faults.push(Diagnostic::new(Code::INVALID_VALUE, message).help("use another split for the demonstrations"));
     }
     match faults.is_empty() {
         true => Ok(()),
@@ -247,16 +249,16 @@ fn check(world: &World, request: &Request) -> Result<(), Vec<Diagnostic>> {
     }
 }
 
-/// What may not be asked again.
+/// Excludes duplicates.
 #[derive(Default)]
 struct Known {
-    /// Questions up to the order of their entities.
+    /// Questions, up to the order of their entities.
     questions: BTreeSet<Vec<Vec<[u32; 2]>>>,
-    /// The kinds and concepts of all entities of each demonstration.
+    /// The types and concepts of all entities of each demonstration.
     compositions: BTreeSet<Vec<Vec<usize>>>,
 }
 
-/// Looks for questions about the cars of a split.
+/// A search for questions about the cars of a split.
 struct Search<'w> {
     world: &'w Arc<World>,
     split: Split,
@@ -281,7 +283,7 @@ impl<'w> Search<'w> {
         }
     }
 
-    /// Finds the questions, in an order that has nothing to do with answers.
+    /// Finds the questions and returns them in an order independent of their answers.
     fn run(
         &mut self,
         about: &[String],
@@ -290,7 +292,7 @@ impl<'w> Search<'w> {
     ) -> Result<Vec<Question>, Diagnostic> {
         let agents = self.world.scenario.agent_set(self.split).map_or(0, AgentSet::len);
         if agents > MAX_ENTITIES {
-            let message = format!("facts about pairs of {agents} agents; the limit is {MAX_ENTITIES} agents");
+            let message = format!("{agents} agents are too many; the limit is {MAX_ENTITIES}");
             return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message));
         }
         let mut city = Simulation::new(Arc::clone(self.world), self.split, self.seed, Settings::default())?;
@@ -319,7 +321,7 @@ impl<'w> Search<'w> {
         self.choose()
     }
 
-    /// Looks at one world.
+    /// Samples questions from one world.
     fn look(
         &mut self,
         city: &mut Simulation,
@@ -332,7 +334,7 @@ impl<'w> Search<'w> {
         city.draw_agents(Seed(seed), &mut agents)?;
         city.restart(Seed(seed), &mut agents);
         let carries = |concepts: &[String]| about.is_empty() || concepts.iter().any(|concept| about.contains(concept));
-        // By answer the decisions with the lowest lots.
+        // For each answer, the decisions with the lowest random keys.
         let mut drawn: [Vec<(u64, Question)>; 4] = Default::default();
         for tick in 0..TICKS {
             city.tick(&[])?;
@@ -372,7 +374,7 @@ impl<'w> Search<'w> {
         Ok(())
     }
 
-    /// A decision as a question; the order of its entities is drawn.
+    /// Returns a decision as a question with its entities in random order.
     fn question(&self, facts: &Facts, ego: usize, order: Seed, answer: Action, source: Source) -> Question {
         let vocabulary = &self.world.vocabulary;
         let sees = &facts.rows[vocabulary.sees];
@@ -382,7 +384,7 @@ impl<'w> Search<'w> {
                 .filter(|[x, _]| *x as usize == ego)
                 .map(|[_, y]| *y)
                 .collect(),
-            // Everybody sees itself.
+            // Every agent sees itself.
             Extent::City => sees.iter().filter(|[x, y]| x == y).map(|[x, _]| *x).collect(),
         };
         named.sort_by_cached_key(|&agent| -> u64 { order.stream(Purpose::QUESTION, agent.into(), 0).random() });
@@ -402,7 +404,7 @@ impl<'w> Search<'w> {
         let facts = Facts { rows: rows.collect() };
         let agent = u32::try_from(ego).expect("fewer than 2^32 agents");
         Question {
-            ego: place(agent).expect("who sees itself") as usize,
+            ego: place(agent).expect("every agent sees itself") as usize,
             entities: named.len(),
             facts,
             answer,
@@ -410,15 +412,15 @@ impl<'w> Search<'w> {
         }
     }
 
-    /// As many as are wanted, every answer equally often as far as it was found.
+    /// Returns the requested number of questions, with balanced answers as far as possible.
     fn choose(&mut self) -> Result<Vec<Question>, Diagnostic> {
         let shares = equal_shares(self.count, self.found.each_ref().map(Vec::len));
         if shares.iter().sum::<usize>() < self.count {
             let found: usize = self.found.iter().map(Vec::len).sum();
             let (count, worlds, split) = (self.count, self.worlds, self.split.name());
-            let message = format!("{found} of {count} different questions found in {worlds} worlds of `{split}`");
+            let message = format!("found only {found} of {count} different questions in {worlds} worlds of `{split}`");
             return Err(Diagnostic::new(Code::LIMIT_EXCEEDED, message)
-                .help("take fewer, another agent set, or name all entities of the city"));
+                .help("request fewer questions, use another agent set, or name all entities of the city"));
         }
         let taken = self
             .found
@@ -437,7 +439,7 @@ impl<'w> Search<'w> {
     }
 }
 
-/// Shares that sum up to `count` if there is enough, as equal as what there is allows; of unequal ones the first are larger.
+/// Splits `count` into shares that are as equal as the available numbers allow; the first shares get the remainder.
 fn equal_shares(count: usize, available: [usize; 4]) -> [usize; 4] {
     let mut shares = [0; 4];
     for _ in 0..count {
@@ -449,7 +451,7 @@ fn equal_shares(count: usize, available: [usize; 4]) -> [usize; 4] {
     shares
 }
 
-/// The predicates that tell what an entity is, for all entities, in an order of their own.
+/// Returns for every entity the predicates of its type and concepts, in a canonical order.
 fn composition(world: &World, question: &Question) -> Vec<Vec<usize>> {
     let mut entities = vec![Vec::new(); question.entities];
     let predicates = world.vocabulary.predicates.iter().zip(&question.facts.rows);
@@ -462,8 +464,9 @@ fn composition(world: &World, question: &Question) -> Vec<Vec<usize>> {
     entities
 }
 
-/// The facts with the entities in an order that follows from what is true of them, the ego first: alike for questions that differ in
-/// the order of their entities, but for few of great symmetry, which may pass as different.
+/// Returns the facts with entities in a canonical order, the ego first. Questions that differ only in the order of
+/// entities have equal results, except for a few highly symmetric ones. Method: color refinement (1-dimensional
+/// Weisfeiler-Leman).
 fn unordered(world: &World, question: &Question) -> Vec<Vec<[u32; 2]>> {
     let predicates = || question.facts.rows.iter().zip(&world.vocabulary.predicates).enumerate();
     let mut classes: Vec<usize> = (0..question.entities)
@@ -471,28 +474,31 @@ fn unordered(world: &World, question: &Question) -> Vec<Vec<[u32; 2]>> {
         .collect();
     let mut count = 0;
     loop {
-        // What is true of each entity, told by the classes of the others. The old class comes first, so that classes are only divided.
-        let mut told: Vec<Vec<[usize; 2]>> = classes.iter().map(|&class| vec![[class, 0]]).collect();
+        // Each entity's facts by the classes of the other entities. The old class comes first, so that a step only
+        // splits classes.
+        let mut signatures: Vec<Vec<[usize; 2]>> = classes.iter().map(|&class| vec![[class, 0]]).collect();
         for (index, (rows, predicate)) in predicates() {
             for [x, y] in rows.iter().map(|row| row.map(|entity| entity as usize)) {
                 match predicate.arity {
-                    1 => told[x].push([2 * index, 0]),
+                    1 => signatures[x].push([2 * index, 0]),
                     _ => {
-                        told[x].push([2 * index, classes[y]]);
-                        told[y].push([2 * index + 1, classes[x]]);
+                        signatures[x].push([2 * index, classes[y]]);
+                        signatures[y].push([2 * index + 1, classes[x]]);
                     }
                 }
             }
         }
-        told.iter_mut().for_each(|told| told[1..].sort_unstable());
-        let kinds: BTreeSet<&Vec<[usize; 2]>> = told.iter().collect();
+        signatures
+            .iter_mut()
+            .for_each(|signature| signature[1..].sort_unstable());
+        let kinds: BTreeSet<&Vec<[usize; 2]>> = signatures.iter().collect();
         if kinds.len() == count {
             break;
         }
         count = kinds.len();
         let kinds: Vec<_> = kinds.into_iter().collect();
-        let class = |told| kinds.binary_search(&told).expect("it is one of them");
-        classes = told.iter().map(class).collect();
+        let class = |signature| kinds.binary_search(&signature).expect("it is one of them");
+        classes = signatures.iter().map(class).collect();
     }
     let mut order: Vec<usize> = (0..question.entities).collect();
     order.sort_by_key(|&entity| classes[entity]);

@@ -1,4 +1,4 @@
-//! Questions as text, as JSON lines and as a table.
+//! Formats questions as text, JSON lines and CSV.
 
 use crate::city::{Action, Split};
 use crate::sim::World;
@@ -6,25 +6,25 @@ use crate::task::questions::{Question, QuestionSet};
 use serde_json::{Map, Value, json};
 use std::io::{self, Write};
 
-/// The rules that answer questions, as a file names them.
+/// The rules that determine the answers.
 #[derive(Clone, Copy, Debug)]
 pub struct RulesFile<'a> {
-    /// Its name.
+    /// File name.
     pub name: &'a str,
-    /// [Hash](crate::sim::hash_sources) of the file and all it includes.
+    /// [Hash](crate::sim::hash_sources) of the file and its includes.
     pub hash: &'a str,
 }
 
-/// The letter of an option: A to D, in the order of [`Action::ALL`].
+/// Returns the letter of an option: A to D, in the order of [`Action::ALL`].
 pub fn letter(action: Action) -> char {
     ['A', 'B', 'C', 'D'][action as usize]
 }
 
 impl QuestionSet {
-    /// Writes one JSON object a line. README documents it.
+    /// Writes one JSON object per line; README documents the keys.
     ///
     /// # Errors
-    /// Whatever `out` reports.
+    /// Errors of `out`.
     pub fn write_json(&self, world: &World, rules: RulesFile<'_>, out: &mut impl Write) -> io::Result<()> {
         let scenario = &world.scenario;
         let set = format!("{}-{}-{}", scenario.name, self.request.split.name(), self.request.seed);
@@ -68,19 +68,19 @@ impl QuestionSet {
         Ok(())
     }
 
-    /// Writes the questions as a table of comma-separated values without a header, as MMLU has them: question, the four options, the
-    /// letter of the answer.
+    /// Writes the questions as CSV without a header, in the format of MMLU: question, four options, letter of the
+    /// answer.
     ///
     /// # Errors
-    /// Whatever `out` reports.
+    /// Errors of `out`.
     pub fn write_table(&self, out: &mut impl Write) -> io::Result<()> {
         self.rows(&self.questions, out)
     }
 
-    /// Writes the demonstrations as such a table.
+    /// Writes the demonstrations in the same format.
     ///
     /// # Errors
-    /// Whatever `out` reports.
+    /// Errors of `out`.
     pub fn write_demonstrations(&self, out: &mut impl Write) -> io::Result<()> {
         self.rows(&self.demonstrations, out)
     }
@@ -88,16 +88,16 @@ impl QuestionSet {
     fn rows(&self, questions: &[Question], out: &mut impl Write) -> io::Result<()> {
         let options = Action::ALL.map(Action::name).join(",");
         for question in questions {
-            // Names of predicates are identifiers, so there is no quote in the text.
+            // The text needs no escaping, because names of predicates are identifiers without quotes.
             writeln!(out, "\"{}\",{options},{}", self.text(question), letter(question.answer))?;
         }
         Ok(())
     }
 
-    /// What comes before everything else.
+    /// Returns the system prompt.
     fn instructions(&self) -> String {
-        let task = "Cars in a simulated city follow rules of first-order logic that are not shown to you. What a car does next depends \
-                    only on facts about itself and about the entities that it sees.";
+        let task = "Cars in a simulated city follow rules of first-order logic that are not shown to you. What a car \
+                    does next depends only on facts about itself and about the entities that it sees.";
         let work = match self.demonstrations.len() {
             0 => "You are given a scene as facts; choose what the car does.",
             _ => {
@@ -106,11 +106,12 @@ impl QuestionSet {
             }
         };
         format!(
-            "{task} {work} You may reason step by step; the last line of your reply must be `Answer: ` and one letter: A, B, C or D."
+            "{task} {work} You may reason step by step; the last line of your reply must be `Answer: ` and one letter: \
+             A, B, C or D."
         )
     }
 
-    /// A question without its options.
+    /// Returns a question without its options.
     fn text(&self, question: &Question) -> String {
         let names: Vec<String> = (0..question.entities).map(entity).collect();
         let predicates: Vec<String> = self
@@ -131,7 +132,7 @@ impl QuestionSet {
         }
         let (count, plural) = (names.len(), if names.len() == 1 { "entity" } else { "entities" });
         format!(
-            "A scene with {count} {plural}: {}.\nPredicates and how many entities each is about: {}.\nThe true facts (all others are \
+            "A scene with {count} {plural}: {}.\nPredicates and their arities: {}.\nThe true facts (all others are \
              false):\n{facts}Which action does {} take next?",
             names.join(", "),
             predicates.join(", "),
@@ -139,7 +140,7 @@ impl QuestionSet {
         )
     }
 
-    /// The facts as a scene that `logicity infer` answers.
+    /// Returns the facts as a scene for `logicity infer`.
     fn scene(&self, question: &Question) -> Value {
         let predicates = self.predicates.iter().zip(&question.facts.rows);
         let facts = predicates.map(|((name, arity), rows)| {

@@ -1,6 +1,6 @@
-//! The codes of messages about recorded episodes.
+//! Diagnostic codes of recorded episodes.
 
 crate::diagnostic_codes! {
-    /// An episode that is not of its format, or that cannot begin in its city.
+    /// An episode violates the format, or does not fit its city.
     INVALID_EPISODE = "invalid-episode", Error;
 }

@@ -1,4 +1,4 @@
-//! One city in which cars are driven from outside.
+//! The environment: one city with externally controlled cars.
 
 use crate::city::Agent;
 use crate::city::{Action, AgentKind, Split};
@@ -9,35 +9,35 @@ use crate::task::spf::{Episode, SpfTask};
 use std::sync::Arc;
 
 impl Purpose {
-    /// What the ego of a task is.
+    /// The ego of an episode: its priority and concepts.
     pub const EGO: Purpose = Purpose::new(7);
 }
 
-/// Who is driven from outside.
+/// The cars under external control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ControlMode {
     /// The first car.
     First,
-    /// Every car, each a controlled_car of its own.
+    /// Every car, each as its own [`ControlledCar`].
     Cars,
 }
 
-/// A city in which one car or every car is driven from outside. The same task, split and seed give the same episodes.
+/// A city in which the caller controls one car or every car. Task, split and seed determine an episode.
 pub struct Env {
     task: Arc<SpfTask>,
     city: Simulation,
     egos: ControlMode,
     controlled_cars: Vec<ControlledCar>,
-    /// The episode has at most so many steps.
+    /// The most steps of the episode.
     horizon: u32,
     steps: u32,
     controls: Vec<(usize, Action)>,
     episode: Episode,
-    /// The agents of the episode before, whose memory the next one uses again.
+    /// The agents of the previous episode; the next one reuses their memory.
     spare: Vec<Agent>,
 }
 
-/// A car that is driven from outside.
+/// A car under external control.
 pub struct ControlledCar {
     observer: Observer,
     /// Cells of its route, start and goal included.
@@ -47,55 +47,56 @@ pub struct ControlledCar {
     running: bool,
 }
 
-/// What came of an action.
+/// The result of an action.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Transition {
-    /// What it is worth.
+    /// Reward.
     pub reward: f64,
-    /// Whether the episode has ended: the goal is reached or a rule is broken.
+    /// Whether the episode has ended because the car is at its goal or violated a rule.
     pub terminated: bool,
-    /// Whether it was cut short at the horizon.
+    /// Whether the episode has reached its horizon.
     pub truncated: bool,
-    /// Whether the goal is reached without a rule broken.
+    /// Whether the car is at its goal without a violation.
     pub success: bool,
-    /// The clauses that the action broke, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
+    /// The violated clauses, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
     pub broken: Vec<usize>,
 }
 
 impl ControlledCar {
-    /// What it observes.
+    /// Returns its observer.
     pub fn observer(&self) -> &Observer {
         &self.observer
     }
 
-    /// The car, by its position in the list of agents.
+    /// Returns the position of the car in the list of agents.
     pub fn agent(&self) -> usize {
         self.observer.ego()
     }
 
-    /// How many cells its route had when the episode began, start and goal included.
+    /// Returns the number of cells of its route when the episode began, start and goal included.
     pub fn cells(&self) -> usize {
         self.cells
     }
 
-    /// The actions that rules ask of it now, before the default. If there are any, the next step is *constrained*.
+    /// Returns the actions that the rules derive for it now, before the default. If there are any, the next step is
+    /// *constrained*.
     pub fn derived(&self) -> Actions {
         self.derived
     }
 
-    /// What came of its last action.
+    /// Returns the result of its last action.
     pub fn last(&self) -> &Transition {
         &self.last
     }
 
-    /// Whether its episode goes on.
+    /// Returns whether its episode is running.
     pub fn is_running(&self) -> bool {
         self.running
     }
 }
 
 impl Env {
-    /// An environment over the agents of a split. [`Env::reset`] comes next.
+    /// Returns an environment over the agents of a split. Call [`Env::reset`] next.
     ///
     /// # Errors
     /// `unknown-split`, `no-start-cell`, `no-route`, `limit-exceeded`: see [`Simulation::new`]; `invalid-value` if the split has no car.
@@ -111,7 +112,7 @@ impl Env {
         Env::with(task, split, egos, Settings::default(), stop)
     }
 
-    /// The same, in a city that works as `settings` say.
+    /// Variant of `new` with settings for the simulation.
     ///
     /// # Errors
     /// As [`Env::new`].
@@ -140,7 +141,7 @@ impl Env {
         };
         let controlled_cars: Vec<ControlledCar> = driven.map(controlled_car).collect();
         if controlled_cars.is_empty() {
-            let message = format!("the split `{}` has no car to drive", split.name());
+            let message = format!("the split `{}` has no car to control", split.name());
             return Err(Diagnostic::new(Code::INVALID_VALUE, message).at(task.config().span, "for this task"));
         }
         Ok(Env {
@@ -156,43 +157,43 @@ impl Env {
         })
     }
 
-    /// What does not change.
+    /// Returns the task.
     pub fn task(&self) -> &Arc<SpfTask> {
         &self.task
     }
 
-    /// The city.
+    /// Returns the city.
     pub fn city(&self) -> &Simulation {
         &self.city
     }
 
-    /// The same, to ask for the facts of a moment; its ticks and restarts are the environment's.
+    /// Returns the city for queries that need `&mut`; only the environment may advance or restart it.
     pub fn city_mut(&mut self) -> &mut Simulation {
         &mut self.city
     }
 
-    /// The cars that are driven, in the order of the list of agents.
+    /// Returns the controlled cars, in the order of the list of agents.
     pub fn controlled_cars(&self) -> &[ControlledCar] {
         &self.controlled_cars
     }
 
-    /// How many steps the episode has had.
+    /// Returns the number of steps so far.
     pub fn steps(&self) -> u32 {
         self.steps
     }
 
-    /// How many steps the episode can have.
+    /// Returns the most steps of the episode.
     pub fn horizon(&self) -> u32 {
         self.horizon
     }
 
-    /// How the episode began.
+    /// Returns the start of the episode.
     pub fn episode(&self) -> &Episode {
         &self.episode
     }
 
-    /// Begins an episode that is drawn: new starts and goals for all agents; for the first car a priority and concepts as the
-    /// configuration says.
+    /// Begins a random episode: draws starts and goals for all agents, and priority and concepts for the first car if
+    /// the configuration says so.
     ///
     /// # Errors
     /// `no-start-cell`, `no-route`, `limit-exceeded`.
@@ -205,7 +206,7 @@ impl Env {
             first.priority = stream.random_range(1..=most).cast_signed();
             let sum: f64 = ego.concepts.iter().map(|(weight, _)| weight).sum();
             let mut left = stream.random::<f64>() * sum;
-            // Rounding may leave a little after the last one, which must not be one of weight 0.
+            // Rounding may leave a remainder after the last entry; it must not select one of weight 0.
             let mut possible = ego.concepts.iter().filter(|(weight, _)| *weight > 0.0);
             let drawn = possible.clone().find(|(weight, _)| {
                 left -= weight;
@@ -218,12 +219,12 @@ impl Env {
         self.begin(seed)
     }
 
-    /// Begins a given episode. It has as many steps as the configuration allows of the oracle's, or as a drawn one if those are not known
-    /// or every car is driven: the oracle's are those of the first car, and the others have ways of their own.
+    /// Begins a given episode. Its horizon is `patience` times the oracle's steps; without these, or if every car is
+    /// controlled, it is the configured horizon, because the oracle's steps are those of the first car.
     ///
     /// # Errors
-    /// `invalid-episode` if its agents are not those of the split, carry what no predicate tells of their kind, or cannot go their ways;
-    /// `limit-exceeded`.
+    /// `invalid-episode` if its agents differ from those of the split, have concepts without a predicate for their
+    /// type, or have no route; `limit-exceeded`.
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
         self.spare = episode.place(self.task.world(), self.city.agents())?;
         let config = self.task.config();
@@ -235,12 +236,12 @@ impl Env {
         Ok(())
     }
 
-    /// Allows the episode that has begun another number of steps, at least 1.
+    /// Sets the horizon of the running episode, at least 1 step.
     pub fn set_horizon(&mut self, steps: u32) {
         self.horizon = steps.max(1);
     }
 
-    /// With the spare agents.
+    /// Begins an episode with the agents in `spare`.
     fn begin(&mut self, seed: u64) -> Result<(), Diagnostic> {
         self.episode.seed = seed;
         self.episode.oracle = None;
@@ -258,7 +259,7 @@ impl Env {
         self.look()
     }
 
-    /// Also for controlled_cars whose episode has ended: what is told of them is told of the present.
+    /// Updates all observations, also of cars whose episode has ended.
     fn look(&mut self) -> Result<(), Diagnostic> {
         for controlled_car in &mut self.controlled_cars {
             controlled_car.observer.look(&self.city);
@@ -267,7 +268,7 @@ impl Env {
         Ok(())
     }
 
-    /// The action that the rules want of a controlled_car.
+    /// Returns the action that the rules want of a controlled car.
     pub fn oracle_action(&self, controlled_car: usize) -> Action {
         self.task
             .world()
@@ -275,18 +276,18 @@ impl Env {
             .decide(self.controlled_cars[controlled_car].derived)
     }
 
-    /// Lets the controlled_cars act and the city go on by a tick. `actions` has one for each controlled_car; those whose episode has ended are driven by the
-    /// rules and go on to observe. What came of it is in [`ControlledCar::last`].
+    /// Advances the city by a tick. `actions` has one action per controlled car. The rules drive cars whose episode has
+    /// ended; these cars still observe. [`ControlledCar::last`] has the results.
     ///
     /// # Errors
-    /// `limit-exceeded` for rules that derive too much.
+    /// `limit-exceeded` if the rules derive too many rows.
     ///
     /// # Panics
-    /// If there are not as many actions as controlled_cars.
+    /// If the number of actions differs from that of controlled cars.
     pub fn step(&mut self, actions: &[Action]) -> Result<(), Diagnostic> {
         assert!(
             actions.len() == self.controlled_cars.len(),
-            "one action for each controlled_car"
+            "one action for each controlled car"
         );
         self.controls.clear();
         for (controlled_car, &action) in self.controlled_cars.iter_mut().zip(actions) {
@@ -321,11 +322,11 @@ impl Env {
         Ok(())
     }
 
-    /// Writes the abstract observation of a controlled_car: the true atoms as [`Observer::write`] does; if the configuration wants it, the cells
-    /// of its route divided by twice the side of the region, at most 1.
+    /// Writes the observation of the groundings: the true atoms as [`Observer::write`] does and, if configured, the
+    /// cells of the route divided by twice the side of the region, at most 1.
     ///
     /// # Panics
-    /// If there is not room for [`SpfTask::observation_width`] numbers.
+    /// If `out` has fewer than [`SpfTask::observation_width`] numbers.
     pub fn observe(&self, controlled_car: usize, out: &mut [f32]) {
         let controlled_car = &self.controlled_cars[controlled_car];
         controlled_car.observer.write(out);
@@ -337,12 +338,12 @@ impl Env {
         }
     }
 
-    /// Writes the exact observation of a controlled_car, [`SpfTask::state_shape`] numbers row by row; see [`Observer::write_state`].
+    /// Writes the `state` observation, [`SpfTask::state_shape`] numbers row by row; see [`Observer::write_state`].
     pub fn observe_state(&self, controlled_car: usize, out: &mut [f32]) {
         (self.controlled_cars[controlled_car].observer).write_state(&self.city, self.task.priority_scale, out);
     }
 
-    /// How much of its route a controlled_car has gone, from 0 to 1.
+    /// Returns the fraction of its route that a controlled car has covered, 0 to 1.
     #[allow(clippy::cast_precision_loss)] // a share
     pub fn progress(&self, controlled_car: usize) -> f64 {
         let agent = &self.city.agents()[self.controlled_cars[controlled_car].agent()];

@@ -1,9 +1,10 @@
-//! Episodes: how a city begins; and files of them.
+//! Episodes (the initial state of a city and its agents), and files of them.
 //!
-//! A file of episodes has JSON lines. The first is a header: `episodes` (`"logicity"`), `version`, the names of `config` and `split`, the
-//! `seed` the set was made from, and the `agents` in list order with `id`, `concepts` and `priority`. Every other line is an episode:
-//! `seed`, `trips` (for each agent row and column of its start and of its goal), `changes` (agents that are otherwise than the header
-//! has them, by name) and `oracle` (`steps`, `return`, and `constrained`: how many steps rules asked an action, by action).
+//! An episode file has JSON lines. The first is a header: `episodes` (`"logicity"`), `version`, the names of `config`
+//! and `split`, the `seed` of the set, and the `agents` in list order with `id`, `concepts` and `priority`. Every other
+//! line is an episode: `seed`; `trips` (row and column of start and of goal of each agent); `changes` (agents that
+//! differ from the header, by name); and `oracle` (`steps`, `return`, and `constrained`: the number of constrained
+//! steps, by action).
 
 use crate::city::{Action, AgentConfig, AgentKind, AgentName, Split};
 use crate::city::{Agent, Cell};
@@ -18,56 +19,57 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::sync::Arc;
 
-/// Version of the format of files; it grows when a reader of the old one would misread the new one.
+/// Version of the file format. It increases when readers of the old version would misread the new one.
 const VERSION: u32 = 1;
 
-/// Episodes that everybody is measured on.
+/// A fixed set of episodes for evaluation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EpisodeSet {
-    /// Name of the configuration they are for.
+    /// Name of the configuration.
     pub config: String,
-    /// The split whose agents they have.
+    /// The split of the agents.
     pub split: Split,
-    /// What they were made from.
+    /// The seed of the set.
     pub seed: u64,
     /// The episodes.
     pub episodes: Vec<Episode>,
 }
 
-/// How an episode begins, and what the oracle made of it.
+/// The start of an episode, and the oracle's result on it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Episode {
-    /// Of everything that is drawn during the episode.
+    /// Seed of all random events during the episode.
     pub seed: u64,
     /// The agents in list order.
     pub agents: Vec<EpisodeAgent>,
-    /// What the oracle made of it, if it is known.
+    /// The oracle's result, if known.
     pub oracle: Option<OracleRun>,
 }
 
-/// An agent as an episode begins.
+/// An agent at the start of an episode.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EpisodeAgent {
-    /// Its name.
+    /// Name.
     pub name: AgentName,
-    /// What it is.
+    /// Concepts.
     pub concepts: Arc<[String]>,
-    /// Right of way; a smaller number goes first.
+    /// Priority for right of way; smaller numbers go first.
     pub priority: i32,
-    /// Where it starts.
+    /// Start cell.
     pub start: Cell,
-    /// Where it goes.
+    /// Goal cell.
     pub goal: Cell,
 }
 
-/// An episode in which the ego does what the rules want.
+/// The result of the oracle, which does what the rules want.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OracleRun {
-    /// How many steps it took to the goal.
+    /// Number of steps to the goal.
     pub steps: u32,
     /// The sum of its rewards.
     pub total: f64,
-    /// In how many steps the rules asked an action, by action in the order of [`Action::ALL`](crate::city::Action::ALL).
+    /// Number of steps in which the rules derived each action, in the order of
+    /// [`Action::ALL`](crate::city::Action::ALL).
     pub constrained: [u32; 4],
 }
 
@@ -82,18 +84,21 @@ impl EpisodeAgent {
         }
     }
 
-    /// Whether it carries what an agent set could give it: concepts of its kind that a predicate tells, none of them twice.
+    /// Checks that an agent set could contain it: its concepts are distinct, and a predicate defines each for its type.
     fn check_concepts(&self, predicates: &[PredicateConfig]) -> Result<(), Diagnostic> {
         let (name, kind) = (self.name, self.name.kind);
         for (position, carried) in self.concepts.iter().enumerate() {
             if self.concepts[..position].contains(carried) {
-                return Err(invalid(format!("the concept `{carried}` is given twice to {name}")));
+                return Err(invalid(format!("{name} has the concept `{carried}` twice")));
             }
-            let told = predicates.iter().filter_map(|predicate| match &predicate.definition {
+            let defined = predicates.iter().filter_map(|predicate| match &predicate.definition {
                 Definition::Concept { of, concept } => Some((*of, concept.as_str())),
                 _ => None,
             });
-            let mut kinds = told.clone().filter(|(_, concept)| concept == carried).map(|(of, _)| of);
+            let mut kinds = defined
+                .clone()
+                .filter(|(_, concept)| concept == carried)
+                .map(|(of, _)| of);
             if kinds.clone().any(|of| of == kind) {
                 continue;
             }
@@ -101,10 +106,10 @@ impl EpisodeAgent {
                 let other = other.name().to_lowercase();
                 return Err(invalid(format!("`{carried}` is a concept of a {other}, not of {name}")));
             }
-            let known: Vec<&str> = (told.filter(|(of, _)| *of == kind))
+            let known: Vec<&str> = (defined.filter(|(of, _)| *of == kind))
                 .map(|(_, concept)| concept)
                 .collect();
-            let fault = invalid(format!("no predicate tells whether {name} is `{carried}`"));
+            let fault = invalid(format!("no predicate defines the concept `{carried}` of {name}"));
             return Err(match did_you_mean(carried, known.iter().copied()) {
                 Some(near) => fault.help(format!("did you mean `{near}`?")),
                 None => fault.help(format!(
@@ -117,7 +122,7 @@ impl EpisodeAgent {
         Ok(())
     }
 
-    /// Takes note of an agent of the same name.
+    /// Updates this record from an agent of the same name.
     pub(super) fn note(&mut self, agent: &Agent) {
         if !Arc::ptr_eq(&self.concepts, &agent.concepts) {
             self.concepts = Arc::clone(&agent.concepts);
@@ -136,7 +141,8 @@ impl Episode {
         }
     }
 
-    /// The agents at their starts, which must be named as these are and be what predicates of the world can tell.
+    /// Returns the agents at their starts. Their names must match `like`, and the world's predicates must define their
+    /// concepts.
     pub(super) fn place(&self, world: &World, like: &[Agent]) -> Result<Vec<Agent>, Diagnostic> {
         if self.agents.len() != like.len() {
             let message = format!(
@@ -149,7 +155,7 @@ impl Episode {
         let agents = self.agents.iter().zip(like).map(|(agent, like)| {
             if agent.name != like.name() {
                 return Err(invalid(format!(
-                    "the episode has {} where {} is",
+                    "the episode has {} instead of {}",
                     agent.name,
                     like.name()
                 )));
@@ -162,7 +168,7 @@ impl Episode {
                     format!("[{}, {}]", goal.row, goal.col),
                 );
                 invalid(format!("{} cannot go from {from} to {to}", agent.name))
-                    .help("cars start and arrive at kerb cells of traffic streets, pedestrians on sidewalks")
+                    .help("cars start and end on curb cells of traffic streets, pedestrians on sidewalks")
             })?;
             let config = AgentConfig {
                 name: agent.name,
@@ -175,7 +181,7 @@ impl Episode {
     }
 }
 
-/// What a header of any version has.
+/// The keys that headers of all versions share.
 #[derive(Deserialize)]
 struct Format {
     episodes: String,
@@ -201,7 +207,7 @@ struct HeaderAgent {
     priority: i32,
 }
 
-/// What an agent is.
+/// Concepts and priority of an agent.
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Character {
@@ -234,7 +240,7 @@ fn invalid(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new(Code::INVALID_EPISODE, message)
 }
 
-/// The name that is written so.
+/// Parses the name of an agent.
 fn agent_name(text: &str) -> Result<AgentName, Diagnostic> {
     let named = |kind: AgentKind| {
         let number = text.strip_prefix(kind.name())?.strip_prefix('_')?.parse().ok()?;
@@ -243,17 +249,17 @@ fn agent_name(text: &str) -> Result<AgentName, Diagnostic> {
     let found = AgentKind::ALL.into_iter().find_map(named);
     found.ok_or_else(|| {
         invalid(format!(
-            "`{text}` is not the name of an agent, such as `Car_1` or `Pedestrian_3`"
+            "`{text}` is not an agent name such as `Car_1` or `Pedestrian_3`"
         ))
     })
 }
 
 impl EpisodeSet {
-    /// Loads the recorded episodes of a split, from the file that the configuration of a task names. The text is added to `sources`.
+    /// Loads the recorded episodes of a split from the file in the task's configuration. Adds the text to `sources`.
     ///
     /// # Errors
-    /// `missing-key` if the configuration names no file, `missing-file` if it cannot be read, `invalid-episode` for a faulty one or one of
-    /// another split.
+    /// `missing-key` if the configuration names no file, `missing-file` if the file cannot be read, `invalid-episode`
+    /// if it is faulty or belongs to another split.
     pub fn load(
         task: &SpfTask,
         split: Split,
@@ -262,10 +268,10 @@ impl EpisodeSet {
     ) -> Result<EpisodeSet, Diagnostic> {
         let config = task.config();
         let Some(file) = &config.episodes[split as usize] else {
-            let message = format!("the task names no file of episodes for the split `{}`", split.name());
+            let message = format!("the task has no episode file for the split `{}`", split.name());
             let fault = Diagnostic::new(Code::MISSING_KEY, message).at(config.span, "in this task");
             return Err(fault.help(format!(
-                "`episodes: {{{}: FILE}}` names one, `logicity episodes make` makes it",
+                "set `episodes: {{{}: FILE}}` and create the file with `logicity episodes make`",
                 split.name()
             )));
         };
@@ -277,21 +283,26 @@ impl EpisodeSet {
             );
             fault
                 .at(file.span, "named here")
-                .help("`logicity episodes make` makes them")
+                .help("create the file with `logicity episodes make`")
         })?;
         let source = sources.add(name.to_string(), text);
         let set = EpisodeSet::read(sources, source)?;
         if set.split != split {
-            let message = format!("episodes of the split `{}`, not `{}`", set.split.name(), split.name());
+            let message = format!(
+                "the episodes are of the split `{}`, not `{}`",
+                set.split.name(),
+                split.name()
+            );
             return Err(invalid(message).at(file.span, "named here"));
         }
         Ok(set)
     }
 
-    /// Reads a file of episodes.
+    /// Reads an episode file.
     ///
     /// # Errors
-    /// `invalid-episode` with its line and column. Whether the episodes fit a city is asked when they begin.
+    /// `invalid-episode` with line and column. [`Env::reset_to`](super::Env::reset_to) checks whether an episode fits a
+    /// city.
     pub fn read(sources: &Sources, source: SourceId) -> Result<EpisodeSet, Diagnostic> {
         let text = sources.text(source);
         let mut at = 0;
@@ -301,7 +312,7 @@ impl EpisodeSet {
             (start, line.trim_end())
         });
         let (start, first) = lines.next().unwrap_or((0, ""));
-        let what = "the header of a file of episodes";
+        let what = "the header of an episode file";
         let Format { episodes: of, version } = parse(first, source, start, what)?;
         let here = |fault: Diagnostic| fault.at(Span::new(source, start..start + first.len()), "in this header");
         if of != "logicity" || version != VERSION {
@@ -326,7 +337,7 @@ impl EpisodeSet {
             episodes.push(line.read(&agents).map_err(here)?);
         }
         if episodes.is_empty() {
-            return Err(here(invalid("there are no episodes")).help("`logicity episodes make` makes some"));
+            return Err(here(invalid("the file has no episodes")).help("create some with `logicity episodes make`"));
         }
         Ok(EpisodeSet {
             config: header.config,
@@ -336,13 +347,13 @@ impl EpisodeSet {
         })
     }
 
-    /// Writes a file of episodes.
+    /// Writes an episode file.
     ///
     /// # Errors
-    /// Whatever `out` reports.
+    /// Errors of `out`.
     ///
     /// # Panics
-    /// If there are no episodes, or their agents are named otherwise.
+    /// If there are no episodes, or the names of their agents differ.
     pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
         let first = self.episodes.first().expect("at least one episode");
         let character = |agent: &EpisodeAgent| Character {
@@ -390,28 +401,28 @@ impl EpisodeSet {
         Ok(())
     }
 
-    /// SHA-256 of the file, in hexadecimal: names this very set of episodes in results.
+    /// Returns the SHA-256 of the file in hexadecimal, which identifies the set in results.
     pub fn hash(&self) -> String {
         let mut text = Vec::new();
-        self.write(&mut text).expect("memory does not fail");
+        self.write(&mut text).expect("writing to a vector cannot fail");
         format!("{:x}", Sha256::digest(text))
     }
 }
 
-/// Reads a line that starts at a place of a source.
+/// Parses a line that starts at a place of a source.
 fn parse<'t, T: Deserialize<'t>>(line: &'t str, source: SourceId, start: usize, what: &str) -> Result<T, Diagnostic> {
     serde_json::from_str(line).map_err(|error| {
-        // Columns of bytes from 1; 0 if nothing was read.
+        // Columns count bytes from 1; 0 means that nothing was read.
         let at = start + error.column().saturating_sub(1).min(line.len());
         let at = (start..=at)
             .rev()
             .find(|at| line.is_char_boundary(at - start))
             .unwrap_or(start);
-        // The line of a text that has but one; the place in the file is told with the source.
+        // The position within the line; the diagnostic has the place in the file.
         let place = format!(" at line {} column {}", error.line(), error.column());
-        let told = error.to_string();
-        let told = told.strip_suffix(&place).unwrap_or(&told);
-        invalid(format!("not {what}: {told}")).at(Span::new(source, at..start + line.len()), "here")
+        let reason = error.to_string();
+        let reason = reason.strip_suffix(&place).unwrap_or(&reason);
+        invalid(format!("not {what}: {reason}")).at(Span::new(source, at..start + line.len()), "here")
     })
 }
 

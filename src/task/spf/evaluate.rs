@@ -1,4 +1,4 @@
-//! Policies measured on recorded episodes.
+//! Evaluation of policies on recorded episodes.
 
 use crate::city::Action;
 use crate::diag::Diagnostic;
@@ -8,10 +8,10 @@ use crate::task::spf::metrics::{mean_return, summarise_runs};
 use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, Policy, Rollout, SpfTask, Summary, rollout};
 use std::sync::Arc;
 
-/// So often the random policy drives every episode.
+/// Runs of the random policy per episode.
 pub const RANDOM_RUNS: u8 = 10;
 
-/// How the random policy does, episode by episode: what a score is measured from.
+/// The results of the random policy on each episode, as the baseline of scores.
 #[derive(Clone, Debug, Default)]
 pub struct Baseline {
     rollouts: Vec<Rollout>,
@@ -19,47 +19,47 @@ pub struct Baseline {
 }
 
 impl Baseline {
-    /// Lets the random policy drive one more episode, [`RANDOM_RUNS`] times. What it does is a function of the episode's seed.
+    /// Runs the random policy on one more episode, [`RANDOM_RUNS`] times. The episode's seed determines the runs.
     ///
     /// # Errors
-    /// As [`Env::reset_to`] and [`rollout`]; then nothing is added.
+    /// As [`Env::reset_to`] and [`rollout`]; on an error the baseline does not change.
     pub fn add(&mut self, env: &mut Env, episode: &Episode) -> Result<(), Diagnostic> {
         let runs = (0..RANDOM_RUNS).map(|run| {
             env.reset_to(episode)?;
             let mut stream = Seed(episode.seed).stream(Purpose::POLICY, run.into(), u64::MAX);
             rollout(env, Policy::Random(Seed(stream.random())))
         });
-        // All or none: the runs of an episode stand together.
+        // Adds all runs of an episode or none, because they must stay adjacent.
         let runs: Vec<Rollout> = runs.collect::<Result<_, Diagnostic>>()?;
         self.returns.push(mean_return(&runs));
         self.rollouts.extend(runs);
         Ok(())
     }
 
-    /// All its runs, those of an episode together.
+    /// Returns all runs; those of an episode are adjacent.
     pub fn rollouts(&self) -> &[Rollout] {
         &self.rollouts
     }
 
-    /// The mean return of each episode.
+    /// Returns the mean return of each episode.
     pub fn returns(&self) -> &[f64] {
         &self.returns
     }
 
-    /// How well the random policy itself did. Its score is 0, with no interval: it is compared with itself.
+    /// Returns the summary of the random policy. Its score against itself is 0, without an interval.
     pub fn summary(&self, task: &SpfTask) -> Summary {
         summarise_runs(task, &self.rollouts, RANDOM_RUNS.into(), Some(&self.returns))
     }
 }
 
-/// Recorded episodes that a policy from outside drives side by side, each once.
+/// Evaluates an external policy on recorded episodes in parallel, each once.
 pub struct BatchEvaluator {
     envs: Vec<Env>,
     rollouts: Vec<Rollout>,
 }
 
 impl BatchEvaluator {
-    /// All episodes of a set, at their beginnings.
+    /// Returns an evaluator with all episodes of a set at their start.
     ///
     /// # Errors
     /// As [`Env::new`] and [`Env::reset_to`].
@@ -86,28 +86,28 @@ impl BatchEvaluator {
         })
     }
 
-    /// The episodes, in the order of the set.
+    /// Returns the environments, in the order of the set.
     pub fn envs(&self) -> &[Env] {
         &self.envs
     }
 
-    /// How each has gone so far.
+    /// Returns the rollouts so far.
     pub fn rollouts(&self) -> &[Rollout] {
         &self.rollouts
     }
 
-    /// Which of them go on.
+    /// Returns for each episode whether it is running.
     pub fn running(&self) -> impl Iterator<Item = bool> {
         self.envs.iter().map(|env| env.controlled_cars()[0].is_running())
     }
 
-    /// Takes a step in every episode that goes on; the actions for the others count for nothing.
+    /// Takes a step in every running episode; ignores the actions for the others.
     ///
     /// # Errors
-    /// `limit-exceeded` for rules that derive too much.
+    /// `limit-exceeded` if the rules derive too many rows.
     ///
     /// # Panics
-    /// If there are not as many actions as episodes.
+    /// If the number of actions differs from that of episodes.
     pub fn step(&mut self, actions: &[Action]) -> Result<(), Diagnostic> {
         assert!(actions.len() == self.envs.len(), "one action for each episode");
         for ((env, done), &action) in self.envs.iter_mut().zip(&mut self.rollouts).zip(actions) {

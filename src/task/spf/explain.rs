@@ -1,12 +1,12 @@
-//! In words: where a controlled_car is, and why the rules want what they want of it.
+//! Text descriptions of a controlled car and explanations of its rules.
 
 use crate::city::Agent;
 use crate::diag::{Diagnostic, Sources};
 use crate::sim::Decision;
 use crate::task::spf::Env;
 
-/// The present state of a controlled_car in a few lines, also of one whose episode has ended: how far it has come, whom it observes, what is true of
-/// them, what the rules want of it.
+/// Describes the current state of a controlled car in a few lines: progress, observed agents, true atoms, and the
+/// action that the rules want. Also works after its episode has ended.
 pub fn describe(env: &Env, controlled_car: usize) -> String {
     let (observer, agents) = (env.controlled_cars()[controlled_car].observer(), env.city().agents());
     let vocabulary = &env.task().world().vocabulary;
@@ -38,11 +38,11 @@ pub fn describe(env: &Env, controlled_car: usize) -> String {
     )
 }
 
-/// Tells why the rules want an action of a controlled_car, now: on the facts that it observes, a proof of each action that they ask, or if they ask
-/// none, why. `sources` are those that the rules were loaded from.
+/// Explains why the rules want an action of a controlled car now: a proof of each derived action from the observed
+/// facts, or why there is none. `sources` are those that the rules were loaded from.
 ///
 /// # Errors
-/// `limit-exceeded` for rules that derive too much, or proofs that take too long to find.
+/// `limit-exceeded` if the rules derive too many rows, or a proof takes too many steps.
 pub fn explain(env: &Env, controlled_car: usize, sources: &Sources) -> Result<String, Diagnostic> {
     let ego = &env.controlled_cars()[controlled_car];
     let agent = &env.city().agents()[ego.agent()];

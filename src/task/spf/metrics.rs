@@ -1,4 +1,4 @@
-//! How well a policy did over many episodes: the measures of the paper, with 95 % confidence intervals.
+//! The paper's measures of a policy over many episodes, with 95 % confidence intervals.
 
 use crate::city::Action;
 use crate::task::spf::{Rollout, SpfTask};
@@ -7,28 +7,29 @@ use serde::Serialize;
 /// The 97.5th percentile of the standard normal distribution.
 const Z: f64 = 1.959_963_984_540_054;
 
-/// A share of runs with its Wilson score interval (Wilson 1927).
+/// A proportion of runs with its Wilson score interval (Wilson 1927).
 ///
-/// Several runs of one episode are alike and tell less than as many episodes would. So the interval is that of the *effective* number of
-/// runs (Kish 1965): their number over the design effect, which is the variance of the share between episodes over that of as many
-/// independent runs, but at least 1. Where that cannot be seen, since all runs hit or none or there is one episode, it is the number of
-/// episodes. With one run of each episode it is their number in any case.
+/// Several runs of one episode are correlated. The interval therefore uses the *effective* number of runs (Kish 1965):
+/// the number of runs over the design effect, at least 1. The design effect is the variance of the proportion between
+/// episodes over the variance for independent runs. If it cannot be estimated, because all runs hit, no run hits, or
+/// there is one episode, the effective number is that of the episodes. With one run per episode it equals the number of
+/// episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Rate {
-    /// The share, 0 to 1; 0 if there are no runs.
+    /// The proportion, 0 to 1; 0 without runs.
     pub value: f64,
     /// Lower end of the interval.
     pub low: f64,
     /// Upper end of the interval.
     pub high: f64,
-    /// How many episodes there are runs of.
+    /// Number of episodes with runs.
     pub episodes: usize,
-    /// Of how many runs, those of all episodes together.
+    /// Number of runs in all episodes.
     pub runs: usize,
 }
 
 impl Rate {
-    /// For each episode so many hits of so many runs; one with no runs does not count.
+    /// Computes the rate from `[hits, runs]` of each episode; ignores episodes without runs.
     #[allow(clippy::cast_precision_loss)] // fewer than 2^53 runs
     pub fn of(counts: impl Iterator<Item = [usize; 2]> + Clone) -> Rate {
         let counts = counts.filter(|[_, runs]| *runs > 0);
@@ -54,7 +55,7 @@ impl Rate {
     }
 }
 
-/// The score interval of a share of so many.
+/// Returns the Wilson score interval of a proportion of `n` trials.
 fn wilson(p: f64, n: f64) -> [f64; 2] {
     if n == 0.0 {
         return [0.0, 1.0];
@@ -64,7 +65,7 @@ fn wilson(p: f64, n: f64) -> [f64; 2] {
     [(middle - half).max(0.0), (middle + half).min(1.0)]
 }
 
-/// A mean with its interval by the central limit theorem: the mean, less and plus 1.96 standard errors.
+/// A mean with its normal approximation interval: the mean plus or minus 1.96 standard errors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Score {
     /// The mean.
@@ -76,7 +77,7 @@ pub struct Score {
 }
 
 impl Score {
-    /// The mean of some values; of none it is 0.
+    /// Computes the mean of some values; without values it is 0.
     #[allow(clippy::cast_precision_loss)] // fewer than 2^53 episodes
     pub fn of(values: impl Iterator<Item = f64> + Clone) -> Score {
         let n = values.clone().count().max(1) as f64;
@@ -95,49 +96,52 @@ impl Score {
     }
 }
 
-/// A rate for an action that the rules can ask.
+/// The decision success rate for an action.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ActionRate {
     /// Name of the action.
     pub action: &'static str,
-    /// Of the runs in which the rules asked the action, the share in which no clause that asks it was broken.
+    /// Of the runs in which the rules derived the action, the proportion without a violation of its clauses.
     #[serde(flatten)]
     pub rate: Rate,
 }
 
-/// How well a policy did. Where it has driven every episode several times, an episode counts for means and their intervals with the mean
-/// of its runs.
+/// The measures of a policy. With several runs per episode, means and their intervals use the mean of each episode's
+/// runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// Trajectory success rate: the share of runs that reach the goal in time without a rule broken.
+    /// Trajectory success rate: the proportion of runs that reach the goal in time without a violation.
     pub tsr: Rate,
-    /// Decision success rate: the share of runs in which the rules asked something at least once and were never broken, however it
-    /// ended.
+    /// Decision success rate: the proportion of runs without a violation among those with at least one constrained
+    /// step.
     pub dsr: Rate,
-    /// The same by action.
+    /// Decision success rate by action.
     pub dsr_by_action: Vec<ActionRate>,
     /// Mean return.
     pub mean_return: Score,
-    /// Mean return less that of the random policy on the same episodes; `None` if that is not known.
+    /// Mean return minus that of the random policy on the same episodes; `None` if that is unknown.
     pub score: Option<Score>,
     /// Mean number of steps.
     pub mean_steps: f64,
 }
 
-/// Sums up rollouts, one of each episode. `random` has for each the mean return of the random policy on the same episode.
+/// Summarizes rollouts, one per episode. `random` has the random policy's mean return on each episode.
 ///
 /// # Panics
-/// If there are more or fewer of them.
+/// If the lengths of `rollouts` and `random` differ.
 pub fn summarise(task: &SpfTask, rollouts: &[Rollout], random: Option<&[f64]>) -> Summary {
     summarise_runs(task, rollouts, 1, random)
 }
 
-/// Sums up so many rollouts of each episode, which stand together. `random` has a mean return for each episode.
+/// Summarizes `runs` adjacent rollouts of each episode. `random` has a mean return for each episode.
 #[allow(clippy::cast_precision_loss)] // fewer than 2^53 runs and steps
 pub(super) fn summarise_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, random: Option<&[f64]>) -> Summary {
-    assert!(rollouts.len().is_multiple_of(runs), "as many rollouts of each episode");
+    assert!(
+        rollouts.len().is_multiple_of(runs),
+        "the same number of rollouts of each episode"
+    );
     let episodes = rollouts.chunks_exact(runs);
-    // A run hits or not, or does not count.
+    // `None` if the run does not count.
     let rate = |hits: &dyn Fn(&Rollout) -> Option<bool>| {
         Rate::of(episodes.clone().map(|runs| {
             let counted = runs.iter().filter_map(hits);
@@ -175,7 +179,7 @@ pub(super) fn summarise_runs(task: &SpfTask, rollouts: &[Rollout], runs: usize, 
     }
 }
 
-/// The mean return of some rollouts, at least one.
+/// Returns the mean return of at least one rollout.
 #[allow(clippy::cast_precision_loss)] // fewer than 2^53
 pub(super) fn mean_return(rollouts: &[Rollout]) -> f64 {
     rollouts.iter().map(|rollout| rollout.total).sum::<f64>() / rollouts.len() as f64
@@ -221,13 +225,13 @@ mod tests {
         for hits in 0..=20 {
             is_wilson(once(hits, 20), 20.0);
         }
-        // Ten runs that go the same way tell what one does.
+        // Ten equal runs carry the information of one.
         let same = Rate::of((0..30).map(|episode| [if episode < 9 { 10 } else { 0 }, 10]));
         assert_eq!((same.value, same.episodes, same.runs), (0.3, 30, 300));
         is_wilson(same, 300.0 * 29.0 / 299.0);
-        // Where episodes are all alike, every run counts.
+        // Where all episodes are alike, every run counts.
         is_wilson(Rate::of((0..30).map(|_| [3, 10])), 300.0);
-        // Nothing is seen of how alike runs are.
+        // The correlation of runs cannot be estimated.
         is_wilson(Rate::of((0..30).map(|_| [0, 10])), 30.0);
         is_wilson(Rate::of([[10, 10], [10, 10]].into_iter()), 2.0);
         is_wilson(Rate::of([[3, 10]].into_iter()), 1.0);
@@ -239,8 +243,8 @@ mod tests {
         assert_eq!((none.low, none.high, none.episodes, none.runs), (0.0, 1.0, 0, 0));
     }
 
-    /// Drawn episodes, one in five of which is easy and hit by half of its runs, the others by none: 0.1 lies in about 95 of 100 intervals,
-    /// and in far fewer of those that take all runs for independent ones.
+    /// Samples episodes, one in five of which half of the runs hit. About 95 of 100 intervals contain 0.1, and far
+    /// fewer of those that treat runs as independent.
     #[test]
     fn intervals_have_their_coverage() {
         let mut random = Seed(3).stream(Purpose::POLICY, 0, 0);

@@ -1,4 +1,4 @@
-//! Safe Path Following (SPF): an ego car drives its route by choosing a speed at every step, and must break no rule.
+//! Safe Path Following (SPF): an ego car follows its route by choosing a speed at every step, without violating a rule.
 //!
 //! ```text
 //! Scenario (task:) + World -> SpfTask (immutable, shared) -> Env: reset, step -> Env, Env, ... in a VectorEnv
@@ -6,15 +6,15 @@
 //!                                               Episode, drawn or recorded (EpisodeSet)
 //! ```
 //!
-//! At every step the ego observes the true atoms about itself and a few entities in its view and takes an [action](crate::city::Action).
-//! If a clause asks another action of it, the rule is broken and the episode ends with the penalty, undivided. Otherwise the step costs
-//! what its action costs, divided by four times the cells of the route. The episode ends too when the ego is at its goal; it is cut
-//! short at the horizon, at the price of overtime.
+//! At every step the ego observes the true atoms about itself and a few entities in its view, and takes an
+//! [action](crate::city::Action). If a clause derives another action for it, the ego violates the rule and the episode
+//! ends with the penalty, undivided. Otherwise the reward of the step is that of its action, divided by four times the
+//! cells of the route. The episode also ends at the goal. At the horizon it is truncated, with the overtime penalty.
 //!
-//! [`rollout`] lets a policy drive an episode, an [`BatchEvaluator`] lets one from outside drive a whole set, [`Baseline`] is how the random one
-//! does; [`summarise`] says how well a policy did over many episodes: the rates and the score of the paper. A [`VectorEnv`] is many
-//! environments that take a step together; [`explain`] tells why the rules want what they want, and [`record`] writes the trace of an
-//! episode that was driven.
+//! [`rollout`] runs a built-in policy on an episode; a [`BatchEvaluator`] runs an external one on a whole set;
+//! [`Baseline`] has the results of the random policy. [`summarise`] computes the paper's rates and score over many
+//! episodes. A [`VectorEnv`] steps many environments together. [`explain`] explains what the rules want, and [`record`]
+//! writes the trace of an episode.
 
 mod codes;
 mod env;
@@ -43,36 +43,36 @@ use crate::diag::{Code, Diagnostic, Sources, did_you_mean};
 use crate::sim::{Observer, Oracle, World};
 use std::sync::Arc;
 
-/// Safe Path Following in one world. Immutable, shared by all environments over it.
+/// Safe Path Following in one world. Immutable and shared by all its environments.
 pub struct SpfTask {
     oracle: Arc<Oracle>,
     config: SpfConfig,
-    /// For each demand of the oracle: its short name, and the reward for breaking it.
+    /// For each demand of the oracle, its label and the reward for violating it.
     demands: Vec<(String, f64)>,
-    /// The greatest priority number there can be.
+    /// The greatest possible priority number.
     priority_scale: f32,
 }
 
 impl SpfTask {
-    /// The task of the world's configuration. `sources` are those that rules and configuration were loaded from.
+    /// Returns the task of the world's configuration. `sources` are those of the rules and the configuration.
     ///
     /// # Errors
-    /// `missing-key` if the configuration has no task, `invalid-value` if it names a clause that no rule has.
+    /// `missing-key` if the configuration has no task, `invalid-value` if it names an unknown clause.
     pub fn new(world: Arc<World>, sources: &Sources) -> Result<SpfTask, Vec<Diagnostic>> {
         let scenario = &world.scenario;
         let Some(config) = scenario.task.clone() else {
             let message = format!("the configuration `{}` has no `task`", scenario.name);
             let fault = Diagnostic::new(Code::MISSING_KEY, message);
             return Err(vec![
-                fault.help("give it one, for example `task: configs/tasks/expert.yaml`"),
+                fault.help("add one, for example `task: configs/tasks/expert.yaml`"),
             ]);
         };
         let oracle = Oracle::new(Arc::clone(&world), config.entities as usize).map_err(|fault| vec![fault])?;
-        let teller = ExplanationPrinter::new(world.program.rules(), &world.program.rules().symbols, sources);
+        let printer = ExplanationPrinter::new(world.program.rules(), &world.program.rules().symbols, sources);
         let labels: Vec<String> = oracle
             .demands()
             .iter()
-            .map(|demand| teller.label(demand.clause))
+            .map(|demand| printer.label(demand.clause))
             .collect();
         let unknown = config
             .reward
@@ -81,11 +81,11 @@ impl SpfTask {
             .filter(|(label, _)| !labels.contains(&label.value));
         let faults: Vec<Diagnostic> = unknown
             .map(|(label, _)| {
-                let message = format!("no clause that asks an action is called `{}`", label.value);
-                let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(label.span, "a reward for breaking it");
+                let message = format!("no clause that derives an action has the label `{}`", label.value);
+                let fault = Diagnostic::new(Code::INVALID_VALUE, message).at(label.span, "the reward for violating it");
                 match did_you_mean(&label.value, labels.iter().map(String::as_str)) {
                     Some(near) => fault.help(format!("did you mean `{near}`?")),
-                    None => fault.help(format!("they are called: {}", labels.join(", "))),
+                    None => fault.help(format!("the labels are: {}", labels.join(", "))),
                 }
             })
             .collect();
@@ -110,43 +110,43 @@ impl SpfTask {
         })
     }
 
-    /// The city and its rules.
+    /// Returns the city and its rules.
     pub fn world(&self) -> &Arc<World> {
         self.oracle.world()
     }
 
-    /// What decides and judges.
+    /// Returns the oracle, which decides and finds violations.
     pub fn oracle(&self) -> &Arc<Oracle> {
         &self.oracle
     }
 
-    /// The configuration of the task.
+    /// Returns the configuration of the task.
     pub fn config(&self) -> &SpfConfig {
         &self.config
     }
 
-    /// The short name of a clause that can be broken, by its position in [`Oracle::demands`]: `S2`, or `file:line` if it has none.
+    /// Returns the label of a clause, by its position in [`Oracle::demands`]: `S2`, or `file:line` if it has none.
     pub fn label(&self, demand: usize) -> &str {
         &self.demands[demand].0
     }
 
-    /// How many numbers the abstract observation has: the true atoms, and the length of the route if the configuration wants it.
+    /// Returns the length of the groundings observation: the atoms, and the length of the route if configured.
     pub fn observation_width(&self) -> usize {
         self.oracle.width() + usize::from(self.config.route_length)
     }
 
-    /// The shape of the `state` observation: rows, one for each agent, and numbers in a row.
+    /// Returns the shape of the `state` observation: one row per agent, and the numbers in a row.
     pub fn state_shape(&self) -> [usize; 2] {
         [self.config.state_agents as usize, Observer::state_width(&self.oracle)]
     }
 
-    /// What a priority is divided by in the exact observation: the greatest number that one can have.
+    /// Returns the divisor of priorities in the `state` observation: the greatest possible priority number.
     pub fn priority_scale(&self) -> f32 {
         self.priority_scale
     }
 
-    /// The reward of a step: for the clauses it breaks, by their positions in [`Oracle::demands`], or else for its action on a route of
-    /// so many cells.
+    /// Returns the reward of a step: the penalties of the violated clauses, by their positions in [`Oracle::demands`],
+    /// or without a violation the reward of the action on a route of `cells` cells.
     pub fn reward(&self, action: Action, broken: &[usize], cells: usize) -> f64 {
         if broken.is_empty() {
             #[allow(clippy::cast_precision_loss)] // a route has fewer than 2^32 cells
@@ -164,7 +164,7 @@ impl SpfTask {
         }
     }
 
-    /// The side of the region of a split in cells: the number of rows of the map if it has none.
+    /// Returns the side of the region of a split, in cells; without a region, the number of rows of the map.
     fn region(&self, split: Split) -> u32 {
         let set = self.world().scenario.agent_set(split);
         let region = set.and_then(|set| set.region).map(|region| region.value);

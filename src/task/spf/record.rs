@@ -1,4 +1,4 @@
-//! The trace of an episode that was driven.
+//! Traces of episodes.
 
 use crate::city::{Action, Split};
 use crate::diag::{Code, Diagnostic, SourceId, Sources};
@@ -7,23 +7,23 @@ use crate::task::spf::{ControlMode, Env, Episode, SpfTask};
 use std::io::{self, Write};
 use std::sync::Arc;
 
-/// What the header of a trace tells of where the city comes from.
+/// The origin of the city, for the header of a trace.
 #[derive(Clone, Copy)]
 pub struct Origin<'a> {
-    /// The texts that the rules were loaded from.
+    /// The sources that the rules were loaded from.
     pub sources: &'a Sources,
     /// The file of the configuration.
     pub config_file: &'a str,
-    /// The file of the rules and all that it includes.
+    /// The file of the rules and its includes.
     pub rule_files: &'a [SourceId],
 }
 
-/// Why no trace was written.
+/// The reason why `record` failed.
 #[derive(Debug)]
 pub enum RecordError {
-    /// The episode cannot be driven like that.
+    /// The episode cannot be replayed with these actions.
     Fault(Diagnostic),
-    /// The output cannot be written.
+    /// The output failed.
     Write(io::Error),
 }
 
@@ -39,9 +39,9 @@ impl From<io::Error> for RecordError {
     }
 }
 
-/// Drives an episode of a split once more by the actions that the first car took in it, and writes the trace as `logicity run` would. An
-/// episode is a function of its beginning and the actions, so environments keep no trace while they work. The first car is told of as
-/// [`Driven`].
+/// Replays an episode of a split with the actions of the first car, and writes the trace in the format of `logicity
+/// run`. The first car appears as [`Driven`]. Start and actions determine an episode, so environments need not keep
+/// traces.
 ///
 /// # Errors
 /// As [`Env::new`] and [`Env::reset_to`]; `invalid-value` for more actions than the episode has steps, `limit-exceeded` for more than
@@ -81,7 +81,7 @@ pub fn record<W: Write>(
         }
         if !env.controlled_cars()[0].is_running() {
             let message = format!(
-                "{} actions for an episode that ends after {}",
+                "{} actions for an episode that ends after {} steps",
                 actions.len(),
                 env.steps()
             );
@@ -95,7 +95,7 @@ pub fn record<W: Write>(
     Ok(trace.into_inner())
 }
 
-/// What the first controlled_car observes, and what the rules want of it.
+/// Returns the observation of the first controlled car, and the action that the rules want of it.
 fn observed(env: &Env) -> Driven {
     let agents = env.city().agents();
     let entities = env.controlled_cars()[0].observer().entities();
@@ -106,13 +106,13 @@ fn observed(env: &Env) -> Driven {
     }
 }
 
-/// The clauses that its last action broke.
+/// Returns the clauses that its last action violated.
 fn broken(env: &Env) -> Vec<usize> {
     let (controlled_car, demands) = (&env.controlled_cars()[0], env.task().oracle().demands());
     let clauses = env.city().clauses();
     let position = |&demand: &usize| {
         let found = clauses.iter().position(|clause| *clause == demands[demand].clause);
-        found.expect("a clause that asks an action has a body")
+        found.expect("a clause that derives an action has a body")
     };
     controlled_car.last().broken.iter().map(position).collect()
 }

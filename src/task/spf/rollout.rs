@@ -1,4 +1,4 @@
-//! Whole episodes under simple policies, and episode sets made from them.
+//! Whole episodes under simple policies, and episode sets generated with them.
 
 use crate::city::{Action, Split};
 use crate::diag::{Code, Diagnostic};
@@ -7,55 +7,56 @@ use crate::task::spf::{ControlMode, Env, Episode, EpisodeSet, OracleRun, SpfTask
 use std::sync::Arc;
 
 impl Purpose {
-    /// Seeds of one episode after another; index: how many there were before.
+    /// Seeds of consecutive episodes; index: the number of episodes before.
     pub const EPISODE: Purpose = Purpose::new(8);
 
     /// A policy that acts at random; index: the step.
     pub const POLICY: Purpose = Purpose::new(9);
 }
 
-/// An episode in which the oracle is not at the goal after so many steps is not kept; it stands in a deadlock.
+/// The oracle must reach the goal within this many steps; otherwise the episode is in a deadlock and `make_episodes`
+/// drops it.
 const STEPS_MAX: u32 = 1000;
 
-/// So many episodes are drawn for every one that is wanted before making a set is given up.
+/// The most draws per requested episode.
 const DRAWS: u64 = 1000;
 
-/// Policies that need no learning.
+/// Policies without learning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Policy {
     /// Does what the rules want.
     Oracle,
-    /// Draws each action from all four alike.
+    /// Draws each action uniformly from all four.
     Random(Seed),
-    /// Does always the same.
+    /// Always takes the same action.
     Always(Action),
 }
 
-/// How an episode went.
+/// The result of an episode.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rollout {
-    /// How many steps it had.
+    /// Number of steps.
     pub steps: u32,
-    /// The sum of its rewards.
+    /// The sum of the rewards.
     pub total: f64,
-    /// Whether the goal was reached in time and without a rule broken.
+    /// Whether the car reached the goal in time and without a violation.
     pub success: bool,
-    /// Whether it was cut short at the horizon.
+    /// Whether the episode reached its horizon.
     pub truncated: bool,
-    /// In how many steps the rules asked an action, by action in the order of [`Action::ALL`].
+    /// Number of steps in which the rules derived each action, in the order of [`Action::ALL`].
     pub constrained: [u32; 4],
-    /// The clauses that were broken, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
+    /// The violated clauses, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
     pub broken: Vec<usize>,
 }
 
-/// In how many steps the rules asked an action, by its name, where they asked it at all. `constrained` is as in [`Rollout`].
+/// Returns names and counts of the actions with constrained steps. `constrained` is as in [`Rollout`].
 pub fn constrained_by_name(constrained: [u32; 4]) -> impl Iterator<Item = (&'static str, u32)> {
     let named = Action::ALL.map(Action::name).into_iter().zip(constrained);
     named.filter(|(_, steps)| *steps > 0)
 }
 
 impl Rollout {
-    /// Adds what the first controlled_car has just done. `asked` are the actions that the rules asked before.
+    /// Adds the last step of the first controlled car. `asked` are the actions that the rules derived before it.
     pub fn add(&mut self, env: &Env, asked: impl Iterator<Item = Action>) {
         let last = env.controlled_cars()[0].last();
         self.steps += 1;
@@ -67,7 +68,7 @@ impl Rollout {
     }
 }
 
-/// Lets a policy drive the first car of an environment from the beginning of an episode to its end.
+/// Runs a policy on the first controlled car from the start of an episode to its end.
 ///
 /// # Errors
 /// `limit-exceeded` for rules that derive too much; `cancelled` if the environment's work is cancelled.
@@ -95,11 +96,11 @@ pub fn rollout(env: &mut Env, policy: Policy) -> Result<Rollout, Diagnostic> {
     Ok(done)
 }
 
-/// What a set of episodes still lacks.
+/// The requirements that a set of episodes does not meet yet.
 struct Wanted {
-    /// By concepts of the ego: how many episodes.
+    /// Number of episodes by concepts of the ego.
     concepts: Vec<(Arc<[String]>, usize)>,
-    /// By action: how many episodes in which the rules ask it.
+    /// Number of episodes by action that the rules must derive in them.
     actions: [usize; 4],
 }
 
@@ -118,7 +119,7 @@ impl Wanted {
         }
         let demands = task.oracle().demands();
         let asked = Action::ALL.map(|action| demands.iter().any(|demand| demand.action == action));
-        // Half of an equal share: the rules may ask some actions of few egos only.
+        // Half of an equal share, because the rules may derive some actions for few egos only.
         let share = count.div_ceil(2 * asked.iter().filter(|asked| **asked).count().max(1));
         Wanted {
             concepts,
@@ -126,7 +127,7 @@ impl Wanted {
         }
     }
 
-    /// Takes an episode if it has what is lacking.
+    /// Accepts an episode if it meets an open requirement.
     fn take(&mut self, concepts: &[String], done: &Rollout) -> bool {
         let asks = |action: usize| done.constrained[action] > 0;
         if !done.success || !(0..4).any(asks) {
@@ -150,12 +151,12 @@ impl Wanted {
     }
 }
 
-/// Makes a set of episodes: drawn ones in which the oracle reaches the goal and the rules ask an action at least once. Every kind of ego
-/// that the configuration draws is there equally often, and every action that a rule can ask is asked in at least half an equal share
-/// of them. `watch` is told how many there are after each that is found.
+/// Generates a set of random episodes in which the oracle reaches the goal and at least one step is constrained. The
+/// set is balanced over the kinds of egos in the configuration. Each action that a rule can derive occurs in at least
+/// half an equal share of the episodes. Calls `watch` with the number of episodes after each new one.
 ///
 /// # Errors
-/// As [`Env::new`] and [`Env::reset`]; `limit-exceeded` if such episodes are not found.
+/// As [`Env::new`] and [`Env::reset`]; `limit-exceeded` if the search finds too few episodes.
 pub fn make_episodes(
     task: &Arc<SpfTask>,
     split: Split,
@@ -171,7 +172,7 @@ pub fn make_episodes(
         if episodes.len() == count {
             break;
         }
-        // Not the seeds of environments, whose last number is 0, nor those of another split.
+        // These seeds differ from those of environments, whose last number is 0, and from those of other splits.
         let seed: u64 = Seed(seed).stream(Purpose::EPISODE, draw, 1 + split as u64).random();
         env.reset(seed)?;
         env.set_horizon(STEPS_MAX);
@@ -189,11 +190,11 @@ pub fn make_episodes(
         }
     }
     if episodes.len() < count {
-        let message = format!("{} of {count} episodes found in {draws} draws", episodes.len());
+        let message = format!("found only {} of {count} episodes in {draws} draws", episodes.len());
         let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(task.config().span, "of this task");
-        return Err(fault.help(wanted.tell()));
+        return Err(fault.help(wanted.missing()));
     }
-    // In an order that has nothing to do with what was lacking.
+    // An order independent of the requirements.
     episodes.sort_by_key(|episode| episode.seed);
     Ok(EpisodeSet {
         config: task.world().scenario.name.clone(),
@@ -204,7 +205,7 @@ pub fn make_episodes(
 }
 
 impl Wanted {
-    fn tell(&self) -> String {
+    fn missing(&self) -> String {
         let concepts = (self.concepts.iter().filter(|(_, wanted)| *wanted > 0)).map(|(kind, wanted)| {
             let kind = if kind.is_empty() {
                 "no concept".to_owned()
@@ -214,13 +215,13 @@ impl Wanted {
             format!("{wanted} with {kind}")
         });
         let actions = (Action::ALL.iter().zip(self.actions).filter(|(_, wanted)| *wanted > 0))
-            .map(|(action, wanted)| format!("{wanted} in which the rules ask {}", action.name()));
+            .map(|(action, wanted)| format!("{wanted} in which the rules derive {}", action.name()));
         let mut lacking: Vec<String> = concepts.chain(actions).collect();
         if lacking.is_empty() {
-            lacking.push("episodes that the oracle solves and in which a rule asks something".to_owned());
+            lacking.push("episodes that the oracle solves with a constrained step".to_owned());
         }
         format!(
-            "lacking: {}; take fewer episodes, or another region or agent set",
+            "missing: {}; request fewer episodes, or use another region or agent set",
             lacking.join(", ")
         )
     }
@@ -232,13 +233,13 @@ mod tests {
 
     #[test]
     fn what_is_lacking_is_never_nothing() {
-        let told = |concepts, actions| Wanted { concepts, actions }.tell();
-        assert!(told(vec![], [0; 4]).starts_with("lacking: episodes that the oracle solves"));
+        let message = |concepts, actions| Wanted { concepts, actions }.missing();
+        assert!(message(vec![], [0; 4]).starts_with("missing: episodes that the oracle solves"));
         let bus: Arc<[String]> = Arc::new(["bus".to_owned()]);
-        let told = told(vec![(bus, 2), (Arc::new([]), 1)], [0, 0, 0, 3]);
+        let message = message(vec![(bus, 2), (Arc::new([]), 1)], [0, 0, 0, 3]);
         assert!(
-            told.starts_with("lacking: 2 with bus, 1 with no concept, 3 in which the rules ask Stop;"),
-            "{told}"
+            message.starts_with("missing: 2 with bus, 1 with no concept, 3 in which the rules derive Stop;"),
+            "{message}"
         );
     }
 }

@@ -1,4 +1,4 @@
-//! Episodes one after another, and many environments that take a step together.
+//! Sequences of episodes, and vectorized environments.
 
 use crate::city::{Action, Split};
 use crate::diag::Diagnostic;
@@ -11,13 +11,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-/// So many environments at least are one thread's work.
+/// The fewest environments per thread.
 const SHARE: usize = 8;
 
 /// While other threads work, the one that waits for them asks so often whether to give up.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// The episodes of one environment: each is a function of the seed and of how many there were before it.
+/// The episodes of one environment: each is a function of the seed and of the number of episodes before it.
 #[derive(Clone, Debug)]
 pub struct EpisodeSource {
     seed: u64,
@@ -26,10 +26,10 @@ pub struct EpisodeSource {
 }
 
 impl EpisodeSource {
-    /// Episodes that are drawn, or taken at random from recorded ones.
+    /// Returns a source of random episodes, or of random choices among recorded ones.
     ///
     /// # Panics
-    /// If there are recorded episodes, but none of them.
+    /// If `recorded` is an empty set.
     pub fn new(seed: u64, recorded: Option<Arc<[Episode]>>) -> EpisodeSource {
         assert!(recorded.as_ref().is_none_or(|set| !set.is_empty()), "no episodes");
         EpisodeSource {
@@ -39,19 +39,19 @@ impl EpisodeSource {
         }
     }
 
-    /// The seed of the next episode, less than 2^53: any reader of JSON keeps it.
+    /// Returns the seed of the next episode, less than 2^53 so that all JSON readers represent it exactly.
     pub fn next_seed(&mut self) -> u64 {
         let mut stream = Seed(self.seed).stream(Purpose::EPISODE, self.begun, 0);
         self.begun += 1;
         stream.random::<u64>() >> 11
     }
 
-    /// The seed of all of them, and how many have begun.
+    /// Returns the seed of the source, and the number of episodes begun.
     pub fn place(&self) -> [u64; 2] {
         [self.seed, self.begun]
     }
 
-    /// Goes to where so many have begun.
+    /// Moves to the position at which `begun` episodes have begun.
     pub fn skip_to(&mut self, begun: u64) {
         self.begun = begun;
     }
@@ -69,12 +69,12 @@ impl EpisodeSource {
     }
 }
 
-/// What a controlled_car is shown.
+/// The kind of an observation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObservationKind {
-    /// The groundings of the predicates over a few entities, see [`Env::observe`].
+    /// The groundings of the predicates over a few entities; see [`Env::observe`].
     Groundings,
-    /// The exact state, see [`Env::observe_state`].
+    /// The exact state; see [`Env::observe_state`].
     State,
 }
 
@@ -82,7 +82,7 @@ impl ObservationKind {
     /// Both kinds.
     pub const ALL: [ObservationKind; 2] = [ObservationKind::Groundings, ObservationKind::State];
 
-    /// Its name in Python.
+    /// Returns the name in Python.
     pub const fn name(self) -> &'static str {
         match self {
             ObservationKind::Groundings => "groundings",
@@ -90,7 +90,7 @@ impl ObservationKind {
         }
     }
 
-    /// The shape of an observation.
+    /// Returns the shape of an observation.
     pub fn shape(self, task: &SpfTask) -> Vec<usize> {
         match self {
             ObservationKind::Groundings => vec![task.observation_width()],
@@ -98,10 +98,10 @@ impl ObservationKind {
         }
     }
 
-    /// Writes what a controlled_car is shown.
+    /// Writes the observation of a controlled car.
     ///
     /// # Panics
-    /// If there is not room for as many numbers as the shape says.
+    /// If `out` is shorter than the shape requires.
     pub fn write(self, env: &Env, controlled_car: usize, out: &mut [f32]) {
         match self {
             ObservationKind::Groundings => env.observe(controlled_car, out),
@@ -110,25 +110,26 @@ impl ObservationKind {
     }
 }
 
-/// What is told of a controlled_car beside what it observes.
+/// Information about a controlled car besides its observation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Info {
-    /// What the rules want now, by its number.
+    /// The action that the rules want now, as a number.
     pub oracle_action: usize,
-    /// The clauses that the last action broke, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
+    /// The clauses that the last action violated, by their positions in
+    /// [`Oracle::demands`](crate::sim::Oracle::demands).
     pub broken: Vec<usize>,
-    /// How much of its route it has gone, 0 to 1.
+    /// The fraction of its route that it has covered, 0 to 1.
     pub progress: f64,
-    /// Whether it is at its goal without a rule broken.
+    /// Whether it is at its goal without a violation.
     pub success: bool,
-    /// How many steps the episode has had.
+    /// Number of steps of the episode so far.
     pub steps: u32,
     /// The seed of the episode.
     pub seed: u64,
 }
 
 impl Info {
-    /// Takes note of a controlled_car as it is now.
+    /// Updates the information about a controlled car.
     pub fn note(&mut self, env: &Env, controlled_car: usize) {
         let last = env.controlled_cars()[controlled_car].last();
         self.oracle_action = env.oracle_action(controlled_car) as usize;
@@ -140,14 +141,15 @@ impl Info {
     }
 }
 
-/// When an environment whose episode has ended begins the next one.
+/// When an environment begins the next episode after one has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Autoreset {
-    /// In the next step, which takes no action of it and is worth 0.
+    /// In the next step, which ignores its action and has reward 0.
     NextStep,
-    /// In the same step: the observation is the first of the next episode; the last one of the old episode is in [`SubEnv::ended`].
+    /// In the same step: the observation is the first of the next episode; [`SubEnv::ended`] has the last one of the
+    /// old episode.
     SameStep,
-    /// When it is told to.
+    /// On an explicit reset.
     Disabled,
 }
 
@@ -156,11 +158,11 @@ pub enum Autoreset {
 pub enum Begin {
     /// With the next episode of its source.
     Next,
-    /// With this one; the source does not go on.
+    /// With this episode; the source does not advance.
     Given(Arc<Episode>),
 }
 
-/// One environment of many.
+/// One environment of a vector.
 pub struct SubEnv {
     env: Env,
     source: EpisodeSource,
@@ -172,71 +174,72 @@ pub struct SubEnv {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
-    /// No episode has begun, or one was lost to a fault.
+    /// No episode has begun, or an error ended it.
     Idle,
     Running,
     Over,
 }
 
-/// What came of a step.
+/// The result of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// What the action was worth.
+    /// Reward.
     pub reward: f64,
-    /// Whether the episode ended with it.
+    /// Whether the episode has ended.
     pub terminated: bool,
-    /// Whether it was cut short at the horizon.
+    /// Whether the episode has reached its horizon.
     pub truncated: bool,
 }
 
-/// How an episode ended, if the next one began in the same step.
+/// The end of an episode whose successor began in the same step.
 #[derive(Clone, Debug, Default)]
 pub struct Ended {
     happened: bool,
     observation: Vec<f32>,
     info: Info,
-    /// As [`Observer::atoms`](crate::sim::Observer::atoms) tells them, if they are to be kept.
+    /// The atoms of [`Observer::atoms`](crate::sim::Observer::atoms), if the vector keeps them.
     atoms: Option<Vec<(usize, Vec<usize>)>>,
 }
 
 impl SubEnv {
-    /// The environment.
+    /// Returns the environment.
     pub fn env(&self) -> &Env {
         &self.env
     }
 
-    /// The same, to ask for the facts of a moment.
+    /// Returns the environment for queries that need `&mut`.
     pub fn env_mut(&mut self) -> &mut Env {
         &mut self.env
     }
 
-    /// Its episodes.
+    /// Returns the source of its episodes.
     pub fn source(&self) -> &EpisodeSource {
         &self.source
     }
 
-    /// What came of the last step.
+    /// Returns the result of the last step.
     pub fn outcome(&self) -> Outcome {
         self.outcome
     }
 
-    /// What is told beside the observation.
+    /// Returns the information besides the observation.
     pub fn info(&self) -> &Info {
         &self.info
     }
 
-    /// The last observation of the episode that the last step ended, and what was told then; only if the next one began in that step.
+    /// Returns the last observation and information of the episode that the last step ended, if the next episode began
+    /// in that step.
     pub fn ended(&self) -> Option<(&[f32], &Info)> {
         let Ended { observation, info, .. } = &self.ended;
         self.ended.happened.then_some((observation, info))
     }
 
-    /// The atoms that were true then, see [`VectorEnv::keep_last_atoms`].
+    /// Returns the atoms that were true then; see [`VectorEnv::keep_last_atoms`].
     pub fn ended_atoms(&self) -> Option<&[(usize, Vec<usize>)]> {
         self.ended.atoms.as_deref().filter(|_| self.ended.happened)
     }
 
-    /// Whether it can take a step without being told to begin an episode.
+    /// Returns whether it can take a step without a reset.
     pub fn is_ready(&self, autoreset: Autoreset) -> bool {
         match self.stage {
             Stage::Idle => false,
@@ -298,22 +301,22 @@ impl SubEnv {
     }
 }
 
-/// Environments that take a step together. Each goes as it would alone, on any number of threads.
+/// A vectorized environment. Results equal those of the individual environments, on any number of threads.
 pub struct VectorEnv {
     members: Vec<SubEnv>,
     autoreset: Autoreset,
     view: ObservationKind,
-    /// Numbers of an observation.
+    /// Numbers per observation.
     width: usize,
     threads: Option<ThreadPool>,
     stop: Stop,
 }
 
 impl VectorEnv {
-    /// So many environments, in each of which the first car is driven. [`VectorEnv::reset`] comes next.
+    /// Returns one environment per source; the caller controls the first car of each. Call [`VectorEnv::reset`] next.
     ///
     /// # Errors
-    /// As [`Env::new`]; `limit-exceeded` if so many threads cannot be started.
+    /// As [`Env::new`]; `limit-exceeded` if the threads cannot be started.
     pub fn new(
         task: &Arc<SpfTask>,
         split: Split,
@@ -367,45 +370,47 @@ impl VectorEnv {
         })
     }
 
-    /// The environments.
+    /// Returns the environments.
     pub fn members(&self) -> &[SubEnv] {
         &self.members
     }
 
-    /// The same, to ask for the facts of a moment.
+    /// Returns the environments for queries that need `&mut`.
     pub fn members_mut(&mut self) -> &mut [SubEnv] {
         &mut self.members
     }
 
-    /// Numbers of an observation.
+    /// Returns the numbers per observation.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// When the next episode begins.
+    /// Returns when the next episode begins.
     pub fn autoreset(&self) -> Autoreset {
         self.autoreset
     }
 
-    /// From here on it is kept what was true when an episode ended and the next one began in the same step.
+    /// Keeps from now on the atoms at the end of an episode whose successor begins in the same step.
     pub fn keep_last_atoms(&mut self) {
         for member in &mut self.members {
             member.ended.atoms = Some(Vec::new());
         }
     }
 
-    /// Gives an environment other episodes from now on.
+    /// Replaces the source of an environment's episodes.
     pub fn set_source(&mut self, member: usize, source: EpisodeSource) {
         self.members[member].source = source;
     }
 
-    /// Begins episodes, by environment; `None` leaves one as it is. `observations` has a row for each; those of the others stay.
+    /// Begins episodes; `None` leaves an environment unchanged. Writes one row of `observations` for each begun
+    /// episode.
     ///
     /// # Errors
-    /// As [`Env::reset`] and [`Env::reset_to`], of the first that fails; it needs another reset, the others have gone on.
+    /// As [`Env::reset`] and [`Env::reset_to`], for the first environment that fails. It needs another reset; the
+    /// others have begun.
     ///
     /// # Panics
-    /// If there are not as many as environments.
+    /// If the length of `begin` differs from the number of environments.
     pub fn reset(&mut self, begin: &[Option<Begin>], observations: &mut [f32]) -> Result<(), Diagnostic> {
         let view = self.view;
         self.each(begin, observations, |member, how, row, stopped| {
@@ -419,14 +424,14 @@ impl VectorEnv {
         })
     }
 
-    /// Takes a step in every environment. `observations` gets a row for each.
+    /// Takes a step in every environment and writes one row of `observations` for each.
     ///
     /// # Errors
-    /// `limit-exceeded` for rules that derive too much, or what keeps the next episode from beginning, of the first that fails; it needs a
-    /// reset, the others have gone on.
+    /// `limit-exceeded` if rules derive too many rows, or the errors of the next episode, for the first environment
+    /// that fails. It needs a reset; the others have taken the step.
     ///
     /// # Panics
-    /// If there are not as many actions as environments, or one is not [ready](SubEnv::is_ready).
+    /// If the number of actions differs from that of environments, or an environment is not [ready](SubEnv::is_ready).
     pub fn step(&mut self, actions: &[Action], observations: &mut [f32]) -> Result<(), Diagnostic> {
         let (autoreset, view) = (self.autoreset, self.view);
         self.each(actions, observations, |member, &action, row, stopped| {
@@ -450,7 +455,7 @@ impl VectorEnv {
         assert!(given.len() == count, "{} given for {count} environments", given.len());
         assert!(observations.len() == count * self.width, "a row for each environment");
         let width = self.width;
-        // The first by position: which one is told must not depend on threads.
+        // The first error by position, so that the result does not depend on threads.
         let first = |a: Option<(usize, Diagnostic)>, b: Option<(usize, Diagnostic)>| match (a, b) {
             (Some(a), Some(b)) => Some(if a.0 <= b.0 { a } else { b }),
             (a, b) => a.or(b),

@@ -357,11 +357,11 @@ impl<'a> Trial<'a> {
                     continue;
                 };
                 let row = words(session, &self.columns[*predicate], row);
-                let pending = match present {
+                let outcome = match present {
                     true => session.insert(relation, &row),
                     false => session.retract(relation, &row),
                 };
-                debug_assert!(pending.is_ok(), "a row of a base predicate");
+                debug_assert!(outcome.is_ok(), "a row of a base predicate");
             }
             let kept = session.commit().is_ok() && constraints::violations(session).is_empty();
             answers.push(kept.then(|| answer(session, self.outputs)));

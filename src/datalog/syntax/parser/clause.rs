@@ -47,7 +47,7 @@ impl Parser<'_> {
                 let span = self.span(self.token());
                 return Err(self.unsupported(span, "subsumption (`<=` between heads) is", IMPLICATION));
             }
-            kind if kind == Kind::If || self.goes_on_after(IMPLICATION, "`:-`") => {
+            kind if kind == Kind::If || self.skip_foreign(IMPLICATION, "`:-`") => {
                 self.eat(Kind::If);
                 body = self.disjunction()?;
                 if body.is_empty() {
@@ -110,7 +110,7 @@ impl Parser<'_> {
     /// `A(x), B(x); C(x)`
     pub(super) fn disjunction(&mut self) -> Parse<Vec<Literal>> {
         let mut alternatives = vec![self.conjunction()?];
-        while self.eat(Kind::Semicolon) || self.goes_on_after(DISJUNCTION, "`;`") {
+        while self.eat(Kind::Semicolon) || self.skip_foreign(DISJUNCTION, "`;`") {
             alternatives.push(self.conjunction()?);
         }
         Ok(match alternatives.pop() {
@@ -124,7 +124,7 @@ impl Parser<'_> {
 
     fn conjunction(&mut self) -> Parse<Vec<Literal>> {
         let mut all = self.literals()?;
-        while self.eat(Kind::Comma) || self.goes_on_after(CONJUNCTION, "`,`") {
+        while self.eat(Kind::Comma) || self.skip_foreign(CONJUNCTION, "`,`") {
             all.append(&mut self.literals()?);
         }
         Ok(all)

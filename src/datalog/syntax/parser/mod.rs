@@ -241,7 +241,7 @@ impl<'a> Parser<'a> {
     }
 
     /// Reports a foreign spelling whose help is `help` where `what` is expected, and skips it.
-    fn goes_on_after(&mut self, help: &str, what: &str) -> bool {
+    fn skip_foreign(&mut self, help: &str, what: &str) -> bool {
         let token = self.token();
         // A name with arguments at the start of a line begins a clause.
         let is_atom = token.first_on_line && self.ahead(1).kind == Kind::LParen;
