@@ -285,3 +285,35 @@ fn a_crate_with_one_purpose_is_used_in_one_place() {
         assert_eq!(users, [Path::new(home)], "{name}");
     }
 }
+
+/// Files that import each other cannot be understood one after the other. A file and the files in its folder count as one.
+#[test]
+fn files_import_each_other_in_no_circle() {
+    let sources = sources();
+    let modules: BTreeSet<&[String]> = sources.iter().map(|source| source.module.as_slice()).collect();
+    let mut left: BTreeMap<&[String], BTreeSet<&[String]>> = BTreeMap::new();
+    for source in &sources {
+        let module = source.module.as_slice();
+        let paths = imports(source);
+        let named = paths.iter().filter_map(|path| {
+            let mut beginnings = (1..=path.len()).rev().map(|length| &path[..length]);
+            let found = beginnings.find(|beginning| modules.contains(beginning))?;
+            modules.get(found).copied()
+        });
+        let others = named.filter(|other| !other.starts_with(module) && !module.starts_with(other));
+        left.insert(module, others.collect());
+    }
+    assert!(left.values().map(BTreeSet::len).sum::<usize>() > 300, "{left:?}");
+    // Take away files that import none or that none imports, until only circles and what lies between them stay.
+    while let Some(free) = (left.keys().copied())
+        .find(|&module| left[module].is_empty() || !left.values().any(|others| others.contains(module)))
+    {
+        left.remove(free);
+        left.values_mut().for_each(|others| drop(others.remove(free)));
+    }
+    let names = left.iter().map(|(module, others)| {
+        let others: Vec<String> = others.iter().map(|other| other.join("::")).collect();
+        format!("{} imports {}", module.join("::"), others.join(", "))
+    });
+    assert!(left.is_empty(), "{}", names.collect::<Vec<_>>().join("\n"));
+}

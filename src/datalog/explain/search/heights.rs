@@ -107,7 +107,11 @@ fn positive(clause: &Clause) -> impl Iterator<Item = (usize, &Atom)> {
 
 impl Search<'_> {
     /// Returns the height of a fact that holds, and the derivation that gives it.
-    pub(in crate::datalog::explain) fn origin(&mut self, rel: RelId, row: &[Value]) -> Result<(u32, Best), ExplainError> {
+    pub(in crate::datalog::explain) fn origin(
+        &mut self,
+        rel: RelId,
+        row: &[Value],
+    ) -> Result<(u32, Best), ExplainError> {
         let fact = (rel, row.to_vec());
         if let Some(&clause) = self.heights.text.get(&fact) {
             return Ok((0, Best::Text(clause)));
