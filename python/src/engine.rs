@@ -229,7 +229,7 @@ impl PySession {
         let (py, this) = (slf.py(), slf.get());
         let committed = this
             .session
-            .detached(py, |session, signals| session.commit_until(&|| signals.raised()))?;
+            .detached(py, |session, cancel| session.commit_with(cancel))?;
         let Loaded { program, sources, .. } = &*this.loaded;
         let delta = committed.map_err(|error| input_error(py, &[error.diagnostic(program.rules())], sources))?;
         let changes = PyDict::new(py);
@@ -306,10 +306,8 @@ impl PySession {
                 Ok((fact.relation, fact.values))
             }
         })?;
-        let explained = self.session.detached(py, |session, signals| {
-            let stop = || signals.raised();
-            let mut explainer = Explainer::new(session);
-            explainer.stop_when(&stop);
+        let explained = self.session.detached(py, |session, cancel| {
+            let mut explainer = Explainer::new_with(session, cancel);
             let (holds, explanation) = explainer.explain_either(relation, &pattern)?;
             let teller = loaded.teller(session);
             let fact = teller.row(relation, &pattern);

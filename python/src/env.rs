@@ -99,10 +99,10 @@ impl PyVectorEnv {
         let sources = std::iter::repeat_n(EpisodeSource::new(0, recorded.clone()), count);
         let shared = &task.get().task;
         let signals = Signals::new();
-        let stop = signals.stop();
+        let cancel = signals.cancel();
         let vector = signals
             .detach(py, || {
-                VectorEnv::new_until(shared, split, sources, autoreset, view, threads, stop)
+                VectorEnv::new_with(shared, split, sources, autoreset, view, threads, &cancel)
             })?
             .map_err(|fault| task.get().error(py, fault))?;
         Ok(PyVectorEnv {

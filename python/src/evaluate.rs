@@ -37,9 +37,9 @@ impl PyRandomBaseline {
         let split = split_named(split)?;
         let shared = &task.get().task;
         let signals = Signals::new();
-        let stop = signals.stop();
+        let cancel = signals.cancel();
         let env = signals.detach(py, || {
-            Env::new_until(Arc::clone(shared), split, ControlMode::First, stop)
+            Env::new_with(Arc::clone(shared), split, ControlMode::First, &cancel)
         })?;
         Ok(PyRandomBaseline {
             env: env.map_err(|fault| task.get().error(py, fault))?,
@@ -93,8 +93,8 @@ impl PyBatchEvaluator {
     fn new(py: Python<'_>, baseline: &PyRandomBaseline, observation: &str) -> PyResult<Self> {
         let (task, set, view) = (baseline.task.clone_ref(py), &baseline.set, view_named(observation)?);
         let signals = Signals::new();
-        let stop = signals.stop();
-        let exam = signals.detach(py, || BatchEvaluator::new_until(&task.get().task, set, &stop))?;
+        let cancel = signals.cancel();
+        let exam = signals.detach(py, || BatchEvaluator::new_with(&task.get().task, set, &cancel))?;
         Ok(PyBatchEvaluator {
             exam: exam.map_err(|fault| task.get().error(py, fault))?,
             actions: Vec::with_capacity(set.episodes.len()),

@@ -22,10 +22,10 @@ mod task;
 mod vap;
 
 use logicity::builtin::read_or_builtin;
+use logicity::cancel::Cancel;
 use logicity::cli::{Outcome, PYTHON_COMMANDS, run_with_python};
 use logicity::diag::{Code, Diagnostic, Sources, render, to_json};
 use logicity::files::ReadError;
-use logicity::sim::Stop;
 use numpy::ndarray::Dimension;
 use numpy::{Element, PyReadwriteArray};
 use pyo3::PyClass;
@@ -154,7 +154,7 @@ pub struct Signals {
 
 impl Signals {
     /// The interval between checks.
-    const PAUSE: Duration = Duration::from_millis(50);
+    const POLL_INTERVAL: Duration = Duration::from_millis(50);
     /// The stack size of loading threads, as main threads usually have.
     const STACK: usize = 8 << 20;
 
@@ -175,7 +175,7 @@ impl Signals {
         let Ok(mut looked) = self.looked.try_lock() else {
             return false;
         };
-        if looked.1.elapsed() < Self::PAUSE || looked.0 != thread::current().id() {
+        if looked.1.elapsed() < Self::POLL_INTERVAL || looked.0 != thread::current().id() {
             return false;
         }
         looked.1 = Instant::now();
@@ -187,13 +187,13 @@ impl Signals {
         self.raised.load(Ordering::Relaxed)
     }
 
-    /// The cancellation callback.
-    fn stop(self: &Arc<Self>) -> Stop {
+    /// Requests cancellation when a handler has raised an exception.
+    fn cancel(self: &Arc<Self>) -> Cancel {
         let signals = Arc::clone(self);
-        Arc::new(move || signals.raised())
+        Cancel::when(move || signals.raised())
     }
 
-    /// Runs work that polls `raised` and stops if it is true. Raises the exception of the handler.
+    /// Runs work that polls [`Signals::cancel`]. Raises the exception of the handler.
     fn run_polled<R>(&self, work: impl FnOnce() -> R) -> PyResult<R> {
         locked(&self.looked).0 = thread::current().id();
         let done = work();
@@ -216,7 +216,7 @@ impl Signals {
         thread.map_err(|error| PyOSError::new_err(format!("a thread cannot be started: {error}")))?;
         let received = self.detach(py, move || {
             loop {
-                match result.recv_timeout(Self::PAUSE) {
+                match result.recv_timeout(Self::POLL_INTERVAL) {
                     Err(RecvTimeoutError::Timeout) if !self.raised() => {}
                     received => break received,
                 }
@@ -246,7 +246,7 @@ impl<T: Send> Shared<T> {
         Shared::with_signals(what, content, Signals::new())
     }
 
-    /// For content that holds the cancellation callback of these signals.
+    /// For content that polls these signals.
     fn with_signals(what: &'static str, content: T, signals: Arc<Signals>) -> Self {
         Shared {
             what,
@@ -281,12 +281,12 @@ impl<T: Send> Shared<T> {
     }
 
     /// Runs long work without the GIL. Raises the exception of a signal handler, which cancels the work.
-    fn detached<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut T, &Signals) -> R + Send) -> PyResult<R> {
+    fn detached<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut T, &Cancel) -> R + Send) -> PyResult<R> {
         let mut guard = self.lock()?;
         let content = &mut *guard;
-        let signals = &*self.signals;
-        let result = signals.detach(py, || {
-            let work = || content.as_mut().map(|content| work(content, signals));
+        let cancel = self.signals.cancel();
+        let result = self.signals.detach(py, || {
+            let work = || content.as_mut().map(|content| work(content, &cancel));
             let result = catch_unwind(AssertUnwindSafe(work));
             if result.is_err() {
                 *content = None;

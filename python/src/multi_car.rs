@@ -33,9 +33,9 @@ impl PyMultiCarEnv {
         let (split, view) = (split_named(split)?, view_named(observation)?);
         let shared = Arc::clone(&task.get().task);
         let signals = Signals::new();
-        let stop = signals.stop();
+        let cancel = signals.cancel();
         let env = signals
-            .detach(py, || Env::new_until(shared, split, ControlMode::Cars, stop))?
+            .detach(py, || Env::new_with(shared, split, ControlMode::Cars, &cancel))?
             .map_err(|fault| task.get().error(py, fault))?;
         Ok(PyMultiCarEnv {
             task,

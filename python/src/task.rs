@@ -117,8 +117,9 @@ impl PyTask {
         let actions = actions.into_iter().map(|action| speed(py, action, String::new));
         let actions: Vec<Action> = actions.collect::<PyResult<_>>()?;
         let signals = Signals::new();
+        let cancel = signals.cancel();
         let env = signals.detach(py, || {
-            Env::new_until(Arc::clone(&self.task), split, ControlMode::First, signals.stop())
+            Env::new_with(Arc::clone(&self.task), split, ControlMode::First, &cancel)
         })?;
         let episode = env.and_then(|env| read_episode(episode, &env));
         let episode = episode.map_err(|fault| self.error(py, fault))?;
@@ -131,7 +132,7 @@ impl PyTask {
         let written = signals.detach(py, || {
             let file = Output::create(&path)?;
             let driven = (&episode, actions.as_slice());
-            record(&self.task, split, driven, origin, signals.stop(), file)?.finish()?;
+            record(&self.task, split, driven, origin, file, &cancel)?.finish()?;
             Ok(())
         })?;
         written.map_err(|error| match error {

@@ -1,5 +1,6 @@
 //! `logicity explain`
 
+use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::Cell;
 use crate::cli::Failure;
@@ -114,7 +115,7 @@ fn tell(
         derived: replay.derived(position),
         action: state.action()?,
     };
-    let account = (decision.account(arguments.why_not, &|| false)).map_err(Diagnostic::from)?;
+    let account = (decision.account(arguments.why_not, &Cancel::never())).map_err(Diagnostic::from)?;
     let mut out = anstream::stdout();
     if arguments.json {
         let mut told = account.json(sources);

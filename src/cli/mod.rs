@@ -427,7 +427,7 @@ pub(super) fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
         EvalError::TooManyRows { .. } => "--max-rows",
         EvalError::TooManySteps { .. } => "--max-steps",
         EvalError::TooMuchMemory { .. } => "--max-memory",
-        EvalError::Interrupted { .. } => return fault,
+        EvalError::Cancelled { .. } => return fault,
     };
     fault.note(format!("`{option}` allows more"))
 }

@@ -1,5 +1,6 @@
 //! `logicity run`
 
+use crate::cancel::Cancel;
 use crate::city::{Action, AgentKind, Split};
 use crate::cli::icons::IconOptions;
 use crate::cli::{Failure, load_city, make_folder, one_of};
@@ -104,7 +105,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         },
     )?;
 
-    let stop = stop_on_interrupt()?;
+    let cancel = cancel_on_interrupt()?;
     if !arguments.no_trace && simulation.agents().len() > MAX_ENTITIES {
         let agents = simulation.agents().len();
         let message = format!("a trace of {agents} agents would be too large; the limit is {MAX_ENTITIES}");
@@ -135,7 +136,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         firings: vec![0; simulation.clauses().len()],
         ..Tally::default()
     };
-    while tally.ticks < ticks && !stop.load(Ordering::Relaxed) {
+    while tally.ticks < ticks && !cancel.requested() {
         let begin = Instant::now();
         let tick = simulation.tick(&[])?.tick;
         tally.deciding += begin.elapsed();
@@ -267,18 +268,17 @@ impl Record {
     }
 }
 
-/// Becomes true when the user interrupts the run (Ctrl-C) or the system asks it to end; what was done is then written and kept. A
-/// second time ends the program at once.
-fn stop_on_interrupt() -> Result<Arc<AtomicBool>, Failure> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
+/// Requested by the first interrupt (Ctrl-C) or termination signal. The second one ends the process at once.
+fn cancel_on_interrupt() -> Result<Cancel, Failure> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&interrupted);
     ctrlc::set_handler(move || {
-        if flag.swap(true, Ordering::Relaxed) {
+        if interrupted.swap(true, Ordering::Relaxed) {
             std::process::exit(130);
         }
     })
     .map_err(|error| Failure::Usage(format!("cannot listen for interrupts: {error}")))?;
-    Ok(stop)
+    Ok(Cancel::when(move || flag.load(Ordering::Relaxed)))
 }
 
 /// The agents as they are, and what they decided in the last tick, if there was one. `names` are theirs.

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use crate::cancel::Cancel;
 use crate::datalog::check::{ClauseId, RelId, Relation};
 use crate::datalog::eval::delta::Delta;
 use crate::datalog::eval::exec::{self, CommitOptions, Store};
@@ -159,35 +160,33 @@ impl Session {
     /// relation. If it fails, the session is as before the call, with the same changes noted; see
     /// [`rollback`](Session::rollback).
     pub fn commit(&mut self) -> Result<Delta, EvalError> {
-        self.commit_with(None, None)
+        self.run_commit(None, &Cancel::never())
     }
 
-    /// The same, telling on the calling thread when the evaluation of a clause begins and ends. The engine reads no clock; whoever
-    /// watches may.
+    /// Commits and calls `watch` on the calling thread when the evaluation of a clause begins and ends. The engine reads no clock; `watch`
+    /// may.
     pub fn commit_watched(&mut self, watch: &dyn Fn(EvalEvent)) -> Result<Delta, EvalError> {
-        self.commit_with(Some(watch), None)
+        self.run_commit(Some(watch), &Cancel::never())
     }
 
-    /// The same, given up when `stop` says so, which is asked on the calling thread: a few thousand times a second at most while
-    /// rules are evaluated, less often while rows are sorted.
+    /// Cancellable variant of [`commit`](Session::commit). On cancellation the session is as before the call, with the same changes
+    /// noted.
+    ///
+    /// The calling thread polls `cancel`: up to a few thousand times a second while it evaluates rules, less often while it sorts rows.
     ///
     /// # Errors
-    /// [`EvalError::Interrupted`] if it was given up, with the session as after any commit that fails.
-    pub fn commit_until(&mut self, stop: &dyn Fn() -> bool) -> Result<Delta, EvalError> {
-        self.commit_with(None, Some(stop))
+    /// [`EvalError::Cancelled`] on cancellation.
+    pub fn commit_with(&mut self, cancel: &Cancel) -> Result<Delta, EvalError> {
+        self.run_commit(None, cancel)
     }
 
-    fn commit_with(
-        &mut self,
-        watch: Option<&dyn Fn(EvalEvent)>,
-        ask: Option<&dyn Fn() -> bool>,
-    ) -> Result<Delta, EvalError> {
+    fn run_commit(&mut self, watch: Option<&dyn Fn(EvalEvent)>, cancel: &Cancel) -> Result<Delta, EvalError> {
         let orders = CommitOptions {
             strategy: self.strategy,
             limits: self.limits,
             workers: &self.workers,
             watch,
-            ask,
+            cancel,
         };
         let known = self.symbols.len();
         match self.store.commit(&self.program.0, &self.symbols, orders) {

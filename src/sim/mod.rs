@@ -36,7 +36,7 @@ pub use replay::{Replay, TraceAgent, TraceHeader, TraceState, TraceTick};
 pub use rule_monitor::ActionConstraint;
 pub use scene::MAX_ENTITIES;
 pub(crate) use simulation::start_threads;
-pub use simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, Stop, TickReport};
+pub use simulation::{AgentTick, Batch, Phase, Settings, Simulation, Snapshot, TickReport};
 pub use trace::{Driven, TRACE_VERSION, TraceWriter, hash_sources};
 pub use vocabulary::{Actions, Predicate, Vocabulary};
 pub use why::{Account, Decision};

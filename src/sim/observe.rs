@@ -374,7 +374,7 @@ impl Observer {
         let names: Vec<String> = city.agents().iter().map(|agent| agent.name().to_string()).collect();
         let mut state = GroundState::new(&world.program, &world.vocabulary, names.iter().map(String::as_str));
         let facts = observed(&self.atoms, &self.bodies, city).facts(self.oracle.how.len());
-        let set = state.set_until(&facts, city.stop());
+        let set = state.set_with(&facts, city.cancel());
         set.map_err(|error| error.diagnostic(world.program.rules()))?;
         let (session, values) = state.into_parts();
         Ok((session, values[self.ego]))
@@ -410,7 +410,7 @@ fn observed<'a>(atoms: &'a Atoms, bodies: &'a [Body], city: &'a Simulation) -> O
         bodies,
         agents: city.agents(),
         given: None,
-        stop: city.stop(),
+        cancel: city.cancel(),
     }
 }
 

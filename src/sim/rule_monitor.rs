@@ -4,6 +4,7 @@
 //! depend on what it does ([`Conditions`]). Other rules are evaluated as they stand for what is wanted, and once more for each action that
 //! is judged, with the actions in all bodies replaced by inputs.
 
+use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::Agent;
 use crate::datalog;
@@ -385,8 +386,8 @@ pub(super) struct Observed<'a> {
     pub agents: &'a [Agent],
     /// What the ego does, where that is an input.
     pub given: Option<Action>,
-    /// Whether to give up.
-    pub stop: &'a dyn Fn() -> bool,
+    /// Polled by the relational executor.
+    pub cancel: &'a Cancel,
 }
 
 impl Observed<'_> {
@@ -456,7 +457,7 @@ impl State {
                     Box::new(GroundState::over(program, relations.clone(), names))
                 });
                 let facts = observed.facts(relations.len());
-                let set = state.set_until(&facts, observed.stop);
+                let set = state.set_with(&facts, observed.cancel);
                 set.map_err(|error| error.diagnostic(program.rules()))
             }
             _ => unreachable!("a state is made for its evaluator"),

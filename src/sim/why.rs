@@ -1,5 +1,6 @@
 //! Why an agent did what it did in a tick.
 
+use crate::cancel::Cancel;
 use crate::city::Action;
 use crate::city::{Cell, Heading};
 use crate::datalog::Session;
@@ -72,11 +73,11 @@ impl Simulation {
 
 impl<'a> Decision<'a> {
     /// Why it was so: the actions that were derived, the one that the rules take first; if none was derived, the default, or why all four
-    /// were not. With `why_not`, that action alone. `stop` is asked now and then whether to give up.
+    /// were not. With `why_not`, that action alone.
     ///
     /// # Errors
-    /// If that is more work than [`Explainer::LIMIT`], or `stop` says so.
-    pub fn account(self, why_not: Option<Action>, stop: &dyn Fn() -> bool) -> Result<Account<'a>, ExplainError> {
+    /// If that is more work than [`Explainer::LIMIT`], or on cancellation.
+    pub fn account(self, why_not: Option<Action>, cancel: &Cancel) -> Result<Account<'a>, ExplainError> {
         let vocabulary = &self.world.vocabulary;
         let by_rules = vocabulary.decide(self.derived);
         let mut actions = match why_not {
@@ -88,8 +89,7 @@ impl<'a> Decision<'a> {
             None => self.derived.iter().collect(),
         };
         actions.sort_by_key(|action| *action != by_rules);
-        let mut explainer = Explainer::new(self.session);
-        explainer.stop_when(stop);
+        let mut explainer = Explainer::new_with(self.session, cancel);
         let mut explanations = Vec::new();
         for action in actions {
             let explanation = match vocabulary.action(action) {

@@ -1,6 +1,7 @@
 //! Many environments that take a step together: each goes as it would alone.
 
 use crate::shipped_world::task;
+use logicity::cancel::Cancel;
 use logicity::city::{Action, Split};
 use logicity::diag::Code;
 use logicity::rng::{Purpose, RngExt, Seed};
@@ -187,18 +188,18 @@ fn recorded_episodes_are_taken_by_the_seed() {
     assert_eq!(batch.members()[0].env().episode(), batch.members()[1].env().episode());
 }
 
-/// What a batch has not reached when it is given up needs a reset; then it goes on as ever.
+/// After a cancelled step, the environments that took none need a reset, and the others can take the next step.
 #[test]
-fn a_batch_is_given_up_when_it_is_told_to() {
+fn after_cancellation_the_rest_of_a_batch_needs_a_reset() {
     const COUNT: usize = 64;
     let task = task("easy", None);
     for threads in [1, 3] {
         let left = Arc::new(AtomicI64::new(i64::MAX));
-        let asked = Arc::clone(&left);
-        let stop = Arc::new(move || asked.fetch_sub(1, Ordering::Relaxed) <= 0);
+        let polls = Arc::clone(&left);
+        let cancel = Cancel::when(move || polls.fetch_sub(1, Ordering::Relaxed) <= 0);
         let sources = (0..COUNT).map(|member| EpisodeSource::new(member as u64, None));
         let (autoreset, view) = (Autoreset::Disabled, ObservationKind::Groundings);
-        let batch = VectorEnv::new_until(&task, Split::Train, sources, autoreset, view, threads, stop);
+        let batch = VectorEnv::new_with(&task, Split::Train, sources, autoreset, view, threads, &cancel);
         let mut batch = batch.unwrap();
         let mut shown = vec![0.0; COUNT * task.observation_width()];
         batch.reset(&vec![Some(Begin::Next); COUNT], &mut shown).unwrap();

@@ -5,6 +5,7 @@ use crate::proofs::{check, database};
 use crate::random_program::{Genome, NUMBERS, TEXTS, computing_genomes, genomes, recursive_genomes};
 use crate::rule_files::RuleFiles;
 use crate::written_program::program;
+use logicity::cancel::Cancel;
 use logicity::datalog::explain::{
     AbsenceReason, ExplainError, Explainer, ExplanationPrinter, FailureKind, Node, Obstacle, Origin, Premise,
 };
@@ -12,8 +13,9 @@ use logicity::datalog::{ClauseId, Literal, RelId, Rules, Value};
 use logicity::datalog::{Program, Session, naive};
 use logicity::diag::Sources;
 use proptest::prelude::*;
-use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 
 /// The height of every fact: the round in which it appears if each round fires every clause once on what the rounds before
 /// derived, negated atoms being asked of the finished model.
@@ -309,28 +311,30 @@ fn too_much_work_is_said_and_leaves_nothing_half_done() {
 }
 
 #[test]
-fn a_question_ends_when_its_caller_says_so() {
+fn a_question_can_be_cancelled_and_repeated() {
     let edges: Vec<Vec<i32>> = (0..60).map(|at| vec![at, at + 1]).collect();
     let edges: Vec<&[i32]> = edges.iter().map(Vec::as_slice).collect();
     let session = session(PATHS, &[("edge", &edges)]);
     let path = session.program().relation("path").unwrap();
-    let asked = Cell::new(0);
-    let ended = Cell::new(true);
-    let stop = || {
-        asked.set(asked.get() + 1);
-        ended.get()
+    let polls = Arc::new(AtomicU32::new(0));
+    let cancelled = Arc::new(AtomicBool::new(true));
+    let cancel = {
+        let (polls, cancelled) = (Arc::clone(&polls), Arc::clone(&cancelled));
+        Cancel::when(move || {
+            polls.fetch_add(1, Relaxed);
+            cancelled.load(Relaxed)
+        })
     };
-    let mut explainer = Explainer::new(&session);
-    explainer.stop_when(&stop);
+    let mut explainer = Explainer::new_with(&session, &cancel);
     assert_eq!(
         explainer.explain(path, &numbers(&[0, 60])),
-        Err(ExplainError::Interrupted)
+        Err(ExplainError::Cancelled)
     );
-    assert_eq!(asked.get(), 1);
-    ended.set(false);
+    assert_eq!(polls.load(Relaxed), 1);
+    cancelled.store(false, Relaxed);
     let expected = session.explain(path, &numbers(&[0, 60]));
     assert_eq!(explainer.explain(path, &numbers(&[0, 60])), expected);
-    assert!(expected.unwrap().is_some() && asked.get() > 1);
+    assert!(expected.unwrap().is_some() && polls.load(Relaxed) > 1);
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use base64::Engine as _;
 use flate2::read::ZlibDecoder;
+use logicity::cancel::Cancel;
 use logicity::city::Cell;
 use logicity::city::{Action, Split};
 use logicity::datalog::explain::{Explainer, ExplanationPrinter};
@@ -87,8 +88,8 @@ fn drive(config: &str, seed: u64, action: Action) -> (Run, Vec<Value>) {
         rule_files: &rule_files,
     };
     let write = |actions: &[Action]| {
-        let stop = Arc::new(|| false);
-        record(&task, Split::Test, (&episode, actions), origin, stop, Vec::new())
+        let driven = (&episode, actions);
+        record(&task, Split::Test, driven, origin, Vec::new(), &Cancel::never())
     };
     let trace = write(&actions).unwrap_or_else(|error| panic!("{error:?}"));
     // Nothing is driven beyond the end of the episode.

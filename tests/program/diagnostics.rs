@@ -4,6 +4,7 @@
 //! facts, and the count of all.
 
 use logicity::builtin::BuiltinFiles;
+use logicity::cancel::Cancel;
 use logicity::datalog::{Limits, Program};
 use logicity::diag::{Code, Sources};
 use logicity::{city, config, datalog, diag, sim, task};
@@ -134,7 +135,7 @@ fn a_cancelled_commit_has_a_code_of_its_own() {
     let code = |limits: Limits, cancelled: bool| {
         let mut session = program.session();
         session.set_limits(limits);
-        let error = session.commit_until(&|| cancelled).unwrap_err();
+        let error = session.commit_with(&Cancel::when(move || cancelled)).unwrap_err();
         error.diagnostic(program.rules()).code
     };
     assert_eq!(code(Limits::default(), true), Code::CANCELLED);

@@ -9,9 +9,9 @@ pub trait BinaryFacts<const W: usize> {
     /// Those of `among` that stand in the relation of the list to entity `at`. `list` is a position in [`Dense::lists`].
     fn narrow(&self, list: usize, at: usize, among: Set<W>) -> Set<W>;
 
-    /// Whether to give up. What is computed from then on means nothing.
+    /// Polls for cancellation. Once it returns true, the results are meaningless.
     #[inline]
-    fn stopped(&self) -> bool {
+    fn cancelled(&self) -> bool {
         false
     }
 
@@ -357,7 +357,7 @@ impl<const W: usize, P: BinaryFacts<W>> Search<'_, W, P> {
         let Some(next) = steps.get(depth + 1) else {
             return !is_empty(&set);
         };
-        if is_empty(&set) || is_empty(&self.sets[next.among.index()]) || self.pairs.stopped() {
+        if is_empty(&set) || is_empty(&self.sets[next.among.index()]) || self.pairs.cancelled() {
             return false;
         }
         members(&set).any(|value| {

@@ -1,11 +1,12 @@
 //! The relational executor: keeps the rows of all relations, makes commits and evaluates strata. Recursive ones are for
 //! [`super::recursion`].
 
+use crate::cancel::Cancel;
 use crate::datalog::check::{ClauseId, RelId, Term};
 use crate::datalog::eval::adapt::Basis;
 use crate::datalog::eval::delta::{Delta, Rows};
 use crate::datalog::eval::join;
-use crate::datalog::eval::join::{Abort, CancelFn, JoinState, Output, RowView};
+use crate::datalog::eval::join::{Abort, JoinState, Output, RowView};
 use crate::datalog::eval::limits::{EvalError, Limits};
 use crate::datalog::eval::pending::PendingChanges;
 use crate::datalog::eval::stats::{EvalEvent, EvalStats, RuleStats, Strategy, StratumStats, WorkCounts};
@@ -60,8 +61,8 @@ pub(crate) struct CommitOptions<'a> {
     pub(crate) workers: &'a Workers,
     /// Is told when a clause begins and ends.
     pub(crate) watch: Option<&'a dyn Fn(EvalEvent)>,
-    /// Whether to give the commit up. Asked on the calling thread.
-    pub(crate) ask: CancelFn<'a>,
+    /// Polled on the calling thread.
+    pub(crate) cancel: &'a Cancel,
 }
 
 /// What a stratum may take of what is left.
@@ -170,7 +171,7 @@ pub(crate) struct Meter<'a> {
     /// `None`: everything is done on the calling thread.
     workers: Option<&'a Workers>,
     watch: Option<&'a dyn Fn(EvalEvent)>,
-    ask: CancelFn<'a>,
+    cancel: &'a Cancel,
 }
 
 impl<'a> Meter<'a> {
@@ -183,7 +184,7 @@ impl<'a> Meter<'a> {
             rules: Vec::new(),
             workers,
             watch: orders.watch,
-            ask: orders.ask,
+            cancel: orders.cancel,
         }
     }
 
@@ -208,8 +209,8 @@ impl<'a> Meter<'a> {
         let tell = |moment| self.watch.iter().for_each(|watch| watch(moment));
         tell(EvalEvent::Begin(clause));
         let result = match self.workers {
-            Some(workers) => workers.run(plan, views, (symbols, self.ask), &mut self.effort, out),
-            None => join::run(plan, views, (symbols, self.ask), &mut self.effort, out),
+            Some(workers) => workers.run(plan, views, (symbols, self.cancel), &mut self.effort, out),
+            None => join::run(plan, views, (symbols, self.cancel), &mut self.effort, out),
         };
         tell(EvalEvent::End(clause));
         let position = self.rules.binary_search_by_key(&clause, |rule| rule.clause);
@@ -316,7 +317,7 @@ impl<const W: usize> State<W> {
                         limit: limits.bytes,
                         clause,
                     },
-                    Abort::Interrupted => EvalError::Interrupted { clause },
+                    Abort::Cancelled => EvalError::Cancelled { clause },
                 })?
             };
             steps += work.work().map_or(0, |work| work.rows_scanned() + work.given_up);
@@ -414,7 +415,7 @@ impl<const W: usize> State<W> {
                         }
                         return Ok(StratumStats::Maintained(meter.finish(rounds)));
                     }
-                    Err(failure @ (_, Abort::Interrupted)) => return Err(failure),
+                    Err(failure @ (_, Abort::Cancelled)) => return Err(failure),
                     // Where it was stopped may depend on the number of threads. That it passed the budget does not.
                     Err(_) => given_up = budget,
                 }
@@ -439,7 +440,7 @@ impl<const W: usize> State<W> {
         };
         let (results, rounds, meter) = match attempt(workers) {
             // Which limit is passed first, and where, may depend on the number of threads.
-            Err((_, stop)) if several && stop != Abort::Interrupted => attempt(None)?,
+            Err((_, stop)) if several && stop != Abort::Cancelled => attempt(None)?,
             result => result?,
         };
         *cost = Cost {
@@ -639,7 +640,13 @@ impl<const W: usize> Store for State<W> {
         if self.committed {
             let views: Vec<RowView<'_, W>> = self.complete_views(&self.plans, plan).collect();
             // What a clause derives is in its head's relation, which is within the limit: it cannot overflow.
-            let _ = join::run(plan, &views, (symbols, None), &mut JoinState::new(u64::MAX), &mut out);
+            let _ = join::run(
+                plan,
+                &views,
+                (symbols, &Cancel::never()),
+                &mut JoinState::new(u64::MAX),
+                &mut out,
+            );
         }
         let arity = compiled.rules.relations[plan.head.index()].arity();
         out.take().iter().map(|row| row.0[..arity].to_vec()).collect()

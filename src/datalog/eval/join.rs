@@ -1,5 +1,6 @@
 //! Runs the steps of a plan: one pipelined nested-loop join over sorted rows, without intermediate relations.
 
+use crate::cancel::Cancel;
 use crate::datalog::eval::seen_bitmap::{Added, SeenBitmap, raise};
 use crate::datalog::plan::steps::{List, Plan, Slot, Source, Step};
 use crate::datalog::row::{Batch, Row, difference, gallop, normalise};
@@ -96,12 +97,9 @@ pub(crate) enum Abort {
     Budget,
     /// Rows, indexes or texts take more memory than allowed.
     Memory,
-    /// The caller will not wait longer.
-    Interrupted,
+    /// The caller cancelled it.
+    Cancelled,
 }
-
-/// Is asked now and then whether to give an evaluation up.
-pub(crate) type CancelFn<'a> = Option<&'a dyn Fn() -> bool>;
 
 /// What evaluations need besides their inputs, and how much they did.
 #[derive(Debug)]
@@ -111,15 +109,15 @@ pub(crate) struct JoinState {
     pub(crate) rows_scanned: u64,
     /// More than this is too much.
     pub(crate) budget: u64,
-    /// With more rows than this it is time to see whether to go on.
-    pause: u64,
+    /// With more rows than this, budget and cancellation are checked.
+    next_poll: u64,
     /// More bytes of texts than this are too much.
     pub(crate) text_bytes: u64,
 }
 
 impl JoinState {
-    /// So many rows are looked at between two questions whether to go on: a fraction of a millisecond.
-    const PAUSE: u64 = 1 << 14;
+    /// Cancellation polling interval, in rows looked at: a fraction of a millisecond.
+    const POLL_INTERVAL: u64 = 1 << 14;
 
     /// None yet.
     pub(crate) fn new(budget: u64) -> Self {
@@ -127,7 +125,7 @@ impl JoinState {
             slots: Vec::new(),
             rows_scanned: 0,
             budget,
-            pause: budget.min(Self::PAUSE),
+            next_poll: budget.min(Self::POLL_INTERVAL),
             text_bytes: u64::MAX,
         }
     }
@@ -387,7 +385,7 @@ impl<const W: usize> Output<W> {
 pub(crate) fn run<const W: usize>(
     plan: &Plan,
     views: &[RowView<'_, W>],
-    (symbols, ask): (&Symbols, CancelFn<'_>),
+    (symbols, cancel): (&Symbols, &Cancel),
     effort: &mut JoinState,
     out: &mut Output<W>,
 ) -> Result<(), Abort> {
@@ -400,15 +398,15 @@ pub(crate) fn run<const W: usize>(
         slots: &mut effort.slots,
         rows_scanned: effort.rows_scanned,
         budget: effort.budget,
-        pause: effort.pause,
-        ask,
+        next_poll: effort.next_poll,
+        cancel,
         text_bytes: effort.text_bytes,
         patterns: None,
         cursors: Vec::new(),
         out,
     };
     let result = join.from(0, plan.steps.len());
-    (effort.rows_scanned, effort.pause) = (join.rows_scanned, join.pause);
+    (effort.rows_scanned, effort.next_poll) = (join.rows_scanned, join.next_poll);
     result?;
     // The last scan may have been the one that was too much.
     if effort.rows_scanned > effort.budget {
@@ -427,8 +425,8 @@ struct Join<'a, const W: usize> {
     slots: &'a mut [Value],
     rows_scanned: u64,
     budget: u64,
-    pause: u64,
-    ask: CancelFn<'a>,
+    next_poll: u64,
+    cancel: &'a Cancel,
     text_bytes: u64,
     /// Made when first needed.
     patterns: Option<Patterns>,
@@ -499,8 +497,8 @@ impl<const W: usize> Join<'_, W> {
                     let views = self.views;
                     let ranges = views[depth].batches().map(|batch| batch.range(&words[..key.len()]));
                     self.rows_scanned += ranges.map(|range| range.len() as u64).sum::<u64>();
-                    if self.rows_scanned > self.pause {
-                        self.pause()?;
+                    if self.rows_scanned > self.next_poll {
+                        self.poll()?;
                     }
                     let rows = views[depth]
                         .batches()
@@ -518,16 +516,16 @@ impl<const W: usize> Join<'_, W> {
         }
     }
 
-    /// Whether to go on after so many rows.
+    /// Checks the budget and polls for cancellation.
     #[cold]
-    fn pause(&mut self) -> Result<(), Abort> {
+    fn poll(&mut self) -> Result<(), Abort> {
         if self.rows_scanned > self.budget {
             return Err(Abort::Budget);
         }
-        if self.ask.is_some_and(|ask| ask()) {
-            return Err(Abort::Interrupted);
+        if self.cancel.requested() {
+            return Err(Abort::Cancelled);
         }
-        self.pause = self.budget.min(self.rows_scanned + JoinState::PAUSE);
+        self.next_poll = self.budget.min(self.rows_scanned + JoinState::POLL_INTERVAL);
         Ok(())
     }
 
@@ -544,8 +542,8 @@ impl<const W: usize> Join<'_, W> {
 
     /// Does a step that may go on several times, and those behind it to `end`; only until they succeed if `once` is set.
     fn branch(&mut self, step: &Step, depth: usize, (end, once): (usize, bool)) -> Result<bool, Abort> {
-        if self.rows_scanned > self.pause {
-            self.pause()?;
+        if self.rows_scanned > self.next_poll {
+            self.poll()?;
         }
         match step {
             Step::Scan {

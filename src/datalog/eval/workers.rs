@@ -4,14 +4,16 @@
 //! outputs are joined. Which thread got which chunk changes neither the rows nor how many were looked at, so answers and work
 //! logs are those of one thread. What is little work stays on the calling thread.
 
+use crate::cancel::Cancel;
 use crate::datalog::eval::join;
-use crate::datalog::eval::join::{Abort, CancelFn, JoinState, Output, RowView};
+use crate::datalog::eval::join::{Abort, JoinState, Output, RowView};
 use crate::datalog::plan::estimate::Shape;
 use crate::datalog::plan::steps::{Plan, Slot, Step};
 use crate::datalog::row::{Batch, Row, gallop, normalise};
 use crate::symbol::Symbols;
 use rayon::slice::ParallelSliceMut;
 use std::num::NonZeroUsize;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::Duration;
@@ -63,8 +65,8 @@ struct Hand<const W: usize> {
 }
 
 impl Workers {
-    /// So often it is asked whether to go on.
-    const PAUSE: Duration = Duration::from_millis(10);
+    /// Cancellation polling interval of the calling thread while others evaluate.
+    const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
     /// Chunks for each thread, so that none waits long for the last one.
     const CHUNKS: usize = 16;
@@ -95,20 +97,20 @@ impl Workers {
         &self,
         plan: &Plan,
         views: &[RowView<'_, W>],
-        (symbols, ask): (&Symbols, CancelFn<'_>),
+        (symbols, cancel): (&Symbols, &Cancel),
         effort: &mut JoinState,
         out: &mut Output<W>,
     ) -> Result<(), Abort> {
         if let Some(pool) = &self.pool {
             let chunks = self.split(plan, views, out.seen_bytes());
             if !chunks.is_empty() {
-                let hands = self.evaluate(pool, (plan, views, &chunks), (symbols, ask), effort, out);
+                let hands = self.evaluate(pool, (plan, views, &chunks), (symbols, cancel), effort, out);
                 if let Some(result) = join_hands(hands, effort, out) {
                     return result;
                 }
             }
         }
-        join::run(plan, views, (symbols, ask), effort, out)
+        join::run(plan, views, (symbols, cancel), effort, out)
     }
 
     /// Sorts and removes repetitions.
@@ -157,7 +159,7 @@ impl Workers {
         &self,
         pool: &rayon::ThreadPool,
         (plan, views, chunks): (&Plan, &[RowView<'_, W>], &[&[Row<W>]]),
-        (symbols, ask): (&Symbols, CancelFn<'_>),
+        (symbols, cancel): (&Symbols, &Cancel),
         effort: &JoinState,
         out: &Output<W>,
     ) -> Vec<Hand<W>> {
@@ -168,18 +170,20 @@ impl Workers {
             result: Ok(()),
         };
         let mut hands: Vec<Hand<W>> = (0..count).map(|_| hand()).collect();
-        let (next, stopped, interrupted) = (AtomicUsize::new(0), AtomicBool::new(false), AtomicBool::new(false));
-        let (next, stopped, interrupted) = (&next, &stopped, &interrupted);
+        let (next, stopped) = (&AtomicUsize::new(0), &AtomicBool::new(false));
+        // The callback of `cancel` runs on the calling thread only; the others poll a flag.
+        let cancelled = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&cancelled);
+        let flagged = &Cancel::when(move || flag.load(Relaxed));
         let (working, done) = mpsc::channel::<()>();
         pool.in_place_scope(|scope| {
             for hand in &mut hands {
                 let working = working.clone();
                 scope.spawn(move |_| {
                     let mut views = views.to_vec();
-                    let give_up = || interrupted.load(Relaxed);
                     while let (Some(chunk), false) = (chunks.get(next.fetch_add(1, Relaxed)), stopped.load(Relaxed)) {
                         views[0] = RowView::of(Batch::plain(chunk));
-                        let (symbols, out) = ((symbols, Some(&give_up as _)), &mut hand.out);
+                        let (symbols, out) = ((symbols, flagged), &mut hand.out);
                         hand.result = join::run(plan, &views, symbols, &mut hand.effort, out);
                         if hand.result.is_err() {
                             stopped.store(true, Relaxed);
@@ -191,16 +195,16 @@ impl Workers {
             }
             drop(working);
             // Nothing is sent; the channel closes when all are done.
-            while let (Some(ask), Err(RecvTimeoutError::Timeout)) = (ask, done.recv_timeout(Self::PAUSE)) {
-                if ask() {
-                    interrupted.store(true, Relaxed);
+            while !cancel.is_never() && done.recv_timeout(Self::POLL_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+                if cancel.requested() {
+                    cancelled.store(true, Relaxed);
                     break;
                 }
             }
         });
-        if interrupted.load(Relaxed) {
-            // Also if all were done before they saw it.
-            hands[0].result = Err(Abort::Interrupted);
+        if cancelled.load(Relaxed) {
+            // Even if all threads were done before they polled the flag.
+            hands[0].result = Err(Abort::Cancelled);
         }
         hands
     }
@@ -214,8 +218,8 @@ fn join_hands<const W: usize>(
     out: &mut Output<W>,
 ) -> Option<Result<(), Abort>> {
     let stopped = |with: Abort| hands.iter().any(|hand| hand.result == Err(with));
-    if stopped(Abort::Interrupted) {
-        return Some(Err(Abort::Interrupted));
+    if stopped(Abort::Cancelled) {
+        return Some(Err(Abort::Cancelled));
     }
     if stopped(Abort::Overflow) {
         return None;
@@ -307,8 +311,8 @@ mod tests {
                 let run = |workers: &Workers, budget: u64, limit: usize| -> Result<Done, Abort> {
                     let (mut effort, mut out) = (JoinState::new(budget), Output::new(limit));
                     // The second time most rows are known.
-                    workers.run(plan, &views, (&symbols, None), &mut effort, &mut out)?;
-                    workers.run(plan, &views, (&symbols, None), &mut effort, &mut out)?;
+                    workers.run(plan, &views, (&symbols, &Cancel::never()), &mut effort, &mut out)?;
+                    workers.run(plan, &views, (&symbols, &Cancel::never()), &mut effort, &mut out)?;
                     let pushed = out.pushed;
                     Ok((out.take_by(|rows| workers.normalise(rows)), pushed, effort.rows_scanned))
                 };

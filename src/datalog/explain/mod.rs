@@ -26,6 +26,7 @@ mod search;
 
 pub use explanation_printer::ExplanationPrinter;
 
+use crate::cancel::Cancel;
 use crate::datalog::check::{ClauseId, Literal, RelId};
 use crate::datalog::session::Session;
 use crate::datalog::value::Value;
@@ -225,8 +226,8 @@ pub enum ExplainError {
         /// The limit.
         limit: u64,
     },
-    /// The caller put an end to it; see [`Explainer::stop_when`].
-    Interrupted,
+    /// The caller cancelled it; see [`Explainer::new_with`].
+    Cancelled,
 }
 
 impl fmt::Display for ExplainError {
@@ -236,7 +237,7 @@ impl fmt::Display for ExplainError {
                 f,
                 "no explanation was found within {limit} steps; the facts are too many for this search"
             ),
-            ExplainError::Interrupted => write!(f, "the search for an explanation was cancelled"),
+            ExplainError::Cancelled => write!(f, "the search for an explanation was cancelled"),
         }
     }
 }
@@ -247,7 +248,7 @@ impl std::error::Error for ExplainError {}
 impl From<ExplainError> for Diagnostic {
     fn from(error: ExplainError) -> Self {
         let code = match error {
-            ExplainError::Interrupted => Code::CANCELLED,
+            ExplainError::Cancelled => Code::CANCELLED,
             ExplainError::TooMuchWork { .. } => Code::LIMIT_EXCEEDED,
         };
         Diagnostic::new(code, error.to_string())
@@ -308,8 +309,14 @@ impl<'s> Explainer<'s> {
 
     /// Ready for questions about what `session` holds now.
     pub fn new(session: &'s Session) -> Self {
+        Explainer::new_with(session, &Cancel::never())
+    }
+
+    /// Cancellable variant of [`new`](Explainer::new): every question polls `cancel` a few hundred times a second. On cancellation it
+    /// fails with [`ExplainError::Cancelled`], and the explainer is ready for the next question.
+    pub fn new_with(session: &'s Session, cancel: &Cancel) -> Self {
         Explainer {
-            search: Search::new(session),
+            search: Search::new(session, cancel),
             limit: Self::LIMIT,
         }
     }
@@ -317,11 +324,6 @@ impl<'s> Explainer<'s> {
     /// Sets how many steps one question may take. A step is a row or a literal looked at; a million take well below a second.
     pub fn set_limit(&mut self, steps: u64) {
         self.limit = steps;
-    }
-
-    /// Gives a question up when `stop` says so, which is asked a few hundred times a second.
-    pub fn stop_when(&mut self, stop: &'s dyn Fn() -> bool) {
-        self.search.ask = Some(stop);
     }
 
     /// Why a row of that form holds, the first in order, or why none does: whatever is the case, which the first value tells.

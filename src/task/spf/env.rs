@@ -1,10 +1,11 @@
 //! One city in which cars are driven from outside.
 
+use crate::cancel::Cancel;
 use crate::city::Agent;
 use crate::city::{Action, AgentKind, Split};
 use crate::diag::{Code, Diagnostic};
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::{Actions, Observer, Settings, Simulation, Stop};
+use crate::sim::{Actions, Observer, Settings, Simulation};
 use crate::task::spf::{Episode, SpfTask};
 use std::sync::Arc;
 
@@ -100,29 +101,30 @@ impl Env {
     /// # Errors
     /// `unknown-split`, `no-start-cell`, `no-route`, `limit-exceeded`: see [`Simulation::new`]; `invalid-value` if the split has no car.
     pub fn new(task: Arc<SpfTask>, split: Split, egos: ControlMode) -> Result<Env, Diagnostic> {
-        Env::new_until(task, split, egos, Arc::new(|| false))
+        Env::new_with(task, split, egos, &Cancel::never())
     }
 
-    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `cancelled`; a reset comes next then.
+    /// Cancellable variant of [`Env::new`]. The environment keeps `cancel`, so its later work is cancellable, too. After cancellation it
+    /// needs a reset.
     ///
     /// # Errors
-    /// As [`Env::new`].
-    pub fn new_until(task: Arc<SpfTask>, split: Split, egos: ControlMode, stop: Stop) -> Result<Env, Diagnostic> {
-        Env::with(task, split, egos, Settings::default(), stop)
+    /// As [`Env::new`]; `cancelled` on cancellation.
+    pub fn new_with(task: Arc<SpfTask>, split: Split, egos: ControlMode, cancel: &Cancel) -> Result<Env, Diagnostic> {
+        Env::configured(task, split, egos, Settings::default(), cancel)
     }
 
-    /// The same, in a city that works as `settings` say.
+    /// An environment whose simulation has these settings.
     ///
     /// # Errors
-    /// As [`Env::new`].
-    pub(super) fn with(
+    /// As [`Env::new_with`].
+    pub(super) fn configured(
         task: Arc<SpfTask>,
         split: Split,
         egos: ControlMode,
         settings: Settings,
-        stop: Stop,
+        cancel: &Cancel,
     ) -> Result<Env, Diagnostic> {
-        let city = Simulation::new_until(Arc::clone(task.world()), split, Seed(0), settings, stop)?;
+        let city = Simulation::new_with(Arc::clone(task.world()), split, Seed(0), settings, cancel)?;
         let agents = city.agents().iter().enumerate();
         let cars = agents
             .filter(|(_, agent)| agent.kind == AgentKind::Car)

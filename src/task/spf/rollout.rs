@@ -75,7 +75,7 @@ pub fn rollout(env: &mut Env, policy: Policy) -> Result<Rollout, Diagnostic> {
     let mut done = Rollout::default();
     let mut actions: Vec<Action> = Vec::new();
     while env.controlled_cars()[0].is_running() {
-        if (env.city().stop())() {
+        if env.city().cancel().requested() {
             return Err(Diagnostic::cancelled());
         }
         let act = |controlled_car: usize| match policy {

@@ -1,9 +1,10 @@
 //! Episodes one after another, and many environments that take a step together.
 
+use crate::cancel::Cancel;
 use crate::city::{Action, Split};
 use crate::diag::Diagnostic;
 use crate::rng::{Purpose, RngExt, Seed};
-use crate::sim::{Stop, start_threads};
+use crate::sim::start_threads;
 use crate::task::spf::{ControlMode, Env, Episode, SpfTask};
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -11,11 +12,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-/// So many environments at least are one thread's work.
+/// Fewer environments than this are one thread's work. Also the cancellation polling interval of that thread.
 const SHARE: usize = 8;
 
-/// While other threads work, the one that waits for them asks so often whether to give up.
-const PAUSE: Duration = Duration::from_millis(50);
+/// Cancellation polling interval of the calling thread while others work.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// The episodes of one environment: each is a function of the seed and of how many there were before it.
 #[derive(Clone, Debug)]
@@ -245,7 +246,7 @@ impl SubEnv {
         }
     }
 
-    fn give_up(&mut self) -> Result<(), Diagnostic> {
+    fn cancel(&mut self) -> Result<(), Diagnostic> {
         self.stage = Stage::Idle;
         Err(Diagnostic::cancelled())
     }
@@ -306,7 +307,7 @@ pub struct VectorEnv {
     /// Numbers of an observation.
     width: usize,
     threads: Option<ThreadPool>,
-    stop: Stop,
+    cancel: Cancel,
 }
 
 impl VectorEnv {
@@ -322,30 +323,30 @@ impl VectorEnv {
         view: ObservationKind,
         threads: usize,
     ) -> Result<VectorEnv, Diagnostic> {
-        VectorEnv::new_until(task, split, sources, autoreset, view, threads, Arc::new(|| false))
+        VectorEnv::new_with(task, split, sources, autoreset, view, threads, &Cancel::never())
     }
 
-    /// The same. Long work, this and all that follows, is given up when `stop` says so, with `cancelled`; the environments that have
-    /// not gone on then need a reset.
+    /// Cancellable variant of [`VectorEnv::new`]. The environments keep `cancel`, so their later work is cancellable, too. After
+    /// cancellation those that took no step need a reset.
     ///
     /// # Errors
-    /// As [`VectorEnv::new`].
-    pub fn new_until(
+    /// As [`VectorEnv::new`]; `cancelled` on cancellation.
+    pub fn new_with(
         task: &Arc<SpfTask>,
         split: Split,
         sources: impl IntoIterator<Item = EpisodeSource>,
         autoreset: Autoreset,
         view: ObservationKind,
         threads: usize,
-        stop: Stop,
+        cancel: &Cancel,
     ) -> Result<VectorEnv, Diagnostic> {
         let width = view.shape(task).iter().product();
         let member = |source| {
-            if stop() {
+            if cancel.requested() {
                 return Err(Diagnostic::cancelled());
             }
             Ok(SubEnv {
-                env: Env::new_until(Arc::clone(task), split, ControlMode::First, Arc::clone(&stop))?,
+                env: Env::new_with(Arc::clone(task), split, ControlMode::First, cancel)?,
                 source,
                 stage: Stage::Idle,
                 outcome: Outcome::default(),
@@ -363,7 +364,7 @@ impl VectorEnv {
             view,
             width,
             threads,
-            stop,
+            cancel: cancel.clone(),
         })
     }
 
@@ -408,10 +409,10 @@ impl VectorEnv {
     /// If there are not as many as environments.
     pub fn reset(&mut self, begin: &[Option<Begin>], observations: &mut [f32]) -> Result<(), Diagnostic> {
         let view = self.view;
-        self.each(begin, observations, |member, how, row, stopped| {
+        self.each(begin, observations, |member, how, row, cancelled| {
             let Some(how) = how else { return Ok(()) };
-            if stopped {
-                return member.give_up();
+            if cancelled {
+                return member.cancel();
             }
             member.begin(how)?;
             view.write(&member.env, 0, row);
@@ -429,10 +430,10 @@ impl VectorEnv {
     /// If there are not as many actions as environments, or one is not [ready](SubEnv::is_ready).
     pub fn step(&mut self, actions: &[Action], observations: &mut [f32]) -> Result<(), Diagnostic> {
         let (autoreset, view) = (self.autoreset, self.view);
-        self.each(actions, observations, |member, &action, row, stopped| {
+        self.each(actions, observations, |member, &action, row, cancelled| {
             assert!(member.is_ready(autoreset), "an episode must begin first");
-            if stopped {
-                return member.give_up();
+            if cancelled {
+                return member.cancel();
             }
             member.step(action, autoreset, view)?;
             view.write(&member.env, 0, row);
@@ -455,16 +456,16 @@ impl VectorEnv {
             (Some(a), Some(b)) => Some(if a.0 <= b.0 { a } else { b }),
             (a, b) => a.or(b),
         };
-        let (stop, stopped) = (&*self.stop, AtomicBool::new(false));
+        let (cancel, cancelled) = (&self.cancel, AtomicBool::new(false));
         let act = |(position, ((member, given), row)): (usize, ((&mut SubEnv, &T), &mut [f32]))| {
-            if position % SHARE == 0 && stop() {
-                stopped.store(true, Ordering::Relaxed);
+            if position % SHARE == 0 && cancel.requested() {
+                cancelled.store(true, Ordering::Relaxed);
             }
-            let stopped = stopped.load(Ordering::Relaxed);
-            act(member, given, row, stopped).err().map(|fault| (position, fault))
+            let cancelled = cancelled.load(Ordering::Relaxed);
+            act(member, given, row, cancelled).err().map(|fault| (position, fault))
         };
         let fault = match &self.threads {
-            Some(pool) => wait_asking(pool, stop, || {
+            Some(pool) => run_in_pool(pool, cancel, || {
                 (self.members.par_iter_mut().with_min_len(SHARE))
                     .zip(given)
                     .zip(observations.par_chunks_exact_mut(width))
@@ -485,17 +486,17 @@ impl VectorEnv {
     }
 }
 
-/// Does work in a pool. Meanwhile this thread asks `stop`, which may be able to tell here what it cannot tell in the pool.
-fn wait_asking<R: Send>(pool: &ThreadPool, stop: &(dyn Fn() -> bool + Sync), work: impl FnOnce() -> R + Send) -> R {
+/// Runs work in a pool. Meanwhile this thread polls `cancel`, since its callback may only work on the calling thread.
+fn run_in_pool<R: Send>(pool: &ThreadPool, cancel: &Cancel, work: impl FnOnce() -> R + Send) -> R {
     let (done, result) = mpsc::channel();
-    let told = pool.in_place_scope(|scope| {
-        scope.spawn(move |_| done.send(work()).expect("it is waited for"));
+    let received = pool.in_place_scope(|scope| {
+        scope.spawn(move |_| done.send(work()).expect("the calling thread waits for it"));
         loop {
-            match result.recv_timeout(PAUSE) {
-                Err(mpsc::RecvTimeoutError::Timeout) => drop(stop()),
-                told => break told,
+            match result.recv_timeout(POLL_INTERVAL) {
+                Err(mpsc::RecvTimeoutError::Timeout) => drop(cancel.requested()),
+                received => break received,
             }
         }
     });
-    told.expect("a panic of the work goes on at the end of the scope")
+    received.expect("the end of the scope has re-raised a panic of the work")
 }
