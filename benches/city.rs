@@ -78,7 +78,7 @@ fn rules(criterion: &mut Criterion) {
         Simulation::new(Arc::clone(&world), Split::Test, Seed(1), Settings::default()).expect("agents placed");
     let count = simulation.agents().len();
     let mut frame: BitState<WIDTH> = BitState::new(&dense, count);
-    let moments: Vec<BitFacts<WIDTH>> = (0..64)
+    let states: Vec<BitFacts<WIDTH>> = (0..64)
         .map(|_| {
             for _ in 0..7 {
                 simulation.tick(&[]).expect("within limits");
@@ -88,13 +88,13 @@ fn rules(criterion: &mut Criterion) {
             let facts: BitFacts<WIDTH> = facts.to_bits(vocabulary, &dense, count);
             facts.load(&dense, &mut frame);
             frame.run(&dense, &facts);
-            for speed in Action::ALL {
-                let relation = world.vocabulary.action(speed).expect("all are in use");
+            for action in Action::ALL {
+                let relation = world.vocabulary.action(action).expect("all are in use");
                 let set = frame.set(&dense, relation).expect("it is derived");
-                let moment = simulation.snapshot().expect("within limits");
+                let state = simulation.snapshot().expect("within limits");
                 for agent in 0..count {
-                    let holds = moment.session().contains(relation, &[moment.value(agent)]);
-                    assert_eq!(has(set, agent), holds, "{} of {agent}", speed.name());
+                    let holds = state.session().contains(relation, &[state.value(agent)]);
+                    assert_eq!(has(set, agent), holds, "{} of {agent}", action.name());
                 }
             }
             facts
@@ -103,11 +103,11 @@ fn rules(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("rules");
     group.throughput(Throughput::Elements(count as u64));
     group.bench_function("expert", |bencher| {
-        let mut moment = 0;
+        let mut state = 0;
         bencher.iter(|| {
-            moment = (moment + 1) % moments.len();
-            moments[moment].load(&dense, &mut frame);
-            frame.run(&dense, &moments[moment]);
+            state = (state + 1) % states.len();
+            states[state].load(&dense, &mut frame);
+            frame.run(&dense, &states[state]);
             black_box(&frame);
         });
     });

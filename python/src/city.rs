@@ -424,10 +424,10 @@ impl PySimulation {
     /// The label of each clause, and the rows it derived in the last tick.
     fn firings(&self) -> PyResult<Vec<(String, usize)>> {
         let rules = self.world.program.rules();
-        let teller = ExplanationPrinter::new(rules, &rules.symbols, &self.sources);
+        let printer = ExplanationPrinter::new(rules, &rules.symbols, &self.sources);
         self.city.with(|city| {
             let counts = city.clauses().iter().zip(city.firings());
-            Ok(counts.map(|(&clause, &count)| (teller.label(clause), count)).collect())
+            Ok(counts.map(|(&clause, &count)| (printer.label(clause), count)).collect())
         })
     }
 }

@@ -147,7 +147,7 @@ fn slice_of<'a, T: Element, D: Dimension>(
 /// Checks for signals, such as Ctrl-C, during long work in Rust.
 pub struct Signals {
     /// The thread that called from Python, and the time of its last check.
-    looked: Mutex<(ThreadId, Instant)>,
+    last_check: Mutex<(ThreadId, Instant)>,
     raised: AtomicBool,
     error: Mutex<Option<PyErr>>,
 }
@@ -160,7 +160,7 @@ impl Signals {
 
     fn new() -> Arc<Signals> {
         Arc::new(Signals {
-            looked: Mutex::new((thread::current().id(), Instant::now())),
+            last_check: Mutex::new((thread::current().id(), Instant::now())),
             raised: AtomicBool::new(false),
             error: Mutex::new(None),
         })
@@ -172,14 +172,14 @@ impl Signals {
         if self.raised.load(Ordering::Relaxed) {
             return true;
         }
-        let Ok(mut looked) = self.looked.try_lock() else {
+        let Ok(mut last_check) = self.last_check.try_lock() else {
             return false;
         };
-        if looked.1.elapsed() < Self::POLL_INTERVAL || looked.0 != thread::current().id() {
+        if last_check.1.elapsed() < Self::POLL_INTERVAL || last_check.0 != thread::current().id() {
             return false;
         }
-        looked.1 = Instant::now();
-        drop(looked);
+        last_check.1 = Instant::now();
+        drop(last_check);
         if let Err(error) = Python::attach(|py| py.check_signals()) {
             locked(&self.error).get_or_insert(error);
             self.raised.store(true, Ordering::Relaxed);
@@ -195,7 +195,7 @@ impl Signals {
 
     /// Runs work that polls [`Signals::cancel`]. Raises the exception of the handler.
     fn run_polled<R>(&self, work: impl FnOnce() -> R) -> PyResult<R> {
-        locked(&self.looked).0 = thread::current().id();
+        locked(&self.last_check).0 = thread::current().id();
         let done = work();
         match self.raised.swap(false, Ordering::Relaxed) {
             true => Err(locked(&self.error).take().expect("stored before `raised` is set")),

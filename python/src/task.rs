@@ -55,7 +55,7 @@ pub fn gymnasium_error(py: Python<'_>, name: &str, message: String) -> PyErr {
     }
 }
 
-pub fn speed(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Action> {
+pub fn read_action(py: Python<'_>, action: i64, of: impl Fn() -> String) -> PyResult<Action> {
     let known = usize::try_from(action).ok().and_then(|action| Action::ALL.get(action));
     known.copied().ok_or_else(|| {
         let message = format!(
@@ -84,10 +84,10 @@ impl PyTask {
             (world.and_then(|world| SpfTask::new(world, &sources)), sources)
         })?;
         let task = made.map_err(|faults| input_error(py, &faults, &sources))?;
-        let demands = 0..task.oracle().demands().len();
+        let constraints = 0..task.oracle().constraints().len();
         Ok(PyTask {
-            labels: demands
-                .map(|demand| PyString::new(py, task.label(demand)).unbind())
+            labels: constraints
+                .map(|constraint| PyString::new(py, task.label(constraint)).unbind())
                 .collect(),
             sources: Mutex::new(sources),
             rule_files,
@@ -114,7 +114,7 @@ impl PyTask {
         config: &str,
     ) -> PyResult<()> {
         let split = split_named(split)?;
-        let actions = actions.into_iter().map(|action| speed(py, action, String::new));
+        let actions = actions.into_iter().map(|action| read_action(py, action, String::new));
         let actions: Vec<Action> = actions.collect::<PyResult<_>>()?;
         let signals = Signals::new();
         let cancel = signals.cancel();
@@ -183,7 +183,7 @@ impl PyTask {
 
     /// The names of broken clauses.
     pub fn labels<'py>(&self, py: Python<'py>, broken: &[usize]) -> PyResult<Bound<'py, PyTuple>> {
-        PyTuple::new(py, broken.iter().map(|&demand| self.labels[demand].bind(py)))
+        PyTuple::new(py, broken.iter().map(|&constraint| self.labels[constraint].bind(py)))
     }
 
     pub fn info<'py>(&self, py: Python<'py>, info: &Info) -> PyResult<Bound<'py, PyDict>> {

@@ -12,7 +12,7 @@ use crate::files;
 use crate::render::{Difficulty, Icons, Picture, Renderer, Scale, Sprite, Viewport, read_png, write_png};
 use crate::rng::{Purpose, RngExt, Seed};
 use crate::sim::{
-    CROWD_MAX, Executor, Facts, Inference, Phase, Settings, Simulation, WHOLE_MAX, Width, World, in_words,
+    Executor, Facts, Inference, Phase, Settings, Simulation, WHOLE_MAX, WINDOW_MAX, Width, World, in_words,
 };
 use crate::task::spf::{ControlMode, Env, SpfTask};
 use serde_json::{Value, json};
@@ -24,8 +24,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// States on which the rules alone are timed, if they do not take more memory together than that: 256 MiB.
-const MOMENTS: usize = 64;
-const MOMENTS_BYTES: usize = 1 << 28;
+const STATES: usize = 64;
+const STATES_BYTES: usize = 1 << 28;
 /// Ticks from one of them to the next.
 const BETWEEN: usize = 7;
 /// The most entities in a scene: as many as one word has bits.
@@ -373,7 +373,7 @@ impl<'a> Bench<'a> {
                 more.push((name, json!(part.as_secs_f64() / sum.as_secs_f64().max(1e-12))));
             }
         }
-        self.tell("ticks", timed, &more)
+        self.print("ticks", timed, &more)
     }
 
     /// Episodes of the task, one after another, the first car driven at random.
@@ -392,7 +392,7 @@ impl<'a> Bench<'a> {
             }
             Ok(())
         })?;
-        self.tell("steps", timed, &[])
+        self.print("steps", timed, &[])
     }
 
     /// Pictures of the first 128 x 128 cells in states of the city that are some ticks apart.
@@ -400,12 +400,12 @@ impl<'a> Bench<'a> {
         let names: Vec<String> = (self.simulation.agents().iter())
             .map(|agent| agent.name().to_string())
             .collect();
-        let mut moments = Vec::with_capacity(MOMENTS);
-        for _ in 0..MOMENTS {
+        let mut states = Vec::with_capacity(STATES);
+        for _ in 0..STATES {
             for _ in 0..BETWEEN {
                 self.simulation.tick(&[])?;
             }
-            moments.push(self.simulation.agents().to_vec());
+            states.push(self.simulation.agents().to_vec());
         }
         let wrong = |error: crate::render::ViewportError| Failure::Usage(error.to_string());
         let corner = Cell::new(0, 0);
@@ -423,7 +423,7 @@ impl<'a> Bench<'a> {
             (published, 50, Done::Read),
             (small, 0, Done::Drawn),
         ] {
-            self.pictures(&moments, &names, view, percent, what)?;
+            self.pictures(&states, &names, view, percent, what)?;
         }
         Ok(())
     }
@@ -431,7 +431,7 @@ impl<'a> Bench<'a> {
     /// Pictures of such a view of states of the city, at a difficulty in percent.
     fn pictures(
         &self,
-        moments: &[Vec<Agent>],
+        states: &[Vec<Agent>],
         names: &[String],
         view: Viewport,
         percent: u8,
@@ -442,9 +442,9 @@ impl<'a> Bench<'a> {
         let renderer = Renderer::new(self.world.map(), icons, view);
         let (mut picture, mut next) = (Picture::default(), 0);
         let (mut written, mut pictures) = (0, 0);
-        let mut files = vec![Vec::new(); moments.len()];
-        let draw = |moment: usize, picture: &mut Picture| {
-            let agents = moments[moment].iter().zip(names);
+        let mut files = vec![Vec::new(); states.len()];
+        let draw = |state: usize, picture: &mut Picture| {
+            let agents = states[state].iter().zip(names);
             let sprites: Vec<_> = agents.map(|(agent, name)| Sprite::of(agent, name, None)).collect();
             renderer.draw_into(&sprites, picture);
         };
@@ -453,8 +453,8 @@ impl<'a> Bench<'a> {
             write_png(picture, file).expect("a vector takes all that is written");
         };
         // Each icon is drawn when it is first shown, which is not measured.
-        for (moment, file) in files.iter_mut().enumerate() {
-            draw(moment, &mut picture);
+        for (state, file) in files.iter_mut().enumerate() {
+            draw(state, &mut picture);
             if what == Done::Read {
                 write(&picture, file);
             }
@@ -471,7 +471,7 @@ impl<'a> Bench<'a> {
                 }
                 black_box((&picture, &files[next]));
                 written += files[next].len();
-                (next, pictures) = ((next + 1) % moments.len(), pictures + 1);
+                (next, pictures) = ((next + 1) % states.len(), pictures + 1);
             }
             Ok(())
         })?;
@@ -499,7 +499,7 @@ impl<'a> Bench<'a> {
         let many = self.agents();
         let width = Width::of(many).ok_or_else(|| {
             Failure::Usage(format!(
-                "the facts about {many} agents are not kept as bits all at once: the limit is {CROWD_MAX}; take fewer by --agents"
+                "the facts about {many} agents are not kept as bits all at once: the limit is {WINDOW_MAX}; take fewer by --agents"
             ))
         })?;
         in_words!(width, W => self.infer_dense::<W>())
@@ -509,38 +509,38 @@ impl<'a> Bench<'a> {
         let (world, count) = (Arc::clone(&self.world), self.agents());
         let dense = world.compile(TrackFirings::Off)?;
         let sets = dense.inputs().len() + dense.lists().len() * 64 * W;
-        let moments: Vec<BitFacts<W>> = self.moments(BETWEEN, |facts| {
+        let states: Vec<BitFacts<W>> = self.states(BETWEEN, |facts| {
             (
                 facts.to_bits(&world.vocabulary, &dense, count),
                 sets * size_of::<[u64; W]>(),
             )
         })?;
-        let timed = evaluate(self.arguments.seconds, &dense, &moments, count)?;
-        self.tell("evaluations", timed, &[("states", json!(moments.len()))])
+        let timed = evaluate(self.arguments.seconds, &dense, &states, count)?;
+        self.print("evaluations", timed, &[("states", json!(states.len()))])
     }
 
     /// Facts about states of the city that are so many ticks apart, as `make` has them. It tells how many bytes they take.
-    fn moments<T>(&mut self, between: usize, make: impl Fn(Facts) -> (T, usize)) -> Result<Vec<T>, Failure> {
-        let (mut moments, mut bytes) = (Vec::new(), 0);
-        while moments.len() < MOMENTS {
+    fn states<T>(&mut self, between: usize, make: impl Fn(Facts) -> (T, usize)) -> Result<Vec<T>, Failure> {
+        let (mut states, mut bytes) = (Vec::new(), 0);
+        while states.len() < STATES {
             for _ in 0..between {
                 self.simulation.tick(&[])?;
             }
             let vocabulary = &self.world.vocabulary;
-            let (moment, size) = make(self.simulation.facts(|predicate| vocabulary.is_read(predicate)));
+            let (state, size) = make(self.simulation.facts(|predicate| vocabulary.is_read(predicate)));
             bytes += size;
             // Of one state alone no evaluation would be another than the one before.
-            if bytes > MOMENTS_BYTES && moments.len() >= 2 {
+            if bytes > STATES_BYTES && states.len() >= 2 {
                 break;
             }
-            moments.push(moment);
+            states.push(state);
         }
-        Ok(moments)
+        Ok(states)
     }
 
     /// From one state to the next by differences, and to the first from the last.
     fn infer_relational(&mut self) -> Result<(), Failure> {
-        let moments = self.moments(1, |facts| {
+        let states = self.states(1, |facts| {
             let rows: usize = facts.rows.iter().map(Vec::len).sum();
             (facts, rows * size_of::<[u32; 2]>())
         })?;
@@ -548,12 +548,12 @@ impl<'a> Bench<'a> {
         let mut next = 0;
         let timed = Timed::run(self.arguments.seconds, |times| {
             for _ in 0..times {
-                simulation.evaluate(&moments[next])?;
-                next = (next + 1) % moments.len();
+                simulation.evaluate(&states[next])?;
+                next = (next + 1) % states.len();
             }
             Ok(())
         })?;
-        self.tell("evaluations", timed, &[("states", json!(moments.len()))])
+        self.print("evaluations", timed, &[("states", json!(states.len()))])
     }
 
     fn ground(&mut self) -> Result<(), Failure> {
@@ -575,12 +575,12 @@ impl<'a> Bench<'a> {
             });
             Ok(())
         })?;
-        self.tell("groundings", timed, &[("facts", json!(facts))])
+        self.print("groundings", timed, &[("facts", json!(facts))])
     }
 
     /// Prints a result. `unit` is what was done again and again.
     #[allow(clippy::cast_precision_loss)]
-    fn tell(&self, unit: &str, timed: Timed, more: &[(&str, Value)]) -> Result<(), Failure> {
+    fn print(&self, unit: &str, timed: Timed, more: &[(&str, Value)]) -> Result<(), Failure> {
         let agents = self.agents();
         let mut result = json!({
             "what": self.arguments.what.name(),
@@ -616,18 +616,18 @@ impl<'a> Bench<'a> {
 fn evaluate<const W: usize>(
     seconds: Duration,
     dense: &Dense,
-    moments: &[BitFacts<W>],
+    states: &[BitFacts<W>],
     count: usize,
 ) -> Result<Timed, Failure> {
     let mut frame = BitState::new(dense, count);
     let mut next = 0;
     Timed::run(seconds, |times| {
         for _ in 0..times {
-            moments[next].load(dense, &mut frame);
-            frame.run(dense, &moments[next]);
+            states[next].load(dense, &mut frame);
+            frame.run(dense, &states[next]);
             black_box(&frame);
             next += 1;
-            if next == moments.len() {
+            if next == states.len() {
                 next = 0;
             }
         }
@@ -666,20 +666,20 @@ fn infer_scenes(arguments: &Arguments, scenario: Scenario, program: Program, pat
         });
         scenes.push(scene.map_err(|faults| {
             super::report(&faults, &sources);
-            Failure::Told
+            Failure::Reported
         })?);
     }
     let Some(most) = scenes.iter().map(|scene| scene.names.len()).max() else {
         return Err(Diagnostic::new(Code::INVALID_SCENE, format!("there is no scene in `{from}`")).into());
     };
-    let moments: Vec<BitFacts<1>> = (scenes.iter())
+    let states: Vec<BitFacts<1>> = (scenes.iter())
         .map(|scene| scene.facts.to_bits(inference.vocabulary(), &dense, most))
         .collect();
-    let timed = evaluate(arguments.seconds, &dense, &moments, most)?;
+    let timed = evaluate(arguments.seconds, &dense, &states, most)?;
     let result = json!({
         "what": "infer",
         "config": name,
-        "scenes": moments.len(),
+        "scenes": states.len(),
         "entities": most,
         "seconds": timed.wall.as_secs_f64(),
         "evaluations": timed.times,

@@ -1,13 +1,13 @@
 //! `logicity check`
 
 use crate::cli::trace::TraceReader;
-use crate::cli::{Failure, load_texts, report};
+use crate::cli::{Failure, load_workspace, report};
 use crate::datalog::diff::{Cut, Equivalence};
 use crate::datalog::explain::ExplanationPrinter;
 use crate::datalog::{ClauseId, Edb, RelId, Rules};
 use crate::datalog::{Program, dense, optimize};
 use crate::diag::{Code, Diagnostic, Sources, to_json};
-use crate::sim::{CONFLICT_EFFORT, Coverage, Finding, Overlap, conflicts, scene_json};
+use crate::sim::{CONFLICT_BUDGET, Coverage, Finding, Overlap, conflicts, scene_json};
 use serde_json::json;
 use std::collections::HashSet;
 use std::io::{self, Write};
@@ -35,7 +35,7 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> {
     let mut out = anstream::stdout();
-    let mut told = HashSet::new();
+    let mut reported = HashSet::new();
     let mut diagnostics: Vec<Diagnostic> = Vec::new();
     let mut unreadable = Vec::new();
     let mut paths = arguments.rules.clone();
@@ -54,14 +54,14 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         if arguments.json {
             writeln!(out, "{}", report.json(path, sources))?;
         } else {
-            report.tell(&mut out, path, arguments, sources)?;
+            report.print(&mut out, path, arguments, sources)?;
         }
         let found = report.found;
         // A fault in a file that several programs include is told once.
         diagnostics.extend(
             found
                 .into_iter()
-                .filter(|fault| told.insert(to_json(std::slice::from_ref(fault), sources).to_string())),
+                .filter(|fault| reported.insert(to_json(std::slice::from_ref(fault), sources).to_string())),
         );
     }
     let faulty = diagnostics.iter().any(Diagnostic::is_error);
@@ -71,7 +71,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     if !unreadable.is_empty() {
         return Err(Failure::Usage(unreadable.join("\nerror: ")));
     }
-    if faulty { Err(Failure::Told) } else { Ok(()) }
+    if faulty { Err(Failure::Reported) } else { Ok(()) }
 }
 
 /// What is known of one file.
@@ -92,7 +92,7 @@ fn examine(arguments: &Arguments, path: &Path, sources: &mut Sources) -> Result<
         overlaps: Vec::new(),
         covered: None,
     };
-    let loaded = match load_texts(sources, path, Edb::Fixed) {
+    let loaded = match load_workspace(sources, path, Edb::Fixed) {
         Ok(texts) => texts.check(),
         Err(Failure::Input(faults)) => {
             report.found = faults;
@@ -152,21 +152,21 @@ impl Report {
     }
 
     /// Nothing of rules with errors.
-    fn tell(&self, out: &mut impl Write, path: &Path, arguments: &Arguments, sources: &Sources) -> io::Result<()> {
+    fn print(&self, out: &mut impl Write, path: &Path, arguments: &Arguments, sources: &Sources) -> io::Result<()> {
         let Some(rules) = self.rules() else { return Ok(()) };
         let strata: Vec<String> = strata(rules).iter().map(|names| names.join(", ")).collect();
         writeln!(out, "{}: {} clauses", path.display(), rules.clauses.len())?;
         writeln!(out, "  strata: {}", strata.join(" < "))?;
-        tell_executors(out, rules)?;
+        print_executors(out, rules)?;
         for what in &self.unfinished {
             writeln!(
                 out,
                 "  cut short: the search for {what}; there may be more than are told"
             )?;
         }
-        tell_overlaps(out, &self.overlaps, rules, sources)?;
+        print_overlaps(out, &self.overlaps, rules, sources)?;
         if let (Some(covered), Some(trace)) = (&self.covered, &arguments.coverage) {
-            tell_coverage(out, covered, trace, rules, sources)?;
+            print_coverage(out, covered, trace, rules, sources)?;
         }
         Ok(())
     }
@@ -194,7 +194,7 @@ fn executors(rules: &Rules) -> Vec<(Vec<&str>, Option<String>)> {
     strata.zip(reasons).filter(|(names, _)| !names.is_empty()).collect()
 }
 
-fn tell_executors(out: &mut impl Write, rules: &Rules) -> io::Result<()> {
+fn print_executors(out: &mut impl Write, rules: &Rules) -> io::Result<()> {
     let executors = executors(rules);
     if executors.iter().all(|(_, reason)| reason.is_none()) {
         return writeln!(out, "  executor: dense");
@@ -209,42 +209,42 @@ fn tell_executors(out: &mut impl Write, rules: &Rules) -> io::Result<()> {
 }
 
 fn executors_json(rules: &Rules) -> serde_json::Value {
-    let told = executors(rules).into_iter().map(|(names, reason)| match reason {
+    let reported = executors(rules).into_iter().map(|(names, reason)| match reason {
         None => json!({ "predicates": names, "executor": "dense" }),
         Some(reason) => json!({ "predicates": names, "executor": "relational", "because": reason }),
     });
-    told.collect()
+    reported.collect()
 }
 
 /// Nothing for programs that have fewer than two actions.
-fn tell_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> io::Result<()> {
-    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
-    let mut told = false;
+fn print_overlaps(out: &mut impl Write, overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> io::Result<()> {
+    let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    let mut reported = false;
     for Overlap { actions, finding } in overlaps {
         let [first, second] = actions.map(|action| action.name());
         match finding {
             Finding::Excluded => {}
             Finding::Together { clauses, scene } => {
-                let [a, b] = clauses.map(|clause| teller.title(clause));
+                let [a, b] = clauses.map(|clause| printer.title(clause));
                 writeln!(
                     out,
                     "  conflicts: {first} and {second} can be derived together, as in this scene:"
                 )?;
                 writeln!(out, "    {}", scene_json(scene))?;
                 writeln!(out, "    {first} by {a}\n    {second} by {b}")?;
-                told = true;
+                reported = true;
             }
-            Finding::NotFound(verdict) => {
-                let searched = searched(verdict);
+            Finding::NotFound(equivalence) => {
+                let searched = searched(equivalence);
                 writeln!(out, "  conflicts: none found for {first} and {second} in {searched}")?;
-                for reason in unproved(verdict) {
+                for reason in unproved(equivalence) {
                     writeln!(out, "    this is no proof: {reason}")?;
                 }
-                told = true;
+                reported = true;
             }
         }
     }
-    if !told && !overlaps.is_empty() {
+    if !reported && !overlaps.is_empty() {
         writeln!(out, "  conflicts: none")?;
     }
     Ok(())
@@ -255,8 +255,8 @@ fn agents(count: usize) -> String {
 }
 
 /// The scenes in which a search found nothing.
-fn searched(verdict: &Equivalence) -> String {
-    match verdict {
+fn searched(equivalence: &Equivalence) -> String {
+    match equivalence {
         Equivalence::NoneFound { entities: None, .. } => "no scene, not even the smallest".to_owned(),
         Equivalence::NoneFound {
             entities: Some(most), ..
@@ -270,15 +270,15 @@ fn searched(verdict: &Equivalence) -> String {
 }
 
 /// Why a search that found nothing is no proof.
-fn unproved(verdict: &Equivalence) -> Vec<String> {
-    match verdict {
+fn unproved(equivalence: &Equivalence) -> Vec<String> {
+    match equivalence {
         Equivalence::NoneFound { proof, cut, .. } => {
             let needed = match proof {
                 Some(needed) => format!("larger scenes, up to {}, may show a conflict", agents(*needed)),
                 None => "no number of agents is known to suffice for one".to_owned(),
             };
             let cuts = cut.iter().map(|cut| match cut {
-                Cut::Effort => format!("the search reached its limit of {CONFLICT_EFFORT} dead ends"),
+                Cut::Conflicts => format!("the search reached its limit of {CONFLICT_BUDGET} dead ends"),
                 Cut::Size => {
                     "larger scenes have too many possible facts, or facts too many ways to be derived".to_owned()
                 }
@@ -294,26 +294,26 @@ fn unproved(verdict: &Equivalence) -> Vec<String> {
 }
 
 fn overlaps_json(overlaps: &[Overlap], rules: &Rules, sources: &Sources) -> serde_json::Value {
-    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
-    let told = overlaps.iter().map(|Overlap { actions, finding }| {
+    let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    let reported = overlaps.iter().map(|Overlap { actions, finding }| {
         let actions = actions.map(|action| action.name());
         match finding {
             Finding::Excluded => json!({ "actions": actions, "finding": "excluded" }),
             Finding::Together { clauses, scene } => json!({
                 "actions": actions,
                 "finding": "together",
-                "clauses": clauses.map(|clause| teller.clause_json(clause)),
+                "clauses": clauses.map(|clause| printer.clause_json(clause)),
                 "scene": scene_json(scene),
             }),
-            Finding::NotFound(verdict) => json!({
+            Finding::NotFound(equivalence) => json!({
                 "actions": actions,
                 "finding": "not-found",
-                "searched": searched(verdict),
-                "because": unproved(verdict),
+                "searched": searched(equivalence),
+                "because": unproved(equivalence),
             }),
         }
     });
-    told.collect()
+    reported.collect()
 }
 
 /// The clauses of a rule file over the states of a trace.
@@ -332,29 +332,31 @@ fn measure(arguments: &Arguments, trace: &Path, rules: &Path, sources: &mut Sour
 }
 
 /// The literals as they stand in the clause.
-fn idle(teller: &ExplanationPrinter<'_>, rules: &Rules, clause: ClauseId, idle: &[usize]) -> Vec<String> {
+fn idle(printer: &ExplanationPrinter<'_>, rules: &Rules, clause: ClauseId, idle: &[usize]) -> Vec<String> {
     let clause = &rules.clauses[clause.index()];
     let open = vec![None; clause.variables.len()];
     let literals = idle.iter().map(|&literal| &clause.body[literal]);
-    literals.map(|literal| teller.literal(clause, literal, &open)).collect()
+    literals
+        .map(|literal| printer.literal(clause, literal, &open))
+        .collect()
 }
 
-fn tell_coverage(
+fn print_coverage(
     out: &mut impl Write,
     coverage: &Coverage,
     trace: &Path,
     rules: &Rules,
     sources: &Sources,
 ) -> io::Result<()> {
-    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
     writeln!(out, "  coverage: {} ticks of {}", coverage.states, trace.display())?;
     writeln!(out, "{:>10}{:>8}  clause", "fired", "ticks")?;
     for clause in &coverage.clauses {
         let head = &rules.relations[rules.clauses[clause.clause.index()].head.relation.index()].name;
-        let title = teller.title(clause.clause);
+        let title = printer.title(clause.clause);
         writeln!(out, "{:>10}{:>8}  {head:<8}{title}", clause.fired, clause.states)?;
         if clause.fired > 0 && !clause.idle.is_empty() {
-            let literals = idle(&teller, rules, clause.clause, &clause.idle).join(", ");
+            let literals = idle(&printer, rules, clause.clause, &clause.idle).join(", ");
             writeln!(out, "{:>28}never mattered: {literals}", "")?;
         }
     }
@@ -362,14 +364,14 @@ fn tell_coverage(
 }
 
 fn coverage_json(coverage: &Coverage, rules: &Rules, sources: &Sources) -> serde_json::Value {
-    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
     let clauses: Vec<serde_json::Value> = (coverage.clauses.iter())
         .map(|clause| {
             json!({
-                "clause": teller.clause_json(clause.clause),
+                "clause": printer.clause_json(clause.clause),
                 "fired": clause.fired,
                 "ticks": clause.states,
-                "never_mattered": idle(&teller, rules, clause.clause, &clause.idle),
+                "never_mattered": idle(&printer, rules, clause.clause, &clause.idle),
             })
         })
         .collect();

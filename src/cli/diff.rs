@@ -43,26 +43,26 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<u8, Failure> 
         conflicts_max: arguments.effort,
         ..Options::default()
     };
-    let verdict = diff(left.rules(), right.rules(), &options)?;
+    let equivalence = diff(left.rules(), right.rules(), &options)?;
 
     let mut out = anstream::stdout();
     let names = [&arguments.left, &arguments.right].map(|path| path.display().to_string());
     if arguments.json {
-        writeln!(out, "{}", to_json(&verdict))?;
-    } else if let Equivalence::Different(difference) = &verdict {
+        writeln!(out, "{}", to_json(&equivalence))?;
+    } else if let Equivalence::Different(difference) = &equivalence {
         writeln!(
             out,
             "{}",
             if arguments.scene {
                 scene_json(difference).to_string()
             } else {
-                told(difference, &names)
+                describe(difference, &names)
             }
         )?;
     } else if !arguments.scene {
-        writeln!(out, "{}", equal(&verdict))?;
+        writeln!(out, "{}", equal(&equivalence))?;
     }
-    Ok(match verdict {
+    Ok(match equivalence {
         Equivalence::Different(_) => 1,
         _ => 0,
     })
@@ -72,8 +72,8 @@ fn plural(count: usize) -> String {
     format!("{count} {}", if count == 1 { "entity" } else { "entities" })
 }
 
-fn equal(verdict: &Equivalence) -> String {
-    match verdict {
+fn equal(equivalence: &Equivalence) -> String {
+    match equivalence {
         Equivalence::Equivalent { entities } => format!(
             "equivalent: proved (a difference would show in a scene of at most {}, and none does)",
             plural(*entities)
@@ -112,13 +112,13 @@ fn equal(verdict: &Equivalence) -> String {
 
 fn reason(cut: Cut) -> &'static str {
     match cut {
-        Cut::Effort => "the search met as many dead ends as `--effort` allows",
+        Cut::Conflicts => "the search met as many dead ends as `--effort` allows",
         Cut::Size => "larger scenes have too many possible facts, or facts too many ways to be derived",
         Cut::Proof => "finding out how many entities a proof needs takes too long for these rules",
     }
 }
 
-fn told(difference: &Difference, names: &[String; 2]) -> String {
+fn describe(difference: &Difference, names: &[String; 2]) -> String {
     let size = if difference.smallest {
         "smallest scene"
     } else {
@@ -145,8 +145,8 @@ fn told(difference: &Difference, names: &[String; 2]) -> String {
     text
 }
 
-fn to_json(verdict: &Equivalence) -> Value {
-    match verdict {
+fn to_json(equivalence: &Equivalence) -> Value {
+    match equivalence {
         Equivalence::Equivalent { entities } => {
             json!({ "verdict": "equivalent", "proved": true, "entities": entities })
         }

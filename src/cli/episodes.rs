@@ -317,8 +317,8 @@ impl Spread {
         if self.json {
             let measures: serde_json::Map<String, serde_json::Value> = rows
                 .map(|(name, [mean, deviation, least, most])| {
-                    let told = json!({"mean": mean, "standard_deviation": deviation, "min": least, "max": most});
-                    ((*name).to_owned(), told)
+                    let summary = json!({"mean": mean, "standard_deviation": deviation, "min": least, "max": most});
+                    ((*name).to_owned(), summary)
                 })
                 .collect();
             let (config, split) = (&task.world().scenario.name, split.name());

@@ -37,7 +37,7 @@ pub struct Arguments {
 }
 
 fn action(text: &str) -> Result<Action, String> {
-    let known = Action::ALL.into_iter().find(|speed| speed.name() == text);
+    let known = Action::ALL.into_iter().find(|action| action.name() == text);
     known.ok_or_else(|| "expected Slow, Normal, Fast or Stop".to_owned())
 }
 
@@ -61,8 +61,8 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     let Some(state) = tick.agents.get(position) else {
         return Err(trace.placed(Diagnostic::new(Code::INVALID_TRACE, "an agent is missing")));
     };
-    if !derived.iter().map(|speed| speed.name()).eq(state.derived.iter()) {
-        let found: Vec<&str> = derived.iter().map(|speed| speed.name()).collect();
+    if !derived.iter().map(|action| action.name()).eq(state.derived.iter()) {
+        let found: Vec<&str> = derived.iter().map(|action| action.name()).collect();
         let message = format!(
             "the state of tick {} gives {} [{}], the trace has [{}]",
             tick.tick,
@@ -72,7 +72,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         );
         return Err(trace.placed(Diagnostic::new(Code::TRACE_MISMATCH, message)));
     }
-    tell(arguments, &replay, &tick, position, sources)
+    print(arguments, &replay, &tick, position, sources)
 }
 
 /// The tick of that number, or the last one.
@@ -95,7 +95,7 @@ fn find(trace: &mut TraceReader, number: Option<u64>) -> Result<TraceTick, Failu
     }
 }
 
-fn tell(
+fn print(
     arguments: &Arguments,
     replay: &Replay,
     tick: &TraceTick,
@@ -118,11 +118,11 @@ fn tell(
     let account = (decision.account(arguments.why_not, &Cancel::never())).map_err(Diagnostic::from)?;
     let mut out = anstream::stdout();
     if arguments.json {
-        let mut told = account.json(sources);
+        let mut json_account = account.json(sources);
         if let Some(driven) = &state.driven {
-            told["driven"] = json!(driven);
+            json_account["driven"] = json!(driven);
         }
-        writeln!(out, "{told}")?;
+        writeln!(out, "{json_account}")?;
     } else {
         if let Some(driven) = &state.driven {
             writeln!(out, "{}", steering(driven, replay.world(), sources)?)?;
@@ -135,19 +135,19 @@ fn tell(
 /// What an agent that was driven went by, and how its action was judged.
 fn steering(driven: &Driven, world: &World, sources: &Sources) -> Result<String, Diagnostic> {
     let rules = world.program.rules();
-    let teller = ExplanationPrinter::new(rules, &rules.symbols, sources);
+    let printer = ExplanationPrinter::new(rules, &rules.symbols, sources);
     let label = |&broken: &usize| {
         let message = || format!("there is no clause {broken}");
         let clause = world.clauses().nth(broken);
-        (clause.map(|clause| teller.label(clause))).ok_or_else(|| Diagnostic::new(Code::INVALID_TRACE, message()))
+        (clause.map(|clause| printer.label(clause))).ok_or_else(|| Diagnostic::new(Code::INVALID_TRACE, message()))
     };
     let broken: Vec<String> = driven.broken.iter().map(label).collect::<Result<_, _>>()?;
-    let judged = match broken.is_empty() {
+    let judgement = match broken.is_empty() {
         true => "its action broke no clause".to_owned(),
         false => format!("its action broke {}", broken.join(", ")),
     };
     Ok(format!(
-        "driven from outside: on what it observed ({}) the rules wanted {}, and {judged}",
+        "driven from outside: on what it observed ({}) the rules wanted {}, and {judgement}",
         driven.observes.join(", "),
         driven.wanted()?.name()
     ))

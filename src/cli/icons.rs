@@ -70,8 +70,9 @@ fn load_pack(folder: &Path, mode: Mode) -> Result<(Pack, String), Failure> {
         }
     }
     let pack = Pack::new(mode, files).map_err(|faults| {
-        let told = |PackFault { file, reason }: &PackFault| format!("icon `{}`: {reason}", folder.join(file).display());
-        Failure::Usage(faults.iter().map(told).collect::<Vec<_>>().join("\nerror: "))
+        let message =
+            |PackFault { file, reason }: &PackFault| format!("icon `{}`: {reason}", folder.join(file).display());
+        Failure::Usage(faults.iter().map(message).collect::<Vec<_>>().join("\nerror: "))
     })?;
     Ok((pack, format!("{:x}", hash.finalize())))
 }

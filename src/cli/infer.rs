@@ -88,7 +88,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
 }
 
 fn finish(faulty: bool) -> Result<(), Failure> {
-    if faulty { Err(Failure::Told) } else { Ok(()) }
+    if faulty { Err(Failure::Reported) } else { Ok(()) }
 }
 
 /// Answers every scene; a faulty one gets `{"error": [diagnostics]}` in its line, so that answers stay in step with scenes.

@@ -100,7 +100,7 @@ enum Failure {
     /// The input is at fault; the diagnostics tell how. Exit code 1.
     Input(Vec<Diagnostic>),
     /// The input is at fault and that has been told. Exit code 1.
-    Told,
+    Reported,
     /// Wrong usage, or a file that cannot be read or written. Exit code 2.
     Usage(String),
     /// The user ended the command early; what was done has been written. Exit code 130, as shells have it.
@@ -302,7 +302,7 @@ fn exit(failure: Failure, sources: &Sources) -> u8 {
             report(&diagnostics, sources);
             1
         }
-        Failure::Told => 1,
+        Failure::Reported => 1,
         Failure::Interrupted => 130,
         Failure::Usage(message) => {
             let _ = writeln!(io::stderr(), "error: {message}");
@@ -434,7 +434,7 @@ pub(super) fn too_much(error: &EvalError, rules: &Rules) -> Diagnostic {
 
 /// Reads, checks and plans a rule file. Warnings are returned beside the program.
 fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diagnostic>), Failure> {
-    compile(&load_texts(sources, path, Edb::Fixed)?)
+    compile(&load_workspace(sources, path, Edb::Fixed)?)
 }
 
 /// Checks and plans rules. Warnings are returned beside the program.
@@ -447,7 +447,7 @@ fn compile(texts: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure> {
 }
 
 /// Reads a rule file and all it includes.
-fn load_texts(sources: &mut Sources, path: &Path, inputs: Edb) -> Result<Workspace, Failure> {
+fn load_workspace(sources: &mut Sources, path: &Path, inputs: Edb) -> Result<Workspace, Failure> {
     let text = read(path)?;
     let entry = sources.add(path.display().to_string(), text);
     let mut texts = Workspace::new(inputs);

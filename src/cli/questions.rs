@@ -94,15 +94,15 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
     };
     write(Some(path), |out| set.write_json(&world, rules, out))?;
     let answers = set.answers();
-    let told = askable(&world)
+    let listed = askable(&world)
         .into_iter()
         .map(|action| format!("{} {}", action.name(), answers[action as usize]));
-    let told: Vec<String> = told.collect();
+    let listed: Vec<String> = listed.collect();
     writeln!(
         io::stdout(),
         "{count} questions written to {}: {}",
         path.display(),
-        told.join(", ")
+        listed.join(", ")
     )?;
     Ok(())
 }

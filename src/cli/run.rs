@@ -14,7 +14,7 @@ use crate::render::{Animation, Overview, Sprite, write_png};
 use crate::rng::Seed;
 use crate::sim::{
     DeadlockReport, Executor, LOOK_TICKS, MAX_ENTITIES, STUCK_TICKS, Settings, Simulation, TraceWriter, WaitsFor,
-    World, hash_sources, standstill, waits,
+    World, find_deadlocks, hash_sources, waits,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeSet;
@@ -320,8 +320,8 @@ impl Tally {
                 return;
             }
             // Waits that are too many to look at are told in the summary.
-            let Ok(moment) = simulation.snapshot() else { return };
-            for wait in waits(&moment, &still).unwrap_or_default() {
+            let Ok(snapshot) = simulation.snapshot() else { return };
+            for wait in waits(&snapshot, &still).unwrap_or_default() {
                 self.waited[wait.agent].insert((wait.on, wait.clause));
             }
         }
@@ -383,7 +383,7 @@ fn summary(simulation: &mut Simulation, tally: &Tally, sources: &Sources, writte
     for (kind, counts) in ["cars", "pedestrians"].into_iter().zip(tally.actions) {
         let counts: String = Action::ALL
             .iter()
-            .map(|&speed| format!("{:>10}", counts[speed as usize]))
+            .map(|&action| format!("{:>10}", counts[action as usize]))
             .collect();
         let _ = writeln!(text, "{kind:<12}{counts}");
     }
@@ -442,21 +442,21 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
         .map(|agent| agent.name().to_string())
         .collect();
     let name = |agent: usize| &*names[agent];
-    let told: Vec<&str> = stuck.iter().map(|&agent| name(agent)).collect();
-    let told = if told.is_empty() {
+    let listed: Vec<&str> = stuck.iter().map(|&agent| name(agent)).collect();
+    let listed = if listed.is_empty() {
         "none".to_owned()
     } else {
-        told.join(", ")
+        listed.join(", ")
     };
-    let _ = writeln!(text, "\nstuck (no move in the last {STUCK_TICKS} ticks): {told}");
+    let _ = writeln!(text, "\nstuck (no move in the last {STUCK_TICKS} ticks): {listed}");
     if stuck.is_empty() {
         return;
     }
 
-    let found = (simulation.snapshot().map_err(|fault| fault.message)).and_then(|moment| {
+    let found = (simulation.snapshot().map_err(|fault| fault.message)).and_then(|snapshot| {
         Ok((
-            waits(&moment, &stuck).map_err(|error| error.to_string())?,
-            moment.session(),
+            waits(&snapshot, &stuck).map_err(|error| error.to_string())?,
+            snapshot.session(),
         ))
     });
     let (waits, session) = match found {
@@ -466,11 +466,11 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
             return;
         }
     };
-    let teller = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
+    let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
     // `Car_3 (S2) -> Car_7 (S1) -> ..`: who waits, by which clause, and for whom.
     let chain = |way: &[WaitsFor]| {
         let links: String = (way.iter())
-            .map(|wait| format!("{} ({}) -> ", name(wait.agent), teller.label(wait.clause)))
+            .map(|wait| format!("{} ({}) -> ", name(wait.agent), printer.label(wait.clause)))
             .collect();
         links + way.last().map_or("", |wait| name(wait.on))
     };
@@ -478,7 +478,7 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
         deadlocks,
         behind,
         starving,
-    } = standstill(&stuck, &waits);
+    } = find_deadlocks(&stuck, &waits);
     for circle in &deadlocks {
         let since = circle.iter().map(|wait| tally.last_move[wait.agent]).max().unwrap_or(0);
         let _ = writeln!(text, "  deadlock since tick {since}: {}", chain(circle));
@@ -486,7 +486,7 @@ fn stuck(simulation: &mut Simulation, tally: &Tally, sources: &Sources, text: &m
     for agent in starving {
         let (mut names, mut labels): (Vec<&str>, Vec<String>) = Default::default();
         for &(on, clause) in &tally.waited[agent] {
-            let (one, label) = (name(on), teller.label(clause));
+            let (one, label) = (name(on), printer.label(clause));
             if !names.contains(&one) {
                 names.push(one);
             }

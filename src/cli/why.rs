@@ -23,24 +23,24 @@ pub enum Question {
 /// # Errors
 /// All that is wrong with the fact, `limit-exceeded` if the search for an explanation takes too many steps, and `out` that cannot be
 /// written to.
-pub fn tell(
+pub fn print(
     out: &mut impl Write,
     asked: (Question, SourceId),
-    texts: &Workspace,
+    workspace: &Workspace,
     session: &Session,
     sources: &Sources,
     as_json: bool,
 ) -> Result<(), Failure> {
     let (question, source) = asked;
-    let fact = texts.fact(sources, source, session.symbols())?;
+    let fact = workspace.fact(sources, source, session.symbols())?;
     let (holds, explanation) =
         (Explainer::new(session).explain_either(fact.relation, &fact.values)).map_err(Diagnostic::from)?;
-    let teller = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources).quoting();
-    let shown = teller.row(fact.relation, &fact.values);
+    let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources).quoting();
+    let shown = printer.row(fact.relation, &fact.values);
     if as_json {
         let mut line = json!({ "fact": shown, "holds": holds });
         if let Some(explanation) = &explanation {
-            line["nodes"] = teller.json(explanation)["nodes"].take();
+            line["nodes"] = printer.json(explanation)["nodes"].take();
         }
         writeln!(out, "{line}")?;
         return Ok(());
@@ -51,7 +51,7 @@ pub fn tell(
         _ => {}
     }
     if let Some(explanation) = &explanation {
-        write!(out, "{}", teller.tree(explanation))?;
+        write!(out, "{}", printer.tree(explanation))?;
     }
     Ok(())
 }

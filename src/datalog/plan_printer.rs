@@ -135,19 +135,19 @@ impl Shown<'_> {
             name.unwrap_or_else(|| self.show_value(plan.slots[slot as usize], base))
         };
         // Where the part ends of which was told that one match is enough.
-        let mut told = 0;
+        let mut printed = 0;
         for (position, step) in plan.steps.iter().enumerate() {
             match plan.enough[position] as usize {
                 0 => {}
-                _ if position < told => {}
+                _ if position < printed => {}
                 end if end == plan.steps.len() => {
-                    told = end;
+                    printed = end;
                     if position > 0 {
                         *out += "      the head is known: one match of the rest is enough\n";
                     }
                 }
                 end => {
-                    told = end;
+                    printed = end;
                     let steps = match end - position {
                         1 => "step".to_owned(),
                         count => format!("{count} steps"),

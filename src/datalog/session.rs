@@ -109,7 +109,7 @@ impl Session {
         let (relation, known) = (self.program.base(rel)?, self.symbols.len());
         let (to, arity) = (relation.edb.unwrap_or(rel), relation.arity());
         let symbolic = relation.columns.iter().any(|column| column.base == BaseType::Symbol);
-        let before = self.store.noted(to);
+        let before = self.store.pending(to);
         let mut words: Vec<Value> = Vec::with_capacity(PART);
         let rows = rows.into_iter();
         self.store.reserve(to, rows.size_hint().0);
@@ -181,7 +181,7 @@ impl Session {
     }
 
     fn run_commit(&mut self, watch: Option<&dyn Fn(EvalEvent)>, cancel: &Cancel) -> Result<Delta, EvalError> {
-        let orders = CommitOptions {
+        let options = CommitOptions {
             strategy: self.strategy,
             limits: self.limits,
             workers: &self.workers,
@@ -189,7 +189,7 @@ impl Session {
             cancel,
         };
         let known = self.symbols.len();
-        match self.store.commit(&self.program.0, &self.symbols, orders) {
+        match self.store.commit(&self.program.0, &self.symbols, options) {
             Ok((delta, work)) => {
                 self.work = work;
                 Ok(delta)

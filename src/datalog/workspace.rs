@@ -65,9 +65,9 @@ pub fn load(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile) -> Load
 
 /// As [`load`], with a choice of what an `.input` is.
 pub fn load_with(sources: &mut Sources, entry: SourceId, read: &dyn ReadFile, inputs: Edb) -> Loaded {
-    let mut texts = Workspace::new(inputs);
-    texts.add(sources, entry, read);
-    texts.check()
+    let mut workspace = Workspace::new(inputs);
+    workspace.add(sources, entry, read);
+    workspace.check()
 }
 
 /// The texts of a program, read and not yet checked.

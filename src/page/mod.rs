@@ -16,7 +16,9 @@ use crate::datalog::explain::{Explainer, ExplanationPrinter};
 use crate::datalog::{ClauseId, Value};
 use crate::diag::{Code, Diagnostic, Sources};
 use crate::render::{Class, Facing, Icons};
-use crate::sim::{LOOK_TICKS, Replay, STUCK_TICKS, TraceAgent, TraceHeader, TraceTick, WaitsFor, standstill, waits};
+use crate::sim::{
+    LOOK_TICKS, Replay, STUCK_TICKS, TraceAgent, TraceHeader, TraceTick, WaitsFor, find_deadlocks, waits,
+};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
@@ -33,7 +35,7 @@ pub const DECISIONS_MAX: usize = 400_000;
 const TICK_MAX: u64 = 1 << 53;
 
 /// So many different icons of a class are shown at most.
-const CROWD: u32 = 20;
+const ICON_VARIANTS: u32 = 20;
 
 const TEMPLATE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
@@ -80,7 +82,7 @@ pub struct Page {
     routes: Vec<Vec<(usize, Vec<[i32; 2]>)>>,
     deadlocks: Vec<Deadlock>,
     /// How many looks for deadlocks were given up: the ways to stop were too many.
-    looks_given_up: u32,
+    deadlock_searches_cut: u32,
     /// Who was driven from outside, what it did against what the rules wanted, tick by tick.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     driven: Vec<Driven>,
@@ -174,12 +176,12 @@ impl Page {
     /// A page without ticks, for the trace of that header.
     pub fn new(replay: &Replay, header: &TraceHeader, icons: &Icons, sources: &Sources) -> Page {
         let world = replay.world();
-        let teller = ExplanationPrinter::new(world.program.rules(), replay.session().symbols(), sources);
+        let printer = ExplanationPrinter::new(world.program.rules(), replay.session().symbols(), sources);
         let mut proofs = Proofs::default();
-        let counted = world.clauses().map(|clause| proofs.clause(&teller, clause)).count();
+        let counted = world.clauses().map(|clause| proofs.clause(&printer, clause)).count();
         for index in 0..world.program.rules().clauses.len() {
             proofs.clause(
-                &teller,
+                &printer,
                 ClauseId(u32::try_from(index).expect("fewer than 2^32 clauses")),
             );
         }
@@ -213,7 +215,7 @@ impl Page {
                 .map(|clause| {
                     let head = world.program.rules().clauses[clause.index()].head.relation;
                     let is_action = Action::ALL
-                        .map(|speed| world.vocabulary.action(speed))
+                        .map(|action| world.vocabulary.action(action))
                         .contains(&Some(head));
                     (0, is_action)
                 })
@@ -224,7 +226,7 @@ impl Page {
             last: Vec::new(),
             routes: vec![Vec::new(); agents.len()],
             deadlocks: Vec::new(),
-            looks_given_up: 0,
+            deadlock_searches_cut: 0,
             driven: Vec::new(),
             most: DECISIONS_MAX,
             still_since: vec![0; agents.len()],
@@ -360,7 +362,7 @@ impl Page {
     /// Why each agent did each action or did not.
     fn explain(&mut self, replay: &Replay, sources: &Sources) -> Result<Vec<[i64; 4]>, Diagnostic> {
         let session = replay.session();
-        let teller = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
+        let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), sources);
         let mut explainer = Explainer::new(session);
         let mut all = Vec::with_capacity(self.agents.len());
         for position in 0..self.agents.len() {
@@ -371,7 +373,7 @@ impl Page {
                 };
                 let asked: [Option<Value>; 1] = [Some(replay.value(position))];
                 if let (_, Some(explanation)) = explainer.explain_either(relation, &asked)? {
-                    *node = i64::from(self.proofs.add(&teller, &explanation));
+                    *node = i64::from(self.proofs.add(&printer, &explanation));
                 }
             }
             all.push(nodes);
@@ -418,10 +420,10 @@ impl Page {
             return;
         }
         let Ok(waits) = waits(&replay.snapshot(), &stuck) else {
-            self.looks_given_up += 1;
+            self.deadlock_searches_cut += 1;
             return;
         };
-        let found = standstill(&stuck, &waits);
+        let found = find_deadlocks(&stuck, &waits);
         for circle in found.deadlocks {
             let agents: Vec<usize> = circle.iter().map(|wait| wait.agent).collect();
             let same = |known: &&mut Deadlock| known.agents == agents && known.until + LOOK_TICKS >= now;
@@ -465,7 +467,7 @@ impl Shown {
     fn of(&mut self, icons: &Icons, kind: AgentKind, agent: &TraceAgent, position: usize) -> Vec<usize> {
         let class = Class::agent(kind, &agent.concepts);
         let number = agent.id.rsplit('_').next().and_then(|number| number.parse().ok());
-        let instance = number.unwrap_or(u32::try_from(position).unwrap_or(0)) % CROWD;
+        let instance = number.unwrap_or(u32::try_from(position).unwrap_or(0)) % ICON_VARIANTS;
         let facings = match kind {
             AgentKind::Car => vec![Facing::Up],
             AgentKind::Pedestrian => Heading::ALL.map(Facing::from).to_vec(),

@@ -31,21 +31,21 @@ pub struct Proofs {
 
 impl Proofs {
     /// The position of a clause.
-    pub fn clause(&mut self, teller: &ExplanationPrinter<'_>, clause: ClauseId) -> usize {
+    pub fn clause(&mut self, printer: &ExplanationPrinter<'_>, clause: ClauseId) -> usize {
         let next = self.clauses.len();
         let position = *self.known_clauses.entry(clause).or_insert(next);
         if position == next {
-            let mut told = teller.clause_json(clause);
-            told["label"] = teller.label(clause).into();
-            told["text"] = teller.source(clause).into();
-            self.clauses.push(told);
+            let mut node_json = printer.clause_json(clause);
+            node_json["label"] = printer.label(clause).into();
+            node_json["text"] = printer.source(clause).into();
+            self.clauses.push(node_json);
         }
         position
     }
 
     /// Adds an explanation; the number of its first node. Nodes that lead back to themselves, as what does not hold in a recursion may, are
     /// stored for each explanation anew.
-    pub fn add(&mut self, teller: &ExplanationPrinter<'_>, explanation: &Explanation) -> u32 {
+    pub fn add(&mut self, printer: &ExplanationPrinter<'_>, explanation: &Explanation) -> u32 {
         let nodes = explanation.nodes();
         let mut numbers: Vec<Option<u32>> = vec![None; nodes.len()];
         let mut state = vec![State::New; nodes.len()];
@@ -73,8 +73,8 @@ impl Proofs {
                 continue;
             }
             match numbers[at] {
-                Some(number) => self.nodes[number as usize] = self.told(teller, &nodes[at], &numbers),
-                None => numbers[at] = Some(self.share(teller, &nodes[at], &numbers)),
+                Some(number) => self.nodes[number as usize] = self.node_json(printer, &nodes[at], &numbers),
+                None => numbers[at] = Some(self.share(printer, &nodes[at], &numbers)),
             }
             state[at] = State::Done;
             stack.pop();
@@ -89,24 +89,24 @@ impl Proofs {
 
     /// The number of a node whose children have theirs. Most have been told before, so words are looked for only once it is clear
     /// that this one has not.
-    fn share(&mut self, teller: &ExplanationPrinter<'_>, node: &Node, numbers: &[Option<u32>]) -> u32 {
+    fn share(&mut self, printer: &ExplanationPrinter<'_>, node: &Node, numbers: &[Option<u32>]) -> u32 {
         self.key.clear();
         write_key(node, numbers, &mut self.key);
         if let Some(&number) = self.known_nodes.get(self.key.as_slice()) {
             return number;
         }
-        let told = self.told(teller, node, numbers);
-        let number = self.push(told);
+        let node_json = self.node_json(printer, node, numbers);
+        let number = self.push(node_json);
         self.known_nodes.insert(self.key.as_slice().into(), number);
         number
     }
 
-    fn told(&mut self, teller: &ExplanationPrinter<'_>, node: &Node, numbers: &[Option<u32>]) -> Value {
+    fn node_json(&mut self, printer: &ExplanationPrinter<'_>, node: &Node, numbers: &[Option<u32>]) -> Value {
         let clauses: Vec<usize> = clauses_of(node)
             .into_iter()
-            .map(|clause| self.clause(teller, clause))
+            .map(|clause| self.clause(printer, clause))
             .collect();
-        short(&teller.node_json(node), &clauses, numbers)
+        short(&printer.node_json(node), &clauses, numbers)
     }
 }
 

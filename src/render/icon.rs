@@ -613,13 +613,13 @@ mod tests {
             let opacities = |body: &Pixmap| -> Vec<u8> { body.pixels().iter().map(|pixel| pixel.alpha()).collect() };
             let (drawn, outline) = (drawing.layers(facing, size).body, drawing.outline(facing, size));
             assert!(opacities(&drawn) == opacities(&outline), "case {case}: {class}");
-            let told = icons.body(&class, instance, facing, size);
+            let bounds = icons.body(&class, instance, facing, size);
             assert_eq!(
-                told,
+                bounds,
                 icons.stamp(&class, instance, facing, size).body,
                 "case {case}: {class}"
             );
-            assert_eq!(told, slow_bounds(&drawn), "case {case}: {class}");
+            assert_eq!(bounds, slow_bounds(&drawn), "case {case}: {class}");
         }
     }
 

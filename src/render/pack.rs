@@ -431,8 +431,8 @@ mod tests {
             ),
             ("car/1.svg", entities.into(), "not an SVG drawing"),
         ] {
-            let told = fault(file, bytes.as_bytes());
-            assert!(told.contains(reason), "{told}");
+            let message = fault(file, bytes.as_bytes());
+            assert!(message.contains(reason), "{message}");
         }
         assert!(fault("car/1.svg", &vec![b' '; PACK_FILE_MAX + 1]).contains("larger than 4 MiB"));
         assert!(

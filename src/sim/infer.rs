@@ -564,8 +564,8 @@ impl GroundState {
 
     /// The actions that hold for an entity.
     pub fn derived(&self, vocabulary: &Vocabulary, entity: usize) -> Actions {
-        let holds = |speed: &Action| {
-            let relation = vocabulary.action(*speed);
+        let holds = |action: &Action| {
+            let relation = vocabulary.action(*action);
             relation.is_some_and(|relation| self.session.contains(relation, &[self.entities[entity]]))
         };
         Action::ALL.into_iter().filter(holds).collect()

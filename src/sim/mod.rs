@@ -25,10 +25,10 @@ mod window;
 mod world;
 
 pub use codes::CODES;
-pub use conflict::{CONFLICT_EFFORT, Finding, Overlap, conflicts, scene_json};
+pub use conflict::{CONFLICT_BUDGET, Finding, Overlap, conflicts, scene_json};
 pub use coverage::{ClauseCoverage, Coverage};
-pub use deadlock::{DeadlockReport, LOOK_TICKS, STUCK_TICKS, WaitsFor, standstill, waits};
-pub use executor::{CROWD_MAX, Executor, WHOLE_MAX};
+pub use deadlock::{DeadlockReport, LOOK_TICKS, STUCK_TICKS, WaitsFor, find_deadlocks, waits};
+pub use executor::{Executor, WHOLE_MAX, WINDOW_MAX};
 pub use ground::{Chance, Entity, Facts, ground};
 pub use infer::{Answer, EgoAnswer, Inference, SceneFacts};
 pub use observe::{OBSERVED_MAX, Observer, Oracle};

@@ -32,7 +32,7 @@ pub struct ActionConstraint {
 /// The rules as far as they decide about one agent. Immutable; what changes is in a [`Violations`].
 #[derive(Debug)]
 pub(super) struct RuleMonitor {
-    demands: Vec<ActionConstraint>,
+    constraints: Vec<ActionConstraint>,
     how: How,
 }
 
@@ -43,7 +43,7 @@ enum How {
         /// What the rules derive.
         wanted: Evaluator,
         /// Which bodies hold if the ego's action is given.
-        judged: Evaluator,
+        checked: Evaluator,
     },
 }
 
@@ -64,7 +64,7 @@ struct Condition {
     given: Actions,
     refused: Actions,
     /// Its position among the demands; `None` for the default.
-    demand: Option<usize>,
+    constraint: Option<usize>,
 }
 
 impl Condition {
@@ -96,18 +96,18 @@ struct DenseRules {
 
 /// The action that a predicate is.
 fn action_of(vocabulary: &Vocabulary, relation: RelId) -> Option<Action> {
-    (Action::ALL.into_iter()).find(|&speed| vocabulary.action(speed) == Some(relation))
+    (Action::ALL.into_iter()).find(|&action| vocabulary.action(action) == Some(relation))
 }
 
 /// The rules with the actions in all bodies replaced by predicates that are given, which come last.
 fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option<RelId>; 4]) {
     let mut rules = rules.clone();
-    let given = Action::ALL.map(|speed| {
-        let action = vocabulary.action(speed)?;
+    let given = Action::ALL.map(|action| {
+        let derived = vocabulary.action(action)?;
         let place = RelId(u32::try_from(rules.relations.len()).expect("fewer than 2^32 predicates"));
         let relation = datalog::Relation {
-            name: format!("+given {}", speed.name()),
-            doc: format!("the action `{}` that is given", speed.name()),
+            name: format!("+given {}", action.name()),
+            doc: format!("the action `{}` that is given", action.name()),
             input: true,
             edb: None,
             output: false,
@@ -115,10 +115,10 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
             derived: false,
             hidden: true,
             directives: Vec::new(),
-            ..rules.relations[action.index()].clone()
+            ..rules.relations[derived.index()].clone()
         };
         rules.relations.push(relation);
-        Some((action, place))
+        Some((derived, place))
     });
     for literal in rules.clauses.iter_mut().flat_map(|clause| &mut clause.body) {
         let (Literal::Positive(atom)
@@ -136,7 +136,7 @@ fn with_actions_given(rules: &Rules, vocabulary: &Vocabulary) -> (Rules, [Option
 }
 
 /// The clauses that ask an action. The default is none: a clause for it that looks only at the other actions and the ego itself.
-fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> {
+fn constraints(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> {
     let sees = vocabulary.predicates[vocabulary.sees].relation;
     let is_default = |clause: &datalog::Clause| {
         clause.body.iter().all(|literal| match literal {
@@ -149,7 +149,7 @@ fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> {
             _ => false,
         })
     };
-    let demand = |(position, clause): (u32, &datalog::Clause)| {
+    let constraint = |(position, clause): (u32, &datalog::Clause)| {
         let action = action_of(vocabulary, clause.head.relation)?;
         let default = action == vocabulary.default_action() && is_default(clause);
         (!clause.body.is_empty() && !default).then_some(ActionConstraint {
@@ -157,12 +157,12 @@ fn demands(rules: &Rules, vocabulary: &Vocabulary) -> Vec<ActionConstraint> {
             action,
         })
     };
-    (0..).zip(&rules.clauses).filter_map(demand).collect()
+    (0..).zip(&rules.clauses).filter_map(constraint).collect()
 }
 
 impl Conditions {
     /// `None` if some body asks for an action otherwise than of the head's own agent, or the dense executor cannot evaluate the rules.
-    fn new(rules: &Rules, vocabulary: &Vocabulary, demands: &[ActionConstraint]) -> Option<Conditions> {
+    fn new(rules: &Rules, vocabulary: &Vocabulary, constraints: &[ActionConstraint]) -> Option<Conditions> {
         // Not all rules that can be evaluated without the actions in their bodies can be with them.
         compile(rules, vocabulary, TrackFirings::Off).ok()?;
         let mut others = rules.clone();
@@ -202,7 +202,7 @@ impl Conditions {
                     action,
                     given,
                     refused,
-                    demand: demands.iter().position(|demand| demand.clause == *id),
+                    constraint: constraints.iter().position(|constraint| constraint.clause == *id),
                 }),
                 None if given.is_empty() && refused.is_empty() => {}
                 None => return None,
@@ -248,7 +248,7 @@ impl Conditions {
         let given = [action].into_iter().collect();
         let conditions = held.iter().map(|&position| &self.clauses[position]);
         let refusing = conditions.filter(|condition| condition.action != action && condition.allows(given));
-        broken.extend(refusing.filter_map(|condition| condition.demand));
+        broken.extend(refusing.filter_map(|condition| condition.constraint));
         broken.sort_unstable();
     }
 }
@@ -320,23 +320,23 @@ impl RuleMonitor {
     /// Rules that cannot be planned.
     pub fn new(program: &Program, vocabulary: &Vocabulary) -> Result<RuleMonitor, Diagnostic> {
         let rules = program.rules();
-        let demands = demands(rules, vocabulary);
-        let how = match Conditions::new(rules, vocabulary, &demands) {
+        let constraints = constraints(rules, vocabulary);
+        let how = match Conditions::new(rules, vocabulary, &constraints) {
             Some(conditions) => How::Once(conditions),
             None => {
-                let (judged, given) = with_actions_given(rules, vocabulary);
+                let (checked, given) = with_actions_given(rules, vocabulary);
                 How::Twice {
                     wanted: Evaluator::new(program.clone(), vocabulary, [None; 4], TrackFirings::Off),
-                    judged: Evaluator::new(Program::new(judged)?, vocabulary, given, TrackFirings::Each),
+                    checked: Evaluator::new(Program::new(checked)?, vocabulary, given, TrackFirings::Each),
                 }
             }
         };
-        Ok(RuleMonitor { demands, how })
+        Ok(RuleMonitor { constraints, how })
     }
 
     /// The clauses that ask an action, in the order of the text. The default is not among them.
-    pub fn demands(&self) -> &[ActionConstraint] {
-        &self.demands
+    pub fn constraints(&self) -> &[ActionConstraint] {
+        &self.constraints
     }
 }
 
@@ -426,7 +426,7 @@ pub(super) enum Violations {
     },
     Twice {
         wanted: State,
-        judged: State,
+        checked: State,
     },
 }
 
@@ -468,8 +468,8 @@ impl State {
     fn derived(&self, evaluator: &Evaluator, vocabulary: &Vocabulary, ego: usize) -> Actions {
         match (self, evaluator) {
             (State::Dense(frame), Evaluator::Dense(rules)) => {
-                let holds = |speed: &Action| {
-                    let relation = vocabulary.action(*speed);
+                let holds = |action: &Action| {
+                    let relation = vocabulary.action(*action);
                     relation.is_some_and(|action| frame.set(&rules.dense, action).is_some_and(|set| has(set, 0)))
                 };
                 Action::ALL.into_iter().filter(holds).collect()
@@ -495,16 +495,16 @@ impl State {
 }
 
 impl Violations {
-    pub fn new(judge: &RuleMonitor) -> Violations {
-        match &judge.how {
+    pub fn new(monitor: &RuleMonitor) -> Violations {
+        match &monitor.how {
             How::Once(conditions) => Violations::Once {
                 frame: Box::new(BitState::new(&conditions.rules.dense, 0)),
                 held: Vec::with_capacity(conditions.clauses.len()),
                 known: false,
             },
-            How::Twice { wanted, judged } => Violations::Twice {
+            How::Twice { wanted, checked } => Violations::Twice {
                 wanted: State::new(wanted),
-                judged: State::new(judged),
+                checked: State::new(checked),
             },
         }
     }
@@ -522,12 +522,12 @@ impl Violations {
     /// `limit-exceeded` for rules that derive too much.
     pub fn derived(
         &mut self,
-        judge: &RuleMonitor,
+        monitor: &RuleMonitor,
         vocabulary: &Vocabulary,
         observed: Observed<'_>,
     ) -> Result<Actions, Diagnostic> {
         let ego = observed.bodies[0].agent as usize;
-        match (self, &judge.how) {
+        match (self, &monitor.how) {
             (Violations::Once { frame, held, known }, How::Once(conditions)) => {
                 conditions.evaluate(frame, held, known, observed);
                 Ok(conditions.derived(held))
@@ -536,7 +536,7 @@ impl Violations {
                 state.run(wanted, observed)?;
                 Ok(state.derived(wanted, vocabulary, ego))
             }
-            _ => unreachable!("a verdict is made for its judge"),
+            _ => unreachable!("violations are computed by their own monitor"),
         }
     }
 
@@ -546,31 +546,32 @@ impl Violations {
     /// `limit-exceeded` for rules that derive too much.
     pub fn violations(
         &mut self,
-        judge: &RuleMonitor,
+        monitor: &RuleMonitor,
         observed: Observed<'_>,
         action: Action,
         broken: &mut Vec<usize>,
     ) -> Result<(), Diagnostic> {
         let ego = observed.bodies[0].agent as usize;
         broken.clear();
-        match (self, &judge.how) {
+        match (self, &monitor.how) {
             (Violations::Once { frame, held, known }, How::Once(conditions)) => {
                 conditions.evaluate(frame, held, known, observed);
                 conditions.violations(held, action, broken);
             }
-            (Violations::Twice { judged: state, .. }, How::Twice { judged, .. }) => {
+            (Violations::Twice { checked: state, .. }, How::Twice { checked, .. }) => {
                 let given = Some(action);
-                state.run(judged, Observed { given, ..observed })?;
-                let demands = judge.demands.iter().enumerate();
-                let holds =
-                    |demand: &ActionConstraint| demand.action != action && state.fired(judged, demand.clause, ego);
+                state.run(checked, Observed { given, ..observed })?;
+                let constraints = monitor.constraints.iter().enumerate();
+                let holds = |constraint: &ActionConstraint| {
+                    constraint.action != action && state.fired(checked, constraint.clause, ego)
+                };
                 broken.extend(
-                    demands
-                        .filter(|(_, demand)| holds(demand))
+                    constraints
+                        .filter(|(_, constraint)| holds(constraint))
                         .map(|(position, _)| position),
                 );
             }
-            _ => unreachable!("a verdict is made for its judge"),
+            _ => unreachable!("violations are computed by their own monitor"),
         }
         Ok(())
     }

@@ -52,7 +52,7 @@ pub struct Simulation {
     /// What moves change of each agent. Close together, since many agents are looked up in the order of where they are.
     positions: Vec<Position>,
     /// Decides densely; `None` if `state` decides.
-    crowd: Option<DenseExecutor>,
+    dense: Option<DenseExecutor>,
     /// Why `state` decides, if that was not asked for.
     fallback: Option<String>,
     decisions: Decisions,
@@ -177,11 +177,11 @@ impl Simulation {
         let chosen = (settings.executor)
             .choose(|| DenseExecutor::new(&world, &agents, to_count, threads))
             .map_err(|fault| fault.at(scenario.rules.span, "these rules"))?;
-        let (crowd, fallback) = match chosen {
-            Choice::Dense(crowd) => (Some(crowd), None),
+        let (dense, fallback) = match chosen {
+            Choice::Dense(dense) => (Some(dense), None),
             Choice::Relational(reason) => (None, reason),
         };
-        if crowd.is_none() && agents.len() > MAX_ENTITIES {
+        if dense.is_none() && agents.len() > MAX_ENTITIES {
             let message = format!(
                 "{} agents, the limit of the relational executor is {MAX_ENTITIES}",
                 agents.len()
@@ -208,7 +208,7 @@ impl Simulation {
             given: vec![None; agents.len()],
             positions: agents.iter().map(Position::of).collect(),
             agents,
-            crowd,
+            dense,
             fallback,
             state: None,
             stated: None,
@@ -234,8 +234,8 @@ impl Simulation {
         }
         self.seed = seed;
         (self.tick, self.stated) = (0, None);
-        if let Some(crowd) = &mut self.crowd {
-            crowd.restart(self.world.map(), &self.agents);
+        if let Some(dense) = &mut self.dense {
+            dense.restart(self.world.map(), &self.agents);
         }
         self.decisions.clear();
         self.report.tick = 0;
@@ -310,7 +310,7 @@ impl Simulation {
 
     /// What evaluates the rules: dense or relational.
     pub fn executor(&self) -> Executor {
-        match self.crowd {
+        match self.dense {
             Some(_) => Executor::Dense,
             None => Executor::Relational,
         }
@@ -372,12 +372,12 @@ impl Simulation {
             time: self.tick,
         };
         let map = self.world.map();
-        match &mut self.crowd {
-            Some(crowd) => {
+        match &mut self.dense {
+            Some(dense) => {
                 let decisions = &mut self.decisions;
                 match &self.threads {
-                    Some(pool) => pool.install(|| crowd.decide(map, draws, decisions)),
-                    None => crowd.decide(map, draws, decisions),
+                    Some(pool) => pool.install(|| dense.decide(map, draws, decisions)),
+                    None => dense.decide(map, draws, decisions),
                 }?;
             }
             None => self.decide_by_facts(draws)?,
@@ -385,11 +385,11 @@ impl Simulation {
         ended(Phase::Decide);
         self.advance(controls);
         ended(Phase::Move);
-        if let Some(crowd) = &mut self.crowd {
+        if let Some(dense) = &mut self.dense {
             let (map, positions) = (self.world.map(), &self.positions);
             match &self.threads {
-                Some(pool) => pool.install(|| crowd.follow(map, positions)),
-                None => crowd.follow(map, positions),
+                Some(pool) => pool.install(|| dense.follow(map, positions)),
+                None => dense.follow(map, positions),
             }
         }
         ended(Phase::Note);
@@ -476,7 +476,7 @@ impl Simulation {
             for (index, &clause) in self.clauses.iter().enumerate() {
                 let rows = state.session().fired(clause);
                 let head = rules.clauses[clause.index()].head.relation;
-                if (Action::ALL.into_iter()).any(|speed| self.world.vocabulary.action(speed) == Some(head)) {
+                if (Action::ALL.into_iter()).any(|action| self.world.vocabulary.action(action) == Some(head)) {
                     for agent in rows.iter().filter_map(|row| state.entity(row[0])) {
                         self.decisions.add_fired(agent, index);
                     }
@@ -532,8 +532,16 @@ impl Simulation {
         };
         let view = world.scenario.view;
         let unwanted = |index| !wanted(index);
-        let judged = self.judged();
-        let facts = ground_with(&world.vocabulary, world.map(), view, &judged, &draws, unwanted, cancel);
+        let decided_entities = self.decided_entities();
+        let facts = ground_with(
+            &world.vocabulary,
+            world.map(),
+            view,
+            &decided_entities,
+            &draws,
+            unwanted,
+            cancel,
+        );
         facts.ok_or_else(Diagnostic::cancelled)
     }
 
@@ -554,11 +562,11 @@ impl Simulation {
             seed: self.seed,
             time: self.tick,
         };
-        self.crowd.as_mut()?.count_facts(draws)
+        self.dense.as_mut()?.count_facts(draws)
     }
 
     /// The agents as they were when the last tick was decided.
-    fn judged(&self) -> Vec<Entity<'_>> {
+    fn decided_entities(&self) -> Vec<Entity<'_>> {
         let before = |(agent, done): (_, &AgentTick)| Entity {
             at: done.moved.from,
             heading: done.heading,

@@ -56,13 +56,13 @@ impl Simulation {
     pub fn decision(&mut self, agent: usize) -> Result<Decision<'_>, Diagnostic> {
         let (name, report) = (self.agents()[agent].name().to_string(), self.report());
         let (tick, done) = (report.tick, report.agents[agent]);
-        let moment = self.snapshot()?;
+        let snapshot = self.snapshot()?;
         Ok(Decision {
-            world: moment.world(),
-            session: moment.session(),
+            world: snapshot.world(),
+            session: snapshot.session(),
             tick,
             agent: name,
-            value: moment.value(agent),
+            value: snapshot.value(agent),
             at: done.moved.from,
             heading: done.heading,
             derived: done.derived,
@@ -108,7 +108,7 @@ impl<'a> Decision<'a> {
 }
 
 impl Account<'_> {
-    fn teller<'s>(&'s self, sources: &'s Sources) -> ExplanationPrinter<'s> {
+    fn printer<'s>(&'s self, sources: &'s Sources) -> ExplanationPrinter<'s> {
         let session = self.decision.session;
         ExplanationPrinter::new(session.program().rules(), session.symbols(), sources)
     }
@@ -138,7 +138,7 @@ impl Account<'_> {
         if *action != by_rules {
             let _ = writeln!(text, "the action came from outside; the rules say {}", by_rules.name());
         } else if derived.len() > 1 {
-            let names: Vec<&str> = derived.iter().map(|speed| speed.name()).collect();
+            let names: Vec<&str> = derived.iter().map(|action| action.name()).collect();
             let _ = writeln!(
                 text,
                 "derived were {}; the first by the configured order was taken",
@@ -150,10 +150,10 @@ impl Account<'_> {
         if let Some(action) = self.why_not.filter(|action| derived.contains(*action)) {
             let _ = writeln!(text, "{} was derived, and this is why", action.name());
         }
-        let teller = self.teller(sources);
+        let printer = self.printer(sources);
         for (action, explanation) in &self.explanations {
             let _ = match explanation {
-                Some(explanation) => write!(text, "\n{}", teller.tree(explanation)),
+                Some(explanation) => write!(text, "\n{}", printer.tree(explanation)),
                 None => writeln!(text, "\n{}: the rules do not mention it", action.name()),
             };
         }
@@ -163,12 +163,12 @@ impl Account<'_> {
     /// For programs: `tick`, `agent`, `at`, `heading`, `derived`, `action`, and `explanations`, each with its `action` and, unless the
     /// rules do not mention it, the `nodes` of [`ExplanationPrinter::json`].
     pub fn json(&self, sources: &Sources) -> serde_json::Value {
-        let teller = self.teller(sources);
-        let told: Vec<serde_json::Value> = (self.explanations.iter())
+        let printer = self.printer(sources);
+        let explanations: Vec<serde_json::Value> = (self.explanations.iter())
             .map(|(action, explanation)| {
                 let mut entry = json!({ "action": action.name() });
                 if let Some(explanation) = explanation {
-                    entry["nodes"] = teller.json(explanation)["nodes"].take();
+                    entry["nodes"] = printer.json(explanation)["nodes"].take();
                 }
                 entry
             })
@@ -181,7 +181,7 @@ impl Account<'_> {
             "heading": decision.heading.map(Heading::name),
             "derived": decision.derived.iter().map(Action::name).collect::<Vec<_>>(),
             "action": decision.action.name(),
-            "explanations": told,
+            "explanations": explanations,
         })
     }
 }

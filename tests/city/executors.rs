@@ -6,7 +6,7 @@ use logicity::city::{Action, Building, Buildings, Split};
 use logicity::config::Scenario;
 use logicity::diag::Code;
 use logicity::rng::Seed;
-use logicity::sim::{Batch, CROWD_MAX, Executor, Settings, Simulation, World};
+use logicity::sim::{Batch, Executor, Settings, Simulation, WINDOW_MAX, World};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
@@ -237,11 +237,11 @@ fn slow_crowds_have_a_limit() {
         scenario.view = 1000;
     });
     let mut everything = simulation(&everything, Executor::Dense, 1);
-    assert!((1025..CROWD_MAX).contains(&everything.agents().len()));
+    assert!((1025..WINDOW_MAX).contains(&everything.agents().len()));
     fits.tick(&[]).unwrap();
     everything.tick(&[]).unwrap();
 
-    let crowd = world("expert", None, |scenario| {
+    let dense_city = world("expert", None, |scenario| {
         let mut splits = scenario.splits.iter_mut();
         let (_, set) = splits.find(|(split, _)| *split == Split::Test).unwrap();
         (set.region, set.repeat, set.cars) = (None, 300, Vec::new());
@@ -256,7 +256,7 @@ fn slow_crowds_have_a_limit() {
     });
     // Several tiles are too crowded; the same one is told whatever the threads do.
     let told = |threads| {
-        simulation(&crowd, Executor::Dense, threads)
+        simulation(&dense_city, Executor::Dense, threads)
             .tick(&[])
             .unwrap_err()
             .message
@@ -265,16 +265,16 @@ fn slow_crowds_have_a_limit() {
     for threads in [2, 3, 4] {
         assert_eq!(told(threads), first);
     }
-    let mut crowd = simulation(&crowd, Executor::Dense, 2);
-    let before: Vec<_> = crowd.agents().iter().map(|agent| agent.cell).collect();
-    let fault = crowd.tick(&[]).unwrap_err();
+    let mut dense_city = simulation(&dense_city, Executor::Dense, 2);
+    let before: Vec<_> = dense_city.agents().iter().map(|agent| agent.cell).collect();
+    let fault = dense_city.tick(&[]).unwrap_err();
     assert!(
         fault.message.contains("4500 agents around the cell"),
         "{}",
         fault.message
     );
-    assert!(crowd.agents().iter().map(|agent| agent.cell).eq(before));
-    assert_eq!((crowd.now(), crowd.firings().iter().sum::<usize>()), (0, 0));
+    assert!(dense_city.agents().iter().map(|agent| agent.cell).eq(before));
+    assert_eq!((dense_city.now(), dense_city.firings().iter().sum::<usize>()), (0, 0));
 }
 
 /// Everybody sees everybody: windows of several words, up to what is asked of about 300 entities in view.

@@ -123,7 +123,7 @@ fn explain(program: &Program, script: &[Batch], sources: &Sources) {
         note(&mut session, batch);
         session.commit().expect("few rows");
     }
-    let teller = ExplanationPrinter::new(rules, session.symbols(), sources);
+    let printer = ExplanationPrinter::new(rules, session.symbols(), sources);
     let mut explainer = Explainer::new(&session);
     explainer.set_limit(EXPLAIN_STEPS);
     for (relation, rel) in rules.relations.iter().zip((0..).map(RelId)) {
@@ -131,8 +131,8 @@ fn explain(program: &Program, script: &[Batch], sources: &Sources) {
         let rows = session.rows(rel).take(EXPLAINED_MAX);
         let proofs = rows.map(|row| explainer.explain(rel, row)).chain([nothing]);
         for explanation in proofs.filter_map(Result::ok).flatten() {
-            assert!(!teller.tree(&explanation).is_empty());
-            assert!(teller.json(&explanation).is_object());
+            assert!(!printer.tree(&explanation).is_empty());
+            assert!(printer.json(&explanation).is_object());
         }
     }
 }

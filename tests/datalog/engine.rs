@@ -199,7 +199,7 @@ fn a_closure_that_leaves_the_dense_words_forgets_nothing() {
         session.commit().unwrap();
         assert!(session.rows(path).eq(&expected));
         let work = session.work().strata.last().and_then(StratumStats::work).unwrap();
-        let derived: Vec<u64> = work.rules.iter().map(|rule| rule.given).collect();
+        let derived: Vec<u64> = work.rules.iter().map(|rule| rule.delta_rows).collect();
         assert_eq!(derived, [0, expected.len() as u64], "every row was new once");
     }
 }
@@ -337,7 +337,9 @@ fn what_did_not_change_is_not_redone() {
 /// What the clauses did that ran: the clause's position, rows given, rows derived.
 fn ran(session: &Session) -> Vec<(u32, u64, u64)> {
     let rules = session.work().rules();
-    rules.map(|rule| (rule.clause.0, rule.given, rule.derived)).collect()
+    rules
+        .map(|rule| (rule.clause.0, rule.delta_rows, rule.derived))
+        .collect()
 }
 
 #[test]
@@ -398,7 +400,7 @@ fn only_clauses_that_read_what_changed_run_and_only_on_that() {
     // The row itself, whose neighbour it is, and whether that neighbour is known.
     let expected = RuleStats {
         clause: ClauseId(0),
-        given: 2,
+        delta_rows: 2,
         rows_scanned: 6,
         derived: 1,
     };

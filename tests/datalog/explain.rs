@@ -240,7 +240,7 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
     let rules = session.program().rules();
     let model = database(&session);
     let sources = Sources::new();
-    let teller = ExplanationPrinter::new(rules, session.symbols(), &sources);
+    let printer = ExplanationPrinter::new(rules, session.symbols(), &sources);
     let leaves = |name: &str, row: &[i32]| {
         let rel = session.program().relation(name).unwrap();
         let proof = session.explain(rel, &numbers(row)).unwrap().unwrap();
@@ -252,7 +252,7 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
         let clause = &rules.clauses[derivation.clause.index()];
         let computed = |premise: &Premise| matches!(premise, Premise::Computed { .. });
         let at = derivation.premises.iter().position(computed).unwrap();
-        teller.literal(clause, &clause.body[at], &derivation.binding)
+        printer.literal(clause, &clause.body[at], &derivation.binding)
     };
     assert_eq!(leaves("next", &[1, 4]), "4 = 3 + 1");
     assert_eq!(leaves("degree", &[1, 3]), "3 = count : { edge(1, _) }");
@@ -265,10 +265,10 @@ fn expressions_and_aggregates_are_leaves_with_their_values() {
         let wanted: Vec<Option<Value>> = numbers(&row).into_iter().map(Some).collect();
         let absence = session.explain_absence(rel, &wanted).unwrap().unwrap();
         check(&session, &model, &absence);
-        let Node::Absence(told) = &absence.nodes()[0] else {
+        let Node::Absence(explained) = &absence.nodes()[0] else {
             panic!()
         };
-        let AbsenceReason::NoClause(misses) = &told.reason else {
+        let AbsenceReason::NoClause(misses) = &explained.reason else {
             panic!()
         };
         let Obstacle::Body { failures, .. } = &misses[0].obstacle else {
@@ -351,7 +351,7 @@ fn questions_that_make_no_sense_have_no_answer() {
 }
 
 /// A program, its facts, what is asked, and how the answer reads.
-fn told(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -> String {
+fn explained(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -> String {
     let mut sources = Sources::new();
     let entry = sources.add("rules.dl", text);
     let rules = logicity::datalog::load(&mut sources, entry, &RuleFiles).rules.unwrap();
@@ -368,11 +368,11 @@ fn told(text: &str, facts: &[(&str, &[&[i32]])], name: &str, row: &[i32]) -> Str
         Some(proof) => proof,
         None => session.explain_absence(rel, &wanted).unwrap().unwrap(),
     };
-    let teller = ExplanationPrinter::new(program.rules(), session.symbols(), &sources);
-    let json = teller.json(&explanation);
+    let printer = ExplanationPrinter::new(program.rules(), session.symbols(), &sources);
+    let json = printer.json(&explanation);
     assert_eq!(json["nodes"].as_array().unwrap().len(), explanation.nodes().len());
     assert!(!json.to_string().contains('+'), "a hidden predicate is shown by name");
-    teller.tree(&explanation)
+    printer.tree(&explanation)
 }
 
 #[test]
@@ -392,7 +392,7 @@ lone(x) :- big(x), !path(x, _).
 ";
     let edges: &[(&str, &[&[i32]])] = &[("edge", &[&[1, 2], &[2, 3], &[9, 1]])];
     assert_eq!(
-        told(text, edges, "path", &[1, 3]),
+        explained(text, edges, "path", &[1, 3]),
         "\
 path(1, 3)  by P: and so is one after another  [rules.dl:10]
 ├─ path(1, 2)  by E: an edge is a path  [rules.dl:8]
@@ -402,7 +402,7 @@ path(1, 3)  by P: and so is one after another  [rules.dl:10]
 "
     );
     assert_eq!(
-        told(text, edges, "path", &[9, 2]),
+        explained(text, edges, "path", &[9, 2]),
         "\
 Not(path(9, 2)): no clause of path holds
 ├─ E: an edge is a path  [rules.dl:8]
@@ -412,7 +412,7 @@ Not(path(9, 2)): no clause of path holds
 "
     );
     assert_eq!(
-        told(text, edges, "lone", &[7]),
+        explained(text, edges, "lone", &[7]),
         "\
 lone(7)  by lone(x) :- big(x), !path(x, _).  [rules.dl:12]
 ├─ big(7)  [rules.dl:11]
@@ -452,7 +452,7 @@ go(X) :- car(X), free(Y).
     ];
     // 2 is near to 3, but does not see it.
     assert_eq!(
-        told(text, facts, "go", &[1]),
+        explained(text, facts, "go", &[1]),
         "\
 go(1)  by G: somebody in view is free  [rules.dl:12]
 ├─ car(1)
@@ -464,7 +464,7 @@ go(1)  by G: somebody in view is free  [rules.dl:12]
 "
     );
     assert_eq!(
-        told(text, facts, "free", &[1]),
+        explained(text, facts, "free", &[1]),
         "\
 Not(free(1)): no clause of free holds
 └─ F: nobody in view is near  [rules.dl:10]
@@ -475,7 +475,7 @@ Not(free(1)): no clause of free holds
 "
     );
     assert_eq!(
-        told(text, &[facts[0], facts[1]], "go", &[1]),
+        explained(text, &[facts[0], facts[1]], "go", &[1]),
         "\
 Not(go(1)): no clause of go holds
 └─ G: somebody in view is free  [rules.dl:12]
@@ -494,7 +494,7 @@ a(x) :- upto(n), x = range(0, n).
 ";
     let facts: &[(&str, &[&[i32]])] = &[("upto", &[&[3]])];
     assert_eq!(
-        told(text, facts, "a", &[2]),
+        explained(text, facts, "a", &[2]),
         "\
 a(2)  by a(x) :- upto(n), x = range(0, n).  [rules.dl:5]
 ├─ upto(3)
@@ -502,7 +502,7 @@ a(2)  by a(x) :- upto(n), x = range(0, n).  [rules.dl:5]
 "
     );
     assert_eq!(
-        told(text, facts, "a", &[3]),
+        explained(text, facts, "a", &[3]),
         "\
 Not(a(3)): no clause of a holds
 └─ a(x) :- upto(n), x = range(0, n).  [rules.dl:5]

@@ -111,7 +111,7 @@ fn check(rules: &Rules, facts: &BTreeSet<(RelId, Vec<Value>)>, constraints: bool
 const BASE: &str = ".decl A, B, C(x: symbol) .decl R, S(x: symbol, y: symbol) .input A, B, C, R, S
     .decl P(x: symbol) .decl T(x: symbol, y: symbol) .decl Q(x: symbol) .output P, T, Q\n";
 
-const PROMISES: [&str; 9] = [
+const CONSTRAINTS: [&str; 9] = [
     ".disjoint A, B",
     ".implies C, A",
     ".implies C, B",
@@ -126,7 +126,7 @@ const PROMISES: [&str; 9] = [
 /// Rules over those predicates from small numbers.
 fn written(clauses: &[Vec<u8>], constraints: u16) -> String {
     let mut text = BASE.to_owned();
-    for (bit, constraint) in PROMISES.iter().enumerate() {
+    for (bit, constraint) in CONSTRAINTS.iter().enumerate() {
         if constraints >> bit & 1 == 1 {
             text += constraint;
             text.push('\n');

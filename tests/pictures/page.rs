@@ -75,8 +75,12 @@ fn drive(config: &str, seed: u64, action: Action) -> (Run, Vec<Value>) {
         let (wanted, at) = (env.oracle_action(0).name(), env.city().agents()[0].cell);
         env.step(&[action]).unwrap();
         actions.push(action);
-        let demands = task.oracle().demands();
-        let position = |&demand: &usize| world.clauses().position(|clause| clause == demands[demand].clause);
+        let constraints = task.oracle().constraints();
+        let position = |&constraint: &usize| {
+            world
+                .clauses()
+                .position(|clause| clause == constraints[constraint].clause)
+        };
         let broken: Option<Vec<usize>> = env.controlled_cars()[0].last().broken.iter().map(position).collect();
         steps.push(json!({"observes": observes, "wanted": wanted, "broken": broken.unwrap(), "at": [at.row, at.col]}));
     }
@@ -224,7 +228,7 @@ fn a_page_tells_the_decisions_of_the_trace_and_why() {
             assert_eq!(told, &json!(flat), "predicate {predicate} in tick {number}");
         }
         let session = replay.session();
-        let teller = ExplanationPrinter::new(session.program().rules(), session.symbols(), &run.sources);
+        let printer = ExplanationPrinter::new(session.program().rules(), session.symbols(), &run.sources);
         for (agent, state) in tick.agents.iter().enumerate() {
             let name = |list: &str, at: &Value| data[list][usize::try_from(at.as_u64().unwrap()).unwrap()].clone();
             assert_eq!(told["at"][agent], json!(state.at));
@@ -240,7 +244,7 @@ fn a_page_tells_the_decisions_of_the_trace_and_why() {
                 let (_, explanation) = (Explainer::new(session))
                     .explain_either(relation, &[Some(replay.value(agent))])
                     .unwrap();
-                let nodes = teller.json(&explanation.unwrap())["nodes"].take();
+                let nodes = printer.json(&explanation.unwrap())["nodes"].take();
                 assert_eq!(page_tree(&data, number.as_i64().unwrap()), engine_tree(&nodes, 0));
             }
         }

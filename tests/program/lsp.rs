@@ -41,7 +41,7 @@ impl Editor {
         );
         assert_eq!(answer["capabilities"]["hoverProvider"], true);
         assert_eq!(answer["capabilities"]["positionEncoding"], "utf-16");
-        editor.tell("initialized", json!({}));
+        editor.notify("initialized", json!({}));
         editor
     }
 
@@ -49,7 +49,7 @@ impl Editor {
         message.write(&mut self.to).unwrap();
     }
 
-    fn tell(&mut self, method: &str, params: Value) {
+    fn notify(&mut self, method: &str, params: Value) {
         self.send(Message::Notification(Notification::new(method.to_owned(), params)));
     }
 
@@ -83,14 +83,14 @@ impl Editor {
 
     fn open(&mut self, name: &str, text: &str) -> Vec<Value> {
         let document = json!({ "uri": self.uri(name), "languageId": "logicity", "version": 1, "text": text });
-        self.tell("textDocument/didOpen", json!({ "textDocument": document }));
+        self.notify("textDocument/didOpen", json!({ "textDocument": document }));
         self.diagnostics(name)
     }
 
     fn change(&mut self, name: &str, text: &str) -> Vec<Value> {
         let document = json!({ "uri": self.uri(name), "version": 2 });
         let params = json!({ "textDocument": document, "contentChanges": [{ "text": text }] });
-        self.tell("textDocument/didChange", params);
+        self.notify("textDocument/didChange", params);
         self.diagnostics(name)
     }
 
@@ -129,7 +129,7 @@ impl Editor {
 
     fn end(mut self) {
         assert_eq!(self.ask("shutdown", Value::Null), Value::Null);
-        self.tell("exit", Value::Null);
+        self.notify("exit", Value::Null);
         assert!(self.process.wait().unwrap().success());
     }
 }
@@ -250,7 +250,7 @@ fn faults_are_told_as_the_text_changes() {
         (vec!["redundant-literal"], &json!(3))
     );
     assert!(editor.change("a.dl", RULES).is_empty());
-    editor.tell(
+    editor.notify(
         "textDocument/didClose",
         json!({ "textDocument": { "uri": editor.uri("a.dl") } }),
     );
@@ -391,9 +391,9 @@ fn nothing_an_editor_sends_ends_the_server() {
     assert_eq!(refused["code"], -32601);
     let refused = editor.ask("textDocument/hover", json!({ "position": 3 }));
     assert_eq!(refused["code"], -32602);
-    editor.tell("textDocument/didOpen", json!({ "nonsense": true }));
-    editor.tell("$/setTrace", json!({ "value": "off" }));
-    editor.tell("textDocument/didOpen", json!({ "textDocument": "a.dl" }));
+    editor.notify("textDocument/didOpen", json!({ "nonsense": true }));
+    editor.notify("$/setTrace", json!({ "value": "off" }));
+    editor.notify("textDocument/didOpen", json!({ "textDocument": "a.dl" }));
     assert_eq!(editor.ask("shutdown?", Value::Null)["code"], -32601);
     let logged = editor.published.pop_back().expect("what cannot be read is told");
     assert_eq!(logged["type"], 1);
@@ -414,7 +414,7 @@ fn nothing_an_editor_sends_ends_the_server() {
         }
     }
     let text = json!({ "uri": "untitled:Untitled-1", "languageId": "logicity", "version": 1, "text": RULES });
-    editor.tell("textDocument/didOpen", json!({ "textDocument": text }));
+    editor.notify("textDocument/didOpen", json!({ "textDocument": text }));
     let at = json!({ "textDocument": { "uri": "untitled:Untitled-1" }, "position": { "line": 5, "character": 1 } });
     assert_eq!(editor.ask("textDocument/definition", at)["uri"], "untitled:Untitled-1");
     editor.end();

@@ -171,11 +171,11 @@ impl Server {
         for (document, analysis) in self.documents.values_mut().zip(analyses) {
             document.analysis = analysis;
         }
-        let told = self.documents.values().map(|document| {
+        let notifications = self.documents.values().map(|document| {
             let found = self.diagnostics(document);
             published(&document.uri, Some(document.version), found)
         });
-        told.collect()
+        notifications.collect()
     }
 
     // --- diagnostics

@@ -106,7 +106,7 @@ pub fn run(arguments: &Arguments, sources: &mut Sources) -> Result<(), Failure> 
         repl.out.flush()?;
     }
     if faulty && !lines.is_interactive() {
-        return Err(Failure::Told);
+        return Err(Failure::Reported);
     }
     Ok(())
 }
@@ -124,7 +124,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 impl StillWorking {
     fn begin() -> StillWorking {
         let (done, wait) = mpsc::channel();
-        let tell = move || {
+        let print = move || {
             if wait.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
                 let _ = write!(io::stderr(), "still evaluating; Ctrl-C ends the program");
                 let _ = wait.recv();
@@ -135,7 +135,7 @@ impl StillWorking {
         StillWorking {
             done: Some(done),
             // Without a thread nothing is told, and that is all.
-            thread: std::thread::Builder::new().spawn(tell).ok(),
+            thread: std::thread::Builder::new().spawn(print).ok(),
         }
     }
 }
@@ -172,7 +172,7 @@ impl<W: Write> Repl<W> {
     /// Does what an input says. Whether to go on.
     fn input(&mut self, bench: &mut Workbench<'_>, id: SourceId) -> Result<bool, Failure> {
         let is_question = bench.sources.text(id).trim_start().starts_with("?-");
-        let told = match command::read(bench.sources, id)? {
+        let outcome = match command::read(bench.sources, id)? {
             None if is_question => return self.answer(bench, id).map(|()| true),
             None => bench.add(id)?,
             Some(Command::Quit) => return Ok(false),
@@ -182,13 +182,13 @@ impl<W: Write> Repl<W> {
             Some(Command::Retract(id)) => bench.retract(id)?,
             Some(command) => return self.show(bench, command).map(|()| true),
         };
-        self.tell(bench, &told)?;
+        self.print(bench, &outcome)?;
         Ok(true)
     }
 
     fn load_facts(&mut self, bench: &mut Workbench<'_>, folder: &Path) -> Result<(), Failure> {
         let outcome = bench.load_facts(folder)?;
-        self.tell(bench, &outcome)
+        self.print(bench, &outcome)
     }
 
     /// Commands that change nothing.
@@ -222,12 +222,12 @@ impl<W: Write> Repl<W> {
     }
 
     fn why(&mut self, bench: &Workbench<'_>, question: Question, id: SourceId) -> Result<(), Failure> {
-        let (texts, session) = (&bench.texts, &bench.session);
-        why::tell(&mut self.out, (question, id), texts, session, bench.sources, false)
+        let (workspace, session) = (&bench.workspace, &bench.session);
+        why::print(&mut self.out, (question, id), workspace, session, bench.sources, false)
     }
 
     /// `Edge +1, Path +3`
-    fn tell(&mut self, bench: &Workbench<'_>, outcome: &Outcome) -> Result<(), Failure> {
+    fn print(&mut self, bench: &Workbench<'_>, outcome: &Outcome) -> Result<(), Failure> {
         self.profile = query::profile(&bench.session, &bench.times, bench.sources);
         report(&outcome.warnings, bench.sources);
         for note in &outcome.notes {

@@ -8,7 +8,7 @@ use crate::datalog::syntax::ast;
 use crate::datalog::syntax::ast::{ConstraintKind, Item, Name};
 
 /// More constraints are refused: `.disjoint` makes one of every pair.
-const MAX_PROMISES: usize = 10_000;
+const MAX_CONSTRAINTS: usize = 10_000;
 
 /// Looks names up and refuses constraints that cannot be kept. The clauses must have been checked before, so that it is known what
 /// is derived.
@@ -24,11 +24,11 @@ pub(crate) fn check(items: &[Item], names: &mut Names, faults: &mut Faults) -> V
             })
             .collect();
         let pairs: usize = found.len() * found.len().saturating_sub(1) / 2;
-        if constraints.len() + pairs.max(found.len()) > MAX_PROMISES {
+        if constraints.len() + pairs.max(found.len()) > MAX_CONSTRAINTS {
             let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, "too many constraints")
                 .at(constraint.place.0, "")
                 .note(format!(
-                    "at most {MAX_PROMISES} are possible; `.disjoint` makes one of every pair"
+                    "at most {MAX_CONSTRAINTS} are possible; `.disjoint` makes one of every pair"
                 ));
             faults.push(fault);
             break;

@@ -168,12 +168,12 @@ fn refuse_cycles<'c>(items: &'c [Item], inline: &HashMap<&'c str, Span>, faults:
         successors[from].push(to);
     }
     let (component, _) = components(&successors);
-    let mut told: HashSet<usize> = HashSet::new();
+    let mut reported: HashSet<usize> = HashSet::new();
     let mut cyclic = HashSet::new();
     for (from, to, place) in uses {
         if component[from] == component[to] {
             cyclic.extend([names[from], names[to]]);
-            if told.insert(component[from]) {
+            if reported.insert(component[from]) {
                 let why = "is inline and depends on itself by way of inline predicates only";
                 faults.push(refused(place, why).also(inline[names[to]], "declared here"));
             }

@@ -386,30 +386,30 @@ pub(crate) fn run<const W: usize>(
     plan: &Plan,
     views: &[RowView<'_, W>],
     (symbols, cancel): (&Symbols, &Cancel),
-    effort: &mut JoinState,
+    state: &mut JoinState,
     out: &mut Output<W>,
 ) -> Result<(), Abort> {
-    effort.slots.clear();
-    effort.slots.extend_from_slice(&plan.slots);
+    state.slots.clear();
+    state.slots.extend_from_slice(&plan.slots);
     let mut join = Join {
         plan,
         views,
         symbols,
-        slots: &mut effort.slots,
-        rows_scanned: effort.rows_scanned,
-        budget: effort.budget,
-        next_poll: effort.next_poll,
+        slots: &mut state.slots,
+        rows_scanned: state.rows_scanned,
+        budget: state.budget,
+        next_poll: state.next_poll,
         cancel,
-        text_bytes: effort.text_bytes,
+        text_bytes: state.text_bytes,
         patterns: None,
         cursors: Vec::new(),
         out,
     };
     let result = join.from(0, plan.steps.len());
-    (effort.rows_scanned, effort.next_poll) = (join.rows_scanned, join.next_poll);
+    (state.rows_scanned, state.next_poll) = (join.rows_scanned, join.next_poll);
     result?;
     // The last scan may have been the one that was too much.
-    if effort.rows_scanned > effort.budget {
+    if state.rows_scanned > state.budget {
         return Err(Abort::Budget);
     }
     Ok(())

@@ -77,7 +77,7 @@ pub struct RuleStats {
     /// The clause.
     pub clause: ClauseId,
     /// Changed rows, and rows of its head in doubt, from which it was evaluated. 0 if it ran once over all rows.
-    pub given: u64,
+    pub delta_rows: u64,
     /// Rows that its scans and tests looked at.
     pub rows_scanned: u64,
     /// Rows it derived, repetitions included: of those that may go, that stay nevertheless, and that come.

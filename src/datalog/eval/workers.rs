@@ -60,7 +60,7 @@ pub(crate) struct Workers {
 /// What one thread does.
 struct Hand<const W: usize> {
     out: Output<W>,
-    effort: JoinState,
+    state: JoinState,
     result: Result<(), Abort>,
 }
 
@@ -98,19 +98,19 @@ impl Workers {
         plan: &Plan,
         views: &[RowView<'_, W>],
         (symbols, cancel): (&Symbols, &Cancel),
-        effort: &mut JoinState,
+        state: &mut JoinState,
         out: &mut Output<W>,
     ) -> Result<(), Abort> {
         if let Some(pool) = &self.pool {
             let chunks = self.split(plan, views, out.seen_bytes());
             if !chunks.is_empty() {
-                let hands = self.evaluate(pool, (plan, views, &chunks), (symbols, cancel), effort, out);
-                if let Some(result) = join_hands(hands, effort, out) {
+                let hands = self.evaluate(pool, (plan, views, &chunks), (symbols, cancel), state, out);
+                if let Some(result) = join_hands(hands, state, out) {
                     return result;
                 }
             }
         }
-        join::run(plan, views, (symbols, cancel), effort, out)
+        join::run(plan, views, (symbols, cancel), state, out)
     }
 
     /// Sorts and removes repetitions.
@@ -160,13 +160,13 @@ impl Workers {
         pool: &rayon::ThreadPool,
         (plan, views, chunks): (&Plan, &[RowView<'_, W>], &[&[Row<W>]]),
         (symbols, cancel): (&Symbols, &Cancel),
-        effort: &JoinState,
+        state: &JoinState,
         out: &Output<W>,
     ) -> Vec<Hand<W>> {
         let count = self.threads.count.get();
         let hand = || Hand {
             out: out.fork(out.limit() / count),
-            effort: JoinState::new(effort.budget.saturating_sub(effort.rows_scanned)),
+            state: JoinState::new(state.budget.saturating_sub(state.rows_scanned)),
             result: Ok(()),
         };
         let mut hands: Vec<Hand<W>> = (0..count).map(|_| hand()).collect();
@@ -184,7 +184,7 @@ impl Workers {
                     while let (Some(chunk), false) = (chunks.get(next.fetch_add(1, Relaxed)), stopped.load(Relaxed)) {
                         views[0] = RowView::of(Batch::plain(chunk));
                         let (symbols, out) = ((symbols, flagged), &mut hand.out);
-                        hand.result = join::run(plan, &views, symbols, &mut hand.effort, out);
+                        hand.result = join::run(plan, &views, symbols, &mut hand.state, out);
                         if hand.result.is_err() {
                             stopped.store(true, Relaxed);
                         }
@@ -214,7 +214,7 @@ impl Workers {
 /// are too many, since some may have been derived by several.
 fn join_hands<const W: usize>(
     hands: Vec<Hand<W>>,
-    effort: &mut JoinState,
+    state: &mut JoinState,
     out: &mut Output<W>,
 ) -> Option<Result<(), Abort>> {
     let stopped = |with: Abort| hands.iter().any(|hand| hand.result == Err(with));
@@ -224,8 +224,8 @@ fn join_hands<const W: usize>(
     if stopped(Abort::Overflow) {
         return None;
     }
-    effort.rows_scanned += hands.iter().map(|hand| hand.effort.rows_scanned).sum::<u64>();
-    if stopped(Abort::Budget) || effort.rows_scanned > effort.budget {
+    state.rows_scanned += hands.iter().map(|hand| hand.state.rows_scanned).sum::<u64>();
+    if stopped(Abort::Budget) || state.rows_scanned > state.budget {
         return Some(Err(Abort::Budget));
     }
     Some(hands.into_iter().try_for_each(|hand| out.absorb(hand.out)))
@@ -309,12 +309,12 @@ mod tests {
                 let view = |step: &Step| RowView::for_step(step, batch);
                 let views: Vec<RowView<'_, 2>> = plan.steps.iter().map(view).collect();
                 let run = |workers: &Workers, budget: u64, limit: usize| -> Result<Done, Abort> {
-                    let (mut effort, mut out) = (JoinState::new(budget), Output::new(limit));
+                    let (mut state, mut out) = (JoinState::new(budget), Output::new(limit));
                     // The second time most rows are known.
-                    workers.run(plan, &views, (&symbols, &Cancel::never()), &mut effort, &mut out)?;
-                    workers.run(plan, &views, (&symbols, &Cancel::never()), &mut effort, &mut out)?;
+                    workers.run(plan, &views, (&symbols, &Cancel::never()), &mut state, &mut out)?;
+                    workers.run(plan, &views, (&symbols, &Cancel::never()), &mut state, &mut out)?;
                     let pushed = out.pushed;
-                    Ok((out.take_by(|rows| workers.normalise(rows)), pushed, effort.rows_scanned))
+                    Ok((out.take_by(|rows| workers.normalise(rows)), pushed, state.rows_scanned))
                 };
                 let alone = Workers::default();
                 let expected = run(&alone, u64::MAX, usize::MAX).unwrap();

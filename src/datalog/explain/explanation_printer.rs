@@ -79,9 +79,9 @@ impl<'a> ExplanationPrinter<'a> {
         let mut out = String::new();
         if !explanation.nodes().is_empty() {
             let mut drawing = Drawing {
-                teller: *self,
+                printer: *self,
                 explanation,
-                told: HashSet::new(),
+                printed: HashSet::new(),
                 open: Vec::new(),
             };
             drawing.node(NodeId(0), 0).draw("", "", &mut out);
@@ -562,9 +562,9 @@ fn applied(functor: Functor, arguments: &[String]) -> String {
 
 /// A tree being drawn.
 struct Drawing<'a> {
-    teller: ExplanationPrinter<'a>,
+    printer: ExplanationPrinter<'a>,
     explanation: &'a Explanation,
-    told: HashSet<NodeId>,
+    printed: HashSet<NodeId>,
     /// The nodes that the present line stands below.
     open: Vec<NodeId>,
 }
@@ -574,19 +574,19 @@ impl Drawing<'_> {
         match self.explanation.node(id) {
             Node::Fact(fact) => {
                 let pattern: Vec<Option<Value>> = fact.row.iter().copied().map(Some).collect();
-                let mut item = Item::leaf(self.teller.row(fact.relation, &pattern));
+                let mut item = Item::leaf(self.printer.row(fact.relation, &pattern));
                 match &fact.origin {
                     Origin::Input => {}
                     Origin::Text(clause) => {
-                        let clause = &self.teller.rules.clauses[clause.index()];
-                        item.text = format!("{}  [{}]", item.text, self.teller.place(clause));
+                        let clause = &self.printer.rules.clauses[clause.index()];
+                        item.text = format!("{}  [{}]", item.text, self.printer.place(clause));
                     }
                     Origin::Derived(_) => self.below(id, depth, &mut item),
                 }
                 item
             }
             Node::Absence(absence) => {
-                let mut item = Item::leaf(format!("Not({})", self.teller.row(absence.relation, &absence.pattern)));
+                let mut item = Item::leaf(format!("Not({})", self.printer.row(absence.relation, &absence.pattern)));
                 self.below(id, depth, &mut item);
                 item
             }
@@ -604,15 +604,15 @@ impl Drawing<'_> {
             Node::Fact(fact) => fact.relation,
             Node::Absence(absence) => absence.relation,
         };
-        if self.teller.is_range(relation) {
+        if self.printer.is_range(relation) {
             return;
         }
         if self.open.contains(&id) {
             item.text.push_str("  (that would rest on itself)");
-        } else if !self.told.insert(id) {
+        } else if !self.printed.insert(id) {
             item.text.push_str("  (see above)");
         } else if depth == ExplanationPrinter::DEPTH_MAX {
-            self.told.remove(&id);
+            self.printed.remove(&id);
             item.text.push_str("  ...");
         } else {
             self.open.push(id);
@@ -628,9 +628,9 @@ impl Drawing<'_> {
         let Origin::Derived(derivation) = &fact.origin else {
             return;
         };
-        let clause = &self.teller.rules.clauses[derivation.clause.index()];
-        if !self.teller.rules.relations[fact.relation.index()].hidden {
-            item.text = format!("{}  by {}", item.text, self.teller.title(derivation.clause));
+        let clause = &self.printer.rules.clauses[derivation.clause.index()];
+        if !self.printer.rules.relations[fact.relation.index()].hidden {
+            item.text = format!("{}  by {}", item.text, self.printer.title(derivation.clause));
         }
         for (literal, premise) in clause.body.iter().zip(&derivation.premises) {
             let child = match premise {
@@ -643,7 +643,7 @@ impl Drawing<'_> {
                 }
                 Premise::Absence(node) => self.node(*node, depth + 1),
                 Premise::Comparison { .. } | Premise::Computed { .. } => {
-                    Item::leaf(self.teller.literal(clause, literal, &derivation.binding))
+                    Item::leaf(self.printer.literal(clause, literal, &derivation.binding))
                 }
             };
             item.children.push(child);
@@ -651,7 +651,7 @@ impl Drawing<'_> {
     }
 
     fn misses(&mut self, absence: &Absence, depth: usize, item: &mut Item) {
-        let relation = &self.teller.rules.relations[absence.relation.index()];
+        let relation = &self.printer.rules.relations[absence.relation.index()];
         match &absence.reason {
             AbsenceReason::NotAFact => {}
             AbsenceReason::NotLookedInto => item.text.push_str("  (not looked into)"),
@@ -663,7 +663,7 @@ impl Drawing<'_> {
             AbsenceReason::NoClause(misses) => {
                 item.text = format!("{}: no clause of {} holds", item.text, relation.name);
                 for miss in misses {
-                    let mut child = Item::leaf(self.teller.title(miss.clause));
+                    let mut child = Item::leaf(self.printer.title(miss.clause));
                     child.children = self.failures(miss, depth);
                     item.children.push(child);
                 }
@@ -672,7 +672,7 @@ impl Drawing<'_> {
     }
 
     fn failures(&mut self, miss: &Miss, depth: usize) -> Vec<Item> {
-        let clause = &self.teller.rules.clauses[miss.clause.index()];
+        let clause = &self.printer.rules.clauses[miss.clause.index()];
         let (binding, failures) = match &miss.obstacle {
             Obstacle::Head { column } => {
                 return vec![Item::leaf(format!(
@@ -686,9 +686,9 @@ impl Drawing<'_> {
             (clause.head.terms.iter())
                 .any(|term| matches!(term, Term::Variable(variable) if clause.variables[variable.index()] == name))
         };
-        let nearest: Vec<String> = (self.teller.named(clause, binding))
+        let nearest: Vec<String> = (self.printer.named(clause, binding))
             .filter(|(name, ..)| !in_head(name))
-            .map(|(name, value, base)| format!("{name} = {}", self.teller.value(value, base)))
+            .map(|(name, value, base)| format!("{name} = {}", self.printer.value(value, base)))
             .collect();
         let nearest = if nearest.is_empty() {
             String::new()
@@ -704,7 +704,7 @@ impl Drawing<'_> {
         let items: Vec<Item> = (failures.iter())
             .map(|failure| {
                 let literal = &clause.body[failure.literal];
-                let text = self.teller.literal(clause, literal, binding);
+                let text = self.printer.literal(clause, literal, binding);
                 let (text, node) = match (&failure.kind, literal) {
                     (FailureKind::Absent(node), Literal::Guard(_)) => (format!("not in view: {text}"), Some(*node)),
                     (FailureKind::Absent(node), _) => (format!("{text} does not hold"), Some(*node)),
@@ -713,8 +713,11 @@ impl Drawing<'_> {
                     (FailureKind::Comparison { .. }, _) => (format!("{text} fails"), None),
                     (FailureKind::Computed { value: None }, _) => (format!("{text} fails: it has no value"), None),
                     (FailureKind::Computed { value: Some(value) }, _) => {
-                        let base = self.teller.computed_base(clause, literal);
-                        (format!("{text} fails: it is {}", self.teller.value(*value, base)), None)
+                        let base = self.printer.computed_base(clause, literal);
+                        (
+                            format!("{text} fails: it is {}", self.printer.value(*value, base)),
+                            None,
+                        )
                     }
                 };
                 let mut item = Item::leaf(format!("{inline}{text}"));
@@ -748,8 +751,8 @@ impl Drawing<'_> {
     fn below_absence(&mut self, id: NodeId, depth: usize, item: &mut Item) {
         let mut inner = self.node(id, depth + 1);
         if inner.children.is_empty() {
-            if let Some((_, told)) = inner.text.split_once("  ") {
-                item.text = format!("{}  {told}", item.text);
+            if let Some((_, printed)) = inner.text.split_once("  ") {
+                item.text = format!("{}  {printed}", item.text);
             }
         } else {
             item.children.append(&mut inner.children);

@@ -5,7 +5,7 @@
 //! finds the fewest rows comes next, and where several atoms wait for the same last variable, one step *meets* them all.
 
 use crate::datalog::check::{Atom, Clause, Literal, RelId, Term, VarId};
-use crate::datalog::plan::estimate::{Flow, Known, Reckoning, Size, effort_of_parts};
+use crate::datalog::plan::estimate::{Flow, Known, Reckoning, Size, cost_of_parts};
 use crate::datalog::plan::steps::{ChangePlan, ClausePlans, IndexId, Indexes, List, Plan, Slot, Source, Step, Version};
 use crate::datalog::syntax::ast::{BaseType, Comparison};
 use crate::datalog::value::Value;
@@ -20,7 +20,7 @@ pub(crate) const CLAUSE_MAX: usize = 128;
 const MAINTAINED_LITERALS_MAX: usize = 24;
 
 /// A clause with more literals than this has no alternatives.
-const DETOUR_LITERALS_MAX: usize = 8;
+const ALTERNATIVE_LITERALS_MAX: usize = 8;
 
 /// Putting a row into another order costs as much as looking at so many. Sorting costs more, but the order serves later commits.
 const INDEX_ROW: f64 = 1.9;
@@ -68,7 +68,7 @@ pub(crate) fn plan_clause(
         for (position, literal) in clause.body.iter().enumerate() {
             let finished =
                 matches!(literal, Literal::Positive(_) | Literal::Guard(_)) && !recursive.contains(&position);
-            if finished && clause.body.len() <= DETOUR_LITERALS_MAX {
+            if finished && clause.body.len() <= ALTERNATIVE_LITERALS_MAX {
                 let other = Planner::new(clause, indexes, order).plan(First::Literal(position), &version)?;
                 // An index over a relation that grows has to be kept up; an alternative must do without.
                 let mut sources = other.steps.iter().flat_map(Step::sources);
@@ -136,9 +136,9 @@ pub(crate) fn plan_complete(clause: &Clause, indexes: &mut Indexes, sizes: &[Opt
     starts.truncate(STARTS_MAX);
     let version = |_| Version::Complete;
     if starts.len() > 1 {
-        for (effort, start) in &mut starts {
+        for (cost, start) in &mut starts {
             let known = indexes.len();
-            *effort = Planner::new(clause, indexes, order)
+            *cost = Planner::new(clause, indexes, order)
                 .run(First::Literal(*start), &version)
                 .ok()?
                 .1;
@@ -178,7 +178,7 @@ enum Next {
     /// The atom of this literal.
     Scan(usize),
     /// The atoms of these literals, which lack no variable but this one.
-    Meet(Vec<usize>, VarId),
+    Leapfrog(Vec<usize>, VarId),
 }
 
 struct Planner<'a> {
@@ -262,7 +262,7 @@ impl<'a> Planner<'a> {
                         self.placed(position);
                     }
                 }
-                Some(Next::Meet(positions, variable)) => self.meet(&positions, variable, version),
+                Some(Next::Leapfrog(positions, variable)) => self.leapfrog(&positions, variable, version),
                 None => {}
             }
             let known = |planner: &Self| head_variables.iter().all(|variable| planner.bound[variable.index()]);
@@ -296,8 +296,8 @@ impl<'a> Planner<'a> {
             slots: self.slots,
             fresh,
         };
-        let effort = self.ordering + effort_of_parts(&self.trail, &plan.enough);
-        Ok((plan, effort))
+        let cost = self.ordering + cost_of_parts(&self.trail, &plan.enough);
+        Ok((plan, cost))
     }
 
     /// Appends a step with which the flow has been reckoned.
@@ -529,12 +529,12 @@ impl<'a> Planner<'a> {
                 (a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))).then((a.2, a.3, a.4, a.5).cmp(&(b.2, b.3, b.4, b.5)))
             })?
             .5;
-        Some(self.next_meet(best).unwrap_or(Next::Scan(best)))
+        Some(self.next_leapfrog(best).unwrap_or(Next::Scan(best)))
     }
 
     /// Whether the atom had better be met than scanned: several atoms lack nothing but the variable that it lacks, and rows
     /// are so skewed that whichever is scanned may have many more than are left when all have been asked.
-    fn next_meet(&self, best: usize) -> Option<Next> {
+    fn next_leapfrog(&self, best: usize) -> Option<Next> {
         let Order::Sizes(sizes) = self.order else { return None };
         let [variable] = self.new_variables(positive(&self.clause.body[best])?)[..] else {
             return None;
@@ -565,7 +565,7 @@ impl<'a> Planner<'a> {
         let count = lists.len() as f64;
         let scanned = 1.0 + count * least(&|atom, size| self.flow.found_often(size, &self.key(atom)));
         let met = count * (1.0 + least(&|atom, size| self.flow.found(size, &self.key(atom))));
-        (met < scanned).then_some(Next::Meet(lists, variable))
+        (met < scanned).then_some(Next::Leapfrog(lists, variable))
     }
 
     /// The variables of the atom that are not bound and needed, each once.
@@ -606,7 +606,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Appends a step that meets the atoms of these literals, which lack only the variable.
-    fn meet(&mut self, positions: &[usize], variable: VarId, version: &dyn Fn(usize) -> Version) {
+    fn leapfrog(&mut self, positions: &[usize], variable: VarId, version: &dyn Fn(usize) -> Version) {
         let mut lists = Vec::with_capacity(positions.len());
         for &position in positions {
             let Some(atom) = positive(&self.clause.body[position]) else {
@@ -633,7 +633,7 @@ impl<'a> Planner<'a> {
                 .filter_map(|&position| positive(&self.clause.body[position]));
             let sized = atoms.filter_map(|atom| Some((sizes[atom.relation.index()].as_ref()?, self.key(atom))));
             let sized: Vec<_> = sized.collect();
-            self.flow.meet(&sized, variable);
+            self.flow.leapfrog(&sized, variable);
         }
         self.bound[variable.index()] = true;
         positions.iter().for_each(|&position| self.placed(position));

@@ -46,7 +46,7 @@ class Summary {
         `${when}: ${chain} → ${names[0]}`));
     }
     if (!data.deadlocks.length) $("deadlocks").append("no deadlock");
-    if (data.looks_given_up) $("deadlocks").append(` (${data.looks_given_up} times there were too many ways to stop to look for one)`);
+    if (data.deadlock_searches_cut) $("deadlocks").append(` (${data.deadlock_searches_cut} times there were too many ways to stop to look for one)`);
   }
 
   /** Who was driven from outside, and the decisions that broke a clause. */

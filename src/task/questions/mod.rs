@@ -472,27 +472,29 @@ fn unordered(world: &World, question: &Question) -> Vec<Vec<[u32; 2]>> {
     let mut count = 0;
     loop {
         // What is true of each entity, told by the classes of the others. The old class comes first, so that classes are only divided.
-        let mut told: Vec<Vec<[usize; 2]>> = classes.iter().map(|&class| vec![[class, 0]]).collect();
+        let mut signatures: Vec<Vec<[usize; 2]>> = classes.iter().map(|&class| vec![[class, 0]]).collect();
         for (index, (rows, predicate)) in predicates() {
             for [x, y] in rows.iter().map(|row| row.map(|entity| entity as usize)) {
                 match predicate.arity {
-                    1 => told[x].push([2 * index, 0]),
+                    1 => signatures[x].push([2 * index, 0]),
                     _ => {
-                        told[x].push([2 * index, classes[y]]);
-                        told[y].push([2 * index + 1, classes[x]]);
+                        signatures[x].push([2 * index, classes[y]]);
+                        signatures[y].push([2 * index + 1, classes[x]]);
                     }
                 }
             }
         }
-        told.iter_mut().for_each(|told| told[1..].sort_unstable());
-        let kinds: BTreeSet<&Vec<[usize; 2]>> = told.iter().collect();
+        signatures
+            .iter_mut()
+            .for_each(|signatures| signatures[1..].sort_unstable());
+        let kinds: BTreeSet<&Vec<[usize; 2]>> = signatures.iter().collect();
         if kinds.len() == count {
             break;
         }
         count = kinds.len();
         let kinds: Vec<_> = kinds.into_iter().collect();
-        let class = |told| kinds.binary_search(&told).expect("it is one of them");
-        classes = told.iter().map(class).collect();
+        let class = |signatures| kinds.binary_search(&signatures).expect("it is one of them");
+        classes = signatures.iter().map(class).collect();
     }
     let mut order: Vec<usize> = (0..question.entities).collect();
     order.sort_by_key(|&entity| classes[entity]);

@@ -27,7 +27,7 @@ pub enum ControlMode {
 pub struct Env {
     task: Arc<SpfTask>,
     city: Simulation,
-    egos: ControlMode,
+    control: ControlMode,
     controlled_cars: Vec<ControlledCar>,
     /// The episode has at most so many steps.
     horizon: u32,
@@ -59,7 +59,7 @@ pub struct Transition {
     pub truncated: bool,
     /// Whether the goal is reached without a rule broken.
     pub success: bool,
-    /// The clauses that the action broke, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
+    /// The clauses that the action broke, by their positions in [`Oracle::constraints`](crate::sim::Oracle::demands).
     pub broken: Vec<usize>,
 }
 
@@ -100,8 +100,8 @@ impl Env {
     ///
     /// # Errors
     /// `unknown-split`, `no-start-cell`, `no-route`, `limit-exceeded`: see [`Simulation::new`]; `invalid-value` if the split has no car.
-    pub fn new(task: Arc<SpfTask>, split: Split, egos: ControlMode) -> Result<Env, Diagnostic> {
-        Env::new_with(task, split, egos, &Cancel::never())
+    pub fn new(task: Arc<SpfTask>, split: Split, control: ControlMode) -> Result<Env, Diagnostic> {
+        Env::new_with(task, split, control, &Cancel::never())
     }
 
     /// Cancellable variant of [`Env::new`]. The environment keeps `cancel`, so its later work is cancellable, too. After cancellation it
@@ -109,8 +109,13 @@ impl Env {
     ///
     /// # Errors
     /// As [`Env::new`]; `cancelled` on cancellation.
-    pub fn new_with(task: Arc<SpfTask>, split: Split, egos: ControlMode, cancel: &Cancel) -> Result<Env, Diagnostic> {
-        Env::configured(task, split, egos, Settings::default(), cancel)
+    pub fn new_with(
+        task: Arc<SpfTask>,
+        split: Split,
+        control: ControlMode,
+        cancel: &Cancel,
+    ) -> Result<Env, Diagnostic> {
+        Env::configured(task, split, control, Settings::default(), cancel)
     }
 
     /// An environment whose simulation has these settings.
@@ -120,7 +125,7 @@ impl Env {
     pub(super) fn configured(
         task: Arc<SpfTask>,
         split: Split,
-        egos: ControlMode,
+        control: ControlMode,
         settings: Settings,
         cancel: &Cancel,
     ) -> Result<Env, Diagnostic> {
@@ -129,7 +134,7 @@ impl Env {
         let cars = agents
             .filter(|(_, agent)| agent.kind == AgentKind::Car)
             .map(|(position, _)| position);
-        let driven = cars.take(match egos {
+        let driven = cars.take(match control {
             ControlMode::First => 1,
             ControlMode::Cars => usize::MAX,
         });
@@ -151,7 +156,7 @@ impl Env {
             controls: Vec::with_capacity(controlled_cars.len()),
             episode: Episode::of(0, city.agents()),
             spare: Vec::new(),
-            egos,
+            control,
             controlled_cars,
             city,
             task,
@@ -229,7 +234,7 @@ impl Env {
     pub fn reset_to(&mut self, episode: &Episode) -> Result<(), Diagnostic> {
         self.spare = episode.place(self.task.world(), self.city.agents())?;
         let config = self.task.config();
-        let oracle = episode.oracle.as_ref().filter(|_| self.egos == ControlMode::First);
+        let oracle = episode.oracle.as_ref().filter(|_| self.control == ControlMode::First);
         let horizon = oracle.map(|oracle| oracle.steps.saturating_mul(config.patience));
         self.horizon = horizon.unwrap_or(config.horizon).max(1);
         self.begin(episode.seed)?;

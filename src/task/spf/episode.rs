@@ -89,11 +89,14 @@ impl EpisodeAgent {
             if self.concepts[..position].contains(carried) {
                 return Err(invalid(format!("the concept `{carried}` is given twice to {name}")));
             }
-            let told = predicates.iter().filter_map(|predicate| match &predicate.definition {
+            let known_concepts = predicates.iter().filter_map(|predicate| match &predicate.definition {
                 Definition::Concept { of, concept } => Some((*of, concept.as_str())),
                 _ => None,
             });
-            let mut kinds = told.clone().filter(|(_, concept)| concept == carried).map(|(of, _)| of);
+            let mut kinds = known_concepts
+                .clone()
+                .filter(|(_, concept)| concept == carried)
+                .map(|(of, _)| of);
             if kinds.clone().any(|of| of == kind) {
                 continue;
             }
@@ -101,7 +104,7 @@ impl EpisodeAgent {
                 let other = other.name().to_lowercase();
                 return Err(invalid(format!("`{carried}` is a concept of a {other}, not of {name}")));
             }
-            let known: Vec<&str> = (told.filter(|(of, _)| *of == kind))
+            let known: Vec<&str> = (known_concepts.filter(|(of, _)| *of == kind))
                 .map(|(_, concept)| concept)
                 .collect();
             let fault = invalid(format!("no predicate tells whether {name} is `{carried}`"));
@@ -409,9 +412,9 @@ fn parse<'t, T: Deserialize<'t>>(line: &'t str, source: SourceId, start: usize, 
             .unwrap_or(start);
         // The line of a text that has but one; the place in the file is told with the source.
         let place = format!(" at line {} column {}", error.line(), error.column());
-        let told = error.to_string();
-        let told = told.strip_suffix(&place).unwrap_or(&told);
-        invalid(format!("not {what}: {told}")).at(Span::new(source, at..start + line.len()), "here")
+        let known_concepts = error.to_string();
+        let known_concepts = known_concepts.strip_suffix(&place).unwrap_or(&known_concepts);
+        invalid(format!("not {what}: {known_concepts}")).at(Span::new(source, at..start + line.len()), "here")
     })
 }
 

@@ -47,8 +47,8 @@ use std::sync::Arc;
 pub struct SpfTask {
     oracle: Arc<Oracle>,
     config: SpfConfig,
-    /// For each demand of the oracle: its short name, and the reward for breaking it.
-    demands: Vec<(String, f64)>,
+    /// For each constraint of the oracle: its short name, and the reward for breaking it.
+    constraints: Vec<(String, f64)>,
     /// The greatest priority number there can be.
     priority_scale: f32,
 }
@@ -68,11 +68,11 @@ impl SpfTask {
             ]);
         };
         let oracle = Oracle::new(Arc::clone(&world), config.entities as usize).map_err(|fault| vec![fault])?;
-        let teller = ExplanationPrinter::new(world.program.rules(), &world.program.rules().symbols, sources);
+        let printer = ExplanationPrinter::new(world.program.rules(), &world.program.rules().symbols, sources);
         let labels: Vec<String> = oracle
-            .demands()
+            .constraints()
             .iter()
-            .map(|demand| teller.label(demand.clause))
+            .map(|constraint| printer.label(constraint.clause))
             .collect();
         let unknown = config
             .reward
@@ -96,7 +96,7 @@ impl SpfTask {
             let own = config.reward.clauses.iter().find(|(given, _)| given.value == label);
             own.map_or(config.reward.violation, |(_, reward)| *reward)
         };
-        let demands = labels.iter().map(|label| (label.clone(), reward(label))).collect();
+        let constraints = labels.iter().map(|label| (label.clone(), reward(label))).collect();
         let of_sets =
             (scenario.splits.iter()).flat_map(|(_, set)| set.entries().map(|group| group.priority.unsigned_abs()));
         let of_egos = config.ego.iter().flat_map(|ego| ego.priority);
@@ -104,7 +104,7 @@ impl SpfTask {
         let priority_scale = of_sets.chain(of_egos).max().unwrap_or(1).max(1) as f32;
         Ok(SpfTask {
             oracle: Arc::new(oracle),
-            demands,
+            constraints,
             priority_scale,
             config,
         })
@@ -125,9 +125,9 @@ impl SpfTask {
         &self.config
     }
 
-    /// The short name of a clause that can be broken, by its position in [`Oracle::demands`]: `S2`, or `file:line` if it has none.
-    pub fn label(&self, demand: usize) -> &str {
-        &self.demands[demand].0
+    /// The short name of a clause that can be broken, by its position in [`Oracle::constraints`]: `S2`, or `file:line` if it has none.
+    pub fn label(&self, constraint: usize) -> &str {
+        &self.constraints[constraint].0
     }
 
     /// How many numbers the abstract observation has: the true atoms, and the length of the route if the configuration wants it.
@@ -145,20 +145,24 @@ impl SpfTask {
         self.priority_scale
     }
 
-    /// The reward of a step: for the clauses it breaks, by their positions in [`Oracle::demands`], or else for its action on a route of
+    /// The reward of a step: for the clauses it breaks, by their positions in [`Oracle::constraints`], or else for its action on a route of
     /// so many cells.
     pub fn reward(&self, action: Action, broken: &[usize], cells: usize) -> f64 {
         if broken.is_empty() {
             #[allow(clippy::cast_precision_loss)] // a route has fewer than 2^32 cells
             return self.config.reward.actions[action as usize] / (4.0 * cells as f64);
         }
-        let of = |demand: &usize| self.demands[*demand].1;
+        let of = |constraint: &usize| self.constraints[*constraint].1;
         match self.config.reward.violations_per {
             ViolationsPer::Clause => broken.iter().map(of).sum(),
             ViolationsPer::Action => {
-                let demands = self.oracle.demands();
-                let of_action = |speed| broken.iter().filter(move |&&demand| demands[demand].action == speed);
-                let worst = |speed| of_action(speed).map(of).reduce(f64::min);
+                let constraints = self.oracle.constraints();
+                let of_action = |action| {
+                    broken
+                        .iter()
+                        .filter(move |&&constraint| constraints[constraint].action == action)
+                };
+                let worst = |action| of_action(action).map(of).reduce(f64::min);
                 Action::ALL.into_iter().filter_map(worst).sum()
             }
         }

@@ -109,10 +109,12 @@ fn observed(env: &Env) -> Driven {
 
 /// The clauses that its last action broke.
 fn broken(env: &Env) -> Vec<usize> {
-    let (controlled_car, demands) = (&env.controlled_cars()[0], env.task().oracle().demands());
+    let (controlled_car, constraints) = (&env.controlled_cars()[0], env.task().oracle().constraints());
     let clauses = env.city().clauses();
-    let position = |&demand: &usize| {
-        let found = clauses.iter().position(|clause| *clause == demands[demand].clause);
+    let position = |&constraint: &usize| {
+        let found = clauses
+            .iter()
+            .position(|clause| *clause == constraints[constraint].clause);
         found.expect("a clause that asks an action has a body")
     };
     controlled_car.last().broken.iter().map(position).collect()

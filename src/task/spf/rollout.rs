@@ -44,7 +44,7 @@ pub struct Rollout {
     pub truncated: bool,
     /// In how many steps the rules asked an action, by action in the order of [`Action::ALL`].
     pub constrained: [u32; 4],
-    /// The clauses that were broken, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
+    /// The clauses that were broken, by their positions in [`Oracle::constraints`](crate::sim::Oracle::demands).
     pub broken: Vec<usize>,
 }
 
@@ -116,8 +116,8 @@ impl Wanted {
         for (kind, (_, wanted)) in concepts.iter_mut().enumerate() {
             *wanted = count / kinds + usize::from(kind < count % kinds);
         }
-        let demands = task.oracle().demands();
-        let asked = Action::ALL.map(|action| demands.iter().any(|demand| demand.action == action));
+        let constraints = task.oracle().constraints();
+        let asked = Action::ALL.map(|action| constraints.iter().any(|constraint| constraint.action == action));
         // Half of an equal share: the rules may ask some actions of few egos only.
         let share = count.div_ceil(2 * asked.iter().filter(|asked| **asked).count().max(1));
         Wanted {
@@ -191,7 +191,7 @@ pub fn make_episodes(
     if episodes.len() < count {
         let message = format!("{} of {count} episodes found in {draws} draws", episodes.len());
         let fault = Diagnostic::new(Code::LIMIT_EXCEEDED, message).at(task.config().span, "of this task");
-        return Err(fault.help(wanted.tell()));
+        return Err(fault.help(wanted.describe()));
     }
     // In an order that has nothing to do with what was lacking.
     episodes.sort_by_key(|episode| episode.seed);
@@ -204,7 +204,7 @@ pub fn make_episodes(
 }
 
 impl Wanted {
-    fn tell(&self) -> String {
+    fn describe(&self) -> String {
         let concepts = (self.concepts.iter().filter(|(_, wanted)| *wanted > 0)).map(|(kind, wanted)| {
             let kind = if kind.is_empty() {
                 "no concept".to_owned()
@@ -232,13 +232,13 @@ mod tests {
 
     #[test]
     fn what_is_lacking_is_never_nothing() {
-        let told = |concepts, actions| Wanted { concepts, actions }.tell();
-        assert!(told(vec![], [0; 4]).starts_with("lacking: episodes that the oracle solves"));
+        let description = |concepts, actions| Wanted { concepts, actions }.describe();
+        assert!(description(vec![], [0; 4]).starts_with("lacking: episodes that the oracle solves"));
         let bus: Arc<[String]> = Arc::new(["bus".to_owned()]);
-        let told = told(vec![(bus, 2), (Arc::new([]), 1)], [0, 0, 0, 3]);
+        let description = description(vec![(bus, 2), (Arc::new([]), 1)], [0, 0, 0, 3]);
         assert!(
-            told.starts_with("lacking: 2 with bus, 1 with no concept, 3 in which the rules ask Stop;"),
-            "{told}"
+            description.starts_with("lacking: 2 with bus, 1 with no concept, 3 in which the rules ask Stop;"),
+            "{description}"
         );
     }
 }

@@ -116,7 +116,7 @@ impl ObservationKind {
 pub struct Info {
     /// What the rules want now, by its number.
     pub oracle_action: usize,
-    /// The clauses that the last action broke, by their positions in [`Oracle::demands`](crate::sim::Oracle::demands).
+    /// The clauses that the last action broke, by their positions in [`Oracle::constraints`](crate::sim::Oracle::demands).
     pub broken: Vec<usize>,
     /// How much of its route it has gone, 0 to 1.
     pub progress: f64,
@@ -301,7 +301,7 @@ impl SubEnv {
 
 /// Environments that take a step together. Each goes as it would alone, on any number of threads.
 pub struct VectorEnv {
-    members: Vec<SubEnv>,
+    sub_envs: Vec<SubEnv>,
     autoreset: Autoreset,
     view: ObservationKind,
     /// Numbers of an observation.
@@ -341,7 +341,7 @@ impl VectorEnv {
         cancel: &Cancel,
     ) -> Result<VectorEnv, Diagnostic> {
         let width = view.shape(task).iter().product();
-        let member = |source| {
+        let sub_env = |source| {
             if cancel.requested() {
                 return Err(Diagnostic::cancelled());
             }
@@ -359,7 +359,7 @@ impl VectorEnv {
         };
         let threads = start_threads(threads)?;
         Ok(VectorEnv {
-            members: sources.into_iter().map(member).collect::<Result<_, _>>()?,
+            sub_envs: sources.into_iter().map(sub_env).collect::<Result<_, _>>()?,
             autoreset,
             view,
             width,
@@ -369,13 +369,13 @@ impl VectorEnv {
     }
 
     /// The environments.
-    pub fn members(&self) -> &[SubEnv] {
-        &self.members
+    pub fn sub_envs(&self) -> &[SubEnv] {
+        &self.sub_envs
     }
 
     /// The same, to ask for the facts of a moment.
-    pub fn members_mut(&mut self) -> &mut [SubEnv] {
-        &mut self.members
+    pub fn sub_envs_mut(&mut self) -> &mut [SubEnv] {
+        &mut self.sub_envs
     }
 
     /// Numbers of an observation.
@@ -390,14 +390,14 @@ impl VectorEnv {
 
     /// From here on it is kept what was true when an episode ended and the next one began in the same step.
     pub fn keep_last_atoms(&mut self) {
-        for member in &mut self.members {
-            member.ended.atoms = Some(Vec::new());
+        for sub_env in &mut self.sub_envs {
+            sub_env.ended.atoms = Some(Vec::new());
         }
     }
 
     /// Gives an environment other episodes from now on.
-    pub fn set_source(&mut self, member: usize, source: EpisodeSource) {
-        self.members[member].source = source;
+    pub fn set_source(&mut self, sub_env: usize, source: EpisodeSource) {
+        self.sub_envs[sub_env].source = source;
     }
 
     /// Begins episodes, by environment; `None` leaves one as it is. `observations` has a row for each; those of the others stay.
@@ -409,13 +409,13 @@ impl VectorEnv {
     /// If there are not as many as environments.
     pub fn reset(&mut self, begin: &[Option<Begin>], observations: &mut [f32]) -> Result<(), Diagnostic> {
         let view = self.view;
-        self.each(begin, observations, |member, how, row, cancelled| {
+        self.each(begin, observations, |sub_env, how, row, cancelled| {
             let Some(how) = how else { return Ok(()) };
             if cancelled {
-                return member.cancel();
+                return sub_env.cancel();
             }
-            member.begin(how)?;
-            view.write(&member.env, 0, row);
+            sub_env.begin(how)?;
+            view.write(&sub_env.env, 0, row);
             Ok(())
         })
     }
@@ -430,13 +430,13 @@ impl VectorEnv {
     /// If there are not as many actions as environments, or one is not [ready](SubEnv::is_ready).
     pub fn step(&mut self, actions: &[Action], observations: &mut [f32]) -> Result<(), Diagnostic> {
         let (autoreset, view) = (self.autoreset, self.view);
-        self.each(actions, observations, |member, &action, row, cancelled| {
-            assert!(member.is_ready(autoreset), "an episode must begin first");
+        self.each(actions, observations, |sub_env, &action, row, cancelled| {
+            assert!(sub_env.is_ready(autoreset), "an episode must begin first");
             if cancelled {
-                return member.cancel();
+                return sub_env.cancel();
             }
-            member.step(action, autoreset, view)?;
-            view.write(&member.env, 0, row);
+            sub_env.step(action, autoreset, view)?;
+            view.write(&sub_env.env, 0, row);
             Ok(())
         })
     }
@@ -447,7 +447,7 @@ impl VectorEnv {
         observations: &mut [f32],
         act: impl Fn(&mut SubEnv, &T, &mut [f32], bool) -> Result<(), Diagnostic> + Sync,
     ) -> Result<(), Diagnostic> {
-        let count = self.members.len();
+        let count = self.sub_envs.len();
         assert!(given.len() == count, "{} given for {count} environments", given.len());
         assert!(observations.len() == count * self.width, "a row for each environment");
         let width = self.width;
@@ -457,16 +457,16 @@ impl VectorEnv {
             (a, b) => a.or(b),
         };
         let (cancel, cancelled) = (&self.cancel, AtomicBool::new(false));
-        let act = |(position, ((member, given), row)): (usize, ((&mut SubEnv, &T), &mut [f32]))| {
+        let act = |(position, ((sub_env, given), row)): (usize, ((&mut SubEnv, &T), &mut [f32]))| {
             if position % SHARE == 0 && cancel.requested() {
                 cancelled.store(true, Ordering::Relaxed);
             }
             let cancelled = cancelled.load(Ordering::Relaxed);
-            act(member, given, row, cancelled).err().map(|fault| (position, fault))
+            act(sub_env, given, row, cancelled).err().map(|fault| (position, fault))
         };
         let fault = match &self.threads {
             Some(pool) => run_in_pool(pool, cancel, || {
-                (self.members.par_iter_mut().with_min_len(SHARE))
+                (self.sub_envs.par_iter_mut().with_min_len(SHARE))
                     .zip(given)
                     .zip(observations.par_chunks_exact_mut(width))
                     .enumerate()
@@ -474,7 +474,7 @@ impl VectorEnv {
                     .reduce(|| None, first)
             }),
             None => (self
-                .members
+                .sub_envs
                 .iter_mut()
                 .zip(given)
                 .zip(observations.chunks_exact_mut(width))

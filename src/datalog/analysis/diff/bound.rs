@@ -45,7 +45,7 @@ const DEPTH_MAX: usize = 64;
 
 /// An argument of a fact about the roots, in words that mean the same on both sides.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Told {
+enum Argument {
     Column(usize),
     Constant(Individual),
 }
@@ -61,7 +61,7 @@ pub(super) fn entities(
 ) -> Option<usize> {
     let arity = output.columns.len();
     let mut total = arity;
-    let mut kept: BTreeSet<(&str, Vec<Told>)> = BTreeSet::new();
+    let mut kept: BTreeSet<(&str, Vec<Argument>)> = BTreeSet::new();
     for (side, relation) in sides.into_iter().zip(output.ids) {
         let mut costs = Costs::default();
         let mut facts: IndexSet<RootFact> = [(relation, (0..arity).map(Root::Column).collect())].into();
@@ -75,10 +75,10 @@ pub(super) fn entities(
             }
             let witnesses = witnesses?;
             let name = side.rules.relations[relation.index()].name.as_str();
-            let known = equal.contains(name) && kept.contains(&(name, side.told(relation, &row)));
+            let known = equal.contains(name) && kept.contains(&(name, side.arguments(relation, &row)));
             if !known {
                 total = total.checked_add(witnesses)?;
-                kept.insert((name, side.told(relation, &row)));
+                kept.insert((name, side.arguments(relation, &row)));
             }
         }
     }
@@ -86,11 +86,11 @@ pub(super) fn entities(
 }
 
 impl Side<'_> {
-    fn told(&self, relation: RelId, row: &[Root]) -> Vec<Told> {
+    fn arguments(&self, relation: RelId, row: &[Root]) -> Vec<Argument> {
         let columns = &self.rules.relations[relation.index()].columns;
         let one = |(root, column): (&Root, &crate::datalog::check::Column)| match *root {
-            Root::Column(column) => Told::Column(column),
-            Root::Constant(value) => Told::Constant(self.individual(value, column.base)),
+            Root::Column(column) => Argument::Column(column),
+            Root::Constant(value) => Argument::Constant(self.individual(value, column.base)),
         };
         row.iter().zip(columns).map(one).collect()
     }

@@ -89,7 +89,7 @@ pub enum Equivalence {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Cut {
     /// It met as many dead ends as [`Options::conflicts_max`] allows.
-    Effort,
+    Conflicts,
     /// The next larger scenes have too many possible facts, or facts have too many ways to be derived.
     Size,
     /// Finding out how many entities a proof needs would have taken too long.
@@ -184,7 +184,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     let rules = [left, right];
     let sides = rules.map(|rules| side(rules, &base));
     let sides = [&sides[0], &sides[1]];
-    let mut effort = Left {
+    let mut budget = Budget {
         conflicts: options.conflicts_max,
         room: options.literals_max,
     };
@@ -195,7 +195,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     };
     let views: &[ScopeRows] = if scoped { &[ScopeRows::Full, open] } else { &[open] };
     if !rules.into_iter().all(speaks) {
-        let models = models(sides, &outputs, options.entities_max, views[0], &mut effort);
+        let models = models(sides, &outputs, options.entities_max, views[0], &mut budget);
         return trial::search(rules, &base, &outputs, options, &models);
     }
 
@@ -221,15 +221,15 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     }
     for (&view, views) in views.iter().zip((1..=views.len()).rev()) {
         // A view that needs too much leaves the others their share.
-        let mut share = Left {
-            conflicts: effort.conflicts / views as u64,
-            room: effort.room / views,
+        let mut share = Budget {
+            conflicts: budget.conflicts / views as u64,
+            room: budget.room / views,
         };
-        effort.conflicts -= share.conflicts;
-        effort.room -= share.room;
+        budget.conflicts -= share.conflicts;
+        budget.room -= share.room;
         for entities in 0..=last {
             match search(sides, &outputs, entities, view, &mut share) {
-                Ok(Some(model)) => return Ok(Equivalence::Different(tell(sides, &base, &outputs, view, &model))),
+                Ok(Some(model)) => return Ok(Equivalence::Different(difference(sides, &base, &outputs, view, &model))),
                 Ok(None) => {}
                 Err(why) => {
                     cut.insert(why);
@@ -238,8 +238,8 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
                 }
             }
         }
-        effort.conflicts += share.conflicts;
-        effort.room += share.room;
+        budget.conflicts += share.conflicts;
+        budget.room += share.room;
     }
     Ok(match (proof, seen_all) {
         (Some(entities), Some(seen_all)) if entities <= seen_all => Equivalence::Equivalent { entities },
@@ -258,9 +258,9 @@ fn models(
     outputs: &[Output],
     entities_max: usize,
     view: ScopeRows,
-    effort: &mut Left,
+    budget: &mut Budget,
 ) -> Vec<Model> {
-    let found = (0..=entities_max).map(|entities| search(sides, outputs, entities, view, effort));
+    let found = (0..=entities_max).map(|entities| search(sides, outputs, entities, view, budget));
     let found = found.map_while(Result::ok).flatten();
     found.take(MODELS_MAX).collect()
 }
@@ -435,7 +435,7 @@ fn side<'a>(rules: &'a Rules, base: &[Base]) -> Side<'a> {
 // --- scenes of one size
 
 /// What the search may still do: it is bounded by numbers, not by time.
-struct Left {
+struct Budget {
     /// Dead ends.
     conflicts: u64,
     /// Literals to look at.
@@ -463,7 +463,7 @@ fn search(
     outputs: &[Output],
     entities: usize,
     view: ScopeRows,
-    effort: &mut Left,
+    budget: &mut Budget,
 ) -> Result<Option<Model>, Cut> {
     let individuals = individuals(sides, entities);
     let [left, right] = sides.map(|side| Side {
@@ -474,11 +474,11 @@ fn search(
         facts: text_facts(side, &individuals),
         scopes: side.scopes.clone(),
     });
-    let mut circuit = Circuit::new([&left, &right], &individuals, view, ROOM.min(effort.room));
+    let mut circuit = Circuit::new([&left, &right], &individuals, view, ROOM.min(budget.room));
     let before = circuit.room;
     let asked = questions(&mut circuit, outputs, entities, &individuals);
     let kept = circuit.constraints();
-    effort.room -= before - circuit.room;
+    budget.room -= before - circuit.room;
     let (Ok(questions), Ok(())) = (asked, kept) else {
         return Err(Cut::Size);
     };
@@ -487,15 +487,15 @@ fn search(
         return Ok(None);
     }
     circuit.solver.add(&[any]);
-    match circuit.solver.solve(&[], &mut effort.conflicts) {
+    match circuit.solver.solve(&[], &mut budget.conflicts) {
         Outcome::Unsatisfiable => return Ok(None),
-        Outcome::Unknown => return Err(Cut::Effort),
+        Outcome::Unknown => return Err(Cut::Conflicts),
         Outcome::Satisfiable => {}
     }
-    let smallest = shrink(&mut circuit, &mut effort.conflicts);
+    let smallest = shrink(&mut circuit, &mut budget.conflicts);
     let asked = (questions.into_iter())
         .find(|question| circuit.solver.is_true(question.differs))
-        .ok_or(Cut::Effort)?;
+        .ok_or(Cut::Conflicts)?;
     let facts: Vec<BaseFact> = (circuit.atoms.iter())
         .filter(|(_, lit)| circuit.solver.is_true(**lit))
         .map(|(fact, _)| fact.clone())
@@ -674,7 +674,7 @@ fn shrink(circuit: &mut Circuit<'_>, conflicts: &mut u64) -> bool {
 }
 
 /// The scene in words, and what each side derives in it by the specification.
-fn tell(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: ScopeRows, model: &Model) -> Difference {
+fn difference(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: ScopeRows, model: &Model) -> Difference {
     let individuals = &model.individuals;
     let mut facts = model.facts.clone();
     // A scope that is not complete has exactly the rows that are given, even if there are none.
@@ -710,10 +710,10 @@ fn tell(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: ScopeRow
         let occurs = facts.iter().any(|(_, row)| row.contains(&index));
         occurs || !everybody_sees.is_empty()
     }));
-    let mut told: Vec<usize> = Vec::new();
+    let mut mentioned: Vec<usize> = Vec::new();
     for index in order {
-        if !told.contains(&index) && individuals[index].base() == BaseType::Symbol {
-            told.push(index);
+        if !mentioned.contains(&index) && individuals[index].base() == BaseType::Symbol {
+            mentioned.push(index);
         }
     }
     let mut by_predicate: Vec<(String, Vec<Vec<String>>)> = Vec::new();
@@ -744,8 +744,8 @@ fn tell(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: ScopeRow
         }
         for name in &everybody_sees {
             if let Some(relation) = side.rules.relation(name) {
-                for &x in &told {
-                    for &y in &told {
+                for &x in &mentioned {
+                    for &y in &mentioned {
                         rows.push((relation, vec![word(x), word(y)]));
                     }
                 }
@@ -766,7 +766,7 @@ fn tell(sides: [&Side<'_>; 2], base: &[Base], outputs: &[Output], view: ScopeRow
         derived
     });
     Difference {
-        entities: told.iter().map(|&index| individuals[index].shown()).collect(),
+        entities: mentioned.iter().map(|&index| individuals[index].shown()).collect(),
         facts: by_predicate,
         everybody_sees,
         derived,

@@ -100,7 +100,7 @@ pub(super) fn search(
         let facts: Vec<Fact> = facts.collect();
         if trial.differs(&facts, model.entities) {
             let facts = trial.shrink(facts, model.entities);
-            return Ok(Equivalence::Different(trial.tell(rules, model.entities, &facts)));
+            return Ok(Equivalence::Different(trial.difference(rules, model.entities, &facts)));
         }
     }
     let scenes = options.conflicts_max / SCENE_COST;
@@ -111,7 +111,7 @@ pub(super) fn search(
         let entities_max = options.entities_max.min(trial.entities(size));
         for entities in 0..=entities_max {
             match trial.level(size, entities, every) {
-                Level::Found(facts) => return Ok(Equivalence::Different(trial.tell(rules, entities, &facts))),
+                Level::Found(facts) => return Ok(Equivalence::Different(trial.difference(rules, entities, &facts))),
                 Level::Nothing => {}
                 Level::TooMany => break 'sizes,
             }
@@ -125,7 +125,7 @@ pub(super) fn search(
         let facts = trial.draw(entities, &mut random);
         if trial.differs(&facts, entities) {
             let facts = trial.shrink(facts, entities);
-            return Ok(Equivalence::Different(trial.tell(rules, entities, &facts)));
+            return Ok(Equivalence::Different(trial.difference(rules, entities, &facts)));
         }
     }
     Ok(Equivalence::NoneTried {
@@ -369,7 +369,7 @@ impl<'a> Trial<'a> {
     }
 
     /// The scene in words, and what each side derives in it by the specification.
-    fn tell(&self, rules: [&Rules; 2], entities: usize, facts: &[Fact]) -> Difference {
+    fn difference(&self, rules: [&Rules; 2], entities: usize, facts: &[Fact]) -> Difference {
         let all = self.complete(facts, entities);
         let derived = rules.map(|rules| {
             let symbols = rules.symbols.clone();
@@ -402,8 +402,8 @@ impl<'a> Trial<'a> {
             derived
         });
         let mut by_predicate: Vec<(String, Vec<Vec<String>>)> = Vec::new();
-        let mut told = facts.to_vec();
-        told.sort();
+        let mut sorted = facts.to_vec();
+        sorted.sort();
         // The row in question first.
         let differs = |row: &&(String, Vec<String>)| derived.iter().any(|rows: &Vec<_>| !rows.contains(*row));
         let mut names = Vec::new();
@@ -416,7 +416,7 @@ impl<'a> Trial<'a> {
         names.extend(self.names(entities));
         let mut seen = BTreeSet::new();
         names.retain(|name| seen.insert(name.clone()));
-        for (predicate, row) in told {
+        for (predicate, row) in sorted {
             let symbols = self.columns[predicate].iter().zip(&row);
             for (_, text) in symbols.filter(|(base, _)| **base == BaseType::Symbol) {
                 if !names.contains(text) {

@@ -324,7 +324,7 @@ impl<'c> Check<'_, 'c> {
             };
             let fault = Diagnostic::new(Code::TYPE_MISMATCH, message).at(operand.span, format!("`{}`", found.name()));
             let operand = *operand;
-            self.tell_origin(fault, operand);
+            self.report_origin(fault, operand);
         } else if let Some((operand, found)) = other {
             let name = match tie.kind {
                 TieKind::Compare => "=",
@@ -335,11 +335,11 @@ impl<'c> Check<'_, 'c> {
                 .at(operand.span, format!("`{}`", found.name()))
                 .also(first.span, format!("`{}`", base.name()))
                 .help("convert one of them: `to_number(x)`, `to_unsigned(x)`, `to_float(x)` or `to_string(x)`");
-            self.tell_origin(fault, operand);
+            self.report_origin(fault, operand);
         }
     }
 
-    fn tell_origin(&mut self, mut fault: Diagnostic, operand: Operand) {
+    fn report_origin(&mut self, mut fault: Diagnostic, operand: Operand) {
         if let OperandKind::Variable(id) = operand.kind {
             if let Some(origin) = self.origin(id)
                 && origin != operand.span
