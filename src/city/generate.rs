@@ -207,7 +207,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn impossible_maps_are_told() {
+    fn impossible_maps_are_reported() {
         let houses = || random(&[(Building::House, 1.0)]);
         let widths = |change: fn(&mut Widths)| {
             let mut widths = WIDTHS;

@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn circles_those_behind_them_and_the_others_are_told_apart() {
+    fn deadlocks_blocked_and_starving_agents_are_distinguished() {
         // 1 <-> 2; 1 -> 4 -> 1 is no shorter; 3 waits for 4; 5 for 6, which moves; 7 for nobody; 8 -> 9 -> 10 -> 8; 11 for 5.
         let pairs = [
             (1, 2),

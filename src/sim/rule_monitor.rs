@@ -63,7 +63,7 @@ struct Condition {
     /// The actions that must hold of the ego, and those that must not.
     given: Actions,
     refused: Actions,
-    /// Its position among the demands; `None` for the default.
+    /// Its position among the constraints; `None` for the default.
     constraint: Option<usize>,
 }
 
@@ -243,7 +243,7 @@ impl Conditions {
         })
     }
 
-    /// Collects the demands that an action breaks, in ascending order.
+    /// Collects the constraints that an action breaks, in ascending order.
     fn violations(&self, held: &[usize], action: Action, broken: &mut Vec<usize>) {
         let given = [action].into_iter().collect();
         let conditions = held.iter().map(|&position| &self.clauses[position]);
@@ -540,7 +540,7 @@ impl Violations {
         }
     }
 
-    /// Collects the demands that an action of the ego breaks, in ascending order.
+    /// Collects the constraints that an action of the ego breaks, in ascending order.
     ///
     /// # Errors
     /// `limit-exceeded` for rules that derive too much.

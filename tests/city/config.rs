@@ -419,7 +419,7 @@ fn maps_are_found_by_path_and_by_name() {
 }
 
 #[test]
-fn files_that_build_on_themselves_are_told() {
+fn files_that_build_on_themselves_are_reported() {
     let rendered = bad(&[("main.yaml", "base: b.yaml\n"), ("b.yaml", "base: ./x/../main.yaml\n")]);
     assert!(
         rendered.contains("include-cycle") && rendered.contains("b.yaml:1:7"),

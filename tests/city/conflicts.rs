@@ -86,7 +86,7 @@ fn the_modes_of_the_paper() {
 }
 
 #[test]
-fn the_smallest_scene_is_told() {
+fn the_smallest_scene_is_reported() {
     let both = [Action::Slow, Action::Stop];
     assert_eq!(
         scene(

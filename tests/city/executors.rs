@@ -255,15 +255,15 @@ fn slow_crowds_have_a_limit() {
         scenario.view = 1000;
     });
     // Several tiles are too crowded; the same one is told whatever the threads do.
-    let told = |threads| {
+    let error = |threads| {
         simulation(&dense_city, Executor::Dense, threads)
             .tick(&[])
             .unwrap_err()
             .message
     };
-    let first = told(1);
+    let first = error(1);
     for threads in [2, 3, 4] {
-        assert_eq!(told(threads), first);
+        assert_eq!(error(threads), first);
     }
     let mut dense_city = simulation(&dense_city, Executor::Dense, 2);
     let before: Vec<_> = dense_city.agents().iter().map(|agent| agent.cell).collect();
@@ -321,7 +321,7 @@ fn executors_agree_about_rules_that_ask_for_everything() {
 }
 
 #[test]
-fn rules_that_are_not_dense_are_told() {
+fn rules_that_are_not_dense_are_reported() {
     let text = ".include \"vocabulary.dl\"\n.decl Linked(x: agent, y: agent)\nLinked(X, Y) :- NextTo(X, Y).\n\
                 Linked(X, Z) :- Linked(X, Y), NextTo(Y, Z).\nStop(X) :- Linked(X, Y), IsBus(Y).";
     let world = world("expert", Some(text), |_| ());

@@ -152,7 +152,7 @@ impl Plain {
         derived
     }
 
-    /// The demands that an action breaks.
+    /// The constraints that an action breaks.
     fn violations(&self, task: &SpfTask, action: Action) -> Vec<usize> {
         let (rules, given) = (task.world().program.rules(), Actions::from([action.name()]));
         let constraints = task.oracle().constraints().iter().enumerate();
@@ -721,7 +721,7 @@ fn fault_of(text: &str) -> Diagnostic {
 }
 
 #[test]
-fn faulty_tasks_are_told() {
+fn faulty_tasks_are_reported() {
     let fault = |task: &str| fault_of(&format!("base: configs/expert.yaml\ntask: {task}\n"));
     assert_eq!(fault("~").code, Code::MISSING_KEY);
     assert_eq!(fault("{entities: 0}").code, Code::INVALID_VALUE);
@@ -760,7 +760,7 @@ fn clauses_can_have_weights_of_their_own() {
 
 /// What an agent of an episode carries is checked like an entry of an agent set.
 #[test]
-fn agents_of_episodes_are_what_predicates_can_tell() {
+fn agents_of_episodes_have_known_concepts() {
     let mut env = Env::new(task("expert", None), Split::Test, ControlMode::First).unwrap();
     env.reset(1).unwrap();
     let episode = env.episode().clone();
@@ -810,7 +810,7 @@ fn set_of(text: &str) -> Result<EpisodeSet, Diagnostic> {
 }
 
 #[test]
-fn faulty_episodes_are_told() {
+fn faulty_episodes_are_reported() {
     let header = r#"{"episodes":"logicity","version":1,"config":"x","split":"test","seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#;
     let good = format!("{header}\n{{\"seed\":1,\"trips\":[[46,20,56,64]]}}\n");
     assert_eq!(set_of(&good).unwrap().episodes.len(), 1);
@@ -842,7 +842,7 @@ fn faulty_episodes_are_told() {
 
 /// A key that is misspelt is told with its line; it is not passed over.
 #[test]
-fn unknown_keys_of_episodes_are_told() {
+fn unknown_keys_of_episodes_are_reported() {
     let lines = [
         r#"{"episodes":"logicity","version":1,"config":"x","split":"test","seed":0,"agents":[{"id":"Car_1","concepts":[],"priority":1}]}"#,
         r#"{"seed":1,"trips":[[46,20,56,64]],"changes":{"Car_1":{"concepts":["bus"],"priority":2}},"oracle":{"steps":1,"return":0,"constrained":{}}}"#,

@@ -63,14 +63,14 @@ fn compare(config: &str, split: Split, view: ObservationKind, autoreset: Autores
         for (sub_env, one) in alone.iter_mut().enumerate() {
             let together = &batch.sub_envs()[sub_env];
             let outcome = together.outcome();
-            let told = (outcome.reward, outcome.terminated, outcome.truncated);
+            let result = (outcome.reward, outcome.terminated, outcome.truncated);
             if one.over {
                 one.begin(view);
-                assert_eq!(told, (0.0, false, false), "step {step}");
+                assert_eq!(result, (0.0, false, false), "step {step}");
             } else {
                 one.env.step(&actions[sub_env..=sub_env]).unwrap();
                 let last = one.env.controlled_cars()[0].last();
-                assert_eq!(told, (last.reward, last.terminated, last.truncated), "step {step}");
+                assert_eq!(result, (last.reward, last.terminated, last.truncated), "step {step}");
                 one.over = last.terminated || last.truncated;
                 one.look(view);
             }

@@ -182,10 +182,10 @@ pub fn rows(bytes: &[u8]) {
         Err(faults) => {
             assert!(!faults.is_empty());
             // The last of a great many says that there are more.
-            let told = &faults[..faults.len().min(MAX_FAULTS)];
-            assert!(told.iter().all(|fault| fault.code == Code::INVALID_FACT));
+            let reported = &faults[..faults.len().min(MAX_FAULTS)];
+            assert!(reported.iter().all(|fault| fault.code == Code::INVALID_FACT));
             assert!(
-                faults[told.len()..]
+                faults[reported.len()..]
                     .iter()
                     .all(|fault| fault.code == Code::LIMIT_EXCEEDED)
             );

@@ -17,8 +17,8 @@ fn rules(text: &str) -> Rules {
     let mut sources = Sources::new();
     let entry = sources.add("test.dl", text);
     let loaded = datalog::load(&mut sources, entry, &RuleFiles);
-    let told = logicity::diag::render(&loaded.diagnostics, &sources, false);
-    loaded.rules.unwrap_or_else(|| panic!("{told}\n{text}"))
+    let rendered = logicity::diag::render(&loaded.diagnostics, &sources, false);
+    loaded.rules.unwrap_or_else(|| panic!("{rendered}\n{text}"))
 }
 
 fn shipped(name: &str) -> Rules {

@@ -431,7 +431,7 @@ lone(7)  by lone(x) :- big(x), !path(x, _).  [rules.dl:12]
 }
 
 #[test]
-fn views_are_told_and_hidden_predicates_are_not() {
+fn views_are_reported_and_hidden_predicates_are_not() {
     let text = "
 .decl sees(x: number, y: number)
 .decl near(x: number, y: number)
@@ -485,7 +485,7 @@ Not(go(1)): no clause of go holds
 }
 
 #[test]
-fn a_range_is_told_as_it_is_written() {
+fn a_range_is_reported_as_it_is_written() {
     let text = "
 .decl upto(n: number)
 .decl a(x: number)

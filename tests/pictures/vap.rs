@@ -659,7 +659,7 @@ fn every_world_has_a_ground_and_every_split_icons_of_its_own() {
 }
 
 #[test]
-fn what_is_no_data_set_is_told() {
+fn what_is_no_data_set_is_reported() {
     refused(
         &["check", "tests/fixtures/diagnostics/invalid-data-set"],
         &["error[invalid-data-set]", "manifest.json"],

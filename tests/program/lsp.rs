@@ -216,21 +216,26 @@ fn a_text_without_faults_is_explored() {
 }
 
 #[test]
-fn faults_are_told_as_the_text_changes() {
+fn faults_are_reported_as_the_text_changes() {
     let mut editor = Editor::start();
     assert!(editor.open("a.dl", RULES).is_empty());
     // The wrong name stands behind a character of two units.
     let faulty = RULES.replace("Road(y, z).", "Raod(y, z).");
-    let told = editor.change("a.dl", &faulty);
-    assert_eq!(codes(&told), ["unknown-predicate"]);
+    let diagnostics = editor.change("a.dl", &faulty);
+    assert_eq!(codes(&diagnostics), ["unknown-predicate"]);
     let column = "/* \u{e9} \u{1f697} */ Way(x, z) :- Way(x, y), ".encode_utf16().count() as u32;
-    assert_eq!(told[0]["range"], range(4, column, column + 4));
+    assert_eq!(diagnostics[0]["range"], range(4, column, column + 4));
     assert_eq!(
-        (&told[0]["severity"], &told[0]["source"]),
+        (&diagnostics[0]["severity"], &diagnostics[0]["source"]),
         (&json!(1), &json!("logicity"))
     );
-    assert!(told[0]["message"].as_str().unwrap().contains("did you mean `Road`?"));
-    let related = &told[0]["relatedInformation"][0];
+    assert!(
+        diagnostics[0]["message"]
+            .as_str()
+            .unwrap()
+            .contains("did you mean `Road`?")
+    );
+    let related = &diagnostics[0]["relatedInformation"][0];
     assert_eq!(
         related["location"],
         json!({ "uri": editor.uri("a.dl"), "range": range(2, 6, 10) })
@@ -238,15 +243,15 @@ fn faults_are_told_as_the_text_changes() {
     assert!(related["message"].as_str().unwrap().contains("is declared here"));
 
     let lone = RULES.replace("Way(x, y) :- Road(x, y).", "Way(x, x) :- Road(x, y).");
-    let told = editor.change("a.dl", &lone);
+    let diagnostics = editor.change("a.dl", &lone);
     assert_eq!(
-        (codes(&told), &told[0]["severity"]),
+        (codes(&diagnostics), &diagnostics[0]["severity"]),
         (vec!["singleton-variable"], &json!(2))
     );
     let needless = ".decl A(x: symbol)\n.input A\n.decl B(x: symbol)\n.output B\n.decl C(x: symbol)\n.input C\n.implies A, C\nB(x) :- A(x), C(x).\n";
-    let told = editor.change("a.dl", needless);
+    let diagnostics = editor.change("a.dl", needless);
     assert_eq!(
-        (codes(&told), &told[0]["severity"]),
+        (codes(&diagnostics), &diagnostics[0]["severity"]),
         (vec!["redundant-literal"], &json!(3))
     );
     assert!(editor.change("a.dl", RULES).is_empty());
@@ -290,16 +295,19 @@ fn includes_are_read_from_open_texts_before_the_disk() {
 
     // A fault in an included text is told where it is included.
     editor.change("parts.dl", ".decl Old, New(x: symbol)\n.input Old, New\nOld(1).\n");
-    let told = editor.diagnostics("main.dl");
+    let diagnostics = editor.diagnostics("main.dl");
     assert_eq!(
-        (codes(&told), &told[0]["range"]),
+        (codes(&diagnostics), &diagnostics[0]["range"]),
         (vec!["type-mismatch"], &range(0, 9, 19))
     );
     assert!(
-        told[0]["message"].as_str().unwrap().contains("parts.dl:3:5"),
-        "{told:?}"
+        diagnostics[0]["message"].as_str().unwrap().contains("parts.dl:3:5"),
+        "{diagnostics:?}"
     );
-    assert_eq!(told[0]["relatedInformation"][0]["location"]["range"], range(2, 4, 5));
+    assert_eq!(
+        diagnostics[0]["relatedInformation"][0]["location"]["range"],
+        range(2, 4, 5)
+    );
     editor.end();
 }
 
@@ -426,8 +434,8 @@ fn the_shipped_rules_have_no_faults() {
     let rules = Path::new(env!("CARGO_MANIFEST_DIR")).join("rules");
     for name in ["vocabulary.dl", "expert.dl", "vap-hard.dl"] {
         let text = fs::read_to_string(rules.join(name)).unwrap();
-        let told = editor.open(name, &text);
-        let severe: Vec<&Value> = told.iter().filter(|one| one["severity"] != 3).collect();
+        let diagnostics = editor.open(name, &text);
+        let severe: Vec<&Value> = diagnostics.iter().filter(|one| one["severity"] != 3).collect();
         assert!(severe.is_empty(), "{name}: {severe:?}");
     }
     editor.end();

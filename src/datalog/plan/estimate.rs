@@ -359,7 +359,7 @@ mod tests {
     use crate::datalog::value::Value;
 
     #[test]
-    fn sizes_tell_what_is_unique_repeated_and_skewed() {
+    fn sizes_show_what_is_unique_repeated_and_skewed() {
         let near = |value: f64, expected: f64, factor: f64| {
             assert!(
                 (expected / factor..=expected * factor).contains(&value),

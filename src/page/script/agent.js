@@ -94,41 +94,41 @@ class AgentPanel {
     return list;
   }
 
-  branch(number, text, told) {
+  branch(number, text, seen) {
     const node = this.data.nodes[number];
     const item = make("li", {});
     if (node.t !== undefined) {
       item.append(make("span", { class: "yes" }, ...this.linked(text)));
       if (node.c === undefined) return item;
       item.append(" by ", this.clauseLink(node.c));
-      if (told.has(number)) return item;
-      told.add(number);
-      item.append(make("ul", {}, ...node.p.map((premise) => this.premise(premise, told))));
+      if (seen.has(number)) return item;
+      seen.add(number);
+      item.append(make("ul", {}, ...node.p.map((premise) => this.premise(premise, seen))));
       return item;
     }
     item.append(make("span", { class: "no" }, ...this.linked(text)));
     if (node.by === "not-looked-into") item.append(" (not looked into)");
-    if (!node.m || told.has(number)) return item;
-    told.add(number);
-    item.append(this.misses(node.m, told));
+    if (!node.m || seen.has(number)) return item;
+    seen.add(number);
+    item.append(this.misses(node.m, seen));
     return item;
   }
 
   /** A literal that holds. */
-  premise([text, kind, child], told) {
+  premise([text, kind, child], seen) {
     if (child < 0) return make("li", {}, make("span", { class: "yes" }, ...this.linked(text)));
     const node = this.data.nodes[child];
-    if (kind !== "not") return this.branch(child, text, told);
+    if (kind !== "not") return this.branch(child, text, seen);
     const item = make("li", {}, make("span", { class: "yes" }, ...this.linked(text)));
-    if (node.m && !told.has(child)) {
-      told.add(child);
-      item.append(make("details", {}, make("summary", {}, "no clause derives it"), this.misses(node.m, told)));
+    if (node.m && !seen.has(child)) {
+      seen.add(child);
+      item.append(make("details", {}, make("summary", {}, "no clause derives it"), this.misses(node.m, seen)));
     }
     return item;
   }
 
   /** For each clause what is in its way. */
-  misses(misses, told) {
+  misses(misses, seen) {
     return make("ul", {}, ...misses.map(([clause, binding, fails]) => {
       const nearest = Object.entries(binding).filter(([, name]) => this.run.names.get(name) !== this.now.agent);
       const item = make("li", {}, this.clauseLink(clause));
@@ -137,7 +137,7 @@ class AgentPanel {
         const say = kind === "not" ? " fails" : kind === "in-view" ? " is not in view" : kind === "fact" ? " does not hold" : " is not so";
         const failure = make("li", {}, make("span", { class: "no" }, ...this.linked(text)), say);
         const node = child < 0 ? undefined : this.data.nodes[child];
-        if (node && (node.c !== undefined || node.m) && !told.has(child)) failure.append(make("ul", {}, this.branch(child, node.t ?? node.f, told)));
+        if (node && (node.c !== undefined || node.m) && !seen.has(child)) failure.append(make("ul", {}, this.branch(child, node.t ?? node.f, seen)));
         return failure;
       });
       if (!fails.length) failures.push(make("li", {}, "its head does not fit"));

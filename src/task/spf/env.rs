@@ -59,7 +59,7 @@ pub struct Transition {
     pub truncated: bool,
     /// Whether the goal is reached without a rule broken.
     pub success: bool,
-    /// The clauses that the action broke, by their positions in [`Oracle::constraints`](crate::sim::Oracle::demands).
+    /// The clauses that the action broke, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
 }
 

@@ -44,7 +44,7 @@ pub struct Rollout {
     pub truncated: bool,
     /// In how many steps the rules asked an action, by action in the order of [`Action::ALL`].
     pub constrained: [u32; 4],
-    /// The clauses that were broken, by their positions in [`Oracle::constraints`](crate::sim::Oracle::demands).
+    /// The clauses that were broken, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
 }
 

@@ -116,7 +116,7 @@ impl ObservationKind {
 pub struct Info {
     /// What the rules want now, by its number.
     pub oracle_action: usize,
-    /// The clauses that the last action broke, by their positions in [`Oracle::constraints`](crate::sim::Oracle::demands).
+    /// The clauses that the last action broke, by their positions in [`Oracle::constraints`](crate::sim::Oracle::constraints).
     pub broken: Vec<usize>,
     /// How much of its route it has gone, 0 to 1.
     pub progress: f64,
