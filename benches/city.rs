@@ -77,7 +77,7 @@ fn rules(criterion: &mut Criterion) {
     let mut simulation =
         Simulation::new(Arc::clone(&world), Split::Test, Seed(1), Settings::default()).expect("agents placed");
     let count = simulation.agents().len();
-    let mut frame: BitState<WIDTH> = BitState::new(&dense, count);
+    let mut bit_state: BitState<WIDTH> = BitState::new(&dense, count);
     let states: Vec<BitFacts<WIDTH>> = (0..64)
         .map(|_| {
             for _ in 0..7 {
@@ -86,11 +86,11 @@ fn rules(criterion: &mut Criterion) {
             let vocabulary = &world.vocabulary;
             let facts = simulation.facts(|predicate| vocabulary.is_read(predicate));
             let facts: BitFacts<WIDTH> = facts.to_bits(vocabulary, &dense, count);
-            facts.load(&dense, &mut frame);
-            frame.run(&dense, &facts);
+            facts.load(&dense, &mut bit_state);
+            bit_state.run(&dense, &facts);
             for action in Action::ALL {
                 let relation = world.vocabulary.action(action).expect("all are in use");
-                let set = frame.set(&dense, relation).expect("it is derived");
+                let set = bit_state.set(&dense, relation).expect("it is derived");
                 let state = simulation.snapshot().expect("within limits");
                 for agent in 0..count {
                     let holds = state.session().contains(relation, &[state.value(agent)]);
@@ -106,9 +106,9 @@ fn rules(criterion: &mut Criterion) {
         let mut state = 0;
         bencher.iter(|| {
             state = (state + 1) % states.len();
-            states[state].load(&dense, &mut frame);
-            frame.run(&dense, &states[state]);
-            black_box(&frame);
+            states[state].load(&dense, &mut bit_state);
+            bit_state.run(&dense, &states[state]);
+            black_box(&bit_state);
         });
     });
     group.finish();

@@ -619,13 +619,13 @@ fn evaluate<const W: usize>(
     states: &[BitFacts<W>],
     count: usize,
 ) -> Result<Timed, Failure> {
-    let mut frame = BitState::new(dense, count);
+    let mut bit_state = BitState::new(dense, count);
     let mut next = 0;
     Timed::run(seconds, |times| {
         for _ in 0..times {
-            states[next].load(dense, &mut frame);
-            frame.run(dense, &states[next]);
-            black_box(&frame);
+            states[next].load(dense, &mut bit_state);
+            bit_state.run(dense, &states[next]);
+            black_box(&bit_state);
             next += 1;
             if next == states.len() {
                 next = 0;

@@ -159,7 +159,7 @@ impl Reading {
     fn read<const W: usize>(&self, window: &Window<W>, egos: &Set<W>, out: &Decisions, firings: &mut [usize]) {
         let dense = &self.grounder.dense;
         for &(action, relation) in &self.actions {
-            if let Some(set) = window.frame.set(dense, relation) {
+            if let Some(set) = window.bit_state.set(dense, relation) {
                 debug_assert!(members(set).all(|entity| has(egos, entity)));
                 for entity in members(set) {
                     out.add(window.bodies[entity].agent as usize, action);
@@ -167,8 +167,8 @@ impl Reading {
             }
         }
         for (position, (firings, &(clause, of_action))) in firings.iter_mut().zip(&self.clauses).enumerate() {
-            *firings += window.frame.count_fired(dense, clause).unwrap_or(0);
-            if of_action && let Some(set) = window.frame.fired(dense, clause) {
+            *firings += window.bit_state.count_fired(dense, clause).unwrap_or(0);
+            if of_action && let Some(set) = window.bit_state.fired(dense, clause) {
                 for entity in members(set) {
                     out.add_fired(window.bodies[entity].agent as usize, position);
                 }
@@ -651,7 +651,7 @@ impl Evaluate<'_> {
         let Area { first, rows, cols } = self.window;
         window.fill(&self.reading.grounder, first, [rows, cols]);
         let egos = crate::datalog::dense::first(self.egos);
-        window.frame.set_egos(egos);
+        window.bit_state.set_egos(egos);
         window.run(&self.reading.grounder, self.draws);
         self.reading.read(window, &egos, self.out, firings);
         std::mem::swap(&mut window.bodies, found);

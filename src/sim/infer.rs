@@ -362,21 +362,21 @@ impl Inference {
     ) -> Result<Vec<Actions>, Diagnostic> {
         let count = scene.names.len();
         let bits: BitFacts<W> = scene.facts.to_bits(&self.vocabulary, dense, count);
-        let mut frame = BitState::new(dense, count);
-        bits.load(dense, &mut frame);
+        let mut bit_state = BitState::new(dense, count);
+        bits.load(dense, &mut bit_state);
         let facts = CancellableFacts {
             facts: &bits,
             cancel,
             polls: Cell::new(0),
             cancelled: Cell::new(false),
         };
-        frame.run(dense, &facts);
+        bit_state.run(dense, &facts);
         if facts.cancelled.get() {
             return Err(Diagnostic::cancelled());
         }
         let holds = |action: Action, ego: usize| {
             let relation = self.vocabulary.action(action);
-            relation.is_some_and(|relation| frame.set(dense, relation).is_some_and(|set| has(set, ego)))
+            relation.is_some_and(|relation| bit_state.set(dense, relation).is_some_and(|set| has(set, ego)))
         };
         let derived = |&ego: &usize| Action::ALL.into_iter().filter(|&action| holds(action, ego)).collect();
         Ok(scene.egos.iter().map(derived).collect())

@@ -216,12 +216,16 @@ impl Conditions {
     }
 
     /// Finds out which conditions hold, unless that is known.
-    fn evaluate(&self, frame: &mut BitState<1>, held: &mut Vec<usize>, known: &mut bool, observed: Observed<'_>) {
+    fn evaluate(&self, bit_state: &mut BitState<1>, held: &mut Vec<usize>, known: &mut bool, observed: Observed<'_>) {
         if *known {
             return;
         }
-        self.rules.run(frame, observed);
-        let holds = |clause| frame.fired(&self.rules.dense, clause).is_some_and(|set| has(set, 0));
+        self.rules.run(bit_state, observed);
+        let holds = |clause| {
+            bit_state
+                .fired(&self.rules.dense, clause)
+                .is_some_and(|set| has(set, 0))
+        };
         let clauses = self.clauses.iter().enumerate();
         held.clear();
         held.extend(
@@ -279,12 +283,12 @@ impl DenseRules {
     }
 
     /// Evaluates them for the first entity.
-    fn run(&self, frame: &mut BitState<1>, observed: Observed<'_>) {
+    fn run(&self, bit_state: &mut BitState<1>, observed: Observed<'_>) {
         let (atoms, count) = (observed.atoms, observed.bodies.len());
-        if frame.count() != count {
-            frame.reset(&self.dense, count);
+        if bit_state.count() != count {
+            bit_state.reset(&self.dense, count);
             if self.dense.is_local() {
-                frame.set_egos(first(1));
+                bit_state.set_egos(first(1));
             }
         }
         for (input, source) in self.inputs.iter().enumerate() {
@@ -293,10 +297,10 @@ impl DenseRules {
                 Some((predicate, false)) => observed.unary(predicate),
                 Some((predicate, true)) => (0..count).fold(0, |set, at| set | atoms.row(predicate, at) & 1 << at),
             };
-            frame.set_input(&self.dense, input, [set]);
+            bit_state.set_input(&self.dense, input, [set]);
         }
         let lists = &self.lists;
-        frame.run(&self.dense, &Related { atoms, lists });
+        bit_state.run(&self.dense, &Related { atoms, lists });
     }
 }
 
@@ -418,7 +422,7 @@ impl Observed<'_> {
 /// What a [`RuleMonitor`] says at a moment.
 pub(super) enum Violations {
     Once {
-        frame: Box<BitState<1>>,
+        bit_state: Box<BitState<1>>,
         /// The conditions that hold, by position.
         held: Vec<usize>,
         /// Whether they are those of the present moment.
@@ -446,8 +450,8 @@ impl State {
     /// Evaluates the rules on the facts.
     fn run(&mut self, evaluator: &Evaluator, observed: Observed<'_>) -> Result<(), Diagnostic> {
         match (self, evaluator) {
-            (State::Dense(frame), Evaluator::Dense(rules)) => {
-                rules.run(frame, observed);
+            (State::Dense(bit_state), Evaluator::Dense(rules)) => {
+                rules.run(bit_state, observed);
                 Ok(())
             }
             (State::Relational(state), Evaluator::Relational { program, relations }) => {
@@ -467,10 +471,10 @@ impl State {
     /// The actions derived for the ego.
     fn derived(&self, evaluator: &Evaluator, vocabulary: &Vocabulary, ego: usize) -> Actions {
         match (self, evaluator) {
-            (State::Dense(frame), Evaluator::Dense(rules)) => {
+            (State::Dense(bit_state), Evaluator::Dense(rules)) => {
                 let holds = |action: &Action| {
                     let relation = vocabulary.action(*action);
-                    relation.is_some_and(|action| frame.set(&rules.dense, action).is_some_and(|set| has(set, 0)))
+                    relation.is_some_and(|action| bit_state.set(&rules.dense, action).is_some_and(|set| has(set, 0)))
                 };
                 Action::ALL.into_iter().filter(holds).collect()
             }
@@ -482,8 +486,8 @@ impl State {
     /// Whether a clause derives its head of the ego.
     fn fired(&self, evaluator: &Evaluator, clause: ClauseId, ego: usize) -> bool {
         match (self, evaluator) {
-            (State::Dense(frame), Evaluator::Dense(rules)) => {
-                frame.fired(&rules.dense, clause).is_some_and(|set| has(set, 0))
+            (State::Dense(bit_state), Evaluator::Dense(rules)) => {
+                bit_state.fired(&rules.dense, clause).is_some_and(|set| has(set, 0))
             }
             (State::Relational(Some(state)), _) => {
                 let value = state.value(ego);
@@ -498,7 +502,7 @@ impl Violations {
     pub fn new(monitor: &RuleMonitor) -> Violations {
         match &monitor.how {
             How::Once(conditions) => Violations::Once {
-                frame: Box::new(BitState::new(&conditions.rules.dense, 0)),
+                bit_state: Box::new(BitState::new(&conditions.rules.dense, 0)),
                 held: Vec::with_capacity(conditions.clauses.len()),
                 known: false,
             },
@@ -528,8 +532,8 @@ impl Violations {
     ) -> Result<Actions, Diagnostic> {
         let ego = observed.bodies[0].agent as usize;
         match (self, &monitor.how) {
-            (Violations::Once { frame, held, known }, How::Once(conditions)) => {
-                conditions.evaluate(frame, held, known, observed);
+            (Violations::Once { bit_state, held, known }, How::Once(conditions)) => {
+                conditions.evaluate(bit_state, held, known, observed);
                 Ok(conditions.derived(held))
             }
             (Violations::Twice { wanted: state, .. }, How::Twice { wanted, .. }) => {
@@ -554,8 +558,8 @@ impl Violations {
         let ego = observed.bodies[0].agent as usize;
         broken.clear();
         match (self, &monitor.how) {
-            (Violations::Once { frame, held, known }, How::Once(conditions)) => {
-                conditions.evaluate(frame, held, known, observed);
+            (Violations::Once { bit_state, held, known }, How::Once(conditions)) => {
+                conditions.evaluate(bit_state, held, known, observed);
                 conditions.violations(held, action, broken);
             }
             (Violations::Twice { checked: state, .. }, How::Twice { checked, .. }) => {

@@ -476,14 +476,14 @@ fn compare(old: &Session, new: &Session) -> Vec<Changed> {
         let before = old.program().relation(&relation.name);
         let twin = before.filter(|twin| bases(&old.program().rules().relations[twin.index()]) == bases(relation));
         let kept = twin.map_or(0, |twin| {
-            let workspace = |session: &Session, row: &[Value]| -> Vec<String> {
+            let texts = |session: &Session, row: &[Value]| -> Vec<String> {
                 let columns = row.iter().zip(&relation.columns);
                 columns
                     .map(|(value, column)| facts::print_value(session, *value, column.base))
                     .collect()
             };
-            let known: HashSet<Vec<String>> = old.rows(twin).map(|row| workspace(old, row)).collect();
-            new.rows(id).filter(|row| known.contains(&workspace(new, row))).count()
+            let known: HashSet<Vec<String>> = old.rows(twin).map(|row| texts(old, row)).collect();
+            new.rows(id).filter(|row| known.contains(&texts(new, row))).count()
         });
         let (added, removed) = (new.len(id) - kept, before.map_or(0, |before| old.len(before)) - kept);
         if added + removed > 0 {

@@ -112,14 +112,14 @@ impl<const W: usize> BitState<W> {
     /// # Panics
     /// If a set does not hold so many.
     pub fn new(program: &Dense, count: usize) -> Self {
-        let mut frame = BitState {
+        let mut bit_state = BitState {
             count: 0,
             sets: vec![[0; W]; program.set_count.max(FEW)],
             unsettled: true,
             rows: Vec::new(),
         };
-        frame.reset(program, count);
-        frame
+        bit_state.reset(program, count);
+        bit_state
     }
 
     /// Makes it one for another universe, under the same program; all inputs are empty. Allocates only if it is larger than every one

@@ -168,7 +168,7 @@ struct Output {
 }
 
 /// More literals than this are not looked at for scenes of one size.
-const ROOM: usize = 3_000_000;
+const LITERALS_MAX: usize = 3_000_000;
 
 /// Scenes from a circuit of rules that have clauses without one.
 const MODELS_MAX: usize = 4;
@@ -186,7 +186,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     let sides = [&sides[0], &sides[1]];
     let mut budget = Budget {
         conflicts: options.conflicts_max,
-        room: options.literals_max,
+        literals_left: options.literals_max,
     };
     let scoped = sides.iter().any(|side| !side.scopes.is_empty());
     let open = match options.self_sight {
@@ -204,9 +204,9 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     order.sort_by_key(|output| sides[0].stratum[output.ids[0].index()]);
     let mut equal = BTreeSet::new();
     let mut proof = Some(0);
-    let mut room = bound::FACTS_MAX;
+    let mut literals_left = bound::FACTS_MAX;
     for output in order {
-        let needed = bound::entities(sides, output, &equal, &mut room);
+        let needed = bound::entities(sides, output, &equal, &mut literals_left);
         if needed.is_some() {
             equal.insert(output.name.clone());
         }
@@ -216,17 +216,17 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
     let last = proof.map_or(options.entities_max, |proof| proof.min(options.entities_max));
     let mut seen_all = Some(last);
     let mut cut = BTreeSet::new();
-    if proof.is_none() && room == 0 {
+    if proof.is_none() && literals_left == 0 {
         cut.insert(Cut::Proof);
     }
     for (&view, views) in views.iter().zip((1..=views.len()).rev()) {
         // A view that needs too much leaves the others their share.
         let mut share = Budget {
             conflicts: budget.conflicts / views as u64,
-            room: budget.room / views,
+            literals_left: budget.literals_left / views,
         };
         budget.conflicts -= share.conflicts;
-        budget.room -= share.room;
+        budget.literals_left -= share.literals_left;
         for entities in 0..=last {
             match search(sides, &outputs, entities, view, &mut share) {
                 Ok(Some(model)) => return Ok(Equivalence::Different(difference(sides, &base, &outputs, view, &model))),
@@ -239,7 +239,7 @@ pub fn diff(left: &Rules, right: &Rules, options: &Options) -> Result<Equivalenc
             }
         }
         budget.conflicts += share.conflicts;
-        budget.room += share.room;
+        budget.literals_left += share.literals_left;
     }
     Ok(match (proof, seen_all) {
         (Some(entities), Some(seen_all)) if entities <= seen_all => Equivalence::Equivalent { entities },
@@ -439,7 +439,7 @@ struct Budget {
     /// Dead ends.
     conflicts: u64,
     /// Literals to look at.
-    room: usize,
+    literals_left: usize,
 }
 
 /// A scene in numbers.
@@ -474,11 +474,16 @@ fn search(
         facts: text_facts(side, &individuals),
         scopes: side.scopes.clone(),
     });
-    let mut circuit = Circuit::new([&left, &right], &individuals, view, ROOM.min(budget.room));
-    let before = circuit.room;
+    let mut circuit = Circuit::new(
+        [&left, &right],
+        &individuals,
+        view,
+        LITERALS_MAX.min(budget.literals_left),
+    );
+    let before = circuit.literals_left;
     let asked = questions(&mut circuit, outputs, entities, &individuals);
     let kept = circuit.constraints();
-    budget.room -= before - circuit.room;
+    budget.literals_left -= before - circuit.literals_left;
     let (Ok(questions), Ok(())) = (asked, kept) else {
         return Err(Cut::Size);
     };
