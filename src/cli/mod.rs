@@ -438,8 +438,8 @@ fn load_program(sources: &mut Sources, path: &Path) -> Result<(Program, Vec<Diag
 }
 
 /// Checks and plans rules. Warnings are returned beside the program.
-fn compile(texts: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure> {
-    let loaded = texts.check();
+fn compile(workspace: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure> {
+    let loaded = workspace.check();
     match loaded.rules {
         Some(rules) => Ok((Program::new(rules)?, loaded.diagnostics)),
         None => Err(loaded.diagnostics.into()),
@@ -447,15 +447,15 @@ fn compile(texts: &Workspace) -> Result<(Program, Vec<Diagnostic>), Failure> {
 }
 
 /// Reads a rule file and all it includes.
-fn load_workspace(sources: &mut Sources, path: &Path, inputs: Edb) -> Result<Workspace, Failure> {
+fn load_workspace(sources: &mut Sources, path: &Path, edb: Edb) -> Result<Workspace, Failure> {
     let text = read(path)?;
     let entry = sources.add(path.display().to_string(), text);
-    let mut texts = Workspace::new(inputs);
-    texts.add(sources, entry, &BuiltinFiles);
-    Ok(texts)
+    let mut workspace = Workspace::new(edb);
+    workspace.add(sources, entry, &BuiltinFiles);
+    Ok(workspace)
 }
 
-/// A configuration and its rules, or those of the file that is given instead. Warnings have been told; the texts of the rules are
+/// A configuration and its rules, or those of the file that is given instead. Warnings have been told; the workspace of the rules are
 /// the last of `sources`, from the one returned on.
 fn load_city(
     sources: &mut Sources,
@@ -464,10 +464,10 @@ fn load_city(
 ) -> Result<(Scenario, Program, SourceId), Failure> {
     let mut scenario = load_config(sources, config)?;
     let path = rules.unwrap_or(&scenario.rules.value).to_owned();
-    let texts = sources.ids().count();
+    let known = sources.ids().count();
     let (program, warnings) = load_program(sources, &path)?;
     report(&warnings, sources);
-    let entry = sources.ids().nth(texts).expect("the rules have been read");
+    let entry = sources.ids().nth(known).expect("the rules have been read");
     if rules.is_some() {
         // What does not fit is to be shown in the file that was given, not in the configuration.
         let span = Span::new(entry, 0..0);

@@ -316,9 +316,9 @@ fn the_same_seed_gives_the_same_bytes() {
     assert_eq!(printed, text(&arguments));
     assert_ne!(printed, text(&["vap-hard", "--count", "60", "--seed", "10"]));
     let files = ["--output", &file, "--csv", &table, "--demonstrations-csv", &shown];
-    let printed = text(&[&arguments[..], &files].concat());
+    let summary = text(&[&arguments[..], &files].concat());
     assert_eq!(
-        printed,
+        summary,
         format!("60 questions written to {file}: Slow 15, Normal 15, Fast 15, Stop 15\n")
     );
     assert_eq!(fs::read_to_string(&file).unwrap(), printed);

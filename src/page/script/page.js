@@ -92,7 +92,7 @@ class Page {
   }
 
   choose(changes) {
-    this.tell("");
+    this.notify("");
     Object.assign(this.now, { part: 0 }, changes);
     if (this.now.agent < 0) this.now.follow = false;
     if ("tick" in changes && !changes.keep) this.stop();
@@ -121,7 +121,7 @@ class Page {
   }
 
   play(on) {
-    this.tell("");
+    this.notify("");
     if (on && this.now.tick === this.run.count - 1) this.now.tick = 0;
     this.now.playing = on;
     this.clock = undefined;
@@ -165,11 +165,11 @@ class Page {
     }, (text) => `there is no tick ${text} (the page has ${first} to ${first + run.count - 1})`);
     look("agent", (id) => run.names.get(id) ?? -1, (id) => `there is no agent ${id}`);
     look("clause", (label) => clauses.slice(0, counted).findIndex((clause) => clause.label === label), (label) => `there is no clause ${label}`);
-    this.tell(missing.length ? `What the address asks for is not all here: ${missing.join("; ")}.` : "");
+    this.notify(missing.length ? `What the address asks for is not all here: ${missing.join("; ")}.` : "");
   }
 
   /** Says something above everything else; nothing if it is empty. */
-  tell(text) {
+  notify(text) {
     $("notice").hidden = !text;
     $("notice").textContent = text;
   }

@@ -215,7 +215,7 @@ mod tests {
 
     #[test]
     #[allow(clippy::cast_precision_loss)]
-    fn runs_of_an_episode_count_once_each() {
+    fn intervals_depend_on_how_far_runs_of_an_episode_agree() {
         let is_wilson = |rate: Rate, n: f64| {
             let [low, high] = wilson(rate.value, n);
             assert!(
